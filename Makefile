@@ -1,0 +1,59 @@
+# Every target sets up what it needs in .venv; see tools/environment.py.
+# Needed beforehand: Python 3.11 or newer, make, and a C compiler (or none: make test brings one).
+
+PYTHON ?= python3
+UV ?= uv
+WORKERS ?= auto
+PYTEST_ARGS ?=
+
+bin := .venv/bin
+setup = @command -v $(PYTHON) >/dev/null 2>&1 || \
+	{ echo "setup: there is no $(PYTHON) here. Install Python 3.11 or newer, or name it: make PYTHON=/path/to/python3" >&2; exit 1; }; \
+	UV="$(UV)" $(PYTHON) tools/environment.py
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test bench lint golden golden-check wheel-check clean distclean
+
+help: ## say what there is
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-20s %s\n", $$1, $$2 }'
+	@echo "  Variables: PYTHON=$(PYTHON)  UV=$(UV) (empty: use pip)  WORKERS=$(WORKERS)  PYTEST_ARGS=$(PYTEST_ARGS)"
+
+demo: ## generate, compile and run a filter on an example
+	$(setup) run
+	$(bin)/fkgen demo
+
+# Workers share the cores, so the linear algebra below them takes one thread each.
+test: ## run all tests
+	$(setup) test
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(WORKERS) $(PYTEST_ARGS)
+
+bench: ## measure speed, next to other libraries
+	$(setup) bench
+	$(bin)/python bench/run.py
+
+lint: ## check style, types, floors and the budget
+	$(setup) test
+	$(bin)/ruff check
+	$(bin)/ruff format --check
+	$(bin)/mypy --strict fkgen
+	$(bin)/lint-imports
+	$(bin)/python tools/budget.py
+
+golden: ## write generated/ anew; read the diff before you commit it
+	$(setup) run
+	$(bin)/python tools/golden.py --update
+
+golden-check: ## say whether generated/ is what fkgen generates
+	$(setup) run
+	$(bin)/python tools/golden.py
+
+wheel-check: ## build the wheel, install it elsewhere and use it
+	$(setup) test
+	$(bin)/python tools/wheel_check.py
+
+clean: ## remove what builds and checks leave behind
+	rm -rf build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find . -path ./.venv -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean ## remove .venv too
+	rm -rf .venv .venv.lock

@@ -1,0 +1,132 @@
+"""Gaussian vectors given by a square root of their covariance: roots, projections, densities.
+
+A random vector is written ``a = mean + root @ z`` with uncorrelated ``z`` of unit variance. Working
+with the root and never with ``root @ root.T`` keeps all digits of small posterior variances, and
+conditioning becomes what it is: an orthogonal projection in the space of ``z``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+
+#: A singular value of unit rows below this is rounding: some hundred times the unit round-off.
+RANK_TOLERANCE = 1e-13
+
+
+def square_root(covariance: Array) -> Array:
+    """Square roots of positive semidefinite matrices, exact in rank, blind to units.
+
+    The eigenvalues are those of the correlation matrix, so that a variance of 1e-8 beside one of
+    1e8 keeps its digits.
+
+    Parameters
+    ----------
+    covariance : (..., n, n) ndarray
+        Symmetric positive semidefinite; one matrix or a stack of them.
+
+    Returns
+    -------
+    (..., n, n) ndarray
+        ``root`` with ``root @ root.T == covariance``.
+    """
+    deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
+    unit = np.where(deviation > 0.0, deviation, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
+    # A correlation matrix has trace n: what is below n units of round-off is the zero of a singular
+    # matrix.
+    size = covariance.shape[-1]
+    eigenvalues = np.where(eigenvalues > 4.0 * size * np.finfo(float).eps, eigenvalues, 0.0)
+    root: Array = unit[..., :, None] * vectors * np.sqrt(eigenvalues)[..., None, :]
+    return root
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Whitening:
+    """The directions that a vector ``y = mean + root @ z`` reveals about ``z``.
+
+    Attributes
+    ----------
+    directions : (d, r) ndarray
+        Orthonormal basis of the row space of ``root``.
+    weights : (r, m) ndarray
+        ``weights @ (y - mean)`` are the coordinates of ``z`` along the directions.
+    log_determinant : float
+        ``log det(root @ root.T)``, over the regular directions only where that is singular.
+    """
+
+    directions: Array
+    weights: Array
+    log_determinant: float
+
+    @property
+    def rank(self) -> int:
+        """Number of regular directions."""
+        return int(self.directions.shape[1])
+
+    def unexplained(self, root: Array) -> Array:
+        """Root of another vector's covariance when ``y`` is known.
+
+        Parameters
+        ----------
+        root : (a, d) ndarray
+            The other vector's root on the same ``z``.
+
+        Returns
+        -------
+        (a, d) ndarray
+            The root with its projection on the directions taken away.
+        """
+        remainder: Array = root - (root @ self.directions) @ self.directions.T
+        # A second pass removes what rounding left of a long vector along the directions.
+        return remainder - (remainder @ self.directions) @ self.directions.T
+
+
+def whiten(root: Array, *, negligible: Array | float = 0.0) -> Whitening:
+    """Find what a vector reveals, with the rank decided on unit rows.
+
+    Parameters
+    ----------
+    root : (m, d) ndarray
+        Square root of the vector's covariance.
+    negligible : (m,) ndarray or float
+        Rows whose norm is not above this are known constants: they reveal nothing.
+
+    Returns
+    -------
+    Whitening
+    """
+    norms = np.linalg.norm(root, axis=1)
+    alive = norms > negligible
+    scale = norms[alive]
+    left, singular, right = np.linalg.svd(root[alive] / scale[:, None], full_matrices=False)
+    regular = singular > RANK_TOLERANCE * max(1.0, *singular) if singular.size else singular > 0.0
+    weights = np.zeros((int(regular.sum()), root.shape[0]))
+    weights[:, alive] = (left[:, regular] / singular[regular]).T / scale
+    log_determinant = 2.0 * float(np.log(singular[regular]).sum() + np.log(scale).sum())
+    return Whitening(directions=right[regular].T, weights=weights, log_determinant=log_determinant)
+
+
+def log_density(residual: Array, whitening: Whitening) -> float:
+    """Log of the Gaussian density of ``y`` at a distance ``residual`` from its mean, eq. (15).
+
+    Parameters
+    ----------
+    residual : (m,) ndarray
+        ``y - mean``.
+    whitening : Whitening
+        Of the root of the covariance of ``y``.
+
+    Returns
+    -------
+    float
+        Natural logarithm; 0 for an empty vector.
+    """
+    coordinates = whitening.weights @ residual
+    constant = whitening.rank * np.log(2.0 * np.pi) + whitening.log_determinant
+    return -0.5 * float(constant + coordinates @ coordinates)

@@ -1,0 +1,89 @@
+"""Every exception that fkgen raises on purpose: yours (`UserError`) or ours (`InternalError`).
+
+A user's mistake is always a `UserError`; its text is one line that says where, what was given, what
+was expected and, where it helps, how to mend it. The facts are attributes too.
+"""
+
+from __future__ import annotations
+
+
+class FkgenError(Exception):
+    """Root of every exception raised on purpose."""
+
+
+class UserError(FkgenError):
+    """Something outside fkgen has to change: a spec, a record, a folder, a compiler."""
+
+
+class InternalError(FkgenError):
+    """fkgen contradicts itself. Please report it, with the spec that shows it."""
+
+
+class SpecError(UserError):
+    """A spec says something that cannot be, or does not say what it must.
+
+    Attributes
+    ----------
+    file : str
+        The spec file, or ``"<dict>"``.
+    key : str
+        Dotted path of the entry, such as ``model.A``.
+    given, expected : str
+        What stands there and what should.
+    """
+
+    def __init__(self, key: str, *, given: str, expected: str, file: str = "<dict>") -> None:
+        self.file, self.key, self.given, self.expected = file, key, given, expected
+        super().__init__(f"{file}: {key}: given {given}; expected {expected}")
+
+
+class DataError(UserError):
+    """A record (measurements, inputs, times, parameter sequences) cannot be filtered as it stands."""
+
+    def __init__(self, what: str, *, given: str, expected: str) -> None:
+        self.what, self.given, self.expected = what, given, expected
+        super().__init__(f"{what}: given {given}; expected {expected}")
+
+
+class OutputError(UserError):
+    """Files cannot be written where they were asked for; nothing was left half written."""
+
+    def __init__(self, path: str, *, given: str, expected: str) -> None:
+        self.path, self.given, self.expected = path, given, expected
+        super().__init__(f"{path}: given {given}; expected {expected}")
+
+
+class CompilerError(UserError):
+    """No C compiler was found, or it refused the generated code."""
+
+
+class StepRefused(UserError):
+    """The compiled filter refused a sample (negative status); its state is unchanged.
+
+    Attributes
+    ----------
+    status : int
+        The negative status of the C function.
+    name : str
+        Its name in the C enum, such as ``DC_MOTOR_INPUT_NOT_FINITE``.
+    """
+
+    def __init__(self, status: int, name: str, meaning: str) -> None:
+        self.status, self.name = status, name
+        super().__init__(f"step refused with status {status} ({name}): {meaning}")
+
+
+class ValidationError(InternalError):
+    """A recursion contradicts a closed form of its family. It is never lowered to C.
+
+    Attributes
+    ----------
+    family : str
+        The family that was built.
+    failed : tuple of str
+        The claims that do not hold, each with its error and tolerance.
+    """
+
+    def __init__(self, family: str, failed: tuple[str, ...]) -> None:
+        self.family, self.failed = family, failed
+        super().__init__(f"{family}: not so: " + "; ".join(failed))

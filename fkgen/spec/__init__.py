@@ -1,0 +1,31 @@
+"""What the user says: plant, faults, filter and code options, as frozen and checked values."""
+
+from fkgen.spec.code_options import Code
+from fkgen.spec.definition import Parameter, Spec
+from fkgen.spec.expression import Expression, Name, Number, Operation, evaluate, names, parse
+from fkgen.spec.faults import ActuatorFaults, Faults
+from fkgen.spec.filter import Filter
+from fkgen.spec.matrix import Matrix
+from fkgen.spec.model import Model
+from fkgen.spec.reader import load
+from fkgen.spec.signals import Signal
+
+__all__ = [
+    "ActuatorFaults",
+    "Code",
+    "Expression",
+    "Faults",
+    "Filter",
+    "Matrix",
+    "Model",
+    "Name",
+    "Number",
+    "Operation",
+    "Parameter",
+    "Signal",
+    "Spec",
+    "evaluate",
+    "load",
+    "names",
+    "parse",
+]

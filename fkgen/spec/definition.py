@@ -1,0 +1,175 @@
+"""A whole spec: plant, parameters, faults, filter and code options, frozen and checked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from fkgen.spec.code_options import Code, read_code
+from fkgen.spec.covariance import is_singular
+from fkgen.spec.faults import Faults, read_faults
+from fkgen.spec.filter import Filter, filter_section, read_filter
+from fkgen.spec.model import Model, read_model
+from fkgen.spec.naming import check_distinct, read_parameter_name, read_prefix
+from fkgen.spec.place import Place
+from fkgen.spec.section import Section, as_number, as_table
+
+_KEYS = ("name", "model", "parameters", "faults", "filter", "code")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A number that can change at run time.
+
+    Parameters
+    ----------
+    name : str
+        A C identifier, usable in the expressions of the spec.
+    default : float
+        Its value where the user of the filter states none.
+    """
+
+    name: str
+    default: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """What the user wants, checked.
+
+    Equal and of equal hash if they say the same; the file they come from does not count.
+
+    Parameters
+    ----------
+    name : str
+        Prefix of every symbol of the generated code.
+    model : Model
+        The plant.
+    parameters : tuple of Parameter
+        In the order of the file.
+    faults : Faults
+        What can fail.
+    filter : Filter
+        The family and its options.
+    code : Code
+        Options of the generated code.
+    file : str
+        Where it comes from.
+    """
+
+    name: str
+    model: Model
+    parameters: tuple[Parameter, ...]
+    faults: Faults
+    filter: Filter
+    code: Code
+    file: str = field(default="<dict>", compare=False)
+
+    @classmethod
+    def from_dict(cls, table: object, file: str = "<dict>") -> Spec:
+        """Return the spec that a nested dict describes, as a TOML file would.
+
+        Parameters
+        ----------
+        table : mapping
+            The sections of the spec file. Matrices may also be NumPy arrays, SymPy or CasADi
+            matrices; ``model.system`` may be a discrete-time ``control.StateSpace``. It is
+            neither changed nor kept.
+        file : str, optional
+            For messages.
+
+        Raises
+        ------
+        SpecError
+            If anything in it is missing, unknown, of the wrong type or shape, or impossible.
+        """
+        place = Place(file)
+        if not as_table(table, place, "a table (a dict) with a spec in it"):
+            raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
+        section = Section(table, place, known=_KEYS)
+        name = read_prefix(section.require("name", "a C identifier"), place.entry("name"))
+        parameters = _read_parameters(
+            section.table.get("parameters", {}), place.entry("parameters")
+        )
+        defaults = {parameter.name: parameter.default for parameter in parameters}
+        options = filter_section(
+            section.require("filter", "a table with the family of the filter"),
+            place.entry("filter"),
+        )
+        family = str(options.table["family"])
+        model_place = place.entry("model")
+        model = read_model(
+            section.require("model", "a table with the plant"), model_place, defaults
+        )
+        _check_family(model, model_place, family, defaults)
+        faults = read_faults(
+            section.table.get("faults", {}),
+            place.entry("faults"),
+            defaults,
+            family=family,
+            inputs=model.nu,
+        )
+        return cls(
+            name=name,
+            model=model,
+            parameters=parameters,
+            faults=faults,
+            filter=read_filter(options, faults.actuator, model.nu),
+            code=read_code(section.table.get("code", {}), place.entry("code")),
+            file=file,
+        )
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        """The default value of every parameter."""
+        return {parameter.name: parameter.default for parameter in self.parameters}
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain dicts, lists, numbers and texts; `from_dict` gives an equal spec back."""
+        return {
+            "name": self.name,
+            "model": self.model.plain(),
+            "parameters": self.defaults,
+            "faults": self.faults.plain(),
+            "filter": self.filter.plain(),
+            "code": self.code.plain(),
+        }
+
+    def canonical(self) -> str:
+        """Return a JSON text that is equal for equal specs and different for different ones."""
+        table = self.to_dict()
+        table["parameters"] = [[item.name, item.default] for item in self.parameters]
+        return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def _read_parameters(table: object, place: Place) -> tuple[Parameter, ...]:
+    entries = as_table(table, place, "a table of default values, such as tau = 0.05")
+    parameters = tuple(
+        Parameter(
+            read_parameter_name(name, place.entry(name)),
+            as_number(value, place.entry(name), "a finite number, the default"),
+        )
+        for name, value in entries.items()
+    )
+    check_distinct((parameter.name for parameter in parameters), place, "parameters")
+    return parameters
+
+
+def _check_family(model: Model, place: Place, family: str, defaults: Mapping[str, float]) -> None:
+    """Refuse plants for which the family is not defined."""
+    if family in {"mkf", "mme"} and model.nu == 0:
+        raise place.entry("B").error(
+            "nothing (no input)", f"B: the family {family} is about faults of the input"
+        )
+    if not is_singular(model.R.values(defaults)):
+        return
+    if family == "mme":
+        raise place.entry("R").error(
+            "a singular matrix", "a positive definite R for the family mme: it compares densities"
+        )
+    if not model.Q.values(defaults).any():
+        raise place.entry("R").error(
+            "a singular matrix, and Q = 0",
+            "a positive definite R where there is no process noise, or some process noise",
+        )

@@ -1,0 +1,74 @@
+"""Where in a spec something stands, and how it is shown in a message."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+from fkgen.errors import SpecError
+
+WHOLE = "spec"
+_SHOWN = 60
+_WORDS: dict[type, str] = {
+    dict: "the table",
+    list: "the list",
+    tuple: "the list",
+    str: "the text",
+    bool: "the boolean",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A dotted path in a spec file: everything an error has to name.
+
+    Parameters
+    ----------
+    file : str
+        The spec file, or ``"<dict>"``.
+    key : str
+        Dotted path, such as ``model.A[0][1]``; ``"spec"`` is the whole of it.
+    """
+
+    file: str = "<dict>"
+    key: str = WHOLE
+
+    def entry(self, name: str) -> Place:
+        """Return the place of one key of this table."""
+        return Place(self.file, name if self.key == WHOLE else f"{self.key}.{name}")
+
+    def item(self, *indices: int) -> Place:
+        """Return the place of one element of this list or matrix."""
+        return Place(self.file, self.key + "".join(f"[{index}]" for index in indices))
+
+    def error(self, given: str, expected: str) -> SpecError:
+        """Return (not raise) the error that names this place."""
+        return SpecError(self.key, given=given, expected=expected, file=self.file)
+
+
+def show(value: object) -> str:
+    """Return a value as one short line, whatever it is."""
+    try:
+        text = repr(value) if isinstance(value, str) else " ".join(repr(value).split())
+    except ValueError:  # an integer with more digits than Python prints
+        return f"{article(type(value).__name__)} too long to print"
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
+def describe(value: object) -> str:
+    """Return a value with its type in front, for errors about types."""
+    word = _WORDS.get(type(value), f"the {type(value).__name__}")
+    return f"{word} {show(value)}"
+
+
+def article(noun: str) -> str:
+    """Return ``noun`` with its indefinite article."""
+    return f"{'an' if noun[:1].lower() in 'aeiou' else 'a'} {noun}"
+
+
+def suggestion(given: str, choices: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` if one of the choices is close, else nothing."""
+    by_lower = {choice.lower(): choice for choice in choices}
+    close = get_close_matches(given.lower(), by_lower, n=1)
+    return f"; did you mean '{by_lower[close[0]]}'?" if close else ""

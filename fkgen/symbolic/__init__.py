@@ -1,0 +1,1 @@
+"""The language that families are written in: ports, phases, and linear algebra without inverses."""

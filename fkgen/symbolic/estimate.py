@@ -1,0 +1,162 @@
+"""The two halves of every filter here: correct with y[k], propagate to k + 1.
+
+The Kalman filter is the case in which no input is random.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from fkgen.spec import Spec
+from fkgen.symbolic.actuation import Actuation
+from fkgen.symbolic.conditioning import RANK_TOLERANCE, Conditioned, Form, condition
+from fkgen.symbolic.decorrelation import Measurement
+from fkgen.symbolic.linalg import column, congruence, is_zero, pack, unpack
+from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.recursion import Kind, Status
+from fkgen.symbolic.script import Script
+
+#: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
+SHORT_FORM_RATIO = 1e6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posterior:
+    """(x, gamma - xi) given y[0..k], in blocks; the deviation is empty unless y depends on gamma.
+
+    Attributes
+    ----------
+    state : (n,) SX
+    covariance : (n (n + 1) / 2,) SX
+        Packed.
+    deviation : (r,) SX
+    deviation_covariance : (r (r + 1) / 2,) SX
+        Packed.
+    cross_covariance : (r, n) SX
+    """
+
+    state: ca.SX
+    covariance: ca.SX
+    deviation: ca.SX
+    deviation_covariance: ca.SX
+    cross_covariance: ca.SX
+
+
+def senses_actuation(plant: Plant, actuation: Actuation) -> bool:
+    """Whether y[k] depends on the random part of the input (D gamma u with D != 0)."""
+    return bool(actuation.size and plant.D.nnz())
+
+
+def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
+    """The covariance update that ``code.update`` asks for; "auto" decides on the digits at stake."""
+    if spec.code.update != "auto":
+        return spec.code.update
+    if spec.code.scalar == "float" or plant.noise_free or augmented:
+        return "joseph"
+    return "short" if prior_to_noise(spec) <= SHORT_FORM_RATIO else "joseph"
+
+
+def prior_to_noise(spec: Spec) -> float:
+    """Largest ratio of prior to noise variance over the rows of y: digits that a short update loses."""
+    C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
+    noise = np.diag(R)
+    prior = np.einsum("ij,jk,ik->i", C, P0, C)
+    if np.any((noise <= 0.0) & (prior > 0.0)):
+        return float("inf")
+    return float(np.max(np.divide(prior, noise, where=noise > 0.0, out=np.zeros_like(prior))))
+
+
+def correct(
+    script: Script,
+    plant: Plant,
+    actuation: Actuation,
+    prior: tuple[ca.SX, ca.SX],
+    *,
+    y: ca.SX,
+    scalar: str,
+    form: Form,
+    tag: str = "",
+    with_gain: bool = False,
+) -> tuple[Conditioned, Posterior]:
+    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., eqs. (10), (11)."""
+    state, packed = prior
+    n, r = plant.nx, 0
+    covariance, C = unpack(packed, n), plant.C
+    if senses_actuation(plant, actuation):
+        r = actuation.size
+        state = ca.vertcat(state, ca.SX.zeros(r))
+        covariance = ca.diagcat(covariance, actuation.covariance)
+        C = ca.horzcat(C, plant.D @ actuation.through)
+    measurement = Measurement(
+        C=C,
+        offset=plant.D @ actuation.mean,
+        R=plant.R,
+        y=y,
+        rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
+    )
+    found = condition(
+        script, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
+    )
+    P = unpack(found.covariance, n + r)
+    posterior = Posterior(
+        state=found.mean[:n],
+        covariance=pack(P[:n, :n]),
+        deviation=found.mean[n:],
+        deviation_covariance=pack(P[n:, n:]),
+        cross_covariance=P[n:, :n],
+    )
+    return found, posterior
+
+
+def propagate(
+    plant: Plant, actuation: Actuation, posterior: Posterior
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Predicted state, packed covariance and the map [A, B u~]: Strandt et al., eqs. (4), (12)."""
+    n = plant.nx
+    B = plant.B @ actuation.through
+    state = plant.A @ posterior.state + plant.B @ actuation.mean
+    P = unpack(posterior.covariance, n)
+    if posterior.deviation.numel() == 0:
+        covariance = congruence(plant.A, P) + pack(plant.Q)
+        if actuation.size:
+            covariance += congruence(B, actuation.covariance)
+        return state, covariance, plant.A
+    r = actuation.size
+    cross = posterior.cross_covariance
+    joint = ca.blockcat(P, cross.T, cross, unpack(posterior.deviation_covariance, r))
+    through = ca.horzcat(plant.A, B)
+    return state + B @ posterior.deviation, congruence(through, joint) + pack(plant.Q), through
+
+
+def bound(script: Script, plant: Plant, letters: str) -> Plant:
+    """The plant with entries that need arithmetic computed once; variances below zero are refused."""
+    named = {letter: script.name_entries(letter, getattr(plant, letter)) for letter in letters}
+    for letter in set(letters) & {"Q", "R"}:
+        matrix = named[letter]
+        diagonal = [matrix[i, i] for i in range(matrix.shape[0]) if not is_zero(matrix[i, i])]
+        script.demand(Kind.NONNEGATIVE, diagonal, Status.PARAMETER_OUT_OF_RANGE)
+    kept = {letter: named.get(letter, getattr(plant, letter)) for letter in "ABCDQR"}
+    return Plant(parameters=plant.parameters, noise_free=plant.noise_free, **kept)
+
+
+def demand_rates(script: Script, rates: list[ca.SX]) -> None:
+    """Refuse success rates outside [0, 1] that come from run-time parameters."""
+    for rate in rates:
+        script.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
+
+
+def demand_finite(script: Script, state: ca.SX, packed: ca.SX) -> None:
+    """Refuse the sample unless the state and the variances are finite: their sum tells."""
+    n = state.numel()
+    variances = [packed[i * (i + 3) // 2] for i in range(n)]
+    total = ca.sum1(column([state[i] for i in range(n)] + variances))
+    script.demand(Kind.FINITE, [total], Status.RESULT_NOT_FINITE)
+
+
+def demand_positive(script: Script, packed: ca.SX, n: int) -> None:
+    """Refuse to go on from a covariance with a negative variance."""
+    variances = [packed[i * (i + 3) // 2] for i in range(n)]
+    script.demand(Kind.NONNEGATIVE, variances, Status.NOT_POSITIVE_DEFINITE)

@@ -1,0 +1,108 @@
+"""Evaluate a recursion with CasADi: slow, exact, and the reference for the compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fkgen.symbolic.linalg import triangle
+from fkgen.symbolic.ports import PARAMETER
+from fkgen.symbolic.recursion import Block, Kind, Port, Recursion
+
+Array = NDArray[np.float64]
+
+
+class Interpreter:
+    """One instance of a filter, stepped sample by sample.
+
+    Parameters
+    ----------
+    recursion : Recursion
+
+    Notes
+    -----
+    Every block is the same CasADi function that the back end lowers, evaluated in double.
+    """
+
+    def __init__(self, recursion: Recursion) -> None:
+        self.recursion = recursion
+        self._phases = [
+            [(block, block.function(phase.symbols)) for block in phase.blocks]
+            for phase in recursion.phases
+        ]
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the prediction for sample 0."""
+        self.values: dict[str, Array] = {
+            port.name: np.array(self.recursion.initial.get(port.name, np.zeros(port.size)), float)
+            for port in self.recursion.ports
+        }
+
+    def step(self, y: Array, u: Array, parameters: Mapping[str, float]) -> bool:
+        """Update, then predict; False if a guard refused the sample (nothing changes then)."""
+        values = dict(self.values)
+        values |= {PARAMETER + name: np.array([value]) for name, value in parameters.items()}
+        values |= {"y": y, "u": u}
+        for phase, blocks in zip(self.recursion.phases, self._phases, strict=True):
+            local = {v.name: np.full(v.size, v.initial or 0.0) for v in phase.variables}
+            values |= local
+            if not all(_evaluate(*each, values) for each in blocks):
+                return False
+        self.values = {name: values[name] for name in self.values}
+        return True
+
+    def run(
+        self, y: Array, u: Array, parameters: Mapping[str, Array], *, keep: Sequence[str] | None = None
+    ) -> dict[str, Array]:
+        """Filter a record; ports by name with shape (T, ...), NaN in innovations of missing rows."""
+        ports = [p for p in self.recursion.ports if keep is None or p.name in keep]
+        rows: dict[str, list[Array]] = {port.name: [] for port in ports}
+        for k in range(len(y)):
+            self.step(y[k], u[k], {name: float(value[k]) for name, value in parameters.items()})
+            for port in ports:
+                value = unpacked(port, self.values[port.name])
+                rows[port.name].append(np.where(np.isnan(y[k]), np.nan, value) if port.per_row else value)
+        return {name: np.array(value) for name, value in rows.items()}
+
+
+def unpacked(port: Port, stored: ArrayLike) -> Array:
+    """A stored sample in the shape that Python shows."""
+    values = np.asarray(stored, float)
+    if not port.symmetric:
+        return values.reshape(port.shape)
+    n = port.shape[-1]
+    index = np.zeros((n, n), int)
+    for at, (i, j) in enumerate(triangle(n)):
+        index[i, j] = index[j, i] = at
+    return values.reshape(-1, n * (n + 1) // 2)[:, index].reshape(port.shape)
+
+
+def _evaluate(block: Block, function: ca.Function, values: dict[str, Array]) -> bool:
+    """Run one block on ``values``; False if a guard refuses."""
+    when = block.when
+    present = ~np.isnan(values["y"])
+    if when is not None and not (present.any() if when.row is None else present[when.row]):
+        return True
+    result = function.call([values[name] for name in block.reads])
+    arrays = [np.asarray(value).ravel() for value in result]
+    if when is not None and when.positive is not None and not arrays.pop()[0] > 0.0:
+        return True
+    for guard, value in zip(block.guards, arrays[len(block.assign) :], strict=True):
+        if not _holds(guard.kind, float(value[0])):
+            return False
+    values |= dict(zip(block.assign, arrays, strict=False))
+    return True
+
+
+def _holds(kind: Kind, value: float) -> bool:
+    match kind:
+        case Kind.POSITIVE:
+            return value > 0.0
+        case Kind.NONNEGATIVE:
+            return value >= 0.0
+        case Kind.FINITE:
+            return bool(np.isfinite(value))

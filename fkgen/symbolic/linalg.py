@@ -1,0 +1,97 @@
+"""Linear algebra on CasADi matrices that keeps zeros structural and symmetric matrices halved.
+
+Symmetric matrices travel packed: the lower triangle by rows, (0,0), (1,0), (1,1), (2,0), ...
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+
+def triangle(n: int) -> list[tuple[int, int]]:
+    """Index pairs of the lower triangle of an n x n matrix, by rows."""
+    return [(i, j) for i in range(n) for j in range(i + 1)]
+
+
+def column(values: list[ca.SX]) -> ca.SX:
+    """Stack scalars into a dense column."""
+    return ca.densify(ca.vertcat(*values)) if values else ca.SX(0, 1)
+
+
+def pack(matrix: ca.SX) -> ca.SX:
+    """Lower triangle of a symmetric (n, n) matrix as an n(n+1)/2 column."""
+    return column([matrix[i, j] for i, j in triangle(matrix.shape[0])])
+
+
+def unpack(packed: ca.SX, n: int) -> ca.SX:
+    """The symmetric (n, n) matrix of a packed column."""
+    element = {(i, j): packed[k] for k, (i, j) in enumerate(triangle(n))}
+    entries = [element[max(i, j), min(i, j)] for j in range(n) for i in range(n)]
+    return sparse(ca.reshape(ca.vertcat(*entries), n, n))
+
+
+def sparse(matrix: ca.SX) -> ca.SX:
+    """Turn entries that are the constant zero into structural zeros."""
+    return ca.sparsify(matrix) if matrix.nnz() else matrix
+
+
+def is_zero(scalar: ca.SX) -> bool:
+    """Whether a 1 x 1 matrix is zero by structure or by value."""
+    return bool(scalar.nnz() == 0 or scalar.is_zero())
+
+
+def outer_lower(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Packed lower triangle of ``a b'``, for products that are symmetric in exact arithmetic."""
+    return column([a[i] * b[j] for i, j in triangle(a.numel())])
+
+
+def congruence(M: ca.SX, P: ca.SX) -> ca.SX:
+    """Packed ``M P M'`` for symmetric P; only the lower triangle is computed.
+
+    Up to three states there is a second way, the sum over the distinct entries of P with products of
+    M as coefficients, which wins when M is constant. The one with fewer operations is returned.
+    """
+    T = M @ P
+    rows = M.shape[0]
+    by_products = column([ca.mtimes(T[i, :], M[j, :].T) for i, j in triangle(rows)])
+    if P.shape[0] > 3:  # noqa: PLR2004 - above, products of M cost more than they save
+        return by_products
+    by_entries = column([_quadratic(M[i, :], P, M[j, :]) for i, j in triangle(rows)])
+    return min(by_products, by_entries, key=operations)
+
+
+def _quadratic(a: ca.SX, P: ca.SX, b: ca.SX) -> ca.SX:
+    terms = [
+        (a[i] * b[j] + a[j] * b[i] if i != j else a[i] * b[i]) * P[i, j]
+        for i, j in triangle(P.shape[0])
+    ]
+    return sum(terms[1:], start=terms[0])
+
+
+def operations(expression: ca.SX) -> int:
+    """Number of scalar operations needed to evaluate an expression."""
+    arguments = ca.symvar(expression)
+    function = ca.Function("count", arguments, [expression])
+    return int(function.n_instructions() - len(arguments) - expression.nnz())
+
+
+def weighted_sum(weights: ca.SX, columns: list[ca.SX]) -> ca.SX:
+    """Sum of ``weights[i] * columns[i]``; a single weight is one by definition."""
+    if len(columns) == 1:
+        return columns[0]
+    total = weights[0] * columns[0]
+    for i in range(1, len(columns)):
+        total += weights[i] * columns[i]
+    return total
+
+
+def spread(weights: ca.SX, means: list[ca.SX], mean: ca.SX) -> ca.SX:
+    """Packed sum of ``w_i (m_i - m)(m_i - m)'``: positive semidefinite term by term."""
+    n = mean.numel()
+    if len(means) == 1:
+        return ca.SX.zeros(n * (n + 1) // 2)
+    total = ca.SX.zeros(n * (n + 1) // 2)
+    for i, each in enumerate(means):
+        deviation = each - mean
+        total += outer_lower(weights[i] * deviation, deviation)
+    return total

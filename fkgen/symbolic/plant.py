@@ -1,0 +1,142 @@
+"""The plant of a spec as CasADi matrices: constants stay constants, zeros stay structural."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from fkgen.errors import InternalError
+from fkgen.spec import Expression, Matrix, Name, Number, Operation, Spec
+
+_FUNCTIONS = {
+    "exp": ca.exp,
+    "log": ca.log,
+    "sqrt": ca.sqrt,
+    "sin": ca.sin,
+    "cos": ca.cos,
+    "tan": ca.tan,
+    "atan2": ca.atan2,
+    "abs": ca.fabs,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plant:
+    """x[k+1] = A x + B g u + v, y = C x + D g u + w, with Cov(v) = Q and Cov(w) = R.
+
+    Attributes
+    ----------
+    parameters : mapping of str to SX
+        Symbols of the run-time parameters.
+    A, B, C, D, Q, R : SX
+        (n, n), (n, q), (p, n), (p, q), (n, n), (p, p).
+    noise_free : bool
+        R is singular: rows of y may be exact, so a rank decision is needed when conditioning.
+    """
+
+    parameters: Mapping[str, ca.SX]
+    A: ca.SX
+    B: ca.SX
+    C: ca.SX
+    D: ca.SX
+    Q: ca.SX
+    R: ca.SX
+    noise_free: bool
+
+    @property
+    def nx(self) -> int:
+        """Number of states n."""
+        return int(self.A.shape[0])
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs q."""
+        return int(self.B.shape[1])
+
+    @property
+    def ny(self) -> int:
+        """Number of measurements p."""
+        return int(self.C.shape[0])
+
+
+def plant_of(spec: Spec) -> Plant:
+    """Lift the matrices of a spec to CasADi."""
+    parameters = {p.name: ca.SX.sym(p.name) for p in spec.parameters}
+    model = spec.model
+    lifted = {
+        letter: lift(getattr(model, letter), parameters) for letter in ("A", "B", "C", "D", "Q", "R")
+    }
+    return Plant(parameters=parameters, noise_free=is_noise_free(spec), **lifted)
+
+
+def is_noise_free(spec: Spec) -> bool:
+    """Whether a constant R is singular, decided on the correlation-scaled matrix."""
+    if not spec.model.R.is_constant:
+        return False
+    R = spec.model.R.values(spec.defaults)
+    scale = np.sqrt(np.diag(R))
+    if not np.all(scale > 0.0):
+        return True
+    return bool(np.linalg.eigvalsh(R / np.outer(scale, scale))[0] < 1e-12)  # noqa: PLR2004
+
+
+def lift(matrix: Matrix, parameters: Mapping[str, ca.SX]) -> ca.SX:
+    """A matrix of expressions as SX; entries that are zero are not stored."""
+    rows, columns = matrix.shape
+    result = ca.SX(rows, columns)
+    for i in range(rows):
+        for j in range(columns):
+            entry = matrix.rows[i][j]
+            if entry != Number(0.0):
+                result[i, j] = lift_expression(entry, parameters)
+    return result
+
+
+def lift_expression(expression: Expression, parameters: Mapping[str, ca.SX]) -> ca.SX:
+    """One expression of a spec as SX."""
+    match expression:
+        case Number(value):
+            return ca.SX(value)
+        case Name(identifier):
+            return parameters[identifier]
+        case Operation(operator, arguments):
+            return _apply(operator, [lift_expression(a, parameters) for a in arguments])
+    raise InternalError(f"no expression: {expression!r}")
+
+
+def _apply(operator: str, arguments: list[ca.SX]) -> ca.SX:
+    match operator, arguments:
+        case "+", [a, b]:
+            return a + b
+        case "-", [a, b]:
+            return a - b
+        case "*", [a, b]:
+            return a * b
+        case "/", [a, b]:
+            return a / b
+        case "neg", [a]:
+            return -a
+        case "**", [a, b]:
+            return _power(a, b)
+    return _FUNCTIONS[operator](*arguments)
+
+
+def _power(base: ca.SX, exponent: ca.SX) -> ca.SX:
+    """Products for whole exponents, a square root for halves, exp(b log a) otherwise."""
+    if not exponent.is_constant():
+        return ca.exp(exponent * ca.log(base))
+    value = float(exponent)
+    if value == 0.5:  # noqa: PLR2004
+        return ca.sqrt(base)
+    if value != math.floor(value) or abs(value) > 64:  # noqa: PLR2004 - products stay short
+        return ca.exp(exponent * ca.log(base))
+    result, square, remaining = ca.SX(1), base, int(abs(value))
+    while remaining:
+        if remaining % 2:
+            result = result * square
+        square, remaining = square * square, remaining // 2
+    return 1 / result if value < 0 else result

@@ -1,0 +1,90 @@
+"""Ports that several families share, and the symbols of everything that a phase can read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from fkgen.spec import Spec
+from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.recursion import Port, Role
+
+#: Prefix of run-time parameters among the symbols: a parameter may be called ``u``.
+PARAMETER = "params."
+
+
+def state_ports(spec: Spec) -> tuple[Port, ...]:
+    """Predicted and filtered state with their covariances."""
+    n = spec.model.nx
+    square = (n, n)
+    return (
+        Port(
+            name="predicted_state",
+            shape=(n,),
+            role=Role.STATE,
+            meaning="x(k+1|k): mean of the next state given y[0..k]",
+        ),
+        Port(
+            name="predicted_covariance",
+            shape=square,
+            role=Role.STATE,
+            symmetric=True,
+            meaning="P(k+1|k): its error covariance",
+        ),
+        Port(
+            name="filtered_state",
+            shape=(n,),
+            role=Role.STATE,
+            meaning="x(k|k): mean of the state given y[0..k]",
+        ),
+        Port(
+            name="filtered_covariance",
+            shape=square,
+            role=Role.STATE,
+            symmetric=True,
+            meaning="P(k|k): its error covariance",
+        ),
+    )
+
+
+def innovation_ports(spec: Spec) -> tuple[Port, ...]:
+    """Innovation, its covariance, and the two numbers that tell whether they fit."""
+    p = spec.model.ny
+    return (
+        Port(
+            name="innovation",
+            shape=(p,),
+            role=Role.OUTPUT,
+            per_row=True,
+            meaning="y[k] minus its prediction; 0 where the row is missing",
+        ),
+        Port(
+            name="innovation_covariance",
+            shape=(p, p),
+            role=Role.OUTPUT,
+            symmetric=True,
+            meaning="its covariance, of all rows, present or not",
+        ),
+        Port(
+            name="nis",
+            shape=(),
+            role=Role.OUTPUT,
+            meaning="normalised innovation squared over the rows present",
+        ),
+        Port(
+            name="log_likelihood",
+            shape=(),
+            role=Role.OUTPUT,
+            meaning="log density of the rows present given y[0..k-1]",
+        ),
+    )
+
+
+def symbols_of(spec: Spec, plant: Plant, ports: Sequence[Port]) -> dict[str, ca.SX]:
+    """Symbols by name: parameters, ``u``, ``y`` and every port (packed, by rows)."""
+    symbols = {PARAMETER + name: symbol for name, symbol in plant.parameters.items()}
+    symbols["u"] = ca.SX.sym("u", spec.model.nu)
+    symbols["y"] = ca.SX.sym("y", spec.model.ny)
+    symbols |= {port.name: ca.SX.sym(port.name, port.size) for port in ports}
+    return symbols

@@ -1,0 +1,108 @@
+"""`Script`, the one mutable builder: it collects the blocks of a phase while a family is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+
+import casadi as ca
+
+from fkgen.errors import InternalError
+from fkgen.symbolic.linalg import column
+from fkgen.symbolic.recursion import Block, Condition, Guard, Kind, Phase, Status, Variable
+
+
+class Script:
+    """Write a phase line by line; `phase` freezes it.
+
+    Parameters
+    ----------
+    ports : mapping of str to SX
+        Symbols of inputs, parameters and members of the instance: what every phase can read.
+    """
+
+    def __init__(self, ports: Mapping[str, ca.SX]) -> None:
+        self._symbols = dict(ports)
+        self._owner = {e.element_hash(): n for n, s in ports.items() for e in ca.symvar(s)}
+        self._variables: list[Variable] = []
+        self._blocks: list[Block] = []
+        self._condition: Condition | None = None
+        self._title = ""
+
+    @contextmanager
+    def titled(self, title: str) -> Iterator[None]:
+        """Give the blocks written inside a heading in the C code."""
+        before, self._title = self._title, title
+        yield
+        self._title = before
+
+    @contextmanager
+    def when(self, row: int | None, positive: ca.SX | None = None) -> Iterator[None]:
+        """Blocks written inside run only if this row of y is present (any row, if None)."""
+        self._condition = Condition(row, positive)
+        yield
+        self._condition = None
+
+    def local(self, name: str, size: int, initial: float | None = None) -> ca.SX:
+        """Declare a variable of this phase and return its symbol."""
+        if name in self._symbols:
+            raise InternalError(f"variable {name} is declared twice")
+        symbol = ca.SX.sym(name, size)
+        self._symbols[name] = symbol
+        self._owner |= {element.element_hash(): name for element in ca.symvar(symbol)}
+        self._variables.append(Variable(name, size, initial))
+        return symbol
+
+    def put(self, assign: Mapping[str, ca.SX], guards: Sequence[Guard] = ()) -> None:
+        """Append a block: all assignments happen at once."""
+        dense = {name: ca.densify(value) for name, value in assign.items()}
+        self._blocks.append(Block(self._title, dense, self._condition, tuple(guards)))
+
+    def let(self, name: str, value: ca.SX, initial: float | None = None) -> ca.SX:
+        """Name an intermediate value, so that it is computed once; constants stay as they are."""
+        if value.is_constant():
+            return value
+        symbol = self.local(name, value.numel(), initial)
+        self.put({name: value})
+        return symbol
+
+    def name_entries(self, name: str, matrix: ca.SX) -> ca.SX:
+        """Compute the entries of a matrix that need arithmetic once; return it with their symbols."""
+        position = [
+            k
+            for k in range(matrix.nnz())
+            if not (matrix.nz[k].is_constant() or matrix.nz[k].is_leaf())
+        ]
+        if not position:
+            return matrix
+        symbols = self.let(name, column([matrix.nz[k] for k in position]))
+        named = ca.SX(matrix)
+        for k, at in enumerate(position):
+            named.nz[at] = symbols[k]
+        return named
+
+    def demand(self, kind: Kind, values: Sequence[ca.SX], status: Status) -> None:
+        """Refuse the sample unless every value is of this kind; constants are left out."""
+        guards = [Guard(v, kind, status) for v in values if not v.is_constant()]
+        if guards:
+            self.put({}, guards)
+
+    def phase(self) -> Phase:
+        """Freeze what was written, without assignments to locals that nothing reads."""
+        local = {variable.name for variable in self._variables}
+        live: set[str] = set()
+        blocks: list[Block] = []
+        for block in reversed(self._blocks):
+            assign = {k: v for k, v in block.assign.items() if k not in local or k in live}
+            if not (assign or block.guards):
+                continue
+            condition = block.when.positive if block.when else None
+            values = [*assign.values(), *(guard.value for guard in block.guards)]
+            values += [] if condition is None else [condition]
+            reads = {self._owner[e.element_hash()] for v in values for e in ca.symvar(v)}
+            blocks.append(replace(block, assign=assign, reads=tuple(sorted(reads))))
+            live |= reads
+        variables = tuple(v for v in self._variables if v.name in live)
+        symbols = {k: v for k, v in self._symbols.items() if k not in local or k in live}
+        return Phase(tuple(reversed(blocks)), variables, symbols)
