@@ -108,7 +108,10 @@ def is_sound() -> bool:
 def create(venv: Path) -> None:
     """Make an empty virtual environment in a folder that may exist."""
     if uv():
-        python = find_python() or f">={text(OLDEST)}"
+        python = find_python()
+        if python is None:
+            print(f"setup: no Python {text(OLDEST)} or newer here, uv looks for one", flush=True)
+            python = f">={text(OLDEST)}"
         run([uv(), "venv", "--quiet", "--allow-existing", "--python", python, str(venv)])
     else:
         run([str(find_python()), "-m", "venv", str(venv)])

@@ -112,14 +112,8 @@ def textbook_mme(
 
     Parameters
     ----------
-    systems : sequence of N LinearSystem
-        One plant per hypothesis.
-    prior : (N,) ndarray
-        Probabilities before the first sample; the floor is not applied to them.
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray or None
-        Inputs as commanded.
+    systems, prior, y, u
+        As for `batch_posterior`; the floor is not applied to the prior.
     weight_floor : float
         eps of w <- eps + (1 - N eps) w after each sample that is not wholly missing; 0 is the
         paper.
@@ -131,35 +125,34 @@ def textbook_mme(
     -------
     MultipleModelResult
     """
-    u = systems[0].inputs(u)
+    u, mixture = systems[0].inputs(u), likelihood == "mixture"
     weights = np.asarray(prior, dtype=float)
     predictions = [(system.x0, system.P0) for system in systems]
     rows: list[dict[str, Array | float]] = []
     for k in range(len(y)):
-        steps = [
-            textbook_step(s, k, p, y[k], u[k]) for s, p in zip(systems, predictions, strict=True)
-        ]
+        pairs = list(zip(systems, predictions, strict=True))
+        steps = [textbook_step(system, k, before, y[k], u[k]) for system, before in pairs]
         logs = np.array(
-            [
-                log_likelihood(s, k, p, y[k], u[k], mixture=likelihood == "mixture")
-                for s, p in zip(systems, predictions, strict=True)
-            ]
+            [log_likelihood(s, k, before, y[k], u[k], mixture=mixture) for s, before in pairs]
         )
         held, weights = weights, _reweigh(weights, logs, y[k], weight_floor)
-        before = np.array([x for x, _ in predictions])
-        rates = np.array([system.rate[k] for system in systems])
         rows.append(
             {
                 "mode_probability": weights,
-                "success_rate_estimate": weights @ rates,
-                "paper_state": weights @ before,
+                "success_rate_estimate": weights @ np.array([s.rate[k] for s in systems]),
+                "paper_state": weights @ np.array([x for x, _ in predictions]),
                 **_estimates(weights, steps),
                 **_innovation(held, steps, logs, y[k]),
             }
         )
         predictions = [(step.predicted_state, step.predicted_covariance) for step in steps]
+    return _collected(rows, one_rate=_one_rate(systems))
+
+
+def _collected(rows: list[dict[str, Array | float]], *, one_rate: bool) -> MultipleModelResult:
+    """Stack the rows of all samples."""
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    if _one_rate(systems):
+    if one_rate:
         columns["success_rate_estimate"] = columns["success_rate_estimate"][:, 0]
     return MultipleModelResult(**columns)
 

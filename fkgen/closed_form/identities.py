@@ -91,7 +91,7 @@ def _price_of_another_gain() -> tuple[Any, ...]:
 
 def _optimal_covariance() -> tuple[Any, ...]:
     s = setting()
-    return s.stabilised(s.gain) - s.riccati, s.expanded(s.gain) - s.riccati
+    return (s.stabilised(s.gain) - s.riccati,)
 
 
 def _rate_one_and_zero() -> tuple[Any, ...]:
@@ -211,7 +211,7 @@ IDENTITIES: tuple[Identity, ...] = (
         residual=_price_of_another_gain,
     ),
     Identity(
-        claim="eq. (12) equals eq. (9) and the Joseph form at the gain (11)",
+        claim="eq. (12) equals the Joseph form of eq. (9) at the gain (11)",
         source=f"{PAPER}, eq. (9), (11), (12)",
         residual=_optimal_covariance,
     ),

@@ -169,12 +169,17 @@ def _patterns(rate: Array, covariance: Array) -> tuple[Array, Array] | None:
 
 def _log_normal(residual: Array, covariance: Array) -> float:
     """Log of eq. (15) by SciPy, on unit variances so that units do not decide the rank."""
-    from scipy.stats import multivariate_normal  # noqa: PLC0415 - slow to import
+    from scipy.stats import Covariance, multivariate_normal  # noqa: PLC0415 - slow to import
 
     if residual.size == 0:
         return 0.0
     deviation = np.sqrt(np.diagonal(covariance))
     deviation = np.where(deviation > 0.0, deviation, 1.0)
     correlation = covariance / np.outer(deviation, deviation)
-    density = multivariate_normal.logpdf(residual / deviation, cov=correlation, allow_singular=True)
+    try:
+        # SciPy would call a correlation matrix of condition 1e10 singular; its factor is not.
+        shape = Covariance.from_cholesky(np.linalg.cholesky(correlation))
+    except np.linalg.LinAlgError:
+        shape = correlation
+    density = multivariate_normal.logpdf(residual / deviation, cov=shape, allow_singular=True)
     return float(density - np.log(deviation).sum())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,20 @@ def is_singular(values: NDArray[np.float64]) -> bool:
     return bool(eigenvalues[0] <= SINGULAR_TOLERANCE * eigenvalues[-1])
 
 
+def nearby(defaults: Mapping[str, float]) -> list[Mapping[str, float]]:
+    """Return the defaults and three points near them, to tell expressions apart by their values."""
+    return [
+        defaults,
+        *(
+            {
+                name: value * (1.0 + step * (1.0 + 0.37 * index)) + step * (value == 0.0)
+                for index, (name, value) in enumerate(defaults.items())
+            }
+            for step in (0.013, -0.029, 0.057)
+        ),
+    ]
+
+
 def _correlation(
     values: NDArray[np.float64], deviation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -54,7 +68,8 @@ def _correlation(
 
 
 def _check_symmetry(matrix: Matrix, place: Place, defaults: Mapping[str, float]) -> None:
-    for point in _points(matrix, defaults):
+    exact = matrix.is_constant or matrix == mirrored(matrix)
+    for point in [defaults] if exact else nearby(defaults):
         try:
             values = matrix.values(point)
         except ArithmeticError:  # outside the domain of an entry: this point says nothing
@@ -68,26 +83,14 @@ def _check_symmetry(matrix: Matrix, place: Place, defaults: Mapping[str, float])
         )
         for i, j in np.argwhere(difference > allowed):
             raise place.error(
-                f"entries [{i}][{j}] = {values[i, j]!r} and [{j}][{i}] = {values[j, i]!r}"
-                f"{_written(point)}",
+                f"entries [{i}][{j}] = {float(values[i, j])!r} and "
+                f"[{j}][{i}] = {float(values[j, i])!r}{_written(matrix, point)}",
                 "a symmetric matrix, as every covariance is",
             )
 
 
-def _points(matrix: Matrix, defaults: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
-    """Yield the defaults and, if entries differ as expressions, three points near them."""
-    yield defaults
-    if matrix == mirrored(matrix) or matrix.is_constant:
-        return
-    for step in (0.013, -0.029, 0.057):
-        yield {
-            name: value * (1.0 + step * (1.0 + 0.37 * index)) + step * (value == 0.0)
-            for index, (name, value) in enumerate(defaults.items())
-        }
-
-
-def _written(point: Mapping[str, float]) -> str:
-    entries = ", ".join(f"{name} = {value:.6g}" for name, value in point.items())
+def _written(matrix: Matrix, point: Mapping[str, float]) -> str:
+    entries = ", ".join(f"{name} = {point[name]:.6g}" for name in sorted(matrix.names))
     return f" at {entries}" if entries else ""
 
 

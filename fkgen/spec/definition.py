@@ -85,9 +85,7 @@ class Spec:
             If anything in it is missing, unknown, of the wrong type or shape, or impossible.
         """
         place = Place(file)
-        if not as_table(table, place, "a table (a dict) with a spec in it"):
-            raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
-        section = Section(table, place, known=_KEYS)
+        section = _whole(table, place)
         name = read_prefix(section.require("name", "a C identifier"), place.entry("name"))
         parameters = _read_parameters(
             section.table.get("parameters", {}), place.entry("parameters")
@@ -141,6 +139,13 @@ class Spec:
         table = self.to_dict()
         table["parameters"] = [[item.name, item.default] for item in self.parameters]
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def _whole(table: object, place: Place) -> Section:
+    """Return the top level of a spec, which must not be empty."""
+    if not as_table(table, place, "a table (a dict) with a spec in it"):
+        raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
+    return Section(table, place, known=_KEYS)
 
 
 def _read_parameters(table: object, place: Place) -> tuple[Parameter, ...]:

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from fkgen.spec.covariance import checked_covariance
+from fkgen.spec.covariance import checked_covariance, nearby
 from fkgen.spec.expression import Expression, Number, evaluate, to_text
-from fkgen.spec.foreign import plain_list
+from fkgen.spec.foreign import plain_entry, plain_list
 from fkgen.spec.matrix import Matrix
 from fkgen.spec.matrix_input import Role, read_entry, read_matrix
-from fkgen.spec.place import Place, show
+from fkgen.spec.place import Place
 from fkgen.spec.section import Section
 
 Dependence = Literal["common", "independent", "covariance"]
@@ -168,7 +168,8 @@ class _ActuatorReader:
         place = self.place.entry("success_rate")
         count = self.inputs
         expected = f"a rate in [0, 1], or a list of {count}: one per input"
-        plain = plain_list(self.section.require("success_rate", expected), place)
+        given = plain_entry(self.section.require("success_rate", expected), place)
+        plain = plain_list(given, place)
         if not isinstance(plain, list):
             rate = self.rate(plain, place)
             return (rate,) if dependence == "common" else (rate,) * count
@@ -199,16 +200,26 @@ class _ActuatorReader:
         matrix = checked_covariance(matrix, place, self.defaults)
         values = matrix.values(self.defaults)
         xi = [evaluate(rate, self.defaults) for rate in rates]
-        for i in range(self.inputs):
-            variance = xi[i] * (1.0 - xi[i])
-            if abs(values[i, i] - variance) > JOINT_TOLERANCE:
-                raise place.item(i, i).error(
-                    show(float(values[i, i])),
-                    f"success_rate * (1 - success_rate) = {variance:.6g} on the diagonal",
-                )
+        for i, rate in enumerate(rates):
+            self.check_variance(matrix.rows[i][i], rate, place.item(i, i))
             for j in range(i):
                 _check_joint(float(values[i, j]), (xi[i], xi[j]), place.item(i, j))
         return matrix
+
+    def check_variance(self, variance: Expression, rate: Expression, place: Place) -> None:
+        """Refuse a diagonal entry that does not follow from the rate, near the defaults too."""
+        for point in nearby(self.defaults):
+            try:
+                given, xi = evaluate(variance, point), evaluate(rate, point)
+            except ArithmeticError:  # outside the domain: this point says nothing
+                continue
+            expected = xi * (1.0 - xi)
+            if abs(given - expected) > JOINT_TOLERANCE:
+                moved = "" if point == self.defaults else f" for success_rate = {xi:.6g}"
+                raise place.error(
+                    f"{given!r}{moved}",
+                    f"success_rate * (1 - success_rate) = {expected:.6g} on the diagonal",
+                )
 
 
 def _check_joint(covariance: float, rates: tuple[float, float], place: Place) -> None:

@@ -21,7 +21,7 @@ _LIBRARIES = ("numpy", "sympy", "casadi", "control")
 def library(value: object) -> str:
     """Return which of the known libraries a value comes from, or an empty text."""
     for base in type(value).__mro__:
-        root = base.__module__.partition(".")[0]
+        root = (base.__module__ or "").partition(".")[0]
         if root in _LIBRARIES:
             return root
     return ""

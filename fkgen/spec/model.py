@@ -10,7 +10,7 @@ import numpy as np
 from fkgen.spec.covariance import checked_covariance
 from fkgen.spec.foreign import plain_list, state_space
 from fkgen.spec.matrix import Matrix, congruence
-from fkgen.spec.matrix_input import Role, check_matrix, read_matrix
+from fkgen.spec.matrix_input import Role, check_matrix, read_entry, read_matrix
 from fkgen.spec.place import Place, show
 from fkgen.spec.section import Section, as_list, as_number
 from fkgen.spec.signals import Signal, read_signals
@@ -208,9 +208,11 @@ class _Reader:
         entries = as_list(self.section.require("x0", expected), place, expected)
         if len(entries) != n:
             raise place.error(f"{len(entries)} entries", expected)
-        columns = [_row(entry, place.item(i)) for i, entry in enumerate(entries)]
-        column = read_matrix(columns, place, Role(n, 1, expected), self.defaults)
-        return self.constant(column, place)
+        rows = (
+            (read_entry(_component(entry, place.item(i)), place.item(i), self.defaults),)
+            for i, entry in enumerate(entries)
+        )
+        return self.constant(Matrix(tuple(rows)), place)
 
     def start_covariance(self, n: int) -> Matrix:
         because = "P0 is the covariance of the error of x0"
@@ -227,10 +229,10 @@ class _Reader:
         return matrix
 
 
-def _row(entry: object, place: Place) -> list[object]:
-    """Return an entry of x0 as a row of a column: matrices of other libraries have rows already."""
+def _component(entry: object, place: Place) -> object:
+    """Return an entry of x0, out of its row if a column matrix of another library has rows."""
     plain = plain_list(entry, place)
-    return plain if isinstance(plain, list) else [entry]
+    return plain[0] if isinstance(plain, list) and len(plain) == 1 else entry
 
 
 def _expand_system(section: Section) -> float | None:

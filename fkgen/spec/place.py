@@ -36,7 +36,8 @@ class Place:
 
     def entry(self, name: str) -> Place:
         """Return the place of one key of this table."""
-        return Place(self.file, name if self.key == WHOLE else f"{self.key}.{name}")
+        shown = name if name.isprintable() and 0 < len(name) <= _SHOWN else show(name)
+        return Place(self.file, shown if self.key == WHOLE else f"{self.key}.{shown}")
 
     def item(self, *indices: int) -> Place:
         """Return the place of one element of this list or matrix."""
@@ -51,7 +52,7 @@ def show(value: object) -> str:
     """Return a value as one short line, whatever it is."""
     try:
         text = repr(value) if isinstance(value, str) else " ".join(repr(value).split())
-    except ValueError:  # an integer with more digits than Python prints
+    except (ValueError, RecursionError):  # more digits, or more nesting, than Python prints
         return f"{article(type(value).__name__)} too long to print"
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 

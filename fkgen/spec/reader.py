@@ -26,7 +26,7 @@ def load(path: str | os.PathLike[str]) -> Spec:
     file = str(path)
     place = Place(file, "file")
     try:
-        text = Path(path).read_bytes().decode("utf-8")
+        text = Path(path).read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as fault:
         raise place.error(
             f"bytes that are not UTF-8 at offset {fault.start}", "a UTF-8 text"
@@ -41,6 +41,9 @@ def load(path: str | os.PathLike[str]) -> Spec:
     except RecursionError:
         raise place.error("arrays or tables nested too deeply", "a spec in TOML") from None
     except ValueError as fault:
-        reason = " ".join(str(fault).split())
+        last = text.count("\n") + 1
+        reason = " ".join(str(fault).split()).replace(
+            "at end of document", f"at line {last}, the end of the document"
+        )
         raise place.error(f"invalid TOML: {reason}", "a spec in TOML") from None
     return Spec.from_dict(table, file=file)

@@ -14,7 +14,8 @@ import casadi as ca
 
 from fkgen.symbolic.decorrelation import Measurement, Row, decorrelate
 from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, triangle, unpack
-from fkgen.symbolic.recursion import Guard, Kind, Status
+from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.recursion import Guard
 from fkgen.symbolic.script import Script
 
 Form = Literal["short", "joseph"]

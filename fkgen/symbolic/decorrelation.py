@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fkgen.symbolic.linalg import is_zero, sparse
-from fkgen.symbolic.recursion import Kind, Status
+from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.script import Script
 
 

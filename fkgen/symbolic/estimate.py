@@ -14,9 +14,9 @@ from fkgen.spec import Spec
 from fkgen.symbolic.actuation import Actuation
 from fkgen.symbolic.conditioning import RANK_TOLERANCE, Conditioned, Form, condition
 from fkgen.symbolic.decorrelation import Measurement
-from fkgen.symbolic.linalg import column, congruence, is_zero, pack, unpack
+from fkgen.symbolic.linalg import congruence, is_zero, pack, unpack
 from fkgen.symbolic.plant import Plant
-from fkgen.symbolic.recursion import Kind, Status
+from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.script import Script
 
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
@@ -149,11 +149,10 @@ def demand_rates(script: Script, rates: list[ca.SX]) -> None:
 
 
 def demand_finite(script: Script, state: ca.SX, packed: ca.SX) -> None:
-    """Refuse the sample unless the state and the variances are finite: their sum tells."""
+    """Refuse the sample unless the state and the variances are finite."""
     n = state.numel()
-    variances = [packed[i * (i + 3) // 2] for i in range(n)]
-    total = ca.sum1(column([state[i] for i in range(n)] + variances))
-    script.demand(Kind.FINITE, [total], Status.RESULT_NOT_FINITE)
+    values = [state[i] for i in range(n)] + [packed[i * (i + 3) // 2] for i in range(n)]
+    script.demand(Kind.FINITE, values, Status.RESULT_NOT_FINITE)
 
 
 def demand_positive(script: Script, packed: ca.SX, n: int) -> None:

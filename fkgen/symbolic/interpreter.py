@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.symbolic.linalg import triangle
 from fkgen.symbolic.ports import PARAMETER
-from fkgen.symbolic.recursion import Block, Kind, Port, Recursion
+from fkgen.symbolic.interface import Kind, Port
+from fkgen.symbolic.recursion import Block, Recursion
 
 Array = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ class Interpreter:
     def __init__(self, recursion: Recursion) -> None:
         self.recursion = recursion
         self._phases = [
-            [(block, block.function(phase.symbols)) for block in phase.blocks]
+            [_Ready(b, b.function(phase.symbols), b.threshold(phase.symbols)) for b in phase.blocks]
             for phase in recursion.phases
         ]
         self.reset()
@@ -50,7 +52,7 @@ class Interpreter:
         for phase, blocks in zip(self.recursion.phases, self._phases, strict=True):
             local = {v.name: np.full(v.size, v.initial or 0.0) for v in phase.variables}
             values |= local
-            if not all(_evaluate(*each, values) for each in blocks):
+            if not all(_evaluate(each, values) for each in blocks):
                 return False
         self.values = {name: values[name] for name in self.values}
         return True
@@ -81,16 +83,24 @@ def unpacked(port: Port, stored: ArrayLike) -> Array:
     return values.reshape(-1, n * (n + 1) // 2)[:, index].reshape(port.shape)
 
 
-def _evaluate(block: Block, function: ca.Function, values: dict[str, Array]) -> bool:
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    block: Block
+    function: ca.Function
+    threshold: ca.Function | None
+
+
+def _evaluate(ready: _Ready, values: dict[str, Array]) -> bool:
     """Run one block on ``values``; False if a guard refuses."""
-    when = block.when
-    present = ~np.isnan(values["y"])
-    if when is not None and not (present.any() if when.row is None else present[when.row]):
-        return True
-    result = function.call([values[name] for name in block.reads])
-    arrays = [np.asarray(value).ravel() for value in result]
-    if when is not None and when.positive is not None and not arrays.pop()[0] > 0.0:
-        return True
+    block = ready.block
+    arguments = [values[name] for name in block.reads]
+    if block.when is not None:
+        present = ~np.isnan(values["y"])
+        if not (present.any() if block.when.row is None else present[block.when.row]):
+            return True
+        if ready.threshold is not None and not float(ready.threshold.call(arguments)[0]) > 0.0:
+            return True
+    arrays = [np.asarray(value).ravel() for value in ready.function.call(arguments)]
     for guard, value in zip(block.guards, arrays[len(block.assign) :], strict=True):
         if not _holds(guard.kind, float(value[0])):
             return False

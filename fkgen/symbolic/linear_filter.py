@@ -20,7 +20,8 @@ from fkgen.symbolic.estimate import (
 from fkgen.symbolic.linalg import triangle
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
-from fkgen.symbolic.recursion import Phase, Port, Recursion, Role
+from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
 
 

@@ -10,7 +10,8 @@ import casadi as ca
 
 from fkgen.errors import InternalError
 from fkgen.symbolic.linalg import column
-from fkgen.symbolic.recursion import Block, Condition, Guard, Kind, Phase, Status, Variable
+from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.recursion import Block, Condition, Guard, Phase, Variable
 
 
 class Script:

@@ -1,4 +1,4 @@
-"""The batch estimate is judged by hand-written predictors, by enumeration and by extended precision."""
+"""The batch estimate against hand-written predictors, enumeration and extended precision."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from fkgen.closed_form import LinearSystem, batch_lmmse, joint_distribution, simulate
 from fkgen.errors import DataError
 
-# Two correct double-precision solutions of well-conditioned problems differ by rounding, some 1e-13.
+# Two double-precision solutions of well-conditioned problems differ by rounding, some 1e-13.
 ROUNDING = 1e-9
 
 

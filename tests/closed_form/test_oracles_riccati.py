@@ -1,4 +1,4 @@
-"""The two Riccati solvers agree with each other, with the batch estimate and with what has no solution."""
+"""Two Riccati solvers agree with each other, with the batch estimate, and on having no answer."""
 
 from __future__ import annotations
 

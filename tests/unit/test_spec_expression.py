@@ -18,10 +18,17 @@ from fkgen.spec.tree import MAX_DEPTH, depth, product, size, total
 VALUES = {"a": 0.7, "b": -1.3, "tau": 2.5}
 
 
+def atan2(y: float, x: float) -> float:
+    """Refuse zeros: the sign of a zero, which folding does not keep, would change the angle."""
+    if y == 0.0 or x == 0.0:
+        raise ArithmeticError
+    return math.atan2(y, x)
+
+
 def python_value(text: str) -> float | None:
     """Return what Python itself makes of the text, None where it is not finite and real."""
     functions = {key: getattr(math, key) for key in ("exp", "log", "sqrt", "sin", "cos", "tan")}
-    scope = {"__builtins__": {}, "abs": abs, "atan2": math.atan2, **functions, **VALUES}
+    scope = {"__builtins__": {}, "abs": abs, "atan2": atan2, **functions, **VALUES}
     try:
         value = eval(text, scope)  # noqa: S307 - text drawn by the strategy below
     except (ArithmeticError, ValueError):
@@ -29,34 +36,22 @@ def python_value(text: str) -> float | None:
     return value if isinstance(value, float) and math.isfinite(value) else None
 
 
-@st.composite
-def binary(draw: st.DrawFn, inner: st.SearchStrategy[str]) -> str:
-    return f"({draw(inner)} {draw(st.sampled_from('+-*/'))} {draw(inner)})"
-
-
-@st.composite
-def call(draw: st.DrawFn, inner: st.SearchStrategy[str]) -> str:
-    name = draw(st.sampled_from(["exp", "log", "sqrt", "sin", "cos", "tan", "abs", "-", "+"]))
-    return f"{name}({draw(inner)})"
-
-
-@st.composite
-def two(draw: st.DrawFn, inner: st.SearchStrategy[str]) -> str:
-    return f"atan2({draw(inner)}, {draw(inner)})"
-
-
-@st.composite
-def power(draw: st.DrawFn, inner: st.SearchStrategy[str]) -> str:
-    return f"({draw(inner)}) ** {draw(st.integers(-3, 3))}.0"
-
-
+FORMS = [
+    *(f"({{0}} {operator} {{1}})" for operator in "+-*/"),
+    *(f"{name}({{0}})" for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "abs", "-", "+")),
+    *(f"({{0}}) ** {exponent}.0" for exponent in range(-3, 4)),
+    "atan2({0}, {1})",
+]
 LEAVES = st.one_of(
     st.sampled_from(sorted(VALUES)),
     st.floats(0, 1e6, allow_nan=False).map(repr),
     st.integers(0, 1000).map(lambda value: f"{value}.0"),
 )
 TEXTS = st.recursive(
-    LEAVES, lambda inner: st.one_of(binary(inner), call(inner), two(inner), power(inner))
+    LEAVES,
+    lambda inner: st.tuples(st.sampled_from(FORMS), inner, inner).map(
+        lambda drawn: drawn[0].format(drawn[1], drawn[2])
+    ),
 )
 
 

@@ -1,0 +1,1 @@
+"""From a proved recursion to C: IR, lowering, printing, rendering."""

@@ -1,0 +1,247 @@
+"""exp, log, sqrt and friends in plain arithmetic: the same bits on every IEEE target.
+
+Each function is a range reduction and a polynomial; the C templates and the Python reference below perform
+the same operations in the same order. Coefficients are Taylor coefficients, or Chebyshev fits where that
+halves the degree (`log`); accuracies are tested against libm.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fkgen.backend.ir import Operator, Scalar
+
+Number = float | np.float32
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """Constants of one scalar type: IEEE 754 binary64 or binary32, and polynomial coefficients.
+
+    Attributes
+    ----------
+    mantissa, bias : int
+        Bits of the fraction, and of the exponent's offset.
+    log : tuple of float
+        p(z) with log((1 + s)/(1 - s)) = 2 s + s z p(z), z = s s.
+    exp, sin, cos, atan : tuple of float
+        Taylor coefficients, lowest first: of r, and of z = r r.
+    ln2, half_pi : tuple of float
+        The constant as a sum, leading parts with trailing zeros, so that multiples are exact.
+    """
+
+    mantissa: int
+    bias: int
+    log: tuple[float, ...]
+    exp: tuple[float, ...]
+    sin: tuple[float, ...]
+    cos: tuple[float, ...]
+    atan: tuple[float, ...]
+    ln2: tuple[float, float]
+    half_pi: tuple[float, float, float]
+    overflow: float
+    underflow: float
+
+
+_hex = float.fromhex
+
+
+def _taylor(degree: int, term: Callable[[int], float]) -> tuple[float, ...]:
+    return tuple(term(k) for k in range(degree + 1))
+
+
+def _odd_factorial(k: int) -> float:
+    return (-1.0) ** k / math.factorial(2 * k + 1)
+
+
+def _even_factorial(k: int) -> float:
+    return (-1.0) ** k / math.factorial(2 * k)
+
+
+def _odd(k: int) -> float:
+    return (-1.0) ** k / (2 * k + 1)
+
+
+#: Chebyshev fits on z < (sqrt(2) - 1)^4; they err by 5e-18 and 2e-11 of the logarithm.
+_LOG_DOUBLE = (
+    0.666666666666667,
+    0.39999999999899505,
+    0.28571428625975487,
+    0.2222221113479508,
+    0.18182889125261723,
+    0.15331721600556042,
+    0.14616449685043406,
+)
+_LOG_FLOAT = (0.6666666655449709, 0.40000121839806124, 0.28550820815960665, 0.23330467216303835)
+
+FORMATS: dict[Scalar, Format] = {
+    "double": Format(
+        mantissa=52,
+        bias=1023,
+        log=_LOG_DOUBLE,
+        exp=_taylor(13, lambda k: 1.0 / math.factorial(k)),
+        sin=_taylor(8, _odd_factorial),
+        cos=_taylor(9, _even_factorial),
+        atan=_taylor(12, _odd),
+        ln2=(_hex("0x1.62E42FEFp-1"), _hex("0x1.473DE6AF278EDp-34")),
+        half_pi=(
+            _hex("0x1.921FB544p0"),
+            _hex("0x1.0B4611A6p-34"),
+            _hex("0x1.3198A2E037073p-69"),
+        ),
+        overflow=709.782712893384,
+        underflow=-745.1332191019411,
+    ),
+    "float": Format(
+        mantissa=23,
+        bias=127,
+        log=_LOG_FLOAT,
+        exp=_taylor(7, lambda k: 1.0 / math.factorial(k)),
+        sin=_taylor(4, _odd_factorial),
+        cos=_taylor(5, _even_factorial),
+        atan=_taylor(5, _odd),
+        ln2=(_hex("0x1.62E4p-1"), _hex("0x1.7F7D1CF8p-20")),
+        half_pi=(_hex("0x1.92p0"), _hex("0x1.FB4p-12"), _hex("0x1.4442D18p-24")),
+        overflow=88.72283,
+        underflow=-103.97208,
+    ),
+}
+
+
+class Elementary:
+    """The functions in NumPy scalars of one type, operation by operation as in C."""
+
+    def __init__(self, scalar: Scalar) -> None:
+        self.format = FORMATS[scalar]
+        self.real = np.float64 if scalar == "double" else np.float32
+        self._bits = np.uint64 if scalar == "double" else np.uint32
+        self.tiny = self.real(2.0) ** self.real(1 - self.format.bias)
+
+    def __call__(self, operator: Operator, arguments: list[np.floating]) -> np.floating:
+        """Evaluate one function."""
+        return getattr(self, operator.value)(*arguments)
+
+    def _horner(self, coefficients: tuple[float, ...], x: np.floating) -> np.floating:
+        result = self.real(coefficients[-1])
+        for coefficient in reversed(coefficients[:-1]):
+            result = result * x + self.real(coefficient)
+        return result
+
+    def _power_of_two(self, exponent: int) -> np.floating:
+        bits = self._bits((exponent + self.format.bias) << self.format.mantissa)
+        return bits.view(self.real)
+
+    def _split(self, x: np.floating) -> tuple[np.floating, int]:
+        """x = m 2^e with m in [1, 2), for positive normal x."""
+        bits = int(self.real(x).view(self._bits))
+        e = (bits >> self.format.mantissa) - self.format.bias
+        fraction = bits & ((1 << self.format.mantissa) - 1)
+        one = self.format.bias << self.format.mantissa
+        return self._bits(fraction | one).view(self.real), e
+
+    def log(self, x: np.floating) -> np.floating:
+        """Natural logarithm; NaN below zero, -infinity at zero."""
+        real, f = self.real, self.format
+        if not x > 0:
+            return real(-1.0) / real(0.0) if x == 0 else (x - x) / real(0.0)
+        if x - x != 0:
+            return x
+        shift = 0
+        if x < self.tiny:
+            x, shift = x * self._power_of_two(f.mantissa + 2), f.mantissa + 2
+        m, e = self._split(x)
+        e -= shift
+        if m > real(math.sqrt(2.0)):
+            m, e = m * real(0.5), e + 1
+        t = m - real(1.0)
+        s = t / (t + real(2.0))
+        z = s * s
+        w = z * z
+        p = self._horner(f.log[0::2], w) + z * self._horner(f.log[1::2], w)
+        k = real(e)
+        return k * real(f.ln2[0]) + ((s * z * p + k * real(f.ln2[1])) + (s + s))
+
+    def exp(self, x: np.floating) -> np.floating:
+        """Exponential; 0 and infinity beyond the range."""
+        real, f = self.real, self.format
+        if not x == x:  # noqa: PLR0124 - NaN
+            return x
+        if x > real(f.overflow):
+            return real(np.inf)
+        if x < real(f.underflow):
+            return real(0.0)
+        half = real(0.5) if x >= 0 else real(-0.5)
+        k = int(x * real(1.0 / math.log(2.0)) + half)
+        n = real(k)
+        r = (x - n * real(f.ln2[0])) - n * real(f.ln2[1])
+        y = self._horner(f.exp, r)
+        first = int(k / 2)
+        return y * self._power_of_two(first) * self._power_of_two(k - first)
+
+    def sqrt(self, x: np.floating) -> np.floating:
+        """Square root by Newton's iteration from a guess that halves the exponent."""
+        real, f = self.real, self.format
+        if not x > 0:
+            return x if x == 0 else (x - x) / real(0.0)
+        if x - x != 0:
+            return x
+        back = real(1.0)
+        if x < self.tiny:
+            even = (f.mantissa + 2) // 2 * 2
+            x, back = x * self._power_of_two(even), self._power_of_two(-even // 2)
+        bits = int(self.real(x).view(self._bits))
+        guess = (bits >> 1) + (f.bias << (f.mantissa - 1))
+        y = self._bits(guess).view(self.real)
+        for _ in range(6):
+            y = real(0.5) * (y + x / y)
+        return y * back
+
+    def _reduced(self, x: np.floating) -> tuple[np.floating, int]:
+        """x = k pi/2 + r, |r| <= pi/4; the quadrant k mod 4."""
+        real, f = self.real, self.format
+        if not abs(x) <= real(1e5):
+            return (x - x) / real(0.0), 0
+        half = real(0.5) if x >= 0 else real(-0.5)
+        k = int(x * real(2.0 / math.pi) + half)
+        n = real(k)
+        r = ((x - n * real(f.half_pi[0])) - n * real(f.half_pi[1])) - n * real(f.half_pi[2])
+        return r, k & 3
+
+    def _wave(self, x: np.floating, quarter: int) -> np.floating:
+        r, k = self._reduced(x)
+        k = (k + quarter) & 3
+        z = r * r
+        y = self._horner(self.format.cos, z) if k & 1 else r * self._horner(self.format.sin, z)
+        return -y if k & 2 else y
+
+    def sin(self, x: np.floating) -> np.floating:
+        """Sine; NaN beyond 1e5 radians, where the reduction would lose digits."""
+        return self._wave(x, 0)
+
+    def cos(self, x: np.floating) -> np.floating:
+        """Cosine, likewise."""
+        return self._wave(x, 1)
+
+    def tan(self, x: np.floating) -> np.floating:
+        """Tangent, likewise."""
+        return self.sin(x) / self.cos(x)
+
+    def atan2(self, y: np.floating, x: np.floating) -> np.floating:
+        """Angle of the point (x, y)."""
+        real = self.real
+        a, b = abs(y), abs(x)
+        low, high = (a, b) if a <= b else (b, a)
+        t = low / high if high > 0 else real(0.0)
+        for _ in range(2):
+            t = t / (real(1.0) + self.sqrt(real(1.0) + t * t))
+        angle = real(4.0) * (t * self._horner(self.format.atan, t * t))
+        if not a <= b:
+            angle = real(math.pi / 2.0) - angle
+        if x < 0:
+            angle = real(math.pi) - angle
+        return -angle if y < 0 else angle

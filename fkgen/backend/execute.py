@@ -1,0 +1,170 @@
+"""Execute a C program in NumPy scalars of its own type: the bits that compiled code has to give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fkgen.backend.elementary import Elementary
+from fkgen.backend.ir import (
+    Assign,
+    Copy,
+    CProgram,
+    Element,
+    IfPositive,
+    IfPresent,
+    Literal,
+    Operand,
+    Operate,
+    Operator,
+    Phase,
+    Require,
+    Space,
+    Statement,
+    Temp,
+)
+from fkgen.errors import InternalError
+from fkgen.symbolic.interface import Kind, Status
+
+Key = tuple[Space, str, int | None]
+
+
+class Machine:
+    """One instance of a program, stepped without a compiler.
+
+    Parameters
+    ----------
+    program : CProgram
+    """
+
+    def __init__(self, program: CProgram) -> None:
+        self.program = program
+        self.elementary = Elementary(program.scalar)
+        self.real = self.elementary.real
+        self.reset()
+
+    def reset(self) -> None:
+        """As ``_init`` does."""
+        initial = dict(self.program.initial)
+        self.ports = {
+            port.name: [self.real(v) for v in initial.get(port.name, (0.0,) * port.size)]
+            for port in self.program.ports
+        }
+
+    def step(
+        self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
+    ) -> Status:
+        """Update, then predict; a refused sample changes nothing."""
+        memory: dict[Key, np.floating] = {
+            (Space.PARAMETER, name, None): self.real(v) for name, v in parameters.items()
+        }
+        for name, values in (("u", u), ("y", y)):
+            memory |= {(Space.INPUT, name, i): self.real(v) for i, v in enumerate(values)}
+        present = [not np.isnan(v) for v in y]
+        state = {name: list(values) for name, values in self.ports.items()}
+        with np.errstate(all="ignore"):
+            for phase in self.program.phases:
+                status = _Run(self, memory, present, state).phase(phase)
+                if status is not Status.OK:
+                    return status
+        self.ports = state
+        return Status.OK if any(present) else Status.SKIPPED
+
+
+class _Run:
+    """One phase: temporaries and locals come and go with it."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        memory: dict[Key, np.floating],
+        present: list[bool],
+        state: dict[str, list[np.floating]],
+    ) -> None:
+        self.machine, self.memory, self.present = machine, dict(memory), present
+        self.now, self.state = {k: list(v) for k, v in state.items()}, state
+        self.temps: dict[int, np.floating] = {}
+
+    def phase(self, phase: Phase) -> Status:
+        for local in phase.locals:
+            for i in range(local.size):
+                key = (Space.LOCAL, local.name, i if local.size > 1 else None)
+                self.memory[key] = self.machine.real(local.initial or 0.0)
+        return self.body(phase.body)
+
+    def body(self, body: tuple[Statement, ...]) -> Status:
+        for node in body:
+            status = self.statement(node)
+            if status is not Status.OK:
+                return status
+        return Status.OK
+
+    def statement(self, node: Statement) -> Status:
+        match node:
+            case Operate(target, operator, arguments):
+                self.temps[target.index] = self.operate(operator, arguments)
+            case Copy(target, value):
+                self.temps[target.index] = self.value(value)
+            case Assign(target, value):
+                self.assign(target, self.value(value))
+            case Require(value, kind, status):
+                return Status.OK if _holds(kind, self.value(value)) else status
+            case IfPresent(row, body):
+                if any(self.present) if row is None else self.present[row]:
+                    return self.body(body)
+            case IfPositive(value, body):
+                if self.value(value) > 0:
+                    return self.body(body)
+        return Status.OK
+
+    def assign(self, target: Element, value: np.floating) -> None:
+        if target.space is Space.NEXT:
+            self.state[target.name][target.index or 0] = value
+        else:
+            self.memory[target.space, target.name, target.index] = value
+
+    def value(self, operand: Operand) -> np.floating:
+        match operand:
+            case Temp(index):
+                return self.temps[index]
+            case Literal(value):
+                return self.machine.real(value)
+            case Element(Space.SELF, name, index):
+                return self.now[name][index or 0]
+            case Element(Space.NEXT, name, index):
+                return self.state[name][index or 0]
+            case Element(space, name, index):
+                return self.memory[space, name, index]
+        raise InternalError(f"no operand: {operand!r}")
+
+    def operate(self, operator: Operator, arguments: tuple[Operand, ...]) -> np.floating:
+        a = [self.value(argument) for argument in arguments]
+        match operator:
+            case Operator.ADD:
+                return a[0] + a[1]
+            case Operator.SUB:
+                return a[0] - a[1]
+            case Operator.MUL:
+                return a[0] * a[1]
+            case Operator.DIV:
+                return a[0] / a[1]
+            case Operator.NEG:
+                return -a[0]
+            case Operator.ABS:
+                return abs(a[0])
+            case Operator.MAX:
+                return a[0] if a[0] > a[1] else a[1]
+            case Operator.MIN:
+                return a[0] if a[0] < a[1] else a[1]
+        return self.machine.elementary(operator, a)
+
+
+def _holds(kind: Kind, value: np.floating) -> bool:
+    match kind:
+        case Kind.POSITIVE:
+            return bool(value > 0)
+        case Kind.NONNEGATIVE:
+            return bool(value >= 0)
+        case Kind.FINITE:
+            return bool(np.isfinite(value))

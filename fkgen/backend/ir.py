@@ -1,0 +1,309 @@
+"""The C program as data: straight-line statements under a few conditions, no C syntax yet."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal as Either
+
+from fkgen.errors import InternalError
+from fkgen.symbolic.interface import Kind, Port, Status
+
+Scalar = Either["double", "float"]
+
+
+class Space(Enum):
+    """Where an element lives."""
+
+    PARAMETER = "parameter"
+    INPUT = "input"
+    LOCAL = "local"
+    SELF = "self"
+    NEXT = "next"
+
+
+class Operator(Enum):
+    """Arithmetic of one statement; the second group is computed by functions of the program's own."""
+
+    ADD = "+"
+    SUB = "-"
+    MUL = "*"
+    DIV = "/"
+    NEG = "neg"
+    ABS = "abs"
+    MAX = "max"
+    MIN = "min"
+    EXP = "exp"
+    LOG = "log"
+    SQRT = "sqrt"
+    SIN = "sin"
+    COS = "cos"
+    TAN = "tan"
+    ATAN2 = "atan2"
+
+    @property
+    def is_function(self) -> bool:
+        """Whether it is printed as a call."""
+        return self in FUNCTIONS
+
+
+FUNCTIONS = frozenset(
+    {
+        Operator.EXP,
+        Operator.LOG,
+        Operator.SQRT,
+        Operator.SIN,
+        Operator.COS,
+        Operator.TAN,
+        Operator.ATAN2,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Temp:
+    """A value that is assigned once."""
+
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Literal:
+    """A constant in the program's scalar type."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """One scalar of a named array, or a named scalar (``index`` None)."""
+
+    space: Space
+    name: str
+    index: int | None
+
+
+Operand = Temp | Literal | Element
+
+
+@dataclass(frozen=True, slots=True)
+class Operate:
+    """``target = operator(arguments)``."""
+
+    target: Temp
+    operator: Operator
+    arguments: tuple[Operand, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Copy:
+    """``target = value``, to keep a value that is about to be overwritten."""
+
+    target: Temp
+    value: Operand
+
+
+@dataclass(frozen=True, slots=True)
+class Assign:
+    """``target := value``."""
+
+    target: Element
+    value: Operand
+
+
+@dataclass(frozen=True, slots=True)
+class Require:
+    """Return ``status`` unless ``value`` is of this kind."""
+
+    value: Operand
+    kind: Kind
+    status: Status
+
+
+@dataclass(frozen=True, slots=True)
+class IfPresent:
+    """Run ``body`` if this row of y is present (any row, if None)."""
+
+    row: int | None
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class IfPositive:
+    """Run ``body`` if ``value`` is positive."""
+
+    value: Operand
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """What the following statements do."""
+
+    text: str
+
+
+Statement = Operate | Copy | Assign | Require | IfPresent | IfPositive | Heading
+
+
+@dataclass(frozen=True, slots=True)
+class Local:
+    """A local array (or scalar, if ``size`` is 1), zeroed first where ``initial`` is given."""
+
+    name: str
+    size: int
+    initial: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """One function: what it declares, what it does, which arguments it needs."""
+
+    locals: tuple[Local, ...]
+    body: tuple[Statement, ...]
+    reads_input: bool
+    reads_parameters: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """Name and unit of one state, input or measurement."""
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Vectors:
+    """Inputs and expected outputs of the self-test, bit for bit.
+
+    Attributes
+    ----------
+    u, y : tuple of tuple of float
+        One row per sample; NaN in y where a row is missing.
+    expected : mapping as tuple of (port name, values)
+        Values of every stored scalar after the last sample, and of ``filtered_state`` after each.
+    """
+
+    u: tuple[tuple[float, ...], ...]
+    y: tuple[tuple[float, ...], ...]
+    trace: tuple[tuple[float, ...], ...]
+    final: tuple[tuple[str, tuple[float, ...]], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CProgram:
+    """One filter, ready to be printed."""
+
+    name: str
+    scalar: Scalar
+    family: str
+    source: str
+    notes: tuple[str, ...]
+    digest: str
+    states: tuple[Signal, ...]
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    sample_time: float | None
+    parameters: tuple[tuple[str, float], ...]
+    ports: tuple[Port, ...]
+    initial: tuple[tuple[str, tuple[float, ...]], ...]
+    update: Phase
+    predict: Phase
+
+    @property
+    def phases(self) -> tuple[Phase, Phase]:
+        """Update and predict, in this order."""
+        return self.update, self.predict
+
+    @property
+    def functions(self) -> frozenset[Operator]:
+        """Elementary functions that the program needs."""
+        return frozenset(op for op in self.operations if op.is_function)
+
+    @property
+    def operations(self) -> Counter[Operator]:
+        """Operations of one step with every row present."""
+        return Counter(
+            node.operator
+            for phase in self.phases
+            for node in walk(phase.body)
+            if isinstance(node, Operate)
+        )
+
+    @property
+    def flops(self) -> int:
+        """Additions, multiplications and the like of one step; calls are counted apart."""
+        return sum(n for operator, n in self.operations.items() if not operator.is_function)
+
+
+def walk(body: tuple[Statement, ...]) -> Iterator[Statement]:
+    """Every statement, those under conditions too, in order."""
+    for node in body:
+        yield node
+        if isinstance(node, IfPresent | IfPositive):
+            yield from walk(node.body)
+
+
+def verify(program: CProgram) -> CProgram:
+    """Return ``program`` unchanged if it is well formed.
+
+    Raises
+    ------
+    InternalError
+        If a temporary is read before it is assigned or is assigned twice, if a result is written
+        under a condition, twice or never, or if the prediction reads what the update does not write.
+    """
+    written: set[tuple[str, int | None]] = set()
+    for phase in program.phases:
+        written |= _check_phase(program.name, phase)
+    expected = {element for port in program.ports for element in elements(port)}
+    if written != expected:
+        raise InternalError(f"{program.name}: results never written: {sorted(expected - written)}")
+    updated = {n.target.name for n in program.update.body if isinstance(n, Assign)}
+    for name in {element.name for element in _reads(program.predict) if element.space is Space.SELF}:
+        if name not in updated:
+            raise InternalError(f"{program.name}: the prediction reads {name}, which no update writes")
+    return program
+
+
+def elements(port: Port) -> list[tuple[str, int | None]]:
+    """Name and index of every stored scalar of a port."""
+    return [(port.name, i if port.shape else None) for i in range(port.size)]
+
+
+def _check_phase(name: str, phase: Phase) -> set[tuple[str, int | None]]:
+    assigned: set[int] = set()
+    written: set[tuple[str, int | None]] = set()
+    for node in walk(phase.body):
+        for operand in operands(node):
+            if isinstance(operand, Temp) and operand.index not in assigned:
+                raise InternalError(f"{name}: temporary {operand.index} is read before it is assigned")
+        if isinstance(node, Operate | Copy):
+            if node.target.index in assigned:
+                raise InternalError(f"{name}: temporary {node.target.index} is assigned twice")
+            assigned.add(node.target.index)
+        if isinstance(node, Assign) and node.target.space is Space.NEXT:
+            if node not in phase.body:
+                raise InternalError(f"{name}: {node.target} is written under a condition")
+            if (node.target.name, node.target.index) in written:
+                raise InternalError(f"{name}: {node.target} is written twice")
+            written.add((node.target.name, node.target.index))
+    return written
+
+
+def operands(node: Statement) -> tuple[Operand, ...]:
+    """What a statement reads itself (not its body)."""
+    match node:
+        case Operate(_, _, arguments):
+            return arguments
+        case Copy(_, value) | Assign(_, value) | Require(value, _, _) | IfPositive(value, _):
+            return (value,)
+    return ()
+
+
+def _reads(phase: Phase) -> Iterator[Element]:
+    for node in walk(phase.body):
+        yield from (operand for operand in operands(node) if isinstance(operand, Element))

@@ -1,0 +1,235 @@
+"""CasADi -> IR: walk the instructions of every block, one statement per operation."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+from fkgen.backend.ir import (
+    Assign,
+    Copy,
+    CProgram,
+    Element,
+    Heading,
+    IfPositive,
+    IfPresent,
+    Literal,
+    Local,
+    Operand,
+    Operate,
+    Operator,
+    Phase,
+    Require,
+    Signal,
+    Space,
+    Statement,
+    Temp,
+    operands,
+    verify,
+    walk,
+)
+from fkgen.errors import InternalError
+from fkgen.symbolic import recursion as sym
+from fkgen.symbolic.ports import PARAMETER
+from fkgen.version import API_VERSION
+
+_BINARY = {
+    ca.OP_ADD: Operator.ADD,
+    ca.OP_SUB: Operator.SUB,
+    ca.OP_MUL: Operator.MUL,
+    ca.OP_DIV: Operator.DIV,
+    ca.OP_FMAX: Operator.MAX,
+    ca.OP_FMIN: Operator.MIN,
+    ca.OP_ATAN2: Operator.ATAN2,
+}
+_UNARY = {
+    ca.OP_NEG: Operator.NEG,
+    ca.OP_FABS: Operator.ABS,
+    ca.OP_EXP: Operator.EXP,
+    ca.OP_LOG: Operator.LOG,
+    ca.OP_SQRT: Operator.SQRT,
+    ca.OP_SIN: Operator.SIN,
+    ca.OP_COS: Operator.COS,
+    ca.OP_TAN: Operator.TAN,
+}
+
+
+def lower(recursion: sym.Recursion) -> CProgram:
+    """Turn a recursion into the data of a C program, verified."""
+    spec = recursion.spec
+    model = spec.model
+    signals = {
+        kind: tuple(Signal(s.name, s.unit) for s in getattr(model, kind))
+        for kind in ("states", "inputs", "outputs")
+    }
+    return verify(
+        CProgram(
+            name=spec.name,
+            scalar=spec.code.scalar,
+            family=spec.filter.family,
+            source=recursion.source,
+            notes=recursion.notes,
+            digest=hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16],
+            sample_time=model.sample_time,
+            parameters=tuple((p.name, p.default) for p in spec.parameters),
+            ports=recursion.ports,
+            initial=tuple(sorted(recursion.initial.items())),
+            update=_lower_phase(recursion, recursion.update),
+            predict=_lower_phase(recursion, recursion.predict),
+            **signals,
+        )
+    )
+
+
+def _lower_phase(recursion: sym.Recursion, phase: sym.Phase) -> Phase:
+    lowering = _Lowering({port.name: bool(port.shape) for port in recursion.ports}, phase)
+    for block in phase.blocks:
+        lowering.take(block)
+    body = lowering.body()
+    read = [
+        operand
+        for node in walk(body)
+        for operand in operands(node)
+        if isinstance(operand, Element)
+    ]
+    return Phase(
+        locals=tuple(Local(v.name, v.size, v.initial) for v in phase.variables),
+        body=body,
+        reads_input=any(e.space is Space.INPUT and e.name == "u" for e in read),
+        reads_parameters=any(e.space is Space.PARAMETER for e in read),
+    )
+
+
+@dataclass(slots=True)
+class _Group:
+    """Statements under one condition; ``value`` is the pivot that must be positive, after ``before``."""
+
+    condition: sym.Condition | None
+    before: list[Statement]
+    value: Operand | None
+    statements: list[Statement]
+
+    def closed(self) -> tuple[Statement, ...]:
+        """The statements under their conditions."""
+        body = tuple(self.statements)
+        if self.value is not None:
+            body = (*self.before, IfPositive(self.value, body))
+        return body if self.condition is None else (IfPresent(self.condition.row, body),)
+
+
+@dataclass(slots=True)
+class _Lowering:
+    """Builder of one phase's statements."""
+
+    ports: Mapping[str, bool]
+    phase: sym.Phase
+    written: set[str] = field(default_factory=set)
+    temps: int = 0
+    title: str = ""
+    groups: list[_Group] = field(default_factory=list)
+
+    def take(self, block: sym.Block) -> None:
+        """Append a block; blocks in a row under one condition share it."""
+        if block.title != self.title and block.title:
+            self.groups.append(_Group(None, [], None, [Heading(block.title)]))
+            self.title = block.title
+        if not self.groups or not _same(self.groups[-1].condition, block.when):
+            self.groups.append(self._group(block))
+        group = self.groups[-1]
+        values = self._instructions(block.function(self.phase.symbols), block, group.statements)
+        guards = values[len(block.assign) :]
+        for guard, value in zip(block.guards, guards, strict=True):
+            group.statements.append(Require(value[0], guard.kind, guard.status))
+        self._store(block, values, group.statements)
+
+    def body(self) -> tuple[Statement, ...]:
+        """Everything taken so far."""
+        return tuple(node for group in self.groups for node in group.closed())
+
+    def _group(self, block: sym.Block) -> _Group:
+        before: list[Statement] = []
+        threshold = block.threshold(self.phase.symbols)
+        value = None
+        if threshold is not None:
+            value = self._instructions(threshold, block, before)[0][0]
+        return _Group(block.when, before, value, [])
+
+    def _instructions(
+        self, function: ca.Function, block: sym.Block, out: list[Statement]
+    ) -> list[list[Operand]]:
+        """Append the operations of a function; return the operands of its outputs."""
+        work: dict[int, Operand] = {}
+        values: list[list[Operand]] = [
+            [Literal(0.0)] * function.nnz_out(i) for i in range(function.n_out())
+        ]
+        for k in range(function.n_instructions()):
+            code = function.instruction_id(k)
+            source, target = function.instruction_input(k), function.instruction_output(k)
+            if code == ca.OP_CONST:
+                work[target[0]] = Literal(function.instruction_constant(k))
+            elif code == ca.OP_INPUT:
+                work[target[0]] = self._element(block.reads[source[0]], source[1], read=True)
+            elif code == ca.OP_OUTPUT:
+                values[target[0]][target[1]] = work[source[0]]
+            else:
+                work[target[0]] = self._operate(code, [work[i] for i in source], out)
+        return values
+
+    def _operate(self, code: int, arguments: list[Operand], out: list[Statement]) -> Temp:
+        if code == ca.OP_SQ:
+            operator, arguments = Operator.MUL, [arguments[0]] * 2
+        elif code == ca.OP_TWICE:
+            operator, arguments = Operator.ADD, [arguments[0]] * 2
+        elif code == ca.OP_INV:
+            operator, arguments = Operator.DIV, [Literal(1.0), arguments[0]]
+        elif code in _UNARY:
+            operator, arguments = _UNARY[code], arguments[:1]
+        elif code in _BINARY:
+            operator, arguments = _BINARY[code], arguments[:2]
+        else:
+            raise InternalError(f"no C for CasADi operation {code}")
+        target = self._temp()
+        out.append(Operate(target, operator, tuple(arguments)))
+        return target
+
+    def _store(
+        self, block: sym.Block, values: list[list[Operand]], out: list[Statement]
+    ) -> None:
+        """Assign all outputs at once: what is overwritten before it is read is kept first."""
+        targets = [
+            (self._element(name, i, read=False), value)
+            for name, column in zip(block.assign, values, strict=False)
+            for i, value in enumerate(column)
+        ]
+        overwritten = {target for target, _ in targets}
+        kept: dict[Operand, Temp] = {}
+        for target, value in targets:
+            if value in overwritten and value != target and value not in kept:
+                kept[value] = self._temp()
+                out.append(Copy(kept[value], value))
+        out += [Assign(t, kept.get(v, v)) for t, v in targets if t != v]
+        self.written |= set(block.assign) & set(self.ports)
+
+    def _element(self, name: str, index: int, *, read: bool) -> Element:
+        if name.startswith(PARAMETER):
+            return Element(Space.PARAMETER, name.removeprefix(PARAMETER), None)
+        if name in ("u", "y"):
+            return Element(Space.INPUT, name, index)
+        if name in self.ports:
+            space = Space.SELF if read and name not in self.written else Space.NEXT
+            return Element(space, name, index if self.ports[name] else None)
+        size = self.phase.symbols[name].numel()
+        return Element(Space.LOCAL, name, index if size > 1 else None)
+
+    def _temp(self) -> Temp:
+        self.temps += 1
+        return Temp(self.temps - 1)
+
+
+def _same(a: sym.Condition | None, b: sym.Condition | None) -> bool:
+    if a is None or b is None or a is b:
+        return a is b
+    return a.row == b.row and a.positive is None and b.positive is None

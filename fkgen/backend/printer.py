@@ -1,0 +1,175 @@
+"""IR -> C text, one statement per operation. Syntax lives here, the shape of files in the templates."""
+
+from __future__ import annotations
+
+from functools import singledispatchmethod
+
+import numpy as np
+
+from fkgen.backend.ir import (
+    Assign,
+    Copy,
+    CProgram,
+    Element,
+    Heading,
+    IfPositive,
+    IfPresent,
+    Literal,
+    Operand,
+    Operate,
+    Operator,
+    Require,
+    Space,
+    Statement,
+    Temp,
+)
+from fkgen.errors import InternalError
+from fkgen.symbolic.interface import Kind, Port, Status
+
+_INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
+_WORD_BITS = 32
+
+
+class Printer:
+    """Print the nodes of one program.
+
+    Parameters
+    ----------
+    program : CProgram
+        Gives names their prefix and literals their type.
+    """
+
+    def __init__(self, program: CProgram) -> None:
+        self.program = program
+        self.name = program.name
+        self.real = program.scalar
+        self.upper = program.name.upper()
+
+    @property
+    def limit(self) -> str:
+        """The largest finite number."""
+        return "DBL_MAX" if self.real == "double" else "FLT_MAX"
+
+    @property
+    def tiny(self) -> str:
+        """The smallest normal number."""
+        return "DBL_MIN" if self.real == "double" else "FLT_MIN"
+
+    @property
+    def words(self) -> int:
+        """32-bit words that one bit per row of y needs."""
+        return (len(self.program.outputs) + _WORD_BITS - 1) // _WORD_BITS
+
+    def literal(self, value: float) -> str:
+        """A constant that reads back as the same bits."""
+        number = np.float64(value) if self.real == "double" else np.float32(value)
+        if not np.isfinite(number):
+            raise InternalError(f"{self.name}: constant {value} is not finite as {self.real}")
+        text = np.format_float_scientific(number, trim="0", unique=True)
+        if 1e-4 <= abs(number) < 1e16 or number == 0.0:  # noqa: PLR2004 - readable range
+            text = np.format_float_positional(number, trim="0", unique=True)
+        return text if self.real == "double" else text + "f"
+
+    def word(self, value: int) -> str:
+        """An integer constant as wide as the scalar type."""
+        return f"UINT64_C({value:#x})" if self.real == "double" else f"UINT32_C({value:#x})"
+
+    def status(self, status: Status) -> str:
+        """Name of a status in the C enum."""
+        return f"{self.upper}_{status.name}"
+
+    def extent(self, port: Port) -> str:
+        """Array brackets of a member; nothing for a scalar."""
+        return f"[{port.size}]" if port.shape else ""
+
+    def bit(self, row: int) -> str:
+        """Test of one row's bit in ``present``."""
+        word = f"[{row // _WORD_BITS}]" if self.words > 1 else ""
+        return f"(present{word} & {hex(1 << row % _WORD_BITS)}u) != 0u"
+
+    def block(self, body: tuple[Statement, ...], depth: int = 1) -> str:
+        """Statements with indentation."""
+        return "\n".join(self.statement(node, depth) for node in body)
+
+    @singledispatchmethod
+    def statement(self, node: Statement, depth: int) -> str:
+        """One statement as C."""
+        raise InternalError(f"no C for {node!r} at depth {depth}")
+
+    @statement.register
+    def _(self, node: Operate, depth: int) -> str:
+        a = [self.operand(argument) for argument in node.arguments]
+        match node.operator:
+            case Operator.NEG:
+                value = f"-{a[0]}"
+            case Operator.ABS:
+                value = f"({a[0]} > {self.literal(0.0)}) ? {a[0]} : ({self.literal(0.0)} - {a[0]})"
+            case Operator.MAX:
+                value = f"({a[0]} > {a[1]}) ? {a[0]} : {a[1]}"
+            case Operator.MIN:
+                value = f"({a[0]} < {a[1]}) ? {a[0]} : {a[1]}"
+            case operator if operator in _INFIX:
+                value = f"{a[0]} {_INFIX[operator]} {a[1]}"
+            case operator:
+                value = f"{self.name}_{operator.value}({', '.join(a)})"
+        return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
+
+    @statement.register
+    def _(self, node: Copy, depth: int) -> str:
+        value = self.operand(node.value)
+        return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
+
+    @statement.register
+    def _(self, node: Assign, depth: int) -> str:
+        return f"{_indent(depth)}{self.operand(node.target)} = {self.operand(node.value)};"
+
+    @statement.register
+    def _(self, node: Require, depth: int) -> str:
+        value, zero = self.operand(node.value), self.literal(0.0)
+        holds = {
+            Kind.POSITIVE: f"{value} > {zero}",
+            Kind.NONNEGATIVE: f"{value} >= {zero}",
+            Kind.FINITE: f"({value} >= -{self.limit}) && ({value} <= {self.limit})",
+        }[node.kind]
+        inner = f"{_indent(depth + 1)}return {self.status(node.status)};"
+        return f"{_indent(depth)}if (!({holds}))\n{_braced(inner, depth)}"
+
+    @statement.register
+    def _(self, node: IfPresent, depth: int) -> str:
+        rows = range(len(self.program.outputs)) if node.row is None else [node.row]
+        test = self.bit(rows[0]) if len(rows) == 1 else self._any()
+        return f"{_indent(depth)}if ({test})\n{_braced(self.block(node.body, depth + 1), depth)}"
+
+    @statement.register
+    def _(self, node: IfPositive, depth: int) -> str:
+        test = f"{self.operand(node.value)} > {self.literal(0.0)}"
+        return f"{_indent(depth)}if ({test})\n{_braced(self.block(node.body, depth + 1), depth)}"
+
+    @statement.register
+    def _(self, node: Heading, depth: int) -> str:
+        return f"\n{_indent(depth)}/* {node.text} */"
+
+    def _any(self) -> str:
+        words = [f"present[{i}]" for i in range(self.words)] if self.words > 1 else ["present"]
+        return f"({' | '.join(words)}) != 0u"
+
+    def operand(self, operand: Operand) -> str:
+        """An operand as C."""
+        match operand:
+            case Temp(index):
+                return f"t{index}"
+            case Literal(value):
+                return self.literal(value)
+            case Element(space, name, index):
+                prefix = {Space.PARAMETER: "params->", Space.SELF: "self->", Space.NEXT: "next->"}
+                place = "" if index is None else f"[{index}]"
+                return f"{prefix.get(space, '')}{name}{place}"
+        raise InternalError(f"no operand: {operand!r}")
+
+
+def _indent(depth: int) -> str:
+    return "    " * depth
+
+
+def _braced(inner: str, depth: int) -> str:
+    return f"{_indent(depth)}{{\n{inner}\n{_indent(depth)}}}"

@@ -1,0 +1,134 @@
+"""The generated files as one value, and the one way to put them on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fkgen.backend.ir import CProgram
+from fkgen.errors import OutputError
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Source:
+    """Generated C of one filter, in memory.
+
+    Attributes
+    ----------
+    program : CProgram
+        What was printed.
+    files : mapping of str to str
+        Text by file name: header, source, self-test, build file, manifest.
+    record : str
+        C that runs a record, compiled for Python only.
+    """
+
+    program: CProgram
+    files: Mapping[str, str]
+    record: str
+
+    def write(self, directory: str | os.PathLike[str]) -> Path:
+        """Write all files into ``directory``, completely or not at all.
+
+        Parameters
+        ----------
+        directory : path
+            Created if missing. If it exists it has to be empty, or hold nothing but unchanged output of an
+            earlier call, which is replaced.
+
+        Raises
+        ------
+        OutputError
+            If the folder holds other or edited files, or cannot be written.
+        """
+        target = Path(directory)
+        _refuse_foreign(target)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        except OSError as error:
+            raise _unwritable(target, error) from None
+        try:
+            for name, text in self.files.items():
+                (partial / name).write_text(text, encoding="utf-8", newline="\n")
+            partial.chmod(0o755)
+            _swap(partial, target)
+        except OSError as error:
+            raise _unwritable(target, error) from None
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+        return target
+
+
+def _unwritable(target: Path, error: OSError) -> OutputError:
+    reason = error.strerror or str(error)
+    return OutputError(str(target), given=reason.lower(), expected="a folder that can be written")
+
+
+def _refuse_foreign(target: Path) -> None:
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise OutputError(str(target), given="a file", expected="a folder, or nothing yet")
+    present = {entry.name for entry in target.iterdir()}
+    if not present:
+        return
+    known = _own_files(target)
+    foreign = sorted(present - set(known))
+    if foreign:
+        raise OutputError(
+            str(target),
+            given=f"a folder with other files ({', '.join(foreign[:3])})",
+            expected="an empty or new folder; choose another one",
+        )
+    for name, digest in known.items():
+        if name in present and digest and _digest((target / name).read_bytes()) != digest:
+            raise OutputError(
+                str(target / name),
+                given="a generated file that was edited",
+                expected="unchanged files; move the edited one away first",
+            )
+
+
+def _own_files(target: Path) -> dict[str, str]:
+    """File names and digests of an earlier output; empty if there was none."""
+    try:
+        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
+        return {**manifest["files"], MANIFEST: ""} if manifest["generator"] == "fkgen" else {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _swap(partial: Path, target: Path) -> None:
+    if not target.exists():
+        partial.rename(target)
+        return
+    old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
+    try:
+        target.rename(old)
+        try:
+            partial.rename(target)
+        except OSError:
+            old.rename(target)
+            raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def with_manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> dict[str, str]:
+    """Add ``manifest.json``: facts about the filter, and a digest per file."""
+    digests = {name: _digest(text.encode()) for name, text in sorted(files.items())}
+    manifest = {"generator": "fkgen", **facts, "files": digests}
+    return {**files, MANIFEST: json.dumps(manifest, indent=2) + "\n"}

@@ -1,0 +1,90 @@
+"""What a filter shows to the outside: ports, statuses, demands. No CasADi here; every floor may read it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Role(Enum):
+    """What a port is for: carried to the next sample, or written for the user only."""
+
+    STATE = "state"
+    OUTPUT = "output"
+
+
+class Status(Enum):
+    """Why a generated function returns what it returns; the value is the C status code."""
+
+    OK = 0
+    SKIPPED = 1
+    NULL_POINTER = -1
+    INPUT_NOT_FINITE = -2
+    NOT_POSITIVE_DEFINITE = -3
+    PARAMETER_OUT_OF_RANGE = -4
+    RESULT_NOT_FINITE = -5
+    SELFTEST_FAILED = -6
+
+    @property
+    def meaning(self) -> str:
+        """One sentence for the header and for error messages."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    Status.OK: "the sample was used",
+    Status.SKIPPED: "no row of y was present: nothing was learnt from this sample",
+    Status.NULL_POINTER: "a pointer argument is NULL",
+    Status.INPUT_NOT_FINITE: "u holds NaN or an infinity, or y holds an infinity",
+    Status.NOT_POSITIVE_DEFINITE: "a covariance lost its positivity",
+    Status.PARAMETER_OUT_OF_RANGE: "a run-time parameter gives a variance below zero or a rate outside [0, 1]",
+    Status.RESULT_NOT_FINITE: "the result would not be finite",
+    Status.SELFTEST_FAILED: "the self-test does not give the recorded bits on this target",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Port:
+    """A member of the C instance and a column of a run.
+
+    Attributes
+    ----------
+    name : str
+        Name in C and in Python.
+    shape : tuple of int
+        Shape of one sample as Python shows it.
+    symmetric : bool
+        The last two axes are one symmetric matrix, of which the lower triangle is stored by rows.
+    role : Role
+    meaning, unit : str
+        For the header.
+    per_row : bool
+        One entry per row of y, NaN in Python where the row is missing.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    role: Role
+    meaning: str
+    unit: str = ""
+    symmetric: bool = False
+    per_row: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of scalars stored in C."""
+        size = 1
+        for length in self.shape[:-2] if self.symmetric else self.shape:
+            size *= length
+        if self.symmetric:
+            n = self.shape[-1]
+            size *= n * (n + 1) // 2
+        return size
+
+
+class Kind(Enum):
+    """What a guard demands of its value."""
+
+    POSITIVE = "positive"
+    NONNEGATIVE = "nonnegative"
+    FINITE = "finite"

@@ -1,0 +1,112 @@
+"""Names that C could not take are refused, and so are units that could end a comment."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+
+from fkgen.errors import SpecError
+from fkgen.spec import Spec
+
+KF: dict[str, Any] = {
+    "name": "motor",
+    "model": {
+        "A": [[0.98, -0.0002], [0.0094, "exp(-0.01/tau)"]],
+        "C": [[0.0, 1.0]],
+        "Q": [[1e-6, 0.0], [0.0, 1e-6]],
+        "R": [[1e-4]],
+        "x0": [0.0, 0.0],
+        "P0": [[1.0, 0.0], [0.0, 1.0]],
+    },
+    "parameters": {"tau": 0.05},
+    "filter": {"family": "kf"},
+}
+
+
+def changed(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    result = copy.deepcopy(base)
+    for key, value in changes.items():
+        *path, last = key.split(".")
+        table = result
+        for part in path:
+            table = table.setdefault(part, {})
+        table[last] = value
+    return result
+
+
+def refusal(table: object) -> SpecError:
+    with pytest.raises(SpecError) as caught:
+        Spec.from_dict(table, file="motor.toml")
+    error = caught.value
+    assert str(error).startswith(f"motor.toml: {error.key}: given {error.given}; expected ")
+    assert str(error).endswith(error.expected)
+    assert str(error).isprintable()
+    assert error.__suppress_context__ or error.__context__ is None
+    return error
+
+
+def check(
+    base: dict[str, Any], changes: dict[str, Any], key: str, given: str, expected: str
+) -> None:
+    error = refusal(changed(base, changes))
+    assert error.key == key
+    assert given in error.given
+    assert expected in error.expected
+
+
+Case = tuple[dict[str, Any], dict[str, Any], str, str, str]
+NAN = float("nan")
+
+X, Y, IN = "model.states", "model.outputs", "model.inputs"
+NAMES: list[Case] = [
+    (KF, {"name": "2motor"}, "name", "'2motor'", "a C identifier"),
+    (KF, {"name": "dc motor"}, "name", "'dc motor'", "a C identifier"),
+    (KF, {"name": "motör"}, "name", "'motör'", "a C identifier"),
+    (KF, {"name": "motor\n"}, "name", "'motor\\n'", "a C identifier"),
+    (KF, {"name": ""}, "name", "''", "a C identifier"),
+    (KF, {"name": 3}, "name", "the int 3", "a C identifier"),
+    (KF, {"name": "m" * 41}, "name", "with 41 characters", "at most 40 characters"),
+    (KF, {"name": "_motor"}, "name", "'_motor'", "without leading"),
+    (KF, {"name": "motor_"}, "name", "'motor_'", "trailing"),
+    (KF, {"name": "dc__motor"}, "name", "'dc__motor'", "double underscores"),
+    (KF, {"name": "main"}, "name", "'main'", "do not reserve"),
+    (KF, {"name": "uint32_t"}, "name", "'uint32_t'", "do not reserve"),
+    (KF, {"name": "size"}, "name", "'size'", "'size_t' belongs to the C library"),
+    (KF, {"name": "math"}, "name", "'math'", "'math.h' or"),
+    *(
+        (KF, {"name": word}, "name", f"'{word}'", "a keyword of C or C++")
+        for word in ("while", "restrict", "static_assert", "class", "constexpr", "xor", "nullptr")
+    ),
+    (KF, {X: [{"name": "a"}]}, X, "1 entries", "2: the model has 2 states"),
+    (KF, {X: "ab"}, X, "the text 'ab'", "a list of 2 tables"),
+    (KF, {X: ["a", "b"]}, "model.states[0]", "the text 'a'", "a table with name, unit"),
+    (KF, {Y: []}, Y, "0 entries", "1: the model has 1 outputs"),
+    (KF, {IN: [{"name": "u"}]}, IN, "1 entries", "0: the model has 0 inputs"),
+    (KF, {X: [{"name": "a"}, {"name": "a"}]}, X, "'a' twice", "states with distinct names"),
+    (KF, {X: [{"name": "a"}, {"name": "A"}]}, X, "'a' and 'A'", "states with distinct names"),
+    (KF, {X: [{"name": "a"}, {"name": "if"}]}, "model.states[1].name", "'if'", "keyword"),
+    (KF, {X: [{"name": "a"}, {"name": 1}]}, "model.states[1].name", "the int 1", "identifier"),
+    (KF, {Y: [{"name": "y", "unit": 1}]}, "model.outputs[0].unit", "the int 1", "a text"),
+    (KF, {Y: [{"name": "y", "unit": "*/"}]}, "model.outputs[0].unit", "'*/'", "in a C comment"),
+    (KF, {Y: [{"name": "y", "unit": "a\nb"}]}, "model.outputs[0].unit", "'a\\nb'", "printable"),
+    (KF, {Y: [{"name": "y", "unit": "\\"}]}, "model.outputs[0].unit", "'\\\\'", "printable"),
+    (KF, {Y: [{"name": "y", "unit": "V" * 41}]}, "model.outputs[0].unit", "VVV", "at most 40"),
+    (KF, {"parameters.1a": 1.0}, "parameters.1a", "'1a'", "a C identifier"),
+    (KF, {"parameters.double": 1.0}, "parameters.double", "'double'", "keyword"),
+    (KF, {"parameters.exp": 1.0}, "parameters.exp", "'exp'", "not a function"),
+    (KF, {"parameters.atan2": 1.0}, "parameters.atan2", "'atan2'", "not a function"),
+    (KF, {"parameters._a": 1.0}, "parameters._a", "'_a'", "without leading"),
+    (KF, {"parameters.I": 1.0}, "parameters.I", "'I'", "complex.h"),
+    (KF, {"parameters.TAU": 1.0}, "parameters", "'tau' and 'TAU'", "distinct names"),
+    (KF, {"parameters.tau": "0.05"}, "parameters.tau", "the text '0.05'", "a finite number"),
+    (KF, {"parameters.tau": True}, "parameters.tau", "the boolean True", "a finite number"),
+    (KF, {"parameters.tau": NAN}, "parameters.tau", "nan", "a finite number"),
+    (KF, {"parameters.tau": [1.0]}, "parameters.tau", "the list [1.0]", "a finite number"),
+]
+
+
+@pytest.mark.parametrize("case", NAMES, ids=lambda case: f"{case[2]}: {case[3]}")
+def test_names(case: Case) -> None:
+    check(*case)
