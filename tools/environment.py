@@ -44,9 +44,8 @@ def main(arguments: "list[str]") -> int:
         return 2
     try:
         with locked():
-            held = held_groups()
-            if arguments[0] not in held:
-                set_up(arguments[0], held)
+            if arguments[0] not in held_groups():
+                set_up(arguments[0])
     except SetupError as error:
         print(f"setup: {error}", file=sys.stderr)
         return 1
@@ -71,7 +70,7 @@ def held_groups() -> "list[str]":
     if UNFINISHED.exists() or not STAMP.exists() or probe(python_of(VENV)) is None:
         return []
     lines = STAMP.read_text().splitlines()
-    return lines[2:] if lines[:2] == [str(ROOT), digest()] else []
+    return ["run", *lines[2:]] if lines[:2] == [str(ROOT), digest()] else []  # all groups run
 
 
 def digest() -> str:
@@ -80,7 +79,7 @@ def digest() -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def set_up(group: str, held: "list[str]") -> None:
+def set_up(group: str) -> None:
     """Install one group into .venv, which is made anew unless it is sound."""
     start = time.time()
     print(f"setup: .venv for {group} with {'uv' if uv() else 'pip'}", flush=True)
@@ -89,9 +88,10 @@ def set_up(group: str, held: "list[str]") -> None:
         VENV.mkdir()
         UNFINISHED.touch()
         create(VENV)
+    held = sorted({*held_groups(), group})
     UNFINISHED.touch()
     install(VENV, ["--editable", str(ROOT), *GROUPS[group]])
-    STAMP.write_text("\n".join([str(ROOT), digest(), *held, group]) + "\n")
+    STAMP.write_text("\n".join([str(ROOT), digest(), *held]) + "\n")
     UNFINISHED.unlink()
     print(f"setup: done in {time.time() - start:.0f} s", flush=True)
 

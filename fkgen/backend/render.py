@@ -45,7 +45,8 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         "CMakeLists.txt": _text("CMakeLists.txt.j2", context),
     }
     record = _text("record.c.j2", context | {"call": _step_call(program, record=True)})
-    return Source(program=program, files=with_manifest(files, _facts(program, claims)), record=record)
+    complete = with_manifest(files, _facts(program, claims))
+    return Source(program=program, files=complete, record=record, claims=claims)
 
 
 def _text(template: str, context: dict[str, object]) -> str:

@@ -29,11 +29,14 @@ class Source:
         Text by file name: header, source, self-test, build file, manifest.
     record : str
         C that runs a record, compiled for Python only.
+    claims : tuple of str
+        What was proved about the filter.
     """
 
     program: CProgram
     files: Mapping[str, str]
     record: str
+    claims: tuple[str, ...]
 
     def write(self, directory: str | os.PathLike[str]) -> Path:
         """Write all files into ``directory``, completely or not at all.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.closed_form import Identity
 from fkgen.spec import Spec
 from fkgen.symbolic.recursion import Recursion
 
@@ -16,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
-    """A short random record on which a recursion meets its closed forms.
+    """A random record on which a recursion meets its closed forms.
 
     Attributes
     ----------
@@ -24,11 +25,15 @@ class Record:
         NaN where a row is missing.
     u : (T, q) ndarray
     parameters : mapping of str to (T,) ndarray
+    P0 : (n, n) ndarray
+        Prior covariance of this record: that of the spec, or a milder one, because the equations are on
+        trial here and not the digits that an extreme prior costs.
     """
 
     y: Array
     u: Array
     parameters: Mapping[str, Array]
+    P0: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,38 +44,23 @@ class ClosedForm:
     ----------
     claim, source : str
         What holds, and where it comes from.
-    tolerance : float
-        Largest relative error at which it is taken to hold.
-    because : str
-        Why this tolerance.
+    tolerance : callable
+        ``tolerance(spec, record)``: the largest relative error at which it is taken to hold.
     expected : callable
-        ``expected(spec, record)`` gives the ports, by name with shape (T, ...), without any code of the
-        recursion. NaN = not decided.
-    applies : callable
-        Whether the statement is about this spec at all.
-    settle : int
-        Samples of a steady record before the comparison; 0 compares every sample of a short record.
+        ``expected(spec, record)`` gives ports by name with shape (T, ...), without any code of the
+        recursion; None if the statement is not about this spec. NaN = a missing row.
+    start : callable
+        ``start(spec, record)`` gives ports (unpacked) that replace the prior before the run.
+    steady : bool
+        The record has constant inputs, default parameters and no missing rows.
     """
 
     claim: str
     source: str
-    tolerance: float
-    because: str
-    expected: Callable[[Spec, Record], Mapping[str, Array]]
-    applies: Callable[[Spec], bool] = lambda _spec: True
-    settle: int = 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Theorem:
-    """An identity of the family's equations that SymPy proves once for all models.
-
-    ``residual()`` is zero if the identity holds.
-    """
-
-    claim: str
-    source: str
-    residual: Callable[[], float]
+    tolerance: Callable[[Spec, Record], float]
+    expected: Callable[[Spec, Record], Mapping[str, Array] | None]
+    start: Callable[[Spec, Record], Mapping[str, Array]] | None = None
+    steady: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,13 +77,12 @@ class Family:
         ``build(spec) -> Recursion``.
     closed_forms : tuple of ClosedForm
         All of them hold before any C is generated.
-    theorems : tuple of Theorem
-    starter : str
-        A commented spec file to begin with.
+    theorems : tuple of Identity
+        What SymPy proves once for all models.
     """
 
     name: str
     title: str
     build: Callable[[Spec], Recursion]
     closed_forms: tuple[ClosedForm, ...]
-    theorems: tuple[Theorem, ...] = ()
+    theorems: tuple[Identity, ...] = ()

@@ -13,7 +13,8 @@ from typing import Literal
 import casadi as ca
 
 from fkgen.symbolic.decorrelation import Measurement, Row, decorrelate
-from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, triangle, unpack
+from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, unpack
+from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.recursion import Guard
 from fkgen.symbolic.script import Script

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from fkgen.symbolic.linalg import triangle
+from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.symbolic.interface import Kind, Port
 from fkgen.symbolic.recursion import Block, Recursion
@@ -69,18 +69,6 @@ class Interpreter:
                 value = unpacked(port, self.values[port.name])
                 rows[port.name].append(np.where(np.isnan(y[k]), np.nan, value) if port.per_row else value)
         return {name: np.array(value) for name, value in rows.items()}
-
-
-def unpacked(port: Port, stored: ArrayLike) -> Array:
-    """A stored sample in the shape that Python shows."""
-    values = np.asarray(stored, float)
-    if not port.symmetric:
-        return values.reshape(port.shape)
-    n = port.shape[-1]
-    index = np.zeros((n, n), int)
-    for at, (i, j) in enumerate(triangle(n)):
-        index[i, j] = index[j, i] = at
-    return values.reshape(-1, n * (n + 1) // 2)[:, index].reshape(port.shape)
 
 
 @dataclass(frozen=True, slots=True)

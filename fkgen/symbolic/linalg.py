@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-
-def triangle(n: int) -> list[tuple[int, int]]:
-    """Index pairs of the lower triangle of an n x n matrix, by rows."""
-    return [(i, j) for i in range(n) for j in range(i + 1)]
+from fkgen.symbolic.packing import triangle
 
 
 def column(values: list[ca.SX]) -> ca.SX:

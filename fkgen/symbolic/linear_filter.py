@@ -17,7 +17,7 @@ from fkgen.symbolic.estimate import (
     senses_actuation,
     update_form,
 )
-from fkgen.symbolic.linalg import triangle
+from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
 from fkgen.symbolic.interface import Port, Role

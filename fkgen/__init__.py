@@ -1,0 +1,91 @@
+"""fkgen: fault-tolerant filters from a model to verified C99.
+
+The names below are the whole contract; everything else may change. Importing fkgen is cheap: CasADi and
+its kin are loaded when a filter is first built.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from fkgen.errors import (
+    CompilerError,
+    DataError,
+    FkgenError,
+    InternalError,
+    OutputError,
+    SpecError,
+    StepRefused,
+    UserError,
+    ValidationError,
+)
+from fkgen.version import __version__
+
+if TYPE_CHECKING:
+    from fkgen.backend.source import Source
+    from fkgen.pipeline import build, compile, generate, validate  # noqa: A004
+    from fkgen.proof import Claim, Validated
+    from fkgen.runtime.compiled import CompiledFilter, Run, Snapshot
+    from fkgen.spec import Spec, load
+    from fkgen.study.check import Finding, Report, check
+
+#: Where the lazily loaded names live.
+_HOMES = {
+    "Spec": "fkgen.spec",
+    "load": "fkgen.spec",
+    "validate": "fkgen.pipeline",
+    "generate": "fkgen.pipeline",
+    "compile": "fkgen.pipeline",
+    "build": "fkgen.pipeline",
+    "check": "fkgen.study.check",
+    "Report": "fkgen.study.check",
+    "Finding": "fkgen.study.check",
+    "Claim": "fkgen.proof",
+    "Validated": "fkgen.proof",
+    "Source": "fkgen.backend.source",
+    "CompiledFilter": "fkgen.runtime.compiled",
+    "Run": "fkgen.runtime.compiled",
+    "Snapshot": "fkgen.runtime.compiled",
+}
+
+__all__ = [
+    "Claim",
+    "CompiledFilter",
+    "CompilerError",
+    "DataError",
+    "Finding",
+    "FkgenError",
+    "InternalError",
+    "OutputError",
+    "Report",
+    "Run",
+    "Snapshot",
+    "Source",
+    "Spec",
+    "SpecError",
+    "StepRefused",
+    "UserError",
+    "Validated",
+    "ValidationError",
+    "__version__",
+    "build",
+    "check",
+    "compile",
+    "generate",
+    "load",
+    "validate",
+]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - any public name
+    """Load a public name when it is first used."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'fkgen' has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

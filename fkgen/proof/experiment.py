@@ -1,0 +1,104 @@
+"""Random records on which recursions are tried, and the distance between two answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fkgen.closed_form import LinearSystem, simulate
+from fkgen.families.family import Array, Record
+from fkgen.spec import Spec
+
+#: Ratio of prior to measurement variance beyond which a milder prior takes the place of the spec's.
+MILD = 1e4
+
+#: Samples; fewer for large models, whose joint covariance grows with them.
+LONG, SHORT, MANY_STATES = 6, 4, 8
+
+
+def trial(spec: Spec, *, steady: bool) -> Record:
+    """A record from the model itself: random inputs, parameters near their defaults, missing rows."""
+    rng = np.random.default_rng(20130905)
+    model = spec.model
+    T = LONG if model.nx < MANY_STATES else SHORT
+    parameters = {name: np.full(T, value) for name, value in spec.defaults.items()}
+    if not steady:
+        parameters = _varied(spec, parameters, rng)
+    u = rng.normal(size=(1 if steady else T, model.nu)).repeat(T if steady else 1, axis=0)
+    P0 = _mild_prior(spec)
+    system = LinearSystem.from_spec(spec, T, parameters, _rates(spec))
+    y = simulate(system, u, rng, missing=0.0 if steady else 0.25)
+    if not steady:
+        y[T // 2] = np.nan
+    return Record(y=y, u=u, parameters=parameters, P0=P0)
+
+
+def _rates(spec: Spec) -> tuple[float, ...] | None:
+    """For a bank, the first hypothesis makes the record; otherwise the spec's own rate does."""
+    return spec.filter.hypotheses[0] if spec.filter.hypotheses else None
+
+
+def _varied(
+    spec: Spec, parameters: Mapping[str, Array], rng: np.random.Generator
+) -> dict[str, Array]:
+    """Parameters shaken by some percent, sample by sample, where the model still makes sense."""
+    varied = {name: values.copy() for name, values in parameters.items()}
+    for k in range(len(next(iter(varied.values()), ()))):
+        shaken = {name: v[k] * (1.0 + 0.05 * rng.uniform(-1, 1)) for name, v in varied.items()}
+        if _makes_sense(spec, shaken):
+            for name, value in shaken.items():
+                varied[name][k] = value
+    return varied
+
+
+def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
+    """Whether all matrices are finite, all covariances positive and all rates probabilities."""
+    try:
+        for letter in ("A", "B", "C", "D"):
+            getattr(spec.model, letter).values(parameters)
+        for letter in ("Q", "R"):
+            M = getattr(spec.model, letter).values(parameters)
+            if np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():  # noqa: PLR2004 - rounding
+                return False
+        system = LinearSystem.from_spec(spec, 1, dict(parameters), _rates(spec))
+    except ArithmeticError:
+        return False
+    return bool(np.all((system.rate >= 0.0) & (system.rate <= 1.0)))
+
+
+def _mild_prior(spec: Spec) -> Array:
+    """P0, scaled down where it dwarfs the measurement noise: it is a start value, not an equation."""
+    C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
+    noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)
+    known = (noise > 0.0) & (prior > 0.0)
+    if not known.any():
+        return np.asarray(P0)
+    excess = float(np.max(prior[known] / noise[known])) / MILD
+    return np.asarray(P0 / max(1.0, excess))
+
+
+def distance(found: Array, expected: Array, *, symmetric: bool, of: str = "") -> float:
+    """Largest error relative to the size that each entry has over the record.
+
+    Entries of a symmetric matrix are measured by the geometric mean of the two diagonal entries. NaNs
+    have to be in the same places; otherwise the distance is infinite.
+    """
+    if found.shape != expected.shape or not np.array_equal(np.isnan(found), np.isnan(expected)):
+        return float("inf")
+    if found.size == 0 or np.isnan(expected).all():
+        return 0.0
+    if symmetric:
+        size = np.sqrt(np.abs(np.diagonal(expected, axis1=-2, axis2=-1)))
+        scale = size[..., :, np.newaxis] * size[..., np.newaxis, :]
+    else:
+        scale = np.abs(expected)
+    scale = np.nanmax(scale, axis=0)
+    largest = float(np.nanmax(scale))
+    floor = 1.0 if of in _LOGARITHMIC else 1e-6 * largest
+    scale = np.maximum(scale, floor) if largest > 0.0 or floor > 0.0 else np.ones_like(scale)
+    return float(np.nanmax(np.abs(found - expected) / scale))
+
+
+#: Ports on a logarithmic scale: an error of these is a relative error of what they are logarithms of.
+_LOGARITHMIC = frozenset({"log_likelihood", "log_weight"})

@@ -1,0 +1,129 @@
+"""Build a recursion and confront it with every closed form of its family."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fkgen.errors import ValidationError
+from fkgen.families import family
+from fkgen.families.family import Array, ClosedForm, Family, Record
+from fkgen.proof.experiment import distance, trial
+from fkgen.spec import Spec
+from fkgen.symbolic.interpreter import Interpreter
+from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.recursion import Recursion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Claim:
+    """One statement and how well it held.
+
+    Attributes
+    ----------
+    claim, source : str
+    error, tolerance : float
+        Largest relative error found, and allowed.
+    """
+
+    claim: str
+    source: str
+    error: float
+    tolerance: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the error is within the tolerance; a NaN is not."""
+        return self.error <= self.tolerance
+
+    def __str__(self) -> str:
+        return f"{self.claim} [{self.source}], off by {self.error:.1e}, allowed {self.tolerance:.1e}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Validated:
+    """A recursion that agreed with every closed form: the only thing that becomes C.
+
+    Attributes
+    ----------
+    recursion : Recursion
+    claims : tuple of Claim
+        What was proved.
+    """
+
+    recursion: Recursion
+    claims: tuple[Claim, ...]
+
+    def __post_init__(self) -> None:
+        failed = tuple(str(claim) for claim in self.claims if not claim.holds)
+        if failed or not self.claims:
+            raise ValidationError(self.spec.filter.family, failed or ("nothing was proved",))
+
+    @property
+    def spec(self) -> Spec:
+        """What the recursion was built for."""
+        return self.recursion.spec
+
+
+def validate(spec: Spec) -> Validated:
+    """Build the recursion of a spec and run every closed form of its family.
+
+    Raises
+    ------
+    ValidationError
+        If one is contradicted: a defect of fkgen, never of the spec.
+    """
+    found = family(spec.filter.family)
+    return confront(found, found.build(spec))
+
+
+def confront(tested: Family, recursion: Recursion) -> Validated:
+    """Run every closed form of a family on one recursion."""
+    records = {steady: trial(recursion.spec, steady=steady) for steady in (False, True)}
+    claims = [
+        claim
+        for form in tested.closed_forms
+        if (claim := _try(form, recursion, records[form.steady])) is not None
+    ]
+    return Validated(recursion=recursion, claims=tuple(claims))
+
+
+def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None:
+    spec = recursion.spec
+    expected = form.expected(spec, record)
+    if expected is None:
+        return None
+    instance = Interpreter(recursion)
+    _start(instance, _prior(recursion, record))
+    if form.start is not None:
+        _start(instance, form.start(spec, record))
+    found = instance.run(record.y, record.u, record.parameters, keep=tuple(expected))
+    error = max(
+        distance(
+            np.asarray(found[name], float) if name in found else np.array(np.nan),
+            np.asarray(value, float),
+            symmetric=name in found and recursion.port(name).symmetric,
+            of=name,
+        )
+        for name, value in expected.items()
+    )
+    return Claim(
+        claim=form.claim, source=form.source, error=error, tolerance=form.tolerance(spec, record)
+    )
+
+
+def _prior(recursion: Recursion, record: Record) -> Mapping[str, Array]:
+    """The record's prior covariance, in every port that starts as the spec's."""
+    stacked = {"mode_covariance", "mode_filtered_covariance"}
+    names = {"predicted_covariance", "filtered_covariance"} | stacked
+    ports = [port for port in recursion.ports if port.name in names]
+    return {port.name: np.broadcast_to(record.P0, port.shape) for port in ports}
+
+
+def _start(instance: Interpreter, values: Mapping[str, Array]) -> None:
+    for name, value in values.items():
+        n = value.shape[-1]
+        packed = np.stack([value[..., i, j] for i, j in triangle(n)], axis=-1)
+        instance.values[name] = packed.ravel()

@@ -1,0 +1,1 @@
+"""Compile generated C, cache it, and run it from Python through ctypes."""

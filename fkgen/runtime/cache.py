@@ -1,0 +1,89 @@
+"""Content-addressed folders of compiled filters: complete or absent, shared by concurrent builds."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+from fkgen.errors import OutputError
+
+LIBRARY = "filter.so"
+LAYOUT = "layout.json"
+
+
+def folder() -> Path:
+    """``FKGEN_CACHE``, else fkgen's folder in the user's cache directory."""
+    chosen = os.environ.get("FKGEN_CACHE")
+    if chosen:
+        return Path(chosen)
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "fkgen"
+
+
+@cache
+def own_digest() -> str:
+    """Digest of fkgen's own code and templates: whatever changes here makes every entry stale."""
+    package = Path(__file__).resolve().parents[1]
+    roots = [package, package.parent / "templates"]
+    digest = hashlib.sha256()
+    for root in roots:
+        for path in sorted([*root.rglob("*.py"), *root.rglob("*.j2")]):
+            digest.update(f"{path.relative_to(root)}\n".encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def key_of(*parts: str) -> str:
+    """A name for content."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(f"{len(part)}\n{part}".encode())
+    return digest.hexdigest()[:40]
+
+
+def find(key: str) -> Path | None:
+    """The folder of a finished build, if there is one."""
+    entry = folder() / key
+    return entry if (entry / LIBRARY).is_file() and (entry / LAYOUT).is_file() else None
+
+
+def store(key: str, fill: Callable[[Path], None]) -> Path:
+    """Let ``fill`` make the entry in a folder of its own, then move it into place in one step.
+
+    Raises
+    ------
+    OutputError
+        If the cache folder cannot be written (no permission, disk full).
+    """
+    target = folder() / key
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=".building-", dir=target.parent))
+    except OSError as error:
+        raise _unwritable(error) from None
+    try:
+        fill(partial)
+        try:
+            partial.rename(target)
+        except OSError:
+            if find(key) is not None:  # somebody else finished the same build first
+                return target
+            shutil.rmtree(target, ignore_errors=True)
+            partial.rename(target)
+    except OSError as error:
+        raise _unwritable(error) from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return target
+
+
+def _unwritable(error: OSError) -> OutputError:
+    reason = (error.strerror or str(error)).lower()
+    return OutputError(
+        str(folder()), given=reason, expected="a folder that can be written; set FKGEN_CACHE to another one"
+    )

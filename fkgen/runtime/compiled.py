@@ -1,0 +1,323 @@
+"""`CompiledFilter`: generated C behind NumPy arrays. A whole record is one call."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fkgen.errors import DataError, InternalError, StepRefused
+from fkgen.runtime import record
+from fkgen.runtime.layout import Layout
+from fkgen.symbolic.interface import Port, Status
+from fkgen.symbolic.packing import unpacked
+
+Array = NDArray[np.floating]
+
+
+class Run:
+    """What a filter said about a record: every kept port is an attribute of shape (T, ...).
+
+    ``run["name"]`` is the same as ``run.name``; ``run.ports`` lists the names; ``run.status`` is (T,) int32:
+    0 used, 1 no row present, negative refused (the instance was unchanged, so ports repeat).
+    """
+
+    def __init__(self, values: Mapping[str, Array], status: NDArray[np.int32]) -> None:
+        self._values = dict(values)
+        self.status = status
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Names of the ports that were kept."""
+        return tuple(self._values)
+
+    @property
+    def refused(self) -> NDArray[np.bool_]:
+        """(T,) bool: samples that were refused."""
+        return np.asarray(self.status < 0)
+
+    def __getitem__(self, name: str) -> Array:
+        if name == "status":
+            return self.status  # type: ignore[return-value]
+        if name not in self._values:
+            raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
+        return self._values[name]
+
+    def __getattr__(self, name: str) -> Array:
+        values = self.__dict__.get("_values", {})
+        if name in values:
+            return values[name]
+        raise AttributeError(f"no port {name!r} was kept; there are: {', '.join(values)}")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._values]
+
+    def __repr__(self) -> str:
+        refused = int(np.count_nonzero(self.refused))
+        return f"<Run of {self.status.shape[-1]} samples, {refused} refused: {', '.join(self._values)}>"
+
+
+class Snapshot:
+    """The instance after a sample, frozen: every port is an attribute; equal if all bits are."""
+
+    __slots__ = ("_bytes", "_layout", "status")
+
+    def __init__(self, layout: Layout, data: bytes, status: int) -> None:
+        self._layout, self._bytes, self.status = layout, data, status
+
+    def __getitem__(self, name: str) -> Array:
+        dtype = np.dtype(record.dtype_of(self._layout))
+        offset = 0
+        for port in self._layout.ports:
+            if port.name == name:
+                return unpacked(port, np.frombuffer(self._bytes, dtype, port.size, offset))
+            offset += port.size * dtype.itemsize
+        names = [port.name for port in self._layout.ports]
+        raise DataError("port", given=repr(name), expected=record.choice(name, names))
+
+    def __getattr__(self, name: str) -> Array:
+        if any(port.name == name for port in self._layout.ports):
+            return self[name]
+        raise AttributeError(f"no port {name!r}")
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        """Names of the ports."""
+        return tuple(port.name for port in self._layout.ports)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Snapshot) and self._bytes == other._bytes
+
+    def __hash__(self) -> int:
+        return hash(self._bytes)
+
+    def __repr__(self) -> str:
+        return f"<Snapshot of {self._layout.name}: filtered_state {self['filtered_state']}>"
+
+
+class CompiledFilter:
+    """A compiled filter: `run` a record, or `step` one instance sample by sample.
+
+    Attributes
+    ----------
+    name, family, scalar : str
+    ports : tuple of str
+        Names of everything that a run can return.
+    claims : tuple of str
+        What was proved before the code was generated.
+    """
+
+    def __init__(self, layout: Layout, library: Path) -> None:
+        self.layout = layout
+        self.name, self.family, self.scalar = layout.name, layout.family, layout.scalar
+        self.ports = tuple(port.name for port in layout.ports)
+        self.claims = layout.claims
+        self._library = ctypes.CDLL(str(library))
+        self._record = self._library[f"{layout.name}_record"]
+        self._record.argtypes = [ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 6]
+        self._record.restype = None
+        self._init = self._library[f"{layout.name}_record_init"]
+        self._init.argtypes = [ctypes.c_void_p]
+        self._type = layout.structure()
+        if self._library[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
+            raise InternalError(f"{layout.name}: the C instance has another size than its layout")
+        self._dtype = record.dtype_of(layout)
+        self._instance = self._type()
+        self._prepare_step()
+        self.reset()
+
+    def run(
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        params: Mapping[str, ArrayLike] | None = None,
+        *,
+        keep: Sequence[str] | None = None,
+    ) -> Run:
+        """Filter a whole record in C, from the prior; the instance of `step` is not touched.
+
+        Parameters
+        ----------
+        y : (T, p) array_like
+            Measurements; NaN = missing. (T,) if p = 1.
+        u : (T, q) array_like
+            Inputs, if the model has any. (T,) if q = 1.
+        params : mapping of str to float or (T,) array_like
+            Run-time parameters; those left out keep their defaults.
+        keep : sequence of str
+            Ports to store; all by default.
+
+        Returns
+        -------
+        Run
+
+        Raises
+        ------
+        DataError
+            If shapes, types or names do not fit. Samples that C refuses have a negative ``status``.
+        """
+        measured = record.signal("y", y, len(self.layout.outputs), self._dtype)
+        driven = record.inputs(self.layout, u, len(measured))
+        given = record.parameters(self.layout, params, len(measured))
+        ports = self._kept(keep)
+        values = {port.name: np.empty((len(measured), *port.shape), self._dtype) for port in ports}
+        status = np.empty(len(measured), np.int32)
+        self._filter(measured, driven, given, values, status)
+        return Run(values, status)
+
+    def run_batch(
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        params: Mapping[str, ArrayLike] | None = None,
+        *,
+        keep: Sequence[str] | None = None,
+    ) -> Run:
+        """Filter M independent records: ``y`` (M, T, p), ``u`` (M, T, q) or (T, q) for all of them.
+
+        Returns
+        -------
+        Run
+            Ports of shape (M, T, ...), status (M, T).
+        """
+        records = record.numbers("y", y, self._dtype)
+        if records.ndim != 3 or records.shape[2] != len(self.layout.outputs):  # noqa: PLR2004
+            expected = f"shape (M, T, {len(self.layout.outputs)})"
+            raise DataError("y", given=f"shape {records.shape}", expected=expected)
+        driven = None if u is None else record.numbers("u", u, self._dtype)
+        if driven is not None and driven.ndim == 3 and len(driven) != len(records):  # noqa: PLR2004
+            raise DataError("u", given=f"{len(driven)} records", expected=f"{len(records)}, as y has")
+        own = driven is not None and driven.ndim == 3  # noqa: PLR2004
+        shape = records.shape[:2]
+        given = record.parameters(self.layout, params, shape[1])
+        ports = self._kept(keep)
+        values = {port.name: np.empty((*shape, *port.shape), self._dtype) for port in ports}
+        status = np.empty(shape, np.int32)
+        for m, measured in enumerate(records):
+            each = driven[m] if own and driven is not None else driven
+            ready = record.inputs(self.layout, each, shape[1])
+            self._filter(measured, ready, given, {n: v[m] for n, v in values.items()}, status[m])
+        return Run(values, status)
+
+    def step(
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        params: Mapping[str, float] | None = None,
+    ) -> Snapshot:
+        """Update the instance with one sample, predict the next, and return what it says.
+
+        Raises
+        ------
+        StepRefused
+            If C returns a negative status; the instance is unchanged.
+        DataError
+            If shapes or names do not fit.
+        """
+        try:
+            self._y[:] = y
+            if self._u.size or u is not None:
+                self._u[:] = u
+            if params is not None:
+                for name, value in params.items():
+                    self._parameters[name][0] = value
+        except (TypeError, ValueError, KeyError):
+            raise self._misfit(y, u, params) from None
+        self._record(*self._step_arguments)
+        status = int(self._status[0])
+        if status < 0:
+            found = Status(status)
+            raise StepRefused(status, f"{self.name.upper()}_{found.name}", found.meaning)
+        return Snapshot(self.layout, bytes(self._instance), status)
+
+    def reset(self) -> None:
+        """Return the instance to the prior, the prediction for sample 0, and parameters to defaults."""
+        self._init(ctypes.addressof(self._instance))
+        for name, default in self.layout.parameters:
+            self._parameters[name][0] = default
+
+    def snapshot(self) -> Snapshot:
+        """The instance as it is now."""
+        return Snapshot(self.layout, bytes(self._instance), 0)
+
+    def state(self, name: str) -> Array:
+        """Writable view of one stored member of the instance, packed as in C."""
+        if name not in self.ports:
+            raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
+        field = getattr(self._type, name)
+        view = np.frombuffer(self._instance, self._dtype)
+        size = np.dtype(self._dtype).itemsize
+        return view[field.offset // size : (field.offset + field.size) // size]
+
+    def __repr__(self) -> str:
+        wide = f"{len(self.layout.states)} states, {len(self.layout.outputs)} measurements"
+        return f"<CompiledFilter {self.name}: {self.family}, {wide}, {self.scalar}>"
+
+    def _kept(self, keep: Sequence[str] | None) -> list[Port]:
+        names = record.kept(self.layout, keep)
+        return [port for port in self.layout.ports if port.name in names]
+
+    def _filter(
+        self,
+        y: Array,
+        u: Array,
+        parameters: list[Array],
+        values: Mapping[str, Array],
+        status: NDArray[np.int32],
+    ) -> None:
+        instance = self._type()
+        self._init(ctypes.addressof(instance))
+        pointers = (ctypes.c_void_p * max(1, len(parameters)))(*[p.ctypes.data for p in parameters])
+        strides = np.array([int(p.size > 1) for p in parameters] or [0], np.int64)
+        out = [values[p.name].ctypes.data if p.name in values else None for p in self.layout.ports]
+        places = (ctypes.c_void_p * len(out))(*out)
+        self._record(
+            ctypes.addressof(instance),
+            len(y),
+            pointers,
+            strides.ctypes.data,
+            u.ctypes.data,
+            y.ctypes.data,
+            places,
+            status.ctypes.data,
+        )
+
+    def _prepare_step(self) -> None:
+        """Buffers and pointers that stay where they are, so that a step costs one call."""
+        self._y = np.zeros(len(self.layout.outputs), self._dtype)
+        self._u = np.zeros(len(self.layout.inputs), self._dtype)
+        self._parameters = {n: np.zeros(1, self._dtype) for n, _ in self.layout.parameters}
+        self._status = (ctypes.c_int32 * 1)()
+        pointers: Any = ctypes.c_void_p * max(1, len(self._parameters))
+        self._pointers = pointers(*[p.ctypes.data for p in self._parameters.values()])
+        self._strides = (ctypes.c_int64 * max(1, len(self._parameters)))()
+        self._nothing = (ctypes.c_void_p * len(self.layout.ports))()
+        self._step_arguments = (
+            ctypes.addressof(self._instance),
+            1,
+            ctypes.addressof(self._pointers),
+            ctypes.addressof(self._strides),
+            self._u.ctypes.data,
+            self._y.ctypes.data,
+            ctypes.addressof(self._nothing),
+            ctypes.addressof(self._status),
+        )
+
+    def _misfit(
+        self, y: ArrayLike, u: ArrayLike | None, params: Mapping[str, float] | None
+    ) -> DataError:
+        known = [name for name, _ in self.layout.parameters]
+        for name in params or {}:
+            if name not in known:
+                expected = record.choice(name, known)
+                return DataError(f"params.{name}", given="an unknown name", expected=expected)
+        q, p = len(self.layout.inputs), len(self.layout.outputs)
+        given = f"y {np.shape(y)}, u {'nothing' if u is None else np.shape(u)}"
+        return DataError("step", given=given, expected=f"numbers of shape y ({p},), u ({q},)")

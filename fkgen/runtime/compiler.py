@@ -1,0 +1,93 @@
+"""Find a C compiler and make a shared library with it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from fkgen.errors import CompilerError
+
+#: Operations per step beyond which -O2 takes longer to compile than anyone waits.
+LARGE = 8000
+
+_FLAGS = ("-std=c99", "-shared", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden")
+_WAIT = 600
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """A command that compiles C.
+
+    Attributes
+    ----------
+    command : tuple of str
+        Program and leading arguments.
+    identity : str
+        Changes when the compiler is replaced; part of the cache key.
+    """
+
+    command: tuple[str, ...]
+    identity: str
+
+
+def find_compiler() -> Compiler:
+    """The compiler of ``FKGEN_CC`` or ``CC``, else cc, gcc or clang, else PyPI's ziglang.
+
+    Raises
+    ------
+    CompilerError
+        If there is none.
+    """
+    for variable in ("FKGEN_CC", "CC"):
+        words = os.environ.get(variable, "").split()
+        if words:
+            found = shutil.which(words[0])
+            if found is None:
+                raise CompilerError(f"{variable} is {words[0]!r}, which is not on the PATH")
+            return Compiler((found, *words[1:]), _identity(found))
+    for name in ("cc", "gcc", "clang"):
+        found = shutil.which(name)
+        if found is not None:
+            return Compiler((found,), _identity(found))
+    zig = importlib.util.find_spec("ziglang")
+    if zig is not None and zig.origin is not None:
+        return Compiler((sys.executable, "-m", "ziglang", "cc"), _identity(zig.origin))
+    raise CompilerError(
+        "no C compiler found: looked for FKGEN_CC, CC, cc, gcc, clang and ziglang; "
+        "install one of them (Debian: apt install gcc), or: pip install 'fkgen[zig]'"
+    )
+
+
+def _identity(path: str) -> str:
+    """Path, size and time of the program itself, links followed: no process needs to be started."""
+    real = Path(path).resolve()
+    stat = real.stat()
+    return f"{real}:{stat.st_size}:{stat.st_mtime_ns}"
+
+
+def compile_shared(compiler: Compiler, source: Path, library: Path, *, flops: int) -> None:
+    """Compile one file into a shared library.
+
+    Raises
+    ------
+    CompilerError
+        If the compiler cannot be run or refuses the code; its first error is in the message.
+    """
+    optimisation = "-O2" if flops <= LARGE else "-O1"
+    command = [*compiler.command, *_FLAGS, optimisation, str(source), "-o", str(library)]
+    try:
+        done = subprocess.run(  # noqa: S603 - the user's own compiler
+            command, capture_output=True, text=True, timeout=_WAIT, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise CompilerError(f"{compiler.command[0]} cannot be run: {error}") from None
+    if done.returncode != 0 or not library.exists():
+        lines = [line for line in done.stderr.splitlines() if "error" in line] or [
+            done.stderr.strip() or f"exit status {done.returncode}"
+        ]
+        raise CompilerError(f"{compiler.command[0]} refused {source.name}: {lines[0]}")

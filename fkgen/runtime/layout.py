@@ -1,0 +1,89 @@
+"""What Python needs to know of a compiled filter: enough to use it without building it again."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from fkgen.backend.ir import CProgram
+from fkgen.symbolic.interface import Port, Role
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Names, sizes and ports of a compiled filter.
+
+    Attributes
+    ----------
+    name, family, scalar : str
+    states, inputs, outputs : tuple of str
+        Names of the signals.
+    parameters : tuple of (str, float)
+        Run-time parameters with their defaults.
+    ports : tuple of Port
+        Members of the C instance, in order.
+    flops : int
+        Operations per step.
+    claims : tuple of str
+        What was proved before the code was generated.
+    """
+
+    name: str
+    family: str
+    scalar: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[tuple[str, float], ...]
+    ports: tuple[Port, ...]
+    flops: int
+    claims: tuple[str, ...]
+
+    @property
+    def real(self) -> type[ctypes.c_double] | type[ctypes.c_float]:
+        """The ctypes scalar."""
+        return ctypes.c_double if self.scalar == "double" else ctypes.c_float
+
+    def structure(self) -> type[ctypes.Structure]:
+        """The C instance as a ctypes structure."""
+        fields = [
+            (port.name, self.real * port.size if port.shape else self.real) for port in self.ports
+        ]
+        return type(f"{self.name}_t", (ctypes.Structure,), {"_fields_": fields})
+
+    def to_json(self) -> str:
+        """Text from which `from_json` makes an equal layout."""
+        facts = asdict(self)
+        for port in facts["ports"]:
+            port["role"] = port["role"].value
+        return json.dumps(facts, indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> Layout:
+        """Read what `to_json` wrote."""
+        facts: dict[str, Any] = json.loads(text)
+        ports = tuple(
+            Port(**{**port, "role": Role(port["role"]), "shape": tuple(port["shape"])})
+            for port in facts.pop("ports")
+        )
+        parameters = tuple((name, value) for name, value in facts.pop("parameters"))
+        lists = {key: tuple(v) if isinstance(v, list) else v for key, v in facts.items()}
+        return cls(ports=ports, parameters=parameters, **lists)
+
+
+def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
+    """The layout of a program."""
+    return Layout(
+        name=program.name,
+        family=program.family,
+        scalar=program.scalar,
+        states=tuple(signal.name for signal in program.states),
+        inputs=tuple(signal.name for signal in program.inputs),
+        outputs=tuple(signal.name for signal in program.outputs),
+        parameters=program.parameters,
+        ports=program.ports,
+        flops=program.flops,
+        claims=claims,
+    )
