@@ -1,7 +1,7 @@
 """fkgen: fault-tolerant filters from a model to verified C99.
 
-The names below are the whole contract; everything else may change. Importing fkgen is cheap: CasADi and
-its kin are loaded when a filter is first built.
+The names below are the whole contract; everything else may change. Importing fkgen is cheap:
+CasADi and its kin are loaded when a filter is first built.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from fkgen.version import __version__
 
 if TYPE_CHECKING:
     from fkgen.backend.source import Source
-    from fkgen.pipeline import build, compile, generate, validate  # noqa: A004
+    from fkgen.pipeline import build, compile, generate, validate
     from fkgen.proof import Claim, Validated
-    from fkgen.runtime.compiled import CompiledFilter, Run, Snapshot
+    from fkgen.runtime.compiled import CompiledFilter
+    from fkgen.runtime.results import Run, Snapshot
     from fkgen.spec import Spec, load
     from fkgen.study.check import Finding, Report, check
 
@@ -45,8 +46,8 @@ _HOMES = {
     "Validated": "fkgen.proof",
     "Source": "fkgen.backend.source",
     "CompiledFilter": "fkgen.runtime.compiled",
-    "Run": "fkgen.runtime.compiled",
-    "Snapshot": "fkgen.runtime.compiled",
+    "Run": "fkgen.runtime.results",
+    "Snapshot": "fkgen.runtime.results",
 }
 
 __all__ = [
@@ -78,7 +79,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - any public name
+def __getattr__(name: str) -> Any:
     """Load a public name when it is first used."""
     if name not in _HOMES:
         raise AttributeError(f"module 'fkgen' has no attribute {name!r}")

@@ -38,7 +38,7 @@ class SpecError(UserError):
 
 
 class DataError(UserError):
-    """A record (measurements, inputs, times, parameter sequences) cannot be filtered as it stands."""
+    """A record (measurements, inputs, times, parameters) cannot be filtered as it stands."""
 
     def __init__(self, what: str, *, given: str, expected: str) -> None:
         self.what, self.given, self.expected = what, given, expected

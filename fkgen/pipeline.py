@@ -2,13 +2,16 @@
 
     Spec -> Validated -> Source -> CompiledFilter
 
-A spec is what the user says. Validation builds the recursion symbolically and confronts it with closed
-forms that share no code with it; only what agrees goes on. Generation lowers the recursion to a C program
-held as data and prints it. Compilation makes a shared library, once per content, and loads it. Each stage
+A spec is what the user says. Validation builds the recursion symbolically and confronts it with
+closed
+forms that share no code with it; only what agrees goes on. Generation lowers the recursion to a C
+program
+held as data and prints it. Compilation makes a shared library, once per content, and loads it.
+Each stage
 takes the value of the one before and returns a frozen one; only the last touches the disk.
 
-A filter that was built before comes from the cache by its spec, without CasADi: stages are imported when
-they are needed.
+A filter that was built before comes from the cache by its spec, without CasADi: stages are
+imported when they are needed.
 """
 
 from __future__ import annotations
@@ -40,14 +43,14 @@ def validate(spec: Spec) -> Validated:
 
 
 def generate(design: Validated) -> Source:
-    """Generate the C code of one validated filter: lower, then render. Nothing is written to disk."""
+    """Generate the C code of one validated filter. Nothing is written to disk."""
     from fkgen.backend.lower import lower  # noqa: PLC0415 - see above
     from fkgen.backend.render import render  # noqa: PLC0415 - see above
 
     return render(lower(design.recursion), tuple(claim.claim for claim in design.claims))
 
 
-def compile(source: Source) -> CompiledFilter:  # noqa: A001 - the name users expect
+def compile(source: Source) -> CompiledFilter:
     """Compile generated code into a filter that runs from Python; cached by content.
 
     Raises

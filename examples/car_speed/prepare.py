@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ WHEELS = ("v_fl", "v_fr", "v_rl", "v_rr")
 OUTPUTS = ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr", "ublox", "qcom")
 DROPOUT = 0.5  # share of the wheel samples that record.csv lacks
 SEED = 1
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import fkgen
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 HERE = Path(__file__).resolve().parent
 RATES = (0.1, 0.3, 0.5, 0.7, 0.75, 0.85, 0.9)  # of both tables
 RUNS = 2000  # independent runs per rate
@@ -81,7 +81,7 @@ def specification(name: str, **changes: dict[str, Any]) -> fkgen.Spec:
     spec = fkgen.load(HERE / f"{name}.toml")
     if not changes:
         return spec
-    content = spec.to_dict()
+    content: dict[str, Any] = spec.to_dict()
     for section, entries in changes.items():
         for key, value in entries.items():
             if value is None:

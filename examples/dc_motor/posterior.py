@@ -31,7 +31,10 @@ LIMITS = {0.75: 0.7, 0.85: 0.9}  # where the rates off the grid end; the others 
 COLOURS = ("#1f5a94", "#3aa0a0", "#8a8a8a", "#d9741a", "#a02c5d")
 BANKS: dict[str, dict[str, dict[str, Any]]] = {
     "the paper's likelihood, no floor": {},
-    "fkgen's defaults": {"filter": {"likelihood": None, "weight_floor": None}},
+    "the mixture likelihood, no floor": {"filter": {"likelihood": None}},
+    "the mixture likelihood and the floor, fkgen's defaults": {
+        "filter": {"likelihood": None, "weight_floor": None}
+    },
 }
 
 
@@ -56,6 +59,22 @@ def convergence(probability: dict[float, Floats]) -> list[str]:
         counts = " / ".join(str(count) for count in ends)
         early = np.mean(settled < 1.0 - PERIOD / 2)
         lines.append(f"| {rate:.2f} | {counts} | {early:.3f} | {median:.2f} | {slow:.2f} |")
+    return lines
+
+
+def calibration(probability: dict[float, Floats]) -> list[str]:
+    """Compare what the bank claims, where it claims 0.9 to 0.99, with how often it is right."""
+    lines = ["| after (s) | statements | claimed | right |", "| ---: | ---: | ---: | ---: |"]
+    for k in (20, 50, 100):
+        claims, right = [], []
+        for index, rate in enumerate(HYPOTHESES):
+            weights = probability[rate][:, k - 1]
+            claims.append(weights.max(axis=1))
+            right.append(weights.argmax(axis=1) == index)
+        claim = np.concatenate(claims)
+        sure = (claim >= 0.9) & (claim <= 0.99)
+        shares = f"{claim[sure].mean():.3f} | {np.concatenate(right)[sure].mean():.3f}"
+        lines.append(f"| {PERIOD * k:.1f} | {sure.sum()} | {shares} |")
     return lines
 
 
@@ -135,6 +154,7 @@ def main() -> None:
         bank = fkgen.build(specification("unknown_rate", **changes))
         probability = {rate: mode_probability(bank, y) for rate, y in measured.items()}
         sections.append((f"## Convergence with {title}", convergence(probability)))
+        sections.append((f"## Calibration of {title}", calibration(probability)))
         if not changes:
             figure = draw(probability)
             figure.savefig(HERE / "posterior.png", dpi=110, metadata={"Software": None})

@@ -1,22 +1,24 @@
 """exp, log, sqrt and friends in plain arithmetic: the same bits on every IEEE target.
 
-Each function is a range reduction and a polynomial; the C templates and the Python reference below perform
-the same operations in the same order. Coefficients are Taylor coefficients, or Chebyshev fits where that
-halves the degree (`log`); accuracies are tested against libm.
+Each function is a range reduction and a polynomial; the C templates and the Python reference below
+perform
+the same operations in the same order. Coefficients are Taylor coefficients, or Chebyshev fits
+where that halves the degree (`log`); accuracies are tested against libm.
 """
 
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fkgen.backend.ir import Operator, Scalar
 
-Number = float | np.float32
+#: A NumPy scalar of the program's type.
+Number = Any
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,29 +124,29 @@ class Elementary:
         self._bits = np.uint64 if scalar == "double" else np.uint32
         self.tiny = self.real(2.0) ** self.real(1 - self.format.bias)
 
-    def __call__(self, operator: Operator, arguments: list[np.floating]) -> np.floating:
+    def __call__(self, operator: Operator, arguments: list[Number]) -> Number:
         """Evaluate one function."""
         return getattr(self, operator.value)(*arguments)
 
-    def _horner(self, coefficients: tuple[float, ...], x: np.floating) -> np.floating:
+    def _horner(self, coefficients: tuple[float, ...], x: Number) -> Number:
         result = self.real(coefficients[-1])
         for coefficient in reversed(coefficients[:-1]):
             result = result * x + self.real(coefficient)
         return result
 
-    def _power_of_two(self, exponent: int) -> np.floating:
+    def _power_of_two(self, exponent: int) -> Number:
         bits = self._bits((exponent + self.format.bias) << self.format.mantissa)
         return bits.view(self.real)
 
-    def _split(self, x: np.floating) -> tuple[np.floating, int]:
-        """x = m 2^e with m in [1, 2), for positive normal x."""
+    def _split(self, x: Number) -> tuple[Number, int]:
+        """X = m 2^e with m in [1, 2), for positive normal x."""
         bits = int(self.real(x).view(self._bits))
         e = (bits >> self.format.mantissa) - self.format.bias
         fraction = bits & ((1 << self.format.mantissa) - 1)
         one = self.format.bias << self.format.mantissa
         return self._bits(fraction | one).view(self.real), e
 
-    def log(self, x: np.floating) -> np.floating:
+    def log(self, x: Number) -> Number:
         """Natural logarithm; NaN below zero, -infinity at zero."""
         real, f = self.real, self.format
         if not x > 0:
@@ -166,10 +168,10 @@ class Elementary:
         k = real(e)
         return k * real(f.ln2[0]) + ((s * z * p + k * real(f.ln2[1])) + (s + s))
 
-    def exp(self, x: np.floating) -> np.floating:
+    def exp(self, x: Number) -> Number:
         """Exponential; 0 and infinity beyond the range."""
         real, f = self.real, self.format
-        if not x == x:  # noqa: PLR0124 - NaN
+        if np.isnan(x):
             return x
         if x > real(f.overflow):
             return real(np.inf)
@@ -183,7 +185,7 @@ class Elementary:
         first = int(k / 2)
         return y * self._power_of_two(first) * self._power_of_two(k - first)
 
-    def sqrt(self, x: np.floating) -> np.floating:
+    def sqrt(self, x: Number) -> Number:
         """Square root by Newton's iteration from a guess that halves the exponent."""
         real, f = self.real, self.format
         if not x > 0:
@@ -196,13 +198,13 @@ class Elementary:
             x, back = x * self._power_of_two(even), self._power_of_two(-even // 2)
         bits = int(self.real(x).view(self._bits))
         guess = (bits >> 1) + (f.bias << (f.mantissa - 1))
-        y = self._bits(guess).view(self.real)
+        y: Number = self._bits(guess).view(self.real)
         for _ in range(6):
             y = real(0.5) * (y + x / y)
         return y * back
 
-    def _reduced(self, x: np.floating) -> tuple[np.floating, int]:
-        """x = k pi/2 + r, |r| <= pi/4; the quadrant k mod 4."""
+    def _reduced(self, x: Number) -> tuple[Number, int]:
+        """X = k pi/2 + r, |r| <= pi/4; the quadrant k mod 4."""
         real, f = self.real, self.format
         if not abs(x) <= real(1e5):
             return (x - x) / real(0.0), 0
@@ -212,26 +214,26 @@ class Elementary:
         r = ((x - n * real(f.half_pi[0])) - n * real(f.half_pi[1])) - n * real(f.half_pi[2])
         return r, k & 3
 
-    def _wave(self, x: np.floating, quarter: int) -> np.floating:
+    def _wave(self, x: Number, quarter: int) -> Number:
         r, k = self._reduced(x)
         k = (k + quarter) & 3
         z = r * r
         y = self._horner(self.format.cos, z) if k & 1 else r * self._horner(self.format.sin, z)
         return -y if k & 2 else y
 
-    def sin(self, x: np.floating) -> np.floating:
+    def sin(self, x: Number) -> Number:
         """Sine; NaN beyond 1e5 radians, where the reduction would lose digits."""
         return self._wave(x, 0)
 
-    def cos(self, x: np.floating) -> np.floating:
+    def cos(self, x: Number) -> Number:
         """Cosine, likewise."""
         return self._wave(x, 1)
 
-    def tan(self, x: np.floating) -> np.floating:
+    def tan(self, x: Number) -> Number:
         """Tangent, likewise."""
         return self.sin(x) / self.cos(x)
 
-    def atan2(self, y: np.floating, x: np.floating) -> np.floating:
+    def atan2(self, y: Number, x: Number) -> Number:
         """Angle of the point (x, y)."""
         real = self.real
         a, b = abs(y), abs(x)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import operator as arithmetic
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from fkgen.backend.elementary import Elementary
+from fkgen.backend.elementary import Elementary, Number
 from fkgen.backend.ir import (
     Assign,
     Copy,
@@ -26,6 +27,17 @@ from fkgen.backend.ir import (
 )
 from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind, Status
+
+_ARITHMETIC: dict[Operator, Callable[..., Number]] = {
+    Operator.ADD: arithmetic.add,
+    Operator.SUB: arithmetic.sub,
+    Operator.MUL: arithmetic.mul,
+    Operator.DIV: arithmetic.truediv,
+    Operator.NEG: arithmetic.neg,
+    Operator.ABS: abs,
+    Operator.MAX: lambda a, b: max(b, a),
+    Operator.MIN: lambda a, b: min(b, a),
+}
 
 Key = tuple[Space, str, int | None]
 
@@ -56,7 +68,7 @@ class Machine:
         self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
     ) -> Status:
         """Update, then predict; a refused sample changes nothing."""
-        memory: dict[Key, np.floating] = {
+        memory: dict[Key, Number] = {
             (Space.PARAMETER, name, None): self.real(v) for name, v in parameters.items()
         }
         for name, values in (("u", u), ("y", y)):
@@ -78,13 +90,13 @@ class _Run:
     def __init__(
         self,
         machine: Machine,
-        memory: dict[Key, np.floating],
+        memory: dict[Key, Number],
         present: list[bool],
-        state: dict[str, list[np.floating]],
+        state: dict[str, list[Number]],
     ) -> None:
         self.machine, self.memory, self.present = machine, dict(memory), present
         self.now, self.state = {k: list(v) for k, v in state.items()}, state
-        self.temps: dict[int, np.floating] = {}
+        self.temps: dict[int, Number] = {}
 
     def phase(self, phase: Phase) -> Status:
         for local in phase.locals:
@@ -118,13 +130,13 @@ class _Run:
                     return self.body(body)
         return Status.OK
 
-    def assign(self, target: Element, value: np.floating) -> None:
+    def assign(self, target: Element, value: Number) -> None:
         if target.space is Space.NEXT:
             self.state[target.name][target.index or 0] = value
         else:
             self.memory[target.space, target.name, target.index] = value
 
-    def value(self, operand: Operand) -> np.floating:
+    def value(self, operand: Operand) -> Number:
         match operand:
             case Temp(index):
                 return self.temps[index]
@@ -138,29 +150,14 @@ class _Run:
                 return self.memory[space, name, index]
         raise InternalError(f"no operand: {operand!r}")
 
-    def operate(self, operator: Operator, arguments: tuple[Operand, ...]) -> np.floating:
-        a = [self.value(argument) for argument in arguments]
-        match operator:
-            case Operator.ADD:
-                return a[0] + a[1]
-            case Operator.SUB:
-                return a[0] - a[1]
-            case Operator.MUL:
-                return a[0] * a[1]
-            case Operator.DIV:
-                return a[0] / a[1]
-            case Operator.NEG:
-                return -a[0]
-            case Operator.ABS:
-                return abs(a[0])
-            case Operator.MAX:
-                return a[0] if a[0] > a[1] else a[1]
-            case Operator.MIN:
-                return a[0] if a[0] < a[1] else a[1]
-        return self.machine.elementary(operator, a)
+    def operate(self, operator: Operator, arguments: tuple[Operand, ...]) -> Number:
+        values = [self.value(argument) for argument in arguments]
+        if operator.is_function:
+            return self.machine.elementary(operator, values)
+        return _ARITHMETIC[operator](*values)
 
 
-def _holds(kind: Kind, value: np.floating) -> bool:
+def _holds(kind: Kind, value: Number) -> bool:
     match kind:
         case Kind.POSITIVE:
             return bool(value > 0)

@@ -25,7 +25,7 @@ class Space(Enum):
 
 
 class Operator(Enum):
-    """Arithmetic of one statement; the second group is computed by functions of the program's own."""
+    """Arithmetic of one statement; the second group calls functions of the program's own."""
 
     ADD = "+"
     SUB = "-"
@@ -254,7 +254,8 @@ def verify(program: CProgram) -> CProgram:
     ------
     InternalError
         If a temporary is read before it is assigned or is assigned twice, if a result is written
-        under a condition, twice or never, or if the prediction reads what the update does not write.
+        under a condition, twice or never, or if the prediction reads what the update does not
+        write.
     """
     written: set[tuple[str, int | None]] = set()
     for phase in program.phases:
@@ -263,9 +264,13 @@ def verify(program: CProgram) -> CProgram:
     if written != expected:
         raise InternalError(f"{program.name}: results never written: {sorted(expected - written)}")
     updated = {n.target.name for n in program.update.body if isinstance(n, Assign)}
-    for name in {element.name for element in _reads(program.predict) if element.space is Space.SELF}:
+    for name in {
+        element.name for element in _reads(program.predict) if element.space is Space.SELF
+    }:
         if name not in updated:
-            raise InternalError(f"{program.name}: the prediction reads {name}, which no update writes")
+            raise InternalError(
+                f"{program.name}: the prediction reads {name}, which no update writes"
+            )
     return program
 
 
@@ -280,7 +285,9 @@ def _check_phase(name: str, phase: Phase) -> set[tuple[str, int | None]]:
     for node in walk(phase.body):
         for operand in operands(node):
             if isinstance(operand, Temp) and operand.index not in assigned:
-                raise InternalError(f"{name}: temporary {operand.index} is read before it is assigned")
+                raise InternalError(
+                    f"{name}: temporary {operand.index} is read before it is assigned"
+                )
         if isinstance(node, Operate | Copy):
             if node.target.index in assigned:
                 raise InternalError(f"{name}: temporary {node.target.index} is assigned twice")

@@ -90,10 +90,7 @@ def _lower_phase(recursion: sym.Recursion, phase: sym.Phase) -> Phase:
         lowering.take(block)
     body = lowering.body()
     read = [
-        operand
-        for node in walk(body)
-        for operand in operands(node)
-        if isinstance(operand, Element)
+        operand for node in walk(body) for operand in operands(node) if isinstance(operand, Element)
     ]
     return Phase(
         locals=tuple(Local(v.name, v.size, v.initial) for v in phase.variables),
@@ -105,7 +102,7 @@ def _lower_phase(recursion: sym.Recursion, phase: sym.Phase) -> Phase:
 
 @dataclass(slots=True)
 class _Group:
-    """Statements under one condition; ``value`` is the pivot that must be positive, after ``before``."""
+    """Statements under one condition; ``before`` computes the pivot ``value``."""
 
     condition: sym.Condition | None
     before: list[Statement]
@@ -195,9 +192,7 @@ class _Lowering:
         out.append(Operate(target, operator, tuple(arguments)))
         return target
 
-    def _store(
-        self, block: sym.Block, values: list[list[Operand]], out: list[Statement]
-    ) -> None:
+    def _store(self, block: sym.Block, values: list[list[Operand]], out: list[Statement]) -> None:
         """Assign all outputs at once: what is overwritten before it is read is kept first."""
         targets = [
             (self._element(name, i, read=False), value)

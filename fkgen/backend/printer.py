@@ -1,8 +1,9 @@
-"""IR -> C text, one statement per operation. Syntax lives here, the shape of files in the templates."""
+"""IR -> C text, one statement per operation: all the syntax there is."""
 
 from __future__ import annotations
 
 from functools import singledispatchmethod
+from typing import Any
 
 import numpy as np
 
@@ -62,11 +63,11 @@ class Printer:
 
     def literal(self, value: float) -> str:
         """A constant that reads back as the same bits."""
-        number = np.float64(value) if self.real == "double" else np.float32(value)
+        number: Any = float(value) if self.real == "double" else np.float32(value)
         if not np.isfinite(number):
             raise InternalError(f"{self.name}: constant {value} is not finite as {self.real}")
         text = np.format_float_scientific(number, trim="0", unique=True)
-        if 1e-4 <= abs(number) < 1e16 or number == 0.0:  # noqa: PLR2004 - readable range
+        if 1e-4 <= abs(number) < 1e16 or number == 0.0:
             text = np.format_float_positional(number, trim="0", unique=True)
         return text if self.real == "double" else text + "f"
 

@@ -1,4 +1,4 @@
-"""IR + templates -> `Source`. Templates give files their shape; every line of C comes from the printer."""
+"""IR + templates -> `Source`: templates shape the files, the printer makes the statements."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "pi": math.pi,
         "version": __version__,
         "api": API_VERSION,
-        "title": f"{program.family} filter, {len(program.states)} states, {len(program.outputs)} measurements",
+        "title": _title(program),
         "modes": next(iter(modes), 0),
         "signal_groups": _signal_groups(program),
         "cost": cost(program),
@@ -122,6 +122,12 @@ def _context(program: CProgram) -> dict[str, object]:
         "sizes": {port.name: len(port.shape) for port in program.ports},
         "call": _step_call(program, record=False),
     }
+
+
+def _title(program: CProgram) -> str:
+    p = len(program.outputs)
+    plural = "" if p == 1 else "s"
+    return f"{program.family} filter, {len(program.states)} states, {p} measurement{plural}"
 
 
 def cost(program: CProgram) -> str:
@@ -159,7 +165,9 @@ def _argument_doc(c: Printer) -> str:
     if c.program.inputs:
         lines.append(" *  @param u       inputs of this sample, finite")
     lines.append(" *  @param y       measurements; NaN = missing, an infinity is refused")
-    lines.append(" *  @param valid   bit i set: y[i] was measured; a row without its bit is not read")
+    lines.append(
+        " *  @param valid   bit i set: y[i] was measured; a row without its bit is not read"
+    )
     return "\n".join(lines)
 
 
@@ -228,7 +236,11 @@ def _mask(c: Printer, row: tuple[float, ...]) -> str:
 
 def _shape_text(port: Port) -> str:
     if not port.symmetric:
-        return "(" + " x ".join(str(length) for length in port.shape) + ")" if len(port.shape) > 1 else ""
+        return (
+            "(" + " x ".join(str(length) for length in port.shape) + ")"
+            if len(port.shape) > 1
+            else ""
+        )
     stacked = " x ".join(str(length) for length in port.shape[:-2])
     return f"({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
 
@@ -253,7 +265,11 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
         "equations": program.source,
         "proved": list(claims),
         "flops": program.flops,
-        "calls": {op.value: n for op, n in sorted(program.operations.items(), key=_operator_name) if op.is_function},
+        "calls": {
+            op.value: n
+            for op, n in sorted(program.operations.items(), key=_operator_name)
+            if op.is_function
+        },
         "parameters": dict(program.parameters),
         "states": [signal.name for signal in program.states],
         "inputs": [signal.name for signal in program.inputs],

@@ -44,8 +44,8 @@ class Source:
         Parameters
         ----------
         directory : path
-            Created if missing. If it exists it has to be empty, or hold nothing but unchanged output of an
-            earlier call, which is replaced.
+            Created if missing. If it exists it has to be empty, or hold nothing but unchanged
+            output of an earlier call, which is replaced.
 
         Raises
         ------

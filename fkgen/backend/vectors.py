@@ -13,7 +13,7 @@ SAMPLES = 6
 
 
 def self_test_vectors(program: CProgram) -> Vectors:
-    """Run the program on a short record with missing rows; inputs are short decimals near the prior."""
+    """Run the program on a short record of short decimals, with missing rows."""
     machine = Machine(program)
     rng = np.random.default_rng(len(program.outputs))
     q, p = len(program.inputs), len(program.outputs)

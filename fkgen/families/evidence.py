@@ -1,4 +1,4 @@
-"""Closed forms that several families share: what `fkgen.closed_form` says about a spec and a record."""
+"""Closed forms that families share: what `fkgen.closed_form` says about a spec and a record."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from fkgen.spec import Spec
 
 __all__ = ["BATCH", "IDENTITIES", "MME_BATCH", "MME_TEXTBOOK", "OPTIMAL_GAIN", "RICCATI"]
 
-#: Relative error that well-conditioned double arithmetic stays far below, and no wrong formula does.
+#: Relative error that well-conditioned double arithmetic stays far below, and no wrong formula
+#: does.
 EXACT = 1e-9
 
 PAPER = "Strandt, Schneider & Yaz"
@@ -51,7 +52,7 @@ def _batch(spec: Spec, record: Record) -> Mapping[str, Array]:
 
 
 BATCH = ClosedForm(
-    claim="state, covariance, innovation and likelihood are those of the joint distribution of the whole record",
+    claim="estimates, innovations and likelihoods are those of the joint distribution",
     source="linear minimum mean square error estimate from second moments",
     tolerance=digits_at_stake,
     expected=_batch,
@@ -107,14 +108,14 @@ RICCATI = ClosedForm(
 
 
 def _optimal_gain(spec: Spec, record: Record) -> Mapping[str, Array] | None:
-    """(11) as the solution of K Om = A P C' + B N D', with P from the batch estimate of the past."""
+    """Solve (11), K Om = A P C' + B N D', with P from the batch estimate of the past."""
     system = system_of(spec, record)
     batch = batch_lmmse(system, record.y, record.u)
     P = np.concatenate([record.P0[np.newaxis], batch.predicted_covariance[:-1]])
     gains = np.zeros((len(record.y), system.nx, system.ny))
     for k, y in enumerate(record.y):
         rows = np.flatnonzero(~np.isnan(y))
-        Q, R, S = constant_input_noise(system, record.u[k], k)
+        _, R, S = constant_input_noise(system, record.u[k], k)
         C = system.C[k][rows]
         cross = system.A[k] @ P[k] @ C.T + S[:, rows]
         Om = C @ P[k] @ C.T + R[np.ix_(rows, rows)]
@@ -150,12 +151,12 @@ def _textbook(spec: Spec, record: Record) -> Mapping[str, Array]:
 
 
 def _likelihood_tolerance(spec: Spec, record: Record) -> float:
-    """Weights are exponentials of sums: they lose the digits that the exponent has before the point."""
+    """Weights are exponentials: they lose the digits that the exponent has before the point."""
     return 1e2 * digits_at_stake(spec, record)
 
 
 MME_TEXTBOOK = ClosedForm(
-    claim="estimates and weights are those of matrix filters with plain probabilities and summed likelihoods",
+    claim="estimates and weights are those of matrix filters with plain probabilities",
     source=f"{PAPER}, eqs. (4), (9)-(18)",
     tolerance=_likelihood_tolerance,
     expected=_textbook,
@@ -173,7 +174,7 @@ def _posterior(spec: Spec, record: Record) -> Mapping[str, Array] | None:
 
 
 MME_BATCH = ClosedForm(
-    claim="weights are the posterior from the joint density of the whole record under each hypothesis",
+    claim="weights are the posterior from the joint density of all samples",
     source=f"{PAPER}, eqs. (14)-(16), without recursion",
     tolerance=_likelihood_tolerance,
     expected=_posterior,

@@ -1,4 +1,4 @@
-"""What a family is: a value with a builder, closed forms and theorems. Adding one edits nothing else."""
+"""What a family is: a value with a builder, closed forms and theorems."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Record:
     u : (T, q) ndarray
     parameters : mapping of str to (T,) ndarray
     P0 : (n, n) ndarray
-        Prior covariance of this record: that of the spec, or a milder one, because the equations are on
-        trial here and not the digits that an extreme prior costs.
+        Prior covariance of this record: that of the spec, or a milder one, because the equations
+        are on trial here and not the digits that an extreme prior costs.
     """
 
     y: Array

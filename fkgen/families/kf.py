@@ -1,7 +1,7 @@
 """Kalman filter: the family without faults, and the yardstick of the others.
 
-One step corrects the prediction for sample k with y[k] and predicts sample k + 1 (Anderson & Moore 1979,
-sec. 3.1), with missing rows left out and time-varying models through run-time parameters.
+One step corrects the prediction for sample k with y[k] and predicts sample k + 1 (Anderson & Moore
+1979, sec. 3.1), with missing rows left out and time-varying models through run-time parameters.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Multiple model estimation of an unknown fault rate: a bank of modified Kalman filters.
 
-Strandt, Schneider & Yaz, sec. 3. One hypothesis per success rate; weights by Bayes' rule (14)-(16) with the
-mixture likelihood (exact in gamma[k]) or the paper's Gaussian (15). Estimates are combined coherently:
-x(k|k) and x(k+1|k) with weights given y[0..k]; ``paper_state`` is (18) as printed.
+Strandt, Schneider & Yaz, sec. 3. One hypothesis per success rate; weights by Bayes' rule (14)-(16)
+with the mixture likelihood (exact in gamma[k]) or the paper's Gaussian (15). Estimates are combined
+coherently: x(k|k) and x(k+1|k) with weights given y[0..k]; ``paper_state`` is (18) as printed.
 """
 
 from __future__ import annotations
@@ -98,10 +98,8 @@ def _update(bank: Bank) -> Phase:
     return script.phase()
 
 
-def _log_likelihood(
-    script: Script, bank: Bank, plant: Plant, i: int, found: Conditioned
-) -> ca.SX:
-    """Gaussian (15), or the mixture over the outcomes of gamma[k]: sum_g P(g) N(y; C x + D g u, S0)."""
+def _log_likelihood(script: Script, bank: Bank, plant: Plant, i: int, found: Conditioned) -> ca.SX:
+    """Gaussian (15), or the mixture over gamma[k]: sum_g P(g) N(y; C x + D g u, S0)."""
     if not bank.mixture or not bank.random[i]:
         return script.let(f"log_likelihood_h{i}", found.log_likelihood)
     actuation = bank.actuation(i)
@@ -118,9 +116,7 @@ def _log_likelihood(
         )
         for at, (works, log_chance) in enumerate(patterns(rates))
     ]
-    return script.let(
-        f"log_likelihood_h{i}", log_sum_exp(terms) - 0.5 * whitened.log_determinant
-    )
+    return script.let(f"log_likelihood_h{i}", log_sum_exp(terms) - 0.5 * whitened.log_determinant)
 
 
 def _random_rates(bank: Bank, i: int) -> list[float]:
@@ -144,11 +140,10 @@ def _combined_innovation(
     S = weighted_sum(held, [each.innovation_covariance for each in found])
     S = script.let("combined_variance", S + spread(held, predicted, mean))
     nu = script.let("combined_innovation", weighted_sum(held, [f.innovation for f in found]))
+    results = {"innovation": nu, "innovation_covariance": S}
     if bank.size == 1:
-        nis = found[0].nis
-    else:
-        nis = whiten(script, S, nu, "_combined").quadratic(ca.SX(1))
-    return {"innovation": nu, "innovation_covariance": S, "nis": nis}
+        return {**results, "nis": found[0].nis}
+    return {**results, "nis": whiten(script, S, nu, "_combined").quadratic(ca.SX(1))}
 
 
 def _combined_state(bank: Bank, posteriors: list[Posterior], weights: Weights) -> dict[str, ca.SX]:

@@ -18,7 +18,7 @@ LONG, SHORT, MANY_STATES = 6, 4, 8
 
 
 def trial(spec: Spec, *, steady: bool) -> Record:
-    """A record from the model itself: random inputs, parameters near their defaults, missing rows."""
+    """A record from the model itself: random inputs, shaken parameters, missing rows."""
     rng = np.random.default_rng(20130905)
     model = spec.model
     T = LONG if model.nx < MANY_STATES else SHORT
@@ -59,7 +59,7 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
             getattr(spec.model, letter).values(parameters)
         for letter in ("Q", "R"):
             M = getattr(spec.model, letter).values(parameters)
-            if np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():  # noqa: PLR2004 - rounding
+            if np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
                 return False
         system = LinearSystem.from_spec(spec, 1, dict(parameters), _rates(spec))
     except ArithmeticError:
@@ -68,7 +68,7 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
 
 
 def _mild_prior(spec: Spec) -> Array:
-    """P0, scaled down where it dwarfs the measurement noise: it is a start value, not an equation."""
+    """P0, scaled down where it dwarfs the measurement noise: a start value, not an equation."""
     C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
     noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)
     known = (noise > 0.0) & (prior > 0.0)
@@ -81,8 +81,8 @@ def _mild_prior(spec: Spec) -> Array:
 def distance(found: Array, expected: Array, *, symmetric: bool, of: str = "") -> float:
     """Largest error relative to the size that each entry has over the record.
 
-    Entries of a symmetric matrix are measured by the geometric mean of the two diagonal entries. NaNs
-    have to be in the same places; otherwise the distance is infinite.
+    Entries of a symmetric matrix are measured by the geometric mean of the two diagonal entries.
+    NaNs have to be in the same places; otherwise the distance is infinite.
     """
     if found.shape != expected.shape or not np.array_equal(np.isnan(found), np.isnan(expected)):
         return float("inf")
@@ -100,5 +100,6 @@ def distance(found: Array, expected: Array, *, symmetric: bool, of: str = "") ->
     return float(np.nanmax(np.abs(found - expected) / scale))
 
 
-#: Ports on a logarithmic scale: an error of these is a relative error of what they are logarithms of.
+#: Ports on a logarithmic scale: an error of these is a relative error of what they are logarithms
+#: of.
 _LOGARITHMIC = frozenset({"log_likelihood", "log_weight"})

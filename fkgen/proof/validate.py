@@ -39,7 +39,9 @@ class Claim:
         return self.error <= self.tolerance
 
     def __str__(self) -> str:
-        return f"{self.claim} [{self.source}], off by {self.error:.1e}, allowed {self.tolerance:.1e}"
+        return (
+            f"{self.claim} [{self.source}], off by {self.error:.1e}, allowed {self.tolerance:.1e}"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Content-addressed folders of compiled filters: complete or absent, shared by concurrent builds."""
+"""Content-addressed folders of compiled filters: complete or absent, shared by all builds."""
 
 from __future__ import annotations
 
@@ -85,5 +85,7 @@ def store(key: str, fill: Callable[[Path], None]) -> Path:
 def _unwritable(error: OSError) -> OutputError:
     reason = (error.strerror or str(error)).lower()
     return OutputError(
-        str(folder()), given=reason, expected="a folder that can be written; set FKGEN_CACHE to another one"
+        str(folder()),
+        given=reason,
+        expected="a folder that can be written; set FKGEN_CACHE to another one",
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,93 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.errors import DataError, InternalError, StepRefused
 from fkgen.runtime import record
 from fkgen.runtime.layout import Layout
+from fkgen.runtime.results import Run, Snapshot
 from fkgen.symbolic.interface import Port, Status
-from fkgen.symbolic.packing import unpacked
 
 Array = NDArray[np.floating]
-
-
-class Run:
-    """What a filter said about a record: every kept port is an attribute of shape (T, ...).
-
-    ``run["name"]`` is the same as ``run.name``; ``run.ports`` lists the names; ``run.status`` is (T,) int32:
-    0 used, 1 no row present, negative refused (the instance was unchanged, so ports repeat).
-    """
-
-    def __init__(self, values: Mapping[str, Array], status: NDArray[np.int32]) -> None:
-        self._values = dict(values)
-        self.status = status
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Names of the ports that were kept."""
-        return tuple(self._values)
-
-    @property
-    def refused(self) -> NDArray[np.bool_]:
-        """(T,) bool: samples that were refused."""
-        return np.asarray(self.status < 0)
-
-    def __getitem__(self, name: str) -> Array:
-        if name == "status":
-            return self.status  # type: ignore[return-value]
-        if name not in self._values:
-            raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
-        return self._values[name]
-
-    def __getattr__(self, name: str) -> Array:
-        values = self.__dict__.get("_values", {})
-        if name in values:
-            return values[name]
-        raise AttributeError(f"no port {name!r} was kept; there are: {', '.join(values)}")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self._values]
-
-    def __repr__(self) -> str:
-        refused = int(np.count_nonzero(self.refused))
-        return f"<Run of {self.status.shape[-1]} samples, {refused} refused: {', '.join(self._values)}>"
-
-
-class Snapshot:
-    """The instance after a sample, frozen: every port is an attribute; equal if all bits are."""
-
-    __slots__ = ("_bytes", "_layout", "status")
-
-    def __init__(self, layout: Layout, data: bytes, status: int) -> None:
-        self._layout, self._bytes, self.status = layout, data, status
-
-    def __getitem__(self, name: str) -> Array:
-        dtype = np.dtype(record.dtype_of(self._layout))
-        offset = 0
-        for port in self._layout.ports:
-            if port.name == name:
-                return unpacked(port, np.frombuffer(self._bytes, dtype, port.size, offset))
-            offset += port.size * dtype.itemsize
-        names = [port.name for port in self._layout.ports]
-        raise DataError("port", given=repr(name), expected=record.choice(name, names))
-
-    def __getattr__(self, name: str) -> Array:
-        if any(port.name == name for port in self._layout.ports):
-            return self[name]
-        raise AttributeError(f"no port {name!r}")
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Names of the ports."""
-        return tuple(port.name for port in self._layout.ports)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Snapshot) and self._bytes == other._bytes
-
-    def __hash__(self) -> int:
-        return hash(self._bytes)
-
-    def __repr__(self) -> str:
-        return f"<Snapshot of {self._layout.name}: filtered_state {self['filtered_state']}>"
 
 
 class CompiledFilter:
@@ -188,13 +105,15 @@ class CompiledFilter:
             Ports of shape (M, T, ...), status (M, T).
         """
         records = record.numbers("y", y, self._dtype)
-        if records.ndim != 3 or records.shape[2] != len(self.layout.outputs):  # noqa: PLR2004
+        if records.ndim != 3 or records.shape[2] != len(self.layout.outputs):
             expected = f"shape (M, T, {len(self.layout.outputs)})"
             raise DataError("y", given=f"shape {records.shape}", expected=expected)
         driven = None if u is None else record.numbers("u", u, self._dtype)
-        if driven is not None and driven.ndim == 3 and len(driven) != len(records):  # noqa: PLR2004
-            raise DataError("u", given=f"{len(driven)} records", expected=f"{len(records)}, as y has")
-        own = driven is not None and driven.ndim == 3  # noqa: PLR2004
+        if driven is not None and driven.ndim == 3 and len(driven) != len(records):
+            raise DataError(
+                "u", given=f"{len(driven)} records", expected=f"{len(records)}, as y has"
+            )
+        own = driven is not None and driven.ndim == 3
         shape = records.shape[:2]
         given = record.parameters(self.layout, params, shape[1])
         ports = self._kept(keep)
@@ -238,7 +157,7 @@ class CompiledFilter:
         return Snapshot(self.layout, bytes(self._instance), status)
 
     def reset(self) -> None:
-        """Return the instance to the prior, the prediction for sample 0, and parameters to defaults."""
+        """Return the instance to the prior, and parameters to their defaults."""
         self._init(ctypes.addressof(self._instance))
         for name, default in self.layout.parameters:
             self._parameters[name][0] = default
@@ -252,7 +171,7 @@ class CompiledFilter:
         if name not in self.ports:
             raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
         field = getattr(self._type, name)
-        view = np.frombuffer(self._instance, self._dtype)
+        view: Array = np.frombuffer(memoryview(self._instance), self._dtype)
         size = np.dtype(self._dtype).itemsize
         return view[field.offset // size : (field.offset + field.size) // size]
 

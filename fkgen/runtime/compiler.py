@@ -81,9 +81,7 @@ def compile_shared(compiler: Compiler, source: Path, library: Path, *, flops: in
     optimisation = "-O2" if flops <= LARGE else "-O1"
     command = [*compiler.command, *_FLAGS, optimisation, str(source), "-o", str(library)]
     try:
-        done = subprocess.run(  # noqa: S603 - the user's own compiler
-            command, capture_output=True, text=True, timeout=_WAIT, check=False
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise CompilerError(f"{compiler.command[0]} cannot be run: {error}") from None
     if done.returncode != 0 or not library.exists():

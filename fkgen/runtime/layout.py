@@ -42,7 +42,7 @@ class Layout:
     claims: tuple[str, ...]
 
     @property
-    def real(self) -> type[ctypes.c_double] | type[ctypes.c_float]:
+    def real(self) -> type[ctypes.c_double | ctypes.c_float]:
         """The ctypes scalar."""
         return ctypes.c_double if self.scalar == "double" else ctypes.c_float
 
@@ -69,8 +69,8 @@ class Layout:
             for port in facts.pop("ports")
         )
         parameters = tuple((name, value) for name, value in facts.pop("parameters"))
-        lists = {key: tuple(v) if isinstance(v, list) else v for key, v in facts.items()}
-        return cls(ports=ports, parameters=parameters, **lists)
+        rest: Any = {key: tuple(v) if isinstance(v, list) else v for key, v in facts.items()}
+        return cls(ports=ports, parameters=parameters, **rest)
 
 
 def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:

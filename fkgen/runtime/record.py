@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from collections.abc import Mapping, Sequence
 
@@ -22,15 +23,11 @@ def dtype_of(layout: Layout) -> type[np.floating]:
 def numbers(what: str, value: ArrayLike, dtype: type[np.floating]) -> Array:
     """Anything numeric as a contiguous array; no copy if it is one already."""
     array = np.asarray(value)
+    if array.dtype.kind == "O":
+        with contextlib.suppress(TypeError, ValueError):
+            array = array.astype(np.float64)
     if array.dtype.kind not in "fiu":
-        try:
-            if array.dtype.kind == "O":
-                array = array.astype(np.float64)
-            else:
-                raise TypeError
-        except (TypeError, ValueError):
-            kind = array.dtype.name
-            raise DataError(what, given=f"values of type {kind}", expected="real numbers") from None
+        raise DataError(what, given=f"type {array.dtype.name}", expected="real numbers")
     return np.ascontiguousarray(array, dtype=dtype)
 
 
@@ -39,7 +36,7 @@ def signal(what: str, value: ArrayLike, width: int, dtype: type[np.floating]) ->
     array = numbers(what, value, dtype)
     if array.ndim == 1 and width == 1:
         array = array[:, np.newaxis]
-    if array.ndim != 2 or array.shape[1] != width:  # noqa: PLR2004 - time and rows
+    if array.ndim != 2 or array.shape[1] != width:
         raise DataError(what, given=f"shape {array.shape}", expected=f"shape (T, {width})")
     return array
 
@@ -60,9 +57,7 @@ def inputs(layout: Layout, u: ArrayLike | None, samples: int) -> Array:
     return array
 
 
-def parameters(
-    layout: Layout, given: Mapping[str, ArrayLike] | None, samples: int
-) -> list[Array]:
+def parameters(layout: Layout, given: Mapping[str, ArrayLike] | None, samples: int) -> list[Array]:
     """One array per parameter, of one value or of one per sample."""
     values = dict(given or {})
     known = [name for name, _ in layout.parameters]
@@ -75,11 +70,15 @@ def parameters(
         array = np.atleast_1d(numbers(f"params.{name}", values.get(name, default), dtype))
         if array.shape not in ((1,), (samples,)):
             raise DataError(
-                f"params.{name}", given=f"shape {array.shape}", expected=f"a number or shape ({samples},)"
+                f"params.{name}",
+                given=f"shape {array.shape}",
+                expected=f"a number or shape ({samples},)",
             )
         if not np.isfinite(array).all():
             at = int(np.flatnonzero(~np.isfinite(array))[0])
-            raise DataError(f"params.{name}[{at}]", given=str(array[at]), expected="a finite number")
+            raise DataError(
+                f"params.{name}[{at}]", given=str(array[at]), expected="a finite number"
+            )
         result.append(array)
     return result
 

@@ -1,6 +1,7 @@
 """Inputs that work now and then: u reaches the plant as gamma .* u with a random gamma in {0, 1}.
 
-Strandt, Schneider & Yaz, eqs. (1), (3), and their extension to several actuators. The part of gamma that
+Strandt, Schneider & Yaz, eqs. (1), (3), and their extension to several actuators. The part of
+gamma that
 is not its mean is carried as r extra components of the state while y is processed, because the same
 gamma stands in x[k+1] and in y[k]: conditioning (x, gamma - xi) on y gives (11) and (12) without
 subtracting large numbers.
@@ -70,6 +71,4 @@ def intermittent(faults: ActuatorFaults, rates: list[ca.SX], u: ca.SX, plant: Pl
     kept = [i for i in range(through.shape[1]) if not is_zero(covariance[i, i])]
     if not kept:
         return Actuation(mean=mean, through=ca.SX(q, 0), covariance=ca.SX(0, 0))
-    return Actuation(
-        mean=mean, through=through[:, kept], covariance=sparse(covariance[kept, kept])
-    )
+    return Actuation(mean=mean, through=through[:, kept], covariance=sparse(covariance[kept, kept]))

@@ -17,7 +17,8 @@ from fkgen.symbolic.linear_filter import from_rows
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
 
-#: With more independent inputs than this the mixture has too many terms; the Gaussian is used instead.
+#: With more independent inputs than this the mixture has too many terms; the Gaussian is used
+#: instead.
 LARGEST_MIXTURE = 4
 
 
@@ -36,6 +37,7 @@ class Bank:
 
     @classmethod
     def of(cls, spec: Spec) -> Bank:
+        """Lay out the hypotheses of a spec."""
         faults = spec.faults.actuator
         if faults is None:
             raise InternalError("mme without actuator faults")
@@ -85,8 +87,12 @@ class Bank:
             state=self.part("mode_filtered_state", i),
             covariance=self.part("mode_filtered_covariance", i),
             deviation=self.symbols["mode_deviation"][begin : begin + r] if r else none,
-            deviation_covariance=self.symbols["mode_deviation_covariance"][covariance] if r else none,
-            cross_covariance=from_rows(self.symbols["mode_deviation_cross"][cross], r) if r else none,
+            deviation_covariance=self.symbols["mode_deviation_covariance"][covariance]
+            if r
+            else none,
+            cross_covariance=from_rows(self.symbols["mode_deviation_cross"][cross], r)
+            if r
+            else none,
         )
 
 
@@ -104,7 +110,9 @@ def _ports(spec: Spec, random: list[int]) -> tuple[Port, ...]:
         *state_ports(spec),
         *innovation_ports(spec),
         vector(
-            name="mode_probability", shape=(count,), meaning="probability of each hypothesis given y[0..k]"
+            name="mode_probability",
+            shape=(count,),
+            meaning="probability of each hypothesis given y[0..k]",
         ),
         Port(
             name="success_rate_estimate",
@@ -135,7 +143,9 @@ def _ports(spec: Spec, random: list[int]) -> tuple[Port, ...]:
         about = "of gamma[k] minus its mean under each hypothesis, given y[0..k]"
         ports += [
             vector(name="mode_deviation", shape=(sum(random),), meaning=f"mean {about}"),
-            vector(name="mode_deviation_covariance", shape=(packed,), meaning=f"covariance {about}"),
+            vector(
+                name="mode_deviation_covariance", shape=(packed,), meaning=f"covariance {about}"
+            ),
             vector(
                 name="mode_deviation_cross",
                 shape=(sum(random) * n,),

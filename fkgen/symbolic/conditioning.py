@@ -1,6 +1,7 @@
 """Condition a Gaussian prior on the rows of y that are present, one scalar update per row.
 
-No matrix is inverted: a row costs one reciprocal. Correlated measurement noise is first decorrelated
+No matrix is inverted: a row costs one reciprocal. Correlated measurement noise is first
+decorrelated
 by LDL' elimination over the rows that are present, so that a missing row leaves R as well.
 """
 
@@ -13,10 +14,9 @@ from typing import Literal
 import casadi as ca
 
 from fkgen.symbolic.decorrelation import Measurement, Row, decorrelate
+from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, unpack
 from fkgen.symbolic.packing import triangle
-from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.recursion import Guard
 from fkgen.symbolic.script import Script
 
 Form = Literal["short", "joseph"]
@@ -64,7 +64,7 @@ def condition(
     form: Form,
     with_gain: bool = False,
 ) -> Conditioned:
-    """Write the blocks that condition ``prior`` = (mean, symmetric covariance) on ``measurement``."""
+    """Write the blocks that condition ``prior``, mean and covariance, on ``measurement``."""
     mean, covariance = prior
     p, m = measurement.C.shape
     innovation = _innovations(script, mean, measurement, tag)
@@ -84,7 +84,7 @@ def condition(
         rows=rows,
         tag=tag,
         form=form,
-        rank=None if variance is None else (measurement.rank_tolerance, variance),
+        rank=_rank(measurement, variance),
         mean=mean,
         covariance=packed,
         gain=ca.SX(m, p) if with_gain else None,
@@ -104,9 +104,14 @@ def condition(
     )
 
 
-def _innovations(
-    script: Script, mean: ca.SX, measurement: Measurement, tag: str
-) -> list[ca.SX]:
+def _rank(measurement: Measurement, variance: ca.SX | None) -> tuple[float, ca.SX] | None:
+    """Tolerance and variances of the rank decision, where one is needed."""
+    if measurement.rank_tolerance is None or variance is None:
+        return None
+    return measurement.rank_tolerance, variance
+
+
+def _innovations(script: Script, mean: ca.SX, measurement: Measurement, tag: str) -> list[ca.SX]:
     result = []
     with script.titled("innovation, row by row"):
         for i in range(measurement.C.shape[0]):
@@ -131,7 +136,7 @@ class _Fold:
     rows: list[Row]
     tag: str
     form: Form
-    rank: tuple[float | None, ca.SX] | None
+    rank: tuple[float, ca.SX] | None
     mean: ca.SX
     covariance: ca.SX
     gain: ca.SX | None
@@ -162,7 +167,7 @@ class _Fold:
 
     def _significant(self, i: int, pivot: ca.SX) -> ca.SX | None:
         """Positive when row i is no combination of the rows before it; None if that cannot be."""
-        if self.rank is None or self.rank[0] is None:
+        if self.rank is None:
             return None
         tolerance, variance = self.rank
         own = variance[i * (i + 3) // 2]
@@ -215,15 +220,17 @@ class _Fold:
         return column(entries)
 
     def _reduced(self, row: Row, cross: ca.SX, k: ca.SX) -> ca.SX:
-        """P - k (P c)', and in Joseph form the residual of the gain equation, r k - (P - k c'P) c."""
+        """P - k (P c)', in Joseph form corrected by the residual r k - (P - k c'P) c."""
         short = self.covariance - outer_lower(k, cross)
         if self.form == "short":
             return short
         m = cross.numel()
         residual = row.variance * k - unpack(short, m) @ row.c
         reduced = short + outer_lower(residual, k)
-        if self.rank is not None and self.rank[0] is not None:
+        if self.rank is not None:
             diagonal = {position for position, (a, b) in enumerate(triangle(m)) if a == b}
             entries = [reduced[at] for at in range(reduced.numel())]
-            reduced = column([ca.fmax(v, 0) if at in diagonal else v for at, v in enumerate(entries)])
+            reduced = column(
+                [ca.fmax(v, 0) if at in diagonal else v for at, v in enumerate(entries)]
+            )
         return reduced

@@ -1,8 +1,9 @@
 """Decorrelate measurement noise: LDL' elimination on R over the rows of y that are present.
 
-Eliminating row j from the rows below it subtracts a multiple of row j from each of them, so that the
-noises left over are uncorrelated and rows can be processed one by one. A missing row is skipped, which is
-the elimination of the R that is left without it.
+Eliminating row j from the rows below it subtracts a multiple of row j from each of them, so that
+the
+noises left over are uncorrelated and rows can be processed one by one. A missing row is skipped,
+which is the elimination of the R that is left without it.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fkgen.symbolic.linalg import is_zero, sparse
 from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.linalg import is_zero, sparse
 from fkgen.symbolic.script import Script
 
 
@@ -20,8 +21,8 @@ from fkgen.symbolic.script import Script
 class Measurement:
     """y = C z + offset + w for the state z that is to be conditioned, Cov(w) = R.
 
-    ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out, as the
-    pseudo-inverse does.
+    ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out,
+    as the pseudo-inverse does.
     """
 
     C: ca.SX
@@ -100,7 +101,7 @@ class _Revision:
         pattern = new.sparsity()
         before = ca.project(old, pattern)
         symbol = self.script.local(name, pattern.nnz())
-        self.script.put({name: ca.vertcat(*before.nonzeros())})
+        self.script.put({name: ca.vertcat(before.nz[:])})
         with self.script.when(self.row, self.positive):
-            self.script.put({name: ca.vertcat(*new.nonzeros())})
+            self.script.put({name: ca.vertcat(new.nz[:])})
         return ca.SX(pattern, symbol)

@@ -1,4 +1,4 @@
-"""LDL' elimination of an innovation covariance over the rows present, for likelihoods and quadratic forms."""
+"""LDL' elimination of an innovation covariance over the rows present, for likelihoods."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Whitened:
     log_determinant: ca.SX
 
     def quadratic(self, combination: ca.SX) -> ca.SX:
-        """e' S^-1 e for e = columns @ combination."""
+        """E' S^-1 e for e = columns @ combination."""
         e = self.columns @ combination
         total = ca.SX(0)
         for j, inverse in enumerate(self.inverse):

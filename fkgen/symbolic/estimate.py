@@ -14,9 +14,9 @@ from fkgen.spec import Spec
 from fkgen.symbolic.actuation import Actuation
 from fkgen.symbolic.conditioning import RANK_TOLERANCE, Conditioned, Form, condition
 from fkgen.symbolic.decorrelation import Measurement
+from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import congruence, is_zero, pack, unpack
 from fkgen.symbolic.plant import Plant
-from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.script import Script
 
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
@@ -51,7 +51,7 @@ def senses_actuation(plant: Plant, actuation: Actuation) -> bool:
 
 
 def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
-    """The covariance update that ``code.update`` asks for; "auto" decides on the digits at stake."""
+    """The covariance update of ``code.update``; "auto" decides on the digits at stake."""
     if spec.code.update != "auto":
         return spec.code.update
     if spec.code.scalar == "float" or plant.noise_free or augmented:
@@ -60,10 +60,10 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
 
 
 def prior_to_noise(spec: Spec) -> float:
-    """Largest ratio of prior to noise variance over the rows of y: digits that a short update loses."""
-    C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
+    """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
+    C, P0, Q, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "Q", "R"))
     noise = np.diag(R)
-    prior = np.einsum("ij,jk,ik->i", C, P0, C)
+    prior = np.diag(C @ (P0 + Q) @ C.T)
     if np.any((noise <= 0.0) & (prior > 0.0)):
         return float("inf")
     return float(np.max(np.divide(prior, noise, where=noise > 0.0, out=np.zeros_like(prior))))
@@ -81,7 +81,7 @@ def correct(
     tag: str = "",
     with_gain: bool = False,
 ) -> tuple[Conditioned, Posterior]:
-    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., eqs. (10), (11)."""
+    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11)."""
     state, packed = prior
     n, r = plant.nx, 0
     covariance, C = unpack(packed, n), plant.C
@@ -132,7 +132,7 @@ def propagate(
 
 
 def bound(script: Script, plant: Plant, letters: str) -> Plant:
-    """The plant with entries that need arithmetic computed once; variances below zero are refused."""
+    """The plant with its computed entries named; variances below zero are refused."""
     named = {letter: script.name_entries(letter, getattr(plant, letter)) for letter in letters}
     for letter in set(letters) & {"Q", "R"}:
         matrix = named[letter]

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.symbolic.interface import Kind
 from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.ports import PARAMETER
-from fkgen.symbolic.interface import Kind, Port
 from fkgen.symbolic.recursion import Block, Recursion
 
 Array = NDArray[np.float64]
@@ -58,16 +59,23 @@ class Interpreter:
         return True
 
     def run(
-        self, y: Array, u: Array, parameters: Mapping[str, Array], *, keep: Sequence[str] | None = None
+        self,
+        y: Array,
+        u: Array,
+        parameters: Mapping[str, Array],
+        *,
+        keep: Sequence[str] | None = None,
     ) -> dict[str, Array]:
-        """Filter a record; ports by name with shape (T, ...), NaN in innovations of missing rows."""
+        """Filter a record; ports by name, (T, ...), NaN in innovations of missing rows."""
         ports = [p for p in self.recursion.ports if keep is None or p.name in keep]
         rows: dict[str, list[Array]] = {port.name: [] for port in ports}
         for k in range(len(y)):
             self.step(y[k], u[k], {name: float(value[k]) for name, value in parameters.items()})
             for port in ports:
-                value = unpacked(port, self.values[port.name])
-                rows[port.name].append(np.where(np.isnan(y[k]), np.nan, value) if port.per_row else value)
+                value: Any = unpacked(port, self.values[port.name])
+                rows[port.name].append(
+                    np.where(np.isnan(y[k]), np.nan, value) if port.per_row else value
+                )
         return {name: np.array(value) for name, value in rows.items()}
 
 

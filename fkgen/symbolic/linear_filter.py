@@ -6,6 +6,7 @@ import casadi as ca
 
 from fkgen.spec import Spec
 from fkgen.symbolic.actuation import Actuation, certain, intermittent, rates_of
+from fkgen.symbolic.conditioning import Form
 from fkgen.symbolic.estimate import (
     Posterior,
     bound,
@@ -14,13 +15,12 @@ from fkgen.symbolic.estimate import (
     demand_positive,
     demand_rates,
     propagate,
-    senses_actuation,
     update_form,
 )
+from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
-from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
 
@@ -45,7 +45,9 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         spec=spec,
         source=source,
         ports=ports,
-        initial={f"{of}_{what}": v for what, v in start.items() for of in ("predicted", "filtered")},
+        initial={
+            f"{of}_{what}": v for what, v in start.items() for of in ("predicted", "filtered")
+        },
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=_predict(spec, plant, symbols, with_gain=with_gain),
         notes=(f"covariance update: {form} form",),
@@ -63,7 +65,7 @@ def _demand_rates(script: Script, spec: Spec, plant: Plant) -> None:
 
 
 def _update(
-    spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: str, with_gain: bool
+    spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
 ) -> Phase:
     script = Script(symbols)
     demand_positive(script, symbols["predicted_covariance"], plant.nx)

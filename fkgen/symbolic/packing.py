@@ -1,4 +1,4 @@
-"""How symmetric matrices are stored: the lower triangle by rows. The one place that knows, without CasADi."""
+"""How symmetric matrices are stored: the lower triangle by rows. No CasADi here."""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import operator as arithmetic
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -12,7 +13,15 @@ import numpy as np
 from fkgen.errors import InternalError
 from fkgen.spec import Expression, Matrix, Name, Number, Operation, Spec
 
-_FUNCTIONS = {
+_ARITHMETIC: dict[str, Callable[..., ca.SX]] = {
+    "+": arithmetic.add,
+    "-": arithmetic.sub,
+    "*": arithmetic.mul,
+    "/": arithmetic.truediv,
+    "neg": arithmetic.neg,
+}
+
+_FUNCTIONS: dict[str, Callable[..., ca.SX]] = {
     "exp": ca.exp,
     "log": ca.log,
     "sqrt": ca.sqrt,
@@ -68,7 +77,8 @@ def plant_of(spec: Spec) -> Plant:
     parameters = {p.name: ca.SX.sym(p.name) for p in spec.parameters}
     model = spec.model
     lifted = {
-        letter: lift(getattr(model, letter), parameters) for letter in ("A", "B", "C", "D", "Q", "R")
+        letter: lift(getattr(model, letter), parameters)
+        for letter in ("A", "B", "C", "D", "Q", "R")
     }
     return Plant(parameters=parameters, noise_free=is_noise_free(spec), **lifted)
 
@@ -81,7 +91,7 @@ def is_noise_free(spec: Spec) -> bool:
     scale = np.sqrt(np.diag(R))
     if not np.all(scale > 0.0):
         return True
-    return bool(np.linalg.eigvalsh(R / np.outer(scale, scale))[0] < 1e-12)  # noqa: PLR2004
+    return bool(np.linalg.eigvalsh(R / np.outer(scale, scale))[0] < 1e-12)
 
 
 def lift(matrix: Matrix, parameters: Mapping[str, ca.SX]) -> ca.SX:
@@ -109,20 +119,8 @@ def lift_expression(expression: Expression, parameters: Mapping[str, ca.SX]) -> 
 
 
 def _apply(operator: str, arguments: list[ca.SX]) -> ca.SX:
-    match operator, arguments:
-        case "+", [a, b]:
-            return a + b
-        case "-", [a, b]:
-            return a - b
-        case "*", [a, b]:
-            return a * b
-        case "/", [a, b]:
-            return a / b
-        case "neg", [a]:
-            return -a
-        case "**", [a, b]:
-            return _power(a, b)
-    return _FUNCTIONS[operator](*arguments)
+    operations: dict[str, Callable[..., ca.SX]] = {**_ARITHMETIC, **_FUNCTIONS, "**": _power}
+    return operations[operator](*arguments)
 
 
 def _power(base: ca.SX, exponent: ca.SX) -> ca.SX:
@@ -130,9 +128,9 @@ def _power(base: ca.SX, exponent: ca.SX) -> ca.SX:
     if not exponent.is_constant():
         return ca.exp(exponent * ca.log(base))
     value = float(exponent)
-    if value == 0.5:  # noqa: PLR2004
+    if value == 0.5:
         return ca.sqrt(base)
-    if value != math.floor(value) or abs(value) > 64:  # noqa: PLR2004 - products stay short
+    if value != math.floor(value) or abs(value) > 64:
         return ca.exp(exponent * ca.log(base))
     result, square, remaining = ca.SX(1), base, int(abs(value))
     while remaining:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import casadi as ca
 
 from fkgen.spec import Spec
-from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.plant import Plant
 
 #: Prefix of run-time parameters among the symbols: a parameter may be called ``u``.
 PARAMETER = "params."

@@ -27,7 +27,7 @@ class Guard:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """When a block runs: a row of y is present (any row, if None), and a pivot is above rank tolerance."""
+    """When a block runs: a row of y (any, if None) is present and a pivot is significant."""
 
     row: int | None
     positive: ca.SX | None = None

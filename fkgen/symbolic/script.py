@@ -1,4 +1,4 @@
-"""`Script`, the one mutable builder: it collects the blocks of a phase while a family is written."""
+"""`Script`, the mutable builder: it collects the blocks of a phase while it is written."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import replace
 import casadi as ca
 
 from fkgen.errors import InternalError
-from fkgen.symbolic.linalg import column
 from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.linalg import column
 from fkgen.symbolic.recursion import Block, Condition, Guard, Phase, Variable
 
 
@@ -69,7 +69,7 @@ class Script:
         return symbol
 
     def name_entries(self, name: str, matrix: ca.SX) -> ca.SX:
-        """Compute the entries of a matrix that need arithmetic once; return it with their symbols."""
+        """Compute the entries that need arithmetic once; return the matrix with their symbols."""
         position = [
             k
             for k in range(matrix.nnz())

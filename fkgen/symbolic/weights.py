@@ -26,7 +26,7 @@ class Weights:
 
 
 def log_sum_exp(values: list[ca.SX]) -> ca.SX:
-    """log of the sum of exponentials, with the largest taken out."""
+    """Log of the sum of exponentials, with the largest taken out."""
     if len(values) == 1:
         return values[0]
     largest = values[0]
@@ -44,7 +44,7 @@ def reweigh(
     log_likelihoods: list[ca.SX],
     floor: float,
 ) -> Weights:
-    """Bayes' rule for ``held`` = (probability, logarithm), each (N,); with no row present nothing moves."""
+    """Bayes' rule for ``held`` = (probability, logarithm); with no row present nothing moves."""
     probability, logarithm = held
     n = len(log_likelihoods)
     if n == 1:
@@ -88,7 +88,7 @@ def log_prior(prior: tuple[float, ...], scalar: str) -> tuple[float, ...]:
 
 
 def patterns(rates: list[float]) -> list[tuple[tuple[int, ...], float]]:
-    """Every outcome of independent components with these success rates, with its log probability."""
+    """Every outcome of independent components with these rates, with its log probability."""
     result = []
     for works in itertools.product((0, 1), repeat=len(rates)):
         chances = [rate if w else 1.0 - rate for w, rate in zip(works, rates, strict=True)]
