@@ -41,6 +41,10 @@ class Runs:
     acted: Floats
     state: Floats
 
+    def first(self, count: int) -> Runs:
+        """Return the first runs alone."""
+        return Runs(self.acted[:count], self.state[:count])
+
     @property
     def speed(self) -> Floats:
         """(M, T, 1): what is measured when the success rate is known."""

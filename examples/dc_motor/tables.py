@@ -19,6 +19,7 @@ import fkgen
 Printed = dict[float, tuple[str, str, str, str]]
 COLUMNS = ("PE_i %", "PE_w %", "MSE_i 1e-3", "MSE_w 1e-3")
 PAPER_RUNS = 50
+VARIED_RUNS = RUNS // 2  # for the variations of table 2, which are not the paper's
 LARGEST_Z = 3.0
 KNOWN: Printed = {  # table 1, as printed
     0.10: ("151", "12.6", "1.7", "1.00"),
@@ -123,8 +124,8 @@ def reproduce() -> list[Entry]:
     studies: dict[str, tuple[Printed, Callable[[Runs, float], Floats]]] = {
         "1": (KNOWN, lambda runs, rate: known_rate(motor, runs, rate)),
         "2": (UNKNOWN, lambda runs, _: unknown_rate(paper, runs)),
-        "2, mixture": (UNKNOWN, lambda runs, _: unknown_rate(mixture, runs)),
-        "2, default": (UNKNOWN, lambda runs, _: unknown_rate(default, runs)),
+        "2, mixture": (UNKNOWN, lambda runs, _: unknown_rate(mixture, runs.first(VARIED_RUNS))),
+        "2, default": (UNKNOWN, lambda runs, _: unknown_rate(default, runs.first(VARIED_RUNS))),
     }
     found = []
     for rate in RATES:
@@ -151,6 +152,7 @@ def markdown(found: list[Entry]) -> str:
         "# Tables 1 and 2, reproduced",
         "",
         f"Written by `tables.py`: {RUNS} runs of {SAMPLES} samples per rate, filtered in C.",
+        f"The two variations of table 2 at the end use the first {VARIED_RUNS} of them.",
         "Each field is printed / ours (standard error of ours) / z.",
     ]
     for table, title in titles.items():
@@ -180,7 +182,7 @@ def main() -> None:
             numbers = (f"{e.mean:.6g}", f"{e.error:.3g}", f"{e.z:+.2f}")
             out.writerow([e.table, e.rate, e.column, e.printed, *numbers])
     print(text)
-    print(f"{4 * len(RATES) * RUNS} runs in {time.perf_counter() - start:.0f} s")
+    print(f"{time.perf_counter() - start:.0f} s")
     if abs(worst(found).z) > LARGEST_Z:
         message = f"not reproduced: {worst(found)}"
         raise SystemExit(message)

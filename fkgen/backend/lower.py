@@ -28,9 +28,9 @@ from fkgen.backend.ir import (
     Statement,
     Temp,
     operands,
-    verify,
     walk,
 )
+from fkgen.backend.verify import verify
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.ports import PARAMETER

@@ -52,7 +52,7 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
 def _text(template: str, context: dict[str, object]) -> str:
     text = environment().get_template(template).render(context)
     lines = [line.rstrip() for line in text.splitlines()]
-    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1])]
+    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
     return "\n".join(kept).rstrip() + "\n"
 
 
@@ -242,7 +242,7 @@ def _shape_text(port: Port) -> str:
             else ""
         )
     stacked = " x ".join(str(length) for length in port.shape[:-2])
-    return f"({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
+    return f" ({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
 
 
 def _signal_groups(program: CProgram) -> list[tuple[str, str, tuple[object, ...]]]:

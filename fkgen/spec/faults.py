@@ -103,11 +103,11 @@ def read_faults(
                 "actuator faults", "none for the family kf; mkf and mme handle actuator faults"
             )
         return Faults()
-    if "actuator" not in section:
+    if "actuator" not in section and family != "mme":
         raise where.error(
             "nothing (the section is missing)", f"actuator faults for the family {family}"
         )
-    reader = _ActuatorReader(section.table["actuator"], where, defaults, inputs)
+    reader = _ActuatorReader(section.table.get("actuator", {}), where, defaults, inputs)
     return Faults(reader.unknown_rate() if family == "mme" else reader.known_rate())
 
 

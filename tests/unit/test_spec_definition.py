@@ -290,3 +290,11 @@ def test_a_large_dense_parametric_factor_survives_the_round_trip() -> None:
 def test_no_noise_in_the_state_is_fine_beside_a_regular_R() -> None:
     Spec.from_dict({**KF, "model": {**MODEL, "Q": np.zeros((2, 2))}})
     Spec.from_dict({**KF, "model": {**MODEL, "R": [[0.0]]}})
+
+
+def test_a_bank_over_one_input_needs_no_section_about_its_faults() -> None:
+    table = SPECS["mme"].to_dict()
+    del table["faults"]
+    actuator = Spec.from_dict(table).faults.actuator
+    assert actuator is not None
+    assert (actuator.success_rate, actuator.dependence) == ((), "common")

@@ -96,7 +96,6 @@ FAULTS: list[Case] = [
     (KF, {ACT: {"success_rate": 0.7}}, ACT, "actuator faults", "none for the family kf"),
     (MKF, {"faults": REMOVED}, ACT, "the section is missing", "faults for the family mkf"),
     (MKF, {"faults": {}}, ACT, "the section is missing", "faults for the family mkf"),
-    (MME, {"faults": REMOVED}, ACT, "the section is missing", "faults for the family mme"),
     (MKF, {RATE: REMOVED}, RATE, "the key is missing", "a rate in [0, 1]"),
     (MKF, {RATE: 1.1}, RATE, "1.1", "a probability in [0, 1]"),
     (MKF, {RATE: -0.1}, RATE, "-0.1", "a probability in [0, 1]"),

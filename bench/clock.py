@@ -1,0 +1,78 @@
+"""Measure on a machine that others use too: rounds of all contenders in turn, ratios within a round."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Times:
+    """Seconds per call of every contender in every round.
+
+    Attributes
+    ----------
+    rounds : mapping of str to (R,) array
+    """
+
+    rounds: Mapping[str, NDArray[np.float64]]
+
+    def best(self, name: str) -> float:
+        """The shortest: what the code costs when nothing disturbs it."""
+        return float(self.rounds[name].min())
+
+    def ratio(self, name: str, reference: str) -> float:
+        """Median over rounds of the ratio within a round: both met the same disturbance."""
+        return float(np.median(self.rounds[name] / self.rounds[reference]))
+
+    def ratio_of_best(self, name: str, reference: str) -> float:
+        """Shortest over shortest."""
+        return self.best(name) / self.best(reference)
+
+
+def pin() -> None:
+    """Stay on one core."""
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+
+def take_turns(contenders: Mapping[str, Callable[[], object]], rounds: int) -> Times:
+    """Call all in turn, in an order that changes from round to round."""
+    names = list(contenders)
+    for name in names:
+        contenders[name]()
+    taken = {name: np.zeros(rounds) for name in names}
+    rng = np.random.default_rng(0)
+    for k in range(rounds):
+        for i in rng.permutation(len(names)):
+            call = contenders[names[i]]
+            start = time.perf_counter()
+            call()
+            taken[names[i]][k] = time.perf_counter() - start
+    return Times(taken)
+
+
+def instructions(program: Path, steps: int = 2000) -> float:
+    """Instructions of one step under callgrind, from two runs: what starting costs cancels."""
+    counts = [_instructions(program, n) for n in (steps, 2 * steps)]
+    return (counts[1] - counts[0]) / steps
+
+
+def _instructions(program: Path, steps: int) -> int:
+    done = subprocess.run(
+        ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", str(program), str(steps)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found = re.search(r"Collected\s*:\s*(\d+)", done.stderr)
+    if found is None:
+        raise RuntimeError(done.stderr)
+    return int(found[1])
