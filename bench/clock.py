@@ -1,4 +1,4 @@
-"""Measure on a machine that others use too: rounds of all contenders in turn, ratios within a round."""
+"""Measure on a machine that others use too: contenders take turns, ratios count within a round."""
 
 from __future__ import annotations
 
@@ -30,12 +30,14 @@ class Times:
         return float(self.rounds[name].min())
 
     def ratio(self, name: str, reference: str) -> float:
-        """Median over rounds of the ratio within a round: both met the same disturbance."""
-        return float(np.median(self.rounds[name] / self.rounds[reference]))
+        """Median over the quietest tenth of the rounds of the ratio within a round.
 
-    def ratio_of_best(self, name: str, reference: str) -> float:
-        """Shortest over shortest."""
-        return self.best(name) / self.best(reference)
+        A busy neighbour on the same core slows code with much work in flight more than code that
+        waits for itself: the noisy rounds would compare the neighbours.
+        """
+        both = self.rounds[name], self.rounds[reference]
+        quiet = np.argsort(both[0] + both[1])[: max(3, len(both[0]) // 10)]
+        return float(np.median(both[0][quiet] / both[1][quiet]))
 
 
 def pin() -> None:
@@ -43,20 +45,23 @@ def pin() -> None:
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
-def take_turns(contenders: Mapping[str, Callable[[], object]], rounds: int) -> Times:
-    """Call all in turn, in an order that changes from round to round."""
+def take_turns(
+    contenders: Mapping[str, Callable[[], object]], rounds: int, seconds: float = 0.0
+) -> Times:
+    """Call all in turn, in an order that changes, for so many rounds and at least so long."""
     names = list(contenders)
     for name in names:
         contenders[name]()
-    taken = {name: np.zeros(rounds) for name in names}
+    taken: dict[str, list[float]] = {name: [] for name in names}
     rng = np.random.default_rng(0)
-    for k in range(rounds):
+    begin = time.perf_counter()
+    while len(taken[names[0]]) < rounds or time.perf_counter() - begin < seconds:
         for i in rng.permutation(len(names)):
             call = contenders[names[i]]
             start = time.perf_counter()
             call()
-            taken[names[i]][k] = time.perf_counter() - start
-    return Times(taken)
+            taken[names[i]].append(time.perf_counter() - start)
+    return Times({name: np.array(times) for name, times in taken.items()})
 
 
 def instructions(program: Path, steps: int = 2000) -> float:
@@ -67,7 +72,13 @@ def instructions(program: Path, steps: int = 2000) -> float:
 
 def _instructions(program: Path, steps: int) -> int:
     done = subprocess.run(
-        ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", str(program), str(steps)],
+        [
+            "valgrind",
+            "--tool=callgrind",
+            "--callgrind-out-file=/dev/null",
+            str(program),
+            str(steps),
+        ],
         capture_output=True,
         text=True,
         check=True,

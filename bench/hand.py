@@ -1,7 +1,7 @@
 """Emit a Kalman step as a careful engineer would write it: straight-line C, packed lower triangles.
 
-Measurements are taken one after the other (R is diagonal). Nothing is shared with fkgen: this is what its
-code is compared with. Zeros and ones of the model are left out, as anybody would.
+Measurements are taken one after the other (R is diagonal). Nothing is shared with fkgen: this is
+what its code is compared with. Zeros and ones of the model are left out, as anybody would.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def kalman(model: dict[str, Any]) -> str:
 
 
 def _row(r: int, C: Sequence[Row], R: Sequence[Row]) -> list[str]:
-    """Take row r of y: w = P c, s = c w + r, x += w v/s, P -= w w'/s; later rows see what it explains."""
+    """Take row r of y: w = P c, s = c w + r, x += w v/s, P -= w w'/s; tell the later rows."""
     n, p = len(C[0]), len(C)
     lines = [f"const double w{r}_{i} = {_dot(C[r], 'p', n, row=i)};" for i in range(n)]
     lines += [f"const double s{r} = {_dot(C[r], f'w{r}_', n)} + {R[r][r]!r};"]
@@ -52,7 +52,7 @@ def _row(r: int, C: Sequence[Row], R: Sequence[Row]) -> list[str]:
     lines += _checked([f"s{r} > 0.0"])
     inner = [f"const double inverse = 1.0 / s{r};"]
     residual = "".join(f" - g{j}_{r} * v{j}" for j in range(r))
-    inner += [f"const double v = e{r}{residual};", f"const double z = v * inverse;"]
+    inner += [f"const double v = e{r}{residual};", "const double z = v * inverse;"]
     inner += [f"g{r}_{j} = h{r}_{j} * inverse;" for j in range(r + 1, p)]
     inner += [f"v{r} = v;", "nis += v * z;", f"determinant += log(s{r}) + {LOG_2PI!r};"]
     for i in range(n):
@@ -74,7 +74,8 @@ def _predict(A: Sequence[Row], Q: Sequence[Row]) -> list[str]:
         f"const double b{i}_{j} = {_dot(A[i], 'p', n, row=j)};" for i in range(n) for j in range(n)
     ]
     lines += [
-        f"const double n{i}_{j} = {_dot(A[j], f'b{i}_', n)}" + (f" + {Q[i][j]!r};" if Q[i][j] else ";")
+        f"const double n{i}_{j} = {_dot(A[j], f'b{i}_', n)}"
+        + (f" + {Q[i][j]!r};" if Q[i][j] else ";")
         for i, j in _lower(n)
     ]
     return lines
@@ -82,9 +83,7 @@ def _predict(A: Sequence[Row], Q: Sequence[Row]) -> list[str]:
 
 def _stores(n: int, p: int) -> list[str]:
     lines = [f"f->x[{i}] = m{i}; f->xf[{i}] = x{i};" for i in range(n)]
-    lines += [
-        f"f->P[{_at(i, j)}] = n{i}_{j}; f->Pf[{_at(i, j)}] = p{i}_{j};" for i, j in _lower(n)
-    ]
+    lines += [f"f->P[{_at(i, j)}] = n{i}_{j}; f->Pf[{_at(i, j)}] = p{i}_{j};" for i, j in _lower(n)]
     lines += [f"f->innovation[{i}] = e{i};" for i in range(p)]
     lines += [f"f->S[{_at(i, j)}] = {_s(i, j)};" for i, j in _lower(p)]
     return [*lines, "f->nis = nis;", "f->log_likelihood = -0.5 * (nis + determinant);"]
@@ -95,7 +94,7 @@ def _s(i: int, j: int) -> str:
 
 
 def _dot(coefficients: Row, name: str, n: int, row: int | None = None) -> str:
-    """Sum of coefficients times name0, name1, ..; with ``row``, times that row of a symmetric matrix."""
+    """Sum of coefficients times name0, name1, ..; with ``row``: that row of a symmetric matrix."""
     terms = []
     for j in range(n):
         factor = f"{name}{j}" if row is None else f"{name}{max(row, j)}_{min(row, j)}"

@@ -29,9 +29,22 @@ SENSED = MOTOR | {
 }
 RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
 
+#: x[k+1] depends on the step dt, y on a bearing; variances grow with time and range.
+VARYING = {
+    "A": [["exp(-dt/0.5)", "dt"], [0.0, "1 - 0.1*dt**2"]],
+    "B": [["dt**2/2"], ["dt"]],
+    "C": [["cos(angle)", "sin(angle)"], [1.0, "abs(angle) - 0.5"]],
+    "D": [[0.0], ["tan(0.3*angle)"]],
+    "Q": [["0.5*dt", "0.1*dt"], ["0.1*dt", "0.2*dt"]],
+    "R": [["0.1 + 0.2*sqrt(dt)", "0.02*dt"], ["0.02*dt", "log(2 + dt)"]],
+    "x0": [1.0, -1.0],
+    "P0": [[2.0, 0.3], [0.3, 1.0]],
+}
+PARAMETERS = {"dt": 0.1, "angle": 0.7}
+
 
 def table(model, *, family="kf", name="plant", **sections):
-    """A spec as a nested dict; ``actuator``, ``parameters``, ``code`` and filter options by keyword."""
+    """A spec as a nested dict; sections and filter options by keyword."""
     actuator = sections.pop("actuator", None)
     result = {
         "name": name,

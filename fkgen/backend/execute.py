@@ -120,8 +120,9 @@ class _Run:
                 self.temps[target.index] = self.value(value)
             case Assign(target, value):
                 self.assign(target, self.value(value))
-            case Require(value, kind, status):
-                return Status.OK if _holds(kind, self.value(value)) else status
+            case Require(values, kind, status):
+                holds = all(_holds(kind, self.value(value)) for value in values)
+                return Status.OK if holds else status
             case IfPresent(row, body):
                 if any(self.present) if row is None else self.present[row]:
                     return self.body(body)

@@ -114,9 +114,9 @@ class Assign:
 
 @dataclass(frozen=True, slots=True)
 class Require:
-    """Return ``status`` unless ``value`` is of this kind."""
+    """Return ``status`` unless all ``values`` are of this kind."""
 
-    value: Operand
+    values: tuple[Operand, ...]
     kind: Kind
     status: Status
 
@@ -251,6 +251,8 @@ def operands(node: Statement) -> tuple[Operand, ...]:
     match node:
         case Operate(_, _, arguments):
             return arguments
-        case Copy(_, value) | Assign(_, value) | Require(value, _, _) | IfPositive(value, _):
+        case Require(values, _, _):
+            return values
+        case Copy(_, value) | Assign(_, value) | IfPositive(value, _):
             return (value,)
     return ()

@@ -139,7 +139,7 @@ class _Lowering:
         values = self._instructions(block.function(self.phase.symbols), block, group.statements)
         guards = values[len(block.assign) :]
         for guard, value in zip(block.guards, guards, strict=True):
-            group.statements.append(Require(value[0], guard.kind, guard.status))
+            group.statements.append(Require(tuple(value), guard.kind, guard.status))
         self._store(block, values, group.statements)
 
     def body(self) -> tuple[Statement, ...]:

@@ -126,12 +126,15 @@ class Printer:
 
     @statement.register
     def _(self, node: Require, depth: int) -> str:
-        value, zero = self.operand(node.value), self.literal(0.0)
-        holds = {
-            Kind.POSITIVE: f"{value} > {zero}",
-            Kind.NONNEGATIVE: f"{value} >= {zero}",
-            Kind.FINITE: f"({value} >= -{self.limit}) && ({value} <= {self.limit})",
-        }[node.kind]
+        values, zero = [self.operand(value) for value in node.values], self.literal(0.0)
+        match node.kind:
+            case Kind.POSITIVE:
+                holds = _all([f"{value} > {zero}" for value in values])
+            case Kind.NONNEGATIVE:
+                holds = _all([f"{value} >= {zero}" for value in values])
+            case Kind.FINITE:
+                differences = [f"({value} - {value})" for value in values]
+                holds = f"{_folded(differences, ' + ', depth)} >= {zero}"
         inner = f"{_indent(depth + 1)}return {self.status(node.status)};"
         return f"{_indent(depth)}if (!({holds}))\n{_braced(inner, depth)}"
 
@@ -166,6 +169,16 @@ class Printer:
                 place = "" if index is None else f"[{index}]"
                 return f"{prefix.get(space, '')}{name}{place}"
         raise InternalError(f"no operand: {operand!r}")
+
+
+def _all(tests: list[str]) -> str:
+    return tests[0] if len(tests) == 1 else " && ".join(f"({test})" for test in tests)
+
+
+def _folded(terms: list[str], joint: str, depth: int) -> str:
+    """Terms joined, some to a line."""
+    lines = [joint.join(terms[i : i + 4]) for i in range(0, len(terms), 4)]
+    return f"{joint.rstrip()}\n{_indent(depth + 2)}".join(lines)
 
 
 def _indent(depth: int) -> str:

@@ -17,6 +17,10 @@ from fkgen.backend.vectors import self_test_vectors
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
 
+#: Operations per step up to which update and predict are compiled into step: a copy of the instance
+#: between them costs more than the code.
+INLINED = 2500
+
 
 @cache
 def environment() -> jinja2.Environment:
@@ -70,7 +74,7 @@ class _Function:
     calls: tuple[str, ...]
     reads_y: bool
     complete: bool
-    pointers: tuple[str, ...]
+    null: str
     result: str
 
 
@@ -111,6 +115,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "initial": dict(program.initial),
         "valid_argument": _valid(c),
         "phases": _phases(c),
+        "inlined": program.flops <= INLINED,
         "functions": _functions(c),
         "signature": lambda name: signature(c, name),
         "argument_doc": _argument_doc(c),
@@ -197,8 +202,7 @@ def _functions(c: Printer) -> list[_Function]:
     pointers = ["self"]
     pointers += ["params"] if c.program.parameters else []
     pointers += ["u"] if c.program.inputs else []
-    null = tuple(f"({pointer} == NULL)" for pointer in pointers)
-    with_y = (*null, "(y == NULL)", *(["(valid == NULL)"] if c.words > 1 else []))
+    measured = [*pointers, "y", *(["valid"] if c.words > 1 else [])]
     correct = f"{update}({', '.join(['self', *first, 'y', 'present', '&next'])})"
     moved = f"{predict}({', '.join(['self', *second, '&next'])})"
     moved_next = f"{predict}({', '.join(['&next', *second, '&next'])})"
@@ -206,10 +210,15 @@ def _functions(c: Printer) -> list[_Function]:
     ok, skipped = c.status(Status.OK), c.status(Status.SKIPPED)
     outcome = f"(({any_row}) != 0u) ? {ok} : {skipped}"
     return [
-        _Function("update", (correct,), True, False, with_y, outcome),  # noqa: FBT003
-        _Function("predict", (moved,), False, False, null, ok),  # noqa: FBT003
-        _Function("step", (correct, moved_next), True, True, with_y, outcome),  # noqa: FBT003
+        _Function("update", (correct,), True, False, _any_null(measured), outcome),  # noqa: FBT003
+        _Function("predict", (moved,), False, False, _any_null(pointers), ok),  # noqa: FBT003
+        _Function("step", (correct, moved_next), True, True, _any_null(measured), outcome),  # noqa: FBT003
     ]
+
+
+def _any_null(pointers: list[str]) -> str:
+    tests = [f"{pointer} == NULL" for pointer in pointers]
+    return tests[0] if len(tests) == 1 else " || ".join(f"({test})" for test in tests)
 
 
 def _step_call(program: CProgram, *, record: bool) -> str:

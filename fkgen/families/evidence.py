@@ -29,6 +29,19 @@ EXACT = 1e-9
 PAPER = "Strandt, Schneider & Yaz"
 
 
+#: Where S may be singular, both sides decide on a rank, and a rank decision has a tolerance.
+RANK_DEFICIENT = 1e-6
+
+
+def _has_exact_rows(spec: Spec) -> bool:
+    """Whether some combination of the rows of y carries no noise."""
+    R = spec.model.R.values(spec.defaults)
+    scale = np.sqrt(np.diag(R))
+    if not np.all(scale > 0.0):
+        return True
+    return bool(np.linalg.eigvalsh(R / np.outer(scale, scale))[0] < 1e-12)
+
+
 def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None) -> LinearSystem:
     """The linear system of a record, with the record's prior."""
     system = LinearSystem.from_spec(spec, len(record.y), record.parameters, rates)
@@ -37,18 +50,20 @@ def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None
 
 def digits_at_stake(spec: Spec, record: Record) -> float:
     """`EXACT`, or what the ratio of state to measurement noise leaves of double precision."""
-    model = spec.model
-    C, Q, R = (getattr(model, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
+    if _has_exact_rows(spec):
+        return RANK_DEFICIENT
+    C, Q, R = (getattr(spec.model, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
     noise = np.diag(R)
-    if not np.all(noise > 0.0):
-        return 1e-6
     ratio = np.max(np.diag(C @ (record.P0 + Q) @ C.T) / noise)
     return float(max(EXACT, 1e3 * np.finfo(float).eps * ratio))
 
 
 def _batch(spec: Spec, record: Record) -> Mapping[str, Array]:
     result = batch_lmmse(system_of(spec, record), record.y, record.u)
-    return {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+    ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+    if _has_exact_rows(spec):  # a density on a subspace depends on the coordinates chosen there
+        del ports["log_likelihood"]
+    return ports
 
 
 BATCH = ClosedForm(
@@ -147,7 +162,12 @@ def _textbook(spec: Spec, record: Record) -> Mapping[str, Array]:
         weight_floor=spec.filter.weight_floor,
         likelihood=spec.filter.likelihood,
     )
-    return {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+    ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+    rates = len(spec.filter.hypotheses[0])
+    if rates > 1:
+        estimate = ports["success_rate_estimate"].reshape(len(record.y), -1)
+        ports["success_rate_estimate"] = np.broadcast_to(estimate, (len(record.y), rates))
+    return ports
 
 
 def _likelihood_tolerance(spec: Spec, record: Record) -> float:

@@ -78,11 +78,14 @@ def _mild_prior(spec: Spec) -> Array:
     return np.asarray(P0 / max(1.0, excess))
 
 
-def distance(found: Array, expected: Array, *, symmetric: bool, of: str = "") -> float:
+def distance(
+    found: Array, expected: Array, *, symmetric: bool = False, deviation: Array | None = None
+) -> float:
     """Largest error relative to the size that each entry has over the record.
 
-    Entries of a symmetric matrix are measured by the geometric mean of the two diagonal entries.
-    NaNs have to be in the same places; otherwise the distance is infinite.
+    Entries of a symmetric matrix are measured by the geometric mean of the two diagonal entries;
+    those of a vector by at least their standard ``deviation``, if it is given. NaNs have to be in
+    the same places; otherwise the distance is infinite.
     """
     if found.shape != expected.shape or not np.array_equal(np.isnan(found), np.isnan(expected)):
         return float("inf")
@@ -91,15 +94,28 @@ def distance(found: Array, expected: Array, *, symmetric: bool, of: str = "") ->
     if symmetric:
         size = np.sqrt(np.abs(np.diagonal(expected, axis1=-2, axis2=-1)))
         scale = size[..., :, np.newaxis] * size[..., np.newaxis, :]
-    else:
+    elif deviation is None:
         scale = np.abs(expected)
+    else:
+        scale = np.fmax(np.abs(expected), deviation)
     scale = np.nanmax(scale, axis=0)
     largest = float(np.nanmax(scale))
-    floor = 1.0 if of in _LOGARITHMIC else 1e-6 * largest
-    scale = np.maximum(scale, floor) if largest > 0.0 or floor > 0.0 else np.ones_like(scale)
+    scale = np.maximum(scale, 1e-6 * largest) if largest > 0.0 else np.ones_like(scale)
     return float(np.nanmax(np.abs(found - expected) / scale))
 
 
-#: Ports on a logarithmic scale: an error of these is a relative error of what they are logarithms
-#: of.
-_LOGARITHMIC = frozenset({"log_likelihood", "log_weight"})
+def natural_deviation(port: str, expected: Mapping[str, Array]) -> Array | None:
+    """Standard deviation of a port, from the covariance that belongs to it; one for logarithms."""
+    if port in {"log_likelihood", "log_weight"}:
+        return np.array(1.0)
+    covariance = expected.get(_COVARIANCE.get(port, ""))
+    if covariance is None:
+        return None
+    return np.asarray(np.sqrt(np.abs(np.diagonal(covariance, axis1=-2, axis2=-1))))
+
+
+_COVARIANCE = {
+    "filtered_state": "filtered_covariance",
+    "predicted_state": "predicted_covariance",
+    "innovation": "innovation_covariance",
+}

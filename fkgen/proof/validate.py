@@ -10,7 +10,7 @@ import numpy as np
 from fkgen.errors import ValidationError
 from fkgen.families import family
 from fkgen.families.family import Array, ClosedForm, Family, Record
-from fkgen.proof.experiment import distance, trial
+from fkgen.proof.experiment import distance, natural_deviation, trial
 from fkgen.spec import Spec
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.packing import triangle
@@ -107,7 +107,7 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
             np.asarray(found[name], float) if name in found else np.array(np.nan),
             np.asarray(value, float),
             symmetric=name in found and recursion.port(name).symmetric,
-            of=name,
+            deviation=natural_deviation(name, expected),
         )
         for name, value in expected.items()
     )

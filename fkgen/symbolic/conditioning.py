@@ -15,7 +15,7 @@ import casadi as ca
 
 from fkgen.symbolic.decorrelation import Measurement, Row, decorrelate
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, unpack
+from fkgen.symbolic.linalg import column, congruence, is_zero, outer_lower, pack, unpack
 from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.script import Script
 
@@ -23,6 +23,9 @@ Form = Literal["short", "joseph"]
 
 #: A row is redundant when its pivot is below this share of its prior variance (rank decision).
 RANK_TOLERANCE = {"double": 2e-13, "float": 1e-4}
+
+#: Pivots that are multiplied before the logarithm: in double each may span 1e-75 to 1e75.
+PIVOTS_PER_LOG = {"double": 4, "float": 1}
 
 LOG_TWO_PI = math.log(2.0 * math.pi)
 
@@ -88,6 +91,7 @@ def condition(
         mean=mean,
         covariance=packed,
         gain=ca.SX(m, p) if with_gain else None,
+        determinant=[ca.SX(1)] * -(-p // measurement.pivots_per_log),
         symbols=symbols,
     )
     for i in range(p):
@@ -99,7 +103,7 @@ def condition(
         innovation=column(innovation),
         innovation_covariance=fold.innovation_covariance() if variance is None else variance,
         nis=fold.nis,
-        log_likelihood=-0.5 * (fold.nis + fold.log_determinant),
+        log_likelihood=-0.5 * (fold.nis + fold.log_determinant()),
         gain=fold.gain,
     )
 
@@ -140,8 +144,9 @@ class _Fold:
     mean: ca.SX
     covariance: ca.SX
     gain: ca.SX | None
+    determinant: list[ca.SX]
     nis: ca.SX = field(default_factory=lambda: ca.SX(0))
-    log_determinant: ca.SX = field(default_factory=lambda: ca.SX(0))
+    log_two_pi: ca.SX = field(default_factory=lambda: ca.SX(0))
     coupling: list[ca.SX] = field(default_factory=list)
     factor: list[ca.SX] = field(default_factory=list)
     pivot: list[ca.SX] = field(default_factory=list)
@@ -160,8 +165,12 @@ class _Fold:
         innovation = row.innovation
         for j in range(i):
             innovation = innovation - self.coupling[j][i - j - 1] * self.weight[j]
-        with script.when(i, self._significant(i, pivot)):
-            self._update(i, (cross, coupling, pivot, innovation))
+        if is_zero(pivot):  # a row that is always zero, without noise
+            self.weight.append(ca.SX(0))
+            self.factor.append(ca.SX.zeros(coupling.numel()))
+        else:
+            with script.when(i, self._significant(i, pivot)):
+                self._update(i, (cross, coupling, pivot, innovation))
         self.coupling.append(coupling)
         self.pivot.append(pivot)
 
@@ -177,6 +186,7 @@ class _Fold:
     def _update(self, i: int, values: tuple[ca.SX, ca.SX, ca.SX, ca.SX]) -> None:
         cross, coupling, pivot, innovation = values
         script, row, tag = self.script, self.rows[i], self.tag
+        chunk = i * len(self.determinant) // len(self.rows)
         script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
         inverse = script.let(f"inverse{tag}_{i}", 1 / pivot, initial=0.0)
         weight = innovation * inverse
@@ -185,7 +195,8 @@ class _Fold:
             f"weight{tag}_{i}": weight,
             f"factor{tag}_{i}": coupling * inverse,
             f"quadratic{tag}": self.nis + innovation * weight,
-            f"log_determinant{tag}": self.log_determinant + (ca.log(pivot) + LOG_TWO_PI),
+            f"determinant{tag}_{chunk}": self.determinant[chunk] * pivot,
+            f"log_two_pi{tag}": self.log_two_pi + LOG_TWO_PI,
             f"mean{tag}": self.mean + cross * weight,
             f"covariance{tag}": self._reduced(row, cross, k),
         }
@@ -197,17 +208,26 @@ class _Fold:
         self.weight.append(symbol[f"weight{tag}_{i}"])
         self.factor.append(symbol[f"factor{tag}_{i}"])
         self.nis = symbol[f"quadratic{tag}"]
-        self.log_determinant = symbol[f"log_determinant{tag}"]
+        self.determinant[chunk] = symbol[f"determinant{tag}_{chunk}"]
+        self.log_two_pi = symbol[f"log_two_pi{tag}"]
         self.mean, self.covariance = symbol[f"mean{tag}"], symbol[f"covariance{tag}"]
         if self.gain is not None:
             known = ca.reshape(symbol[f"update_gain{tag}"], *gain.shape)
             self.gain = ca.project(known, gain.sparsity())
 
     def _symbol(self, name: str, size: int) -> ca.SX:
-        """The variable of this name, declared at its first use: zero where its row is missing."""
+        """The variable of this name, declared at first use: neutral where its row is missing."""
         if name not in self.symbols:
-            self.symbols[name] = self.script.local(name, size, initial=0.0) if size else ca.SX(0, 1)
+            initial = 1.0 if name.startswith("determinant") else 0.0
+            self.symbols[name] = self.script.local(name, size, initial) if size else ca.SX(0, 1)
         return self.symbols[name]
+
+    def log_determinant(self) -> ca.SX:
+        """Logarithm of det(2 pi S) over the rows present, one call for several pivots."""
+        total = self.log_two_pi
+        for product in self.determinant:
+            total = total + ca.log(product)
+        return total
 
     def innovation_covariance(self) -> ca.SX:
         """S = L E L' of all rows, packed, from the products at hand."""

@@ -22,7 +22,7 @@ class Measurement:
     """y = C z + offset + w for the state z that is to be conditioned, Cov(w) = R.
 
     ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out,
-    as the pseudo-inverse does.
+    as the pseudo-inverse does. ``pivots_per_log`` pivots may be multiplied before their logarithm.
     """
 
     C: ca.SX
@@ -30,6 +30,7 @@ class Measurement:
     R: ca.SX
     y: ca.SX
     rank_tolerance: float | None
+    pivots_per_log: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +100,8 @@ class _Revision:
     def of(self, name: str, old: ca.SX, new: ca.SX) -> ca.SX:
         """The new value where the row is present, the old one elsewhere."""
         pattern = new.sparsity()
+        if pattern.nnz() == 0:
+            return new
         before = ca.project(old, pattern)
         symbol = self.script.local(name, pattern.nnz())
         self.script.put({name: ca.vertcat(before.nz[:])})

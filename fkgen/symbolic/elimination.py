@@ -39,17 +39,17 @@ def whiten(script: Script, packed: ca.SX, columns: ca.SX, tag: str) -> Whitened:
     rows = [columns[i, :] for i in range(p)]
     inverses, logs = [], ca.SX(0)
     for j in range(p):
-        pivot = script.let(f"share_pivot{tag}_{j}", S[j, j])
-        inverse = script.local(f"share_inverse{tag}_{j}", 1, initial=0.0)
-        log = script.local(f"share_log{tag}_{j}", 1, initial=0.0)
+        pivot = script.let(f"whitening_pivot{tag}_{j}", S[j, j])
+        inverse = script.local(f"whitening_inverse{tag}_{j}", 1, initial=0.0)
+        log = script.local(f"whitening_log{tag}_{j}", 1, initial=0.0)
         with script.when(j):
             script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
-            script.put({f"share_inverse{tag}_{j}": 1 / pivot})
-            script.put({f"share_log{tag}_{j}": ca.log(pivot) + LOG_TWO_PI})
+            script.put({f"whitening_inverse{tag}_{j}": 1 / pivot})
+            script.put({f"whitening_log{tag}_{j}": ca.log(pivot) + LOG_TWO_PI})
         inverses.append(inverse)
         logs += log
         for i in range(j + 1, p):
-            share = script.let(f"share{tag}_{j}_{i}", S[i, j] * inverse)
+            share = script.let(f"whitening{tag}_{j}_{i}", S[i, j] * inverse)
             rows[i] = rows[i] - share * rows[j]
             for k in range(j + 1, i + 1):
                 S[i, k] = S[i, k] - share * S[k, j]

@@ -12,7 +12,13 @@ import numpy as np
 
 from fkgen.spec import Spec
 from fkgen.symbolic.actuation import Actuation
-from fkgen.symbolic.conditioning import RANK_TOLERANCE, Conditioned, Form, condition
+from fkgen.symbolic.conditioning import (
+    PIVOTS_PER_LOG,
+    RANK_TOLERANCE,
+    Conditioned,
+    Form,
+    condition,
+)
 from fkgen.symbolic.decorrelation import Measurement
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import congruence, is_zero, pack, unpack
@@ -96,15 +102,16 @@ def correct(
         R=plant.R,
         y=y,
         rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
+        pivots_per_log=PIVOTS_PER_LOG[scalar],
     )
     found = condition(
         script, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
     )
     P = unpack(found.covariance, n + r)
     posterior = Posterior(
-        state=found.mean[:n],
+        state=found.mean[:n, 0],
         covariance=pack(P[:n, :n]),
-        deviation=found.mean[n:],
+        deviation=found.mean[n:, 0],
         deviation_covariance=pack(P[n:, n:]),
         cross_covariance=P[n:, :n],
     )

@@ -98,17 +98,17 @@ def _evaluate(ready: _Ready, values: dict[str, Array]) -> bool:
             return True
     arrays = [np.asarray(value).ravel() for value in ready.function.call(arguments)]
     for guard, value in zip(block.guards, arrays[len(block.assign) :], strict=True):
-        if not _holds(guard.kind, float(value[0])):
+        if not _holds(guard.kind, value):
             return False
     values |= dict(zip(block.assign, arrays, strict=False))
     return True
 
 
-def _holds(kind: Kind, value: float) -> bool:
+def _holds(kind: Kind, values: Array) -> bool:
     match kind:
         case Kind.POSITIVE:
-            return value > 0.0
+            return bool(np.all(values > 0.0))
         case Kind.NONNEGATIVE:
-            return value >= 0.0
+            return bool(np.all(values >= 0.0))
         case Kind.FINITE:
-            return bool(np.isfinite(value))
+            return bool(np.all(np.isfinite(values)))

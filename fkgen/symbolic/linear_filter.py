@@ -129,7 +129,7 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
 
 def by_rows(matrix: ca.SX) -> ca.SX:
     """Entries of a matrix row by row: the one place where CasADi's column order is turned."""
-    return ca.densify(ca.reshape(matrix.T, -1, 1))
+    return ca.densify(ca.reshape(matrix.T, matrix.numel(), 1))
 
 
 def from_rows(values: ca.SX, rows: int) -> ca.SX:

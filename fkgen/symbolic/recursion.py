@@ -18,9 +18,9 @@ from fkgen.symbolic.interface import Kind, Port, Status
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """The sample is refused with ``status`` unless ``value`` is of this kind."""
+    """The sample is refused with ``status`` unless all ``values`` (a column) are of this kind."""
 
-    value: ca.SX
+    values: ca.SX
     kind: Kind
     status: Status
 
@@ -54,7 +54,7 @@ class Block:
 
     def function(self, symbols: Mapping[str, ca.SX]) -> ca.Function:
         """The assigned values in order, then the guards, as one CasADi function of what is read."""
-        outputs = [*self.assign.values(), *(guard.value for guard in self.guards)]
+        outputs = [*self.assign.values(), *(guard.values for guard in self.guards)]
         return ca.Function("block", [symbols[name] for name in self.reads], outputs)
 
     def threshold(self, symbols: Mapping[str, ca.SX]) -> ca.Function | None:

@@ -58,6 +58,9 @@ class Script:
     def put(self, assign: Mapping[str, ca.SX], guards: Sequence[Guard] = ()) -> None:
         """Append a block: all assignments happen at once."""
         dense = {name: ca.densify(value) for name, value in assign.items()}
+        for name, value in dense.items():
+            if value.shape != self._symbols[name].shape:
+                raise InternalError(f"{name} is {self._symbols[name].shape}, given {value.shape}")
         self._blocks.append(Block(self._title, dense, self._condition, tuple(guards)))
 
     def let(self, name: str, value: ca.SX, initial: float | None = None) -> ca.SX:
@@ -84,10 +87,10 @@ class Script:
         return named
 
     def demand(self, kind: Kind, values: Sequence[ca.SX], status: Status) -> None:
-        """Refuse the sample unless every value is of this kind; constants are left out."""
-        guards = [Guard(v, kind, status) for v in values if not v.is_constant()]
-        if guards:
-            self.put({}, guards)
+        """Refuse the sample unless all values are of this kind; constants are left out."""
+        undecided = [value for value in values if not value.is_constant()]
+        if undecided:
+            self.put({}, [Guard(column(undecided), kind, status)])
 
     def phase(self) -> Phase:
         """Freeze what was written, without assignments to locals that nothing reads."""
@@ -99,7 +102,7 @@ class Script:
             if not (assign or block.guards):
                 continue
             condition = block.when.positive if block.when else None
-            values = [*assign.values(), *(guard.value for guard in block.guards)]
+            values = [*assign.values(), *(guard.values for guard in block.guards)]
             values += [] if condition is None else [condition]
             reads = {self._owner[e.element_hash()] for v in values for e in ca.symvar(v)}
             blocks.append(replace(block, assign=assign, reads=tuple(sorted(reads))))

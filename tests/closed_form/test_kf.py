@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from models import (
     MOTOR,
+    PARAMETERS,
+    VARYING,
     assert_agree,
     distance,
     motor,
@@ -31,20 +33,6 @@ PORTS = (
 
 #: Two double computations of well-conditioned problems: some hundred roundings of 1e-16.
 EXACT = 1e-9
-
-#: x[k+1] depends on the step dt, y on a bearing; variances grow with time and range.
-VARYING = {
-    "A": [["exp(-dt/0.5)", "dt"], [0.0, "1 - 0.1*dt**2"]],
-    "B": [["dt**2/2"], ["dt"]],
-    "C": [["cos(angle)", "sin(angle)"], [1.0, "abs(angle) - 0.5"]],
-    "D": [[0.0], ["tan(0.3*angle)"]],
-    "Q": [["0.5*dt", "0.1*dt"], ["0.1*dt", "0.2*dt"]],
-    "R": [["0.1 + 0.2*sqrt(dt)", "0.02*dt"], ["0.02*dt", "log(2 + dt)"]],
-    "x0": [1.0, -1.0],
-    "P0": [[2.0, 0.3], [0.3, 1.0]],
-}
-PARAMETERS = {"dt": 0.1, "angle": 0.7}
-
 
 @pytest.mark.parametrize("missing", [0.0, 0.3])
 @pytest.mark.parametrize("correlated", [False, True])

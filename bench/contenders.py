@@ -1,4 +1,4 @@
-"""Compile contenders: each is a step in a translation unit of its own, and the same loop around it."""
+"""Compile contenders: each a step in a translation unit of its own, and the same loop around it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import fkgen
 import hand
 import models
 import numpy as np
+
+import fkgen
 
 HERE = Path(__file__).resolve().parent
 FLAGS = ("-std=c99", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
@@ -46,16 +47,21 @@ class Contender:
         include = [f"-I{HERE / 'c'}", f"-I{self.source.parent}"]
         if self.source.suffix == ".cpp":
             driver = {"gcc": "g++", "clang": "clang++"}[cc]
-            flags = [f for f in FLAGS if not f.startswith("-std")] + ["-I/usr/include/eigen3"]
+            flags = [f for f in FLAGS if not f.startswith("-std")] + [
+                "-DNDEBUG",
+                "-I/usr/include/eigen3",
+            ]
         else:
             driver, flags = COMPILERS[cc][0], list(FLAGS)
         step, loop = out.with_suffix(".step.o"), out.with_suffix(".loop.o")
+        around = ["-O2", f'-DCONTENDER="{header}"', f"-DREAL={self.real}", *extra]
+        body = HERE / "c" / "loop.c"
+        kind = () if extra else ("-shared",)
         return [
             [driver, *flags, level, *defines, *include, "-c", str(self.source), "-o", str(step)],
-            [cc, *FLAGS, "-O2", *defines, *include, f'-DCONTENDER="{header}"', f"-DREAL={self.real}",
-             *extra, "-c", str(HERE / "c" / "loop.c"), "-o", str(loop)],
-            [driver, *(() if extra else ("-shared",)), str(step), str(loop), "-lm", "-o", str(out)],
-        ]  # fmt: skip
+            [cc, *FLAGS, *around, *defines, *include, "-c", str(body), "-o", str(loop)],
+            [driver, *kind, str(step), str(loop), "-lm", "-o", str(out)],
+        ]
 
 
 def library(

@@ -1,0 +1,62 @@
+"""A table, for the terminal and for Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+
+@dataclass
+class Table:
+    """Rows of text under a header.
+
+    Attributes
+    ----------
+    title : str
+    columns : sequence of str
+    note : str
+        What was measured, and what it is measured against.
+    """
+
+    title: str
+    columns: Sequence[str]
+    note: str
+    rows: list[list[str]] = field(default_factory=list)
+
+    def add(self, *cells: object) -> None:
+        """Append a row."""
+        self.rows.append([str(cell) for cell in cells])
+
+    def show(self, console: Console) -> None:
+        """Print."""
+        table = RichTable(title=self.title, caption=self.note, title_justify="left")
+        for i, column in enumerate(self.columns):
+            table.add_column(column, justify="right" if i else "left")
+        for row in self.rows:
+            table.add_row(*row)
+        console.print(table)
+
+    def markdown(self) -> str:
+        """The same as Markdown."""
+        rule = ["---", *["---:"] * (len(self.columns) - 1)]
+        lines = [f"| {' | '.join(row)} |" for row in ([*self.columns], rule, *self.rows)]
+        return "\n".join([f"## {self.title}", "", self.note, "", *lines, ""])
+
+
+def ns(seconds: float) -> str:
+    """Nanoseconds, three digits."""
+    value = seconds * 1e9
+    return f"{value:.1f}" if value < 100 else f"{value:.0f}"
+
+
+def times(ratio: float) -> str:
+    """A ratio."""
+    return f"{ratio:.2f}" if ratio < 10 else f"{ratio:.0f}"
+
+
+def verdict(value: float, limit: float) -> str:
+    """Whether a target is met."""
+    return "met" if value <= limit else "missed"

@@ -1,0 +1,88 @@
+"""What a check says: findings and values."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Literal
+
+Severity = Literal["error", "warning", "note"]
+
+_ORDER: tuple[Severity, ...] = ("error", "warning", "note")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing worth knowing about a model.
+
+    Attributes
+    ----------
+    code : str
+        Its name, for programs.
+    severity : str
+        ``"error"``: the filter would not do its work; ``"warning"``: probably not what was meant;
+        ``"note"``.
+    message : str
+        What was found.
+    value : float or None
+        The number behind it, where there is one.
+    remedy : str
+        How to mend it; empty for most notes.
+    """
+
+    code: str
+    severity: Severity
+    message: str
+    value: float | None = None
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a check found, worst first.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+    values : dict of str to float
+        What was computed, at the default parameters: ``spectral_radius``, ``observability_rank``,
+        ``closed_loop_radius``, ``stationary_sd.<state>`` ...
+    """
+
+    findings: tuple[Finding, ...]
+    values: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def sound(self) -> bool:
+        """Whether there is no error."""
+        return not any(finding.severity == "error" for finding in self.findings)
+
+    def to_json(self) -> str:
+        """Findings and values as JSON; a number that is not finite becomes null."""
+        findings = [
+            asdict(f) | {"value": None if f.value is None else _finite(f.value)}
+            for f in self.findings
+        ]
+        values = {name: _finite(value) for name, value in self.values.items()}
+        return json.dumps({"sound": self.sound, "findings": findings, "values": values}, indent=2)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one examination contributes to a report."""
+
+    findings: tuple[Finding, ...] = ()
+    values: dict[str, float] = field(default_factory=dict)
+
+
+def combined(parts: list[Part]) -> Report:
+    """All parts as one report, the worst findings first."""
+    findings = [finding for part in parts for finding in part.findings]
+    findings.sort(key=lambda finding: _ORDER.index(finding.severity))
+    values = {name: value for part in parts for name, value in part.values.items()}
+    return Report(tuple(findings), values)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

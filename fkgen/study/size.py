@@ -1,0 +1,51 @@
+"""What the filter costs, and what of the spec it does not use."""
+
+from __future__ import annotations
+
+from fkgen.backend.lower import lower
+from fkgen.families import family
+from fkgen.runtime.compiler import LARGE
+from fkgen.spec import names
+from fkgen.study.figures import Figures, listed
+from fkgen.study.findings import Finding, Part
+
+
+def cost(figures: Figures) -> Part:
+    """Operations of one step of the generated code."""
+    spec = figures.spec
+    program = lower(family(spec.filter.family).build(spec))
+    values = {
+        "flops_per_step": float(program.flops),
+        "calls_per_step": float(sum(n for op, n in program.operations.items() if op.is_function)),
+    }
+    if program.flops <= LARGE:
+        return Part((), values)
+    message = (
+        f"one step has {program.flops} operations: as straight-line C that is a large file, slow "
+        "to compile and slow in the instruction cache"
+    )
+    remedy = "zeros in A and C cost nothing: look for a basis with more of them"
+    return Part((Finding("large_code", "warning", message, program.flops, remedy),), values)
+
+
+def parameters(figures: Figures) -> Part:
+    """Parameters that nothing uses, and what they mean for the figures."""
+    spec = figures.spec
+    model, faults = spec.model, spec.faults.actuator
+    used = frozenset().union(
+        *(getattr(model, letter).names for letter in ("A", "B", "C", "D", "Q", "R"))
+    )
+    if faults is not None and spec.filter.family == "mkf":
+        used = used.union(*(names(rate) for rate in faults.success_rate))
+        used |= faults.covariance.names if faults.covariance is not None else frozenset()
+    findings = []
+    unused = [p.name for p in spec.parameters if p.name not in used]
+    if unused:
+        message = f"nothing uses the parameter{'s' * (len(unused) > 1)} {listed(unused)}"
+        remedy = "take out of [parameters], or use in a matrix"
+        findings.append(Finding("unused_parameter", "warning", message, len(unused), remedy))
+    moving = [f"{p.name} = {p.default:g}" for p in spec.parameters if p.name in used]
+    if moving:
+        message = f"the model changes with its parameters; all figures are for {listed(moving)}"
+        findings.append(Finding("time_varying", "note", message, len(moving)))
+    return Part(tuple(findings))

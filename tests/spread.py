@@ -1,0 +1,78 @@
+"""Specs that together use everything that can be generated."""
+
+from __future__ import annotations
+
+import numpy as np
+from models import (
+    MOTOR,
+    PARAMETERS,
+    SENSED,
+    VARYING,
+    common,
+    independent,
+    motor,
+    random_model,
+    record,
+    spec,
+)
+
+TWO = random_model(71, 3, 2, 2, direct=True, correlated=True)
+EXACT = SENSED | {"R": [[5e-6, 0.0], [0.0, 0.0]]}
+#: 33 rows of y, two words of valid bits; few of them see a state, which keeps the code short.
+WIDE = random_model(72, 2, 33)
+WIDE["C"] = [row if i in {0, 31, 32} else [0.0, 0.0] for i, row in enumerate(WIDE["C"])]
+PAIR = {"success_rate": [0.7, 0.4], "covariance": [[0.21, 0.1], [0.1, 0.24]]}
+CONSTANT_RATE_OF_X = {
+    "A": [["1 - dt", "dt"], [0.0, 1.0]],
+    "B": [["dt"], ["gain*dt"]],
+    "C": [[1.0, 0.0]],
+    "Q": [["dt*q", 0.0], [0.0, "dt*q/2"]],
+    "R": [["r"]],
+    "x0": [0.0, 1.0],
+    "P0": [[1.0, 0.0], [0.0, 1.0]],
+}
+
+
+def specs(scalar="double"):
+    """Specs by name."""
+    code = {"scalar": scalar}
+    bank = {"actuator": {"dependence": "common"}, "hypotheses": [0.3, 0.7]}
+    apart = {"actuator": {"dependence": "independent"}, "hypotheses": [[0.3, 0.9], 0.7]}
+    arithmetic = {"dt": 0.1, "gain": 2.0, "q": 0.3, "r": 0.5}
+    return {
+        "kf": motor("kf", code=code),
+        "kf_joseph": motor("kf", code=code | {"update": "joseph"}),
+        "kf_correlated": spec(TWO, family="kf", code=code),
+        "kf_no_input": spec(random_model(73, 4, 3), family="kf", code=code),
+        "kf_functions": spec(VARYING, family="kf", parameters=PARAMETERS, code=code),
+        "kf_arithmetic": spec(CONSTANT_RATE_OF_X, family="kf", parameters=arithmetic, code=code),
+        "kf_exact": spec(EXACT, family="kf", code=code),
+        "kf_wide": spec(WIDE, family="kf", code=code),
+        "mkf": motor("mkf", code=code),
+        "mkf_certain": motor("mkf", actuator=common(1.0), code=code),
+        "mkf_sensed": motor("mkf", SENSED, code=code),
+        "mkf_exact": motor("mkf", EXACT, code=code),
+        "mkf_rate": motor("mkf", SENSED, actuator=common("xi"), parameters={"xi": 0.7}, code=code),
+        "mkf_independent": spec(TWO, family="mkf", actuator=independent([0.7, 0.4]), code=code),
+        "mkf_correlated": spec(TWO, family="mkf", actuator=PAIR, code=code),
+        "mme": motor("mme", code=code),
+        "mme_speed": motor("mme", MOTOR, weight_floor=0.0, code=code),
+        "mme_gaussian": motor("mme", likelihood="gaussian", prior=[0.0, *[0.25] * 4], code=code),
+        "mme_one": motor("mme", hypotheses=[0.7], code=code),
+        "mme_certain": motor("mme", hypotheses=[0.0, 0.4, 1.0], code=code),
+        "mme_common": spec(TWO, family="mme", code=code, **bank),
+        "mme_independent": spec(TWO, family="mme", code=code, **apart),
+    }
+
+
+NAMES = tuple(specs())
+
+
+def trial(plant, T=8):
+    """A record with missing rows, and parameters that change: (y, u, params)."""
+    rng = np.random.default_rng(5)
+    params = {name: v * rng.uniform(0.9, 1.1, T) for name, v in plant.defaults.items()}
+    y, u = record(plant, T, missing=0.2, params=params)
+    y[T // 2] = np.nan
+    y[T // 2 + 1, 0] = np.nan
+    return y, u, params

@@ -1,0 +1,98 @@
+"""Pictures of a run: a panel per state and unit of y, NIS, probabilities; always the same bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fkgen
+from fkgen.study.columns import Selection, run_table
+from fkgen.study.plots import draw, rendered
+from fkgen.study.starters import starter
+from fkgen.study.table import Table
+
+PORTS = ("filtered_state", "filtered_covariance", "innovation", "nis")
+
+
+def table_of(spec, y, time_name=""):
+    samples = len(y)
+    return Table(
+        file="r",
+        lines=tuple(range(samples)),
+        time_name=time_name,
+        time_text=(),
+        time=np.arange(samples, dtype=float),
+        y=y,
+        u=np.ones((samples, spec.model.nu)),
+        params={},
+        notes=(),
+    )
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plots")
+
+    def make(family, y, time_name="", scalar="double"):
+        path = folder / f"{family}.toml"
+        text = starter(family).replace('scalar = "double"', f'scalar = "{scalar}"')
+        path.write_text(text, encoding="utf-8")
+        spec = fkgen.load(path)
+        built = fkgen.build(spec)
+        table = table_of(spec, y, time_name)
+        modes = ("mode_probability",) if family == "mme" else ()
+        run = run_table(built, table, Selection((), (*PORTS, *modes)))
+        return draw(spec, table, run)
+
+    return make
+
+
+def noise(samples, width, missing=0.0):
+    rng = np.random.default_rng(1)
+    y = rng.normal(size=(samples, width))
+    y[rng.random(y.shape) < missing] = np.nan
+    return y
+
+
+def labels(figure):
+    return [axis.get_ylabel() for axis in figure.axes]
+
+
+def test_panels_carry_names_and_units(drawn):
+    assert labels(drawn("kf", noise(40, 2))) == [
+        *("position (m)", "speed (m/s)"),
+        *("innovation (m)", "innovation (m/s)", "NIS"),
+    ]
+
+
+def test_probabilities_have_a_panel(drawn):
+    figure = drawn("mme", noise(40, 2))
+    assert labels(figure)[-1] == "probability"
+    assert [text.get_text() for text in figure.axes[-1].get_legend().get_texts()] == [
+        f"rate {rate}" for rate in (0.1, 0.3, 0.5, 0.7, 0.9)
+    ]
+
+
+def test_rows_that_come_and_go_change_the_scale_of_nis(drawn):
+    assert labels(drawn("kf", noise(40, 2, missing=0.3)))[-1] == "NIS / upper bound"
+
+
+@pytest.mark.parametrize(
+    ("family", "time_name", "label"),
+    [("kf", "", "sample"), ("kf", "t_s", "time (s)"), ("kf", "t", "t"), ("mme", "", "time (s)")],
+)
+def test_the_time_axis_says_what_it_is(drawn, family, time_name, label):
+    assert drawn(family, noise(5, 2), time_name).axes[-1].get_xlabel() == label
+
+
+@pytest.mark.parametrize("y", [np.full((3, 2), np.nan), np.full((3, 2), np.inf), np.zeros((1, 2))])
+@pytest.mark.parametrize("scalar", ["double", "float"])
+def test_records_without_information_are_drawn_too(drawn, tmp_path, y, scalar):
+    assert rendered(drawn("kf", y, scalar=scalar), tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
+def test_the_same_run_gives_the_same_bytes(drawn, tmp_path, ending):
+    path = tmp_path / f"a.{ending}"
+    first, second = (rendered(drawn("kf", noise(9, 2)), path) for _ in range(2))
+    assert first == second
