@@ -36,6 +36,10 @@ class _OneLine(click.Group):
             sys.stdout.flush()
         except KeyboardInterrupt:
             _fail(ctx, "interrupted", status=_INTERRUPTED)
+        except click.UsageError as error:
+            path = error.ctx.command_path if error.ctx else ctx.command_path
+            text = error.format_message().replace(". Did", "; did").rstrip(".?")
+            _fail(ctx, f"{text[:1].lower()}{text[1:]}; see: {path} --help")
         except InternalError as error:
             _fail(ctx, f"{error}; this is a defect of fkgen: please report it with the spec")
         except FkgenError as error:

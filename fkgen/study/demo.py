@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fkgen import pipeline
 from fkgen.backend.render import cost
 from fkgen.closed_form import LinearSystem, simulate
+from fkgen.errors import OutputError
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.compiler import find_compiler
 from fkgen.runtime.results import Run
@@ -43,6 +44,8 @@ def play(folder: Path) -> Iterator[str]:
         If the folder cannot be written.
     """
     find_compiler()  # the one thing that may be missing: say so at once
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(str(folder), given="a file", expected="a folder, or nothing yet")
     yield "1. A motor whose input fails at a rate nobody knows (mme, a bank of five filters)"
     spec = load(resource(_MOTOR))
     built = yield from _built(spec, folder)

@@ -254,8 +254,24 @@ def test_a_demo_without_a_compiler_names_what_is_missing(folder):
     assert not (folder / "fkgen_demo").exists()
 
 
-@pytest.mark.parametrize("arguments", [(), ("check",), ("nonsense",), ("run", "--bad"), ("new",)])
-def test_usage_errors_are_no_tracebacks(folder, arguments):
-    result = CliRunner().invoke(main, list(arguments), prog_name="fkgen")
-    assert result.exit_code == 2
+def test_a_file_where_the_demo_should_go(refused):
+    assert "good.csv: given a file; expected a folder" in refused("demo", "-o", "good.csv")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("frob",), "no such command 'frob'; see: fkgen --help"),
+        (("check",), "missing argument 'SPEC'; see: fkgen check --help"),
+        (("run", "a", "b", "--bad"), "no such option"),
+        (("new", "kf", "kf"), "got unexpected extra argument (kf); see: fkgen new --help"),
+    ],
+)
+def test_mistakes_in_the_command_line_are_one_line(refused, arguments, message):
+    assert message in refused(*arguments)
+
+
+def test_without_a_command_there_is_help(folder):
+    result = CliRunner().invoke(main, [], prog_name="fkgen")
     assert "Usage: fkgen" in result.output
+    assert "Traceback" not in result.output

@@ -1,0 +1,164 @@
+"""What compiled filters refuse, by name, and that nothing changes then: seen from Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from models import MOTOR, PARAMETERS, SENSED, VARYING, common, motor, random_model, spec
+
+import fkgen
+from fkgen.errors import StepRefused
+
+INF, NAN = np.inf, np.nan
+
+
+def fresh(plant):
+    """A filter of its own, three samples into a record."""
+    found = fkgen.build(plant)
+    p, q = plant.model.ny, plant.model.nu
+    for _ in range(3):
+        found.step(np.full(p, 0.1), np.full(q, 1.0) if q else None)
+    return found
+
+
+def assert_refused(found, name, y, u=None, params=None):
+    before = found.snapshot()
+    with pytest.raises(StepRefused) as caught:
+        found.step(y, u, params)
+    assert caught.value.name == f"PLANT_{name}"
+    assert caught.value.status < 0
+    assert found.snapshot() == before
+
+
+PLANTS = {
+    "kf": motor("kf", SENSED),
+    "mkf": motor("mkf", SENSED),
+    "mme": motor("mme", SENSED),
+    "float": motor("mme", SENSED, code={"scalar": "float"}),
+    "joseph": motor("kf", SENSED, code={"update": "joseph"}),
+}
+
+
+@pytest.mark.parametrize("name", list(PLANTS))
+@pytest.mark.parametrize(
+    ("y", "u"),
+    [
+        ([0.0, INF], [1.0]),
+        ([-INF, 0.0], [1.0]),
+        ([INF, NAN], [1.0]),
+        ([0.0, 0.0], [INF]),
+        ([0.0, 0.0], [-INF]),
+        ([0.0, 0.0], [NAN]),
+        ([NAN, NAN], [NAN]),
+    ],
+)
+def test_infinities_and_inputs_that_are_no_numbers_are_refused(name, y, u):
+    assert_refused(fresh(PLANTS[name]), "INPUT_NOT_FINITE", y, u)
+
+
+@pytest.mark.parametrize("name", list(PLANTS))
+def test_a_missing_sample_is_no_refusal_but_says_so(name):
+    found = fresh(PLANTS[name])
+    assert found.step([NAN, NAN], [1.0]).status == 1
+    assert found.step([NAN, 0.1], [1.0]).status == 0
+
+
+@pytest.mark.parametrize("name", ["kf", "mkf", "joseph"])
+def test_a_covariance_that_lost_its_positivity_is_refused(name):
+    found = fresh(PLANTS[name])
+    found.state("predicted_covariance")[:] = [-1.0, 0.0, -1.0]
+    assert_refused(found, "NOT_POSITIVE_DEFINITE", [0.0, 0.0], [1.0])
+    assert_refused(found, "NOT_POSITIVE_DEFINITE", [NAN, NAN], [1.0])
+
+
+@pytest.mark.parametrize("name", ["mme", "float"])
+@pytest.mark.parametrize("mode", [0, 4])
+def test_one_hypothesis_that_lost_its_positivity_is_enough(name, mode):
+    found = fresh(PLANTS[name])
+    found.state("mode_covariance").reshape(5, 3)[mode] = [1.0, 0.0, -1.0]
+    assert_refused(found, "NOT_POSITIVE_DEFINITE", [0.0, 0.0], [1.0])
+
+
+@pytest.mark.parametrize("member", ["predicted_state", "predicted_covariance"])
+@pytest.mark.parametrize("value", [NAN, INF])
+def test_an_instance_that_holds_no_numbers_is_refused(member, value):
+    found = fresh(PLANTS["kf"])
+    found.state(member)[:] = value
+    before = bytes(found.state(member).tobytes())
+    with pytest.raises(StepRefused):
+        found.step([0.0, 0.0], [1.0])
+    assert found.state(member).tobytes() == before
+
+
+@pytest.mark.parametrize("family", ["kf", "mkf"])
+def test_a_result_that_would_overflow_is_refused(family):
+    # The speed is a thousand times what is measured, so 1e308 corrects it by 1e311.
+    model = MOTOR | {"C": [[0.0, 1e-3]], "R": [[5e-12]]}
+    assert_refused(fresh(motor(family, model)), "RESULT_NOT_FINITE", [1e308], [1.0])
+
+
+def test_a_result_that_overflows_in_the_prediction_alone_is_refused():
+    found = fresh(motor("kf", MOTOR | {"A": [[2.0, 0.0], [0.0, 0.9]]}))
+    found.state("predicted_state")[:] = [1.7e308, 0.0]
+    assert_refused(found, "RESULT_NOT_FINITE", [NAN], [1.0])
+
+
+def test_likelihoods_that_overflow_in_a_bank_are_refused():
+    found = fresh(PLANTS["mme"])
+    assert_refused(found, "RESULT_NOT_FINITE", [1e200, 0.0], [1.0])
+
+
+@pytest.mark.parametrize("rate", [-0.1, 1.1, np.nextafter(1.0, 2.0)])
+@pytest.mark.parametrize("model", [MOTOR, SENSED], ids=["speed", "speed_and_voltage"])
+def test_a_run_time_rate_outside_zero_and_one_is_refused(model, rate):
+    plant = motor("mkf", model, actuator=common("xi"), parameters={"xi": 0.7})
+    found = fresh(plant)
+    y = [0.1] * plant.model.ny
+    assert_refused(found, "PARAMETER_OUT_OF_RANGE", y, [1.0], {"xi": rate})
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_a_run_time_rate_of_zero_or_one_is_legal(rate):
+    plant = motor("mkf", SENSED, actuator=common("xi"), parameters={"xi": 0.7})
+    assert fresh(plant).step([0.1, 0.1], [1.0], {"xi": rate}).status == 0
+
+
+def test_a_parameter_that_makes_a_variance_negative_is_refused():
+    found = fresh(spec(VARYING, family="kf", parameters=PARAMETERS))
+    assert_refused(found, "PARAMETER_OUT_OF_RANGE", [0.1, 0.1], [1.0], {"dt": -0.05})
+
+
+def test_a_parameter_outside_the_domain_of_a_function_is_refused():
+    model = random_model(81, 1, 1) | {"A": [["log(a)"]]}
+    found = fresh(spec(model, family="kf", parameters={"a": 2.0}))
+    assert_refused(found, "RESULT_NOT_FINITE", [0.1], None, {"a": -1.0})
+
+
+@pytest.mark.parametrize("name", list(PLANTS))
+def test_a_refused_sample_leaves_the_rest_of_a_record_as_if_it_were_not_there(name):
+    plant = PLANTS[name]
+    rng = np.random.default_rng(3)
+    y, u = rng.standard_normal((12, 2)), np.ones((12, 1))
+    broken = y.copy()
+    broken[5, 1] = INF
+    found = fkgen.build(plant)
+    with_it = found.run(broken, u)
+    without = found.run(np.delete(y, 5, axis=0), np.delete(u, 5, axis=0))
+    np.testing.assert_array_equal(with_it.refused, np.arange(12) == 5)
+    for port in found.ports:
+        got = np.delete(with_it[port], 5, axis=0)
+        np.testing.assert_array_equal(got, without[port])
+        if port != "innovation":  # NaN where y is no number
+            np.testing.assert_array_equal(with_it[port][5], with_it[port][4])
+
+
+def test_the_message_names_the_status_and_says_what_it_means():
+    with pytest.raises(StepRefused, match=r"-2 \(PLANT_INPUT_NOT_FINITE\): u holds NaN"):
+        fresh(PLANTS["kf"]).step([0.0, 0.0], [NAN])
+
+
+def test_a_noise_covariance_that_is_not_positive_is_refused_for_correlated_rows():
+    model = random_model(82, 2, 2) | {"R": [[1.0, "c"], ["c", 1.0]]}
+    found = fresh(spec(model, family="kf", parameters={"c": 0.5}))
+    assert found.step([0.1, 0.1], None, {"c": 0.999}).status == 0
+    assert_refused(found, "NOT_POSITIVE_DEFINITE", [0.1, 0.1], None, {"c": 5.0})
