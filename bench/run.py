@@ -40,7 +40,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=PARTS, nargs="+", help="some of the tables")
     parser.add_argument("--rounds", type=int, default=60, help="turns of every contender")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of turns, at least")
+    parser.add_argument("--seconds", type=float, default=3.0, help="of turns, at least")
     parser.add_argument(
         "--callgrind", action="store_true", help="count instructions too (valgrind)"
     )
@@ -68,7 +68,7 @@ def _page(settings: Settings, tables: list[Table]) -> str:
         "# Benchmarks",
         "",
         "Written by `python bench/run.py --write`; `make bench` measures without writing.",
-        f"All take turns on one core: {settings.rounds} rounds or more, {settings.seconds:g} s or more.",
+        f"All take turns on one core, {settings.rounds} rounds and {settings.seconds:g} s or more.",
         "Times depend on the machine, ratios much less.",
         "",
         f"Compilers: {'; '.join(versions)}. Flags: `{' '.join(FLAGS)}`, no `-march`.",

@@ -138,18 +138,18 @@ def _ports(spec: Spec, random: list[int]) -> tuple[Port, ...]:
                 meaning="its error covariance",
             ),
         ]
-    if any(random):
-        packed = sum(r * (r + 1) // 2 for r in random)
-        about = "of gamma[k] minus its mean under each hypothesis, given y[0..k]"
-        ports += [
-            vector(name="mode_deviation", shape=(sum(random),), meaning=f"mean {about}"),
-            vector(
-                name="mode_deviation_covariance", shape=(packed,), meaning=f"covariance {about}"
-            ),
-            vector(
-                name="mode_deviation_cross",
-                shape=(sum(random) * n,),
-                meaning=f"covariance {about}, with the state",
-            ),
-        ]
-    return tuple(ports)
+    return (*ports, *(_deviation_ports(n, random) if any(random) else ()))
+
+
+def _deviation_ports(n: int, random: list[int]) -> tuple[Port, ...]:
+    """What each hypothesis makes of gamma[k], one after the other: sizes differ between them."""
+    about = "of gamma[k] minus its mean under each hypothesis, given y[0..k]"
+    sizes = {
+        "mode_deviation": (sum(random), f"mean {about}"),
+        "mode_deviation_covariance": (sum(r * (r + 1) // 2 for r in random), f"covariance {about}"),
+        "mode_deviation_cross": (sum(random) * n, f"covariance {about}, with the state"),
+    }
+    return tuple(
+        Port(name=name, shape=(size,), role=Role.STATE, meaning=meaning)
+        for name, (size, meaning) in sizes.items()
+    )

@@ -34,6 +34,7 @@ PORTS = (
 #: Two double computations of well-conditioned problems: some hundred roundings of 1e-16.
 EXACT = 1e-9
 
+
 @pytest.mark.parametrize("missing", [0.0, 0.3])
 @pytest.mark.parametrize("correlated", [False, True])
 @pytest.mark.parametrize(("n", "p", "q"), [(1, 1, 0), (2, 1, 1), (3, 2, 0), (4, 3, 2), (6, 4, 1)])

@@ -1,0 +1,164 @@
+"""exp, log, sqrt, sin, cos, tan, atan2 in plain arithmetic: their errors in units of the last place."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from models import built, generated, spec
+
+from fkgen.backend.elementary import Elementary
+
+REAL = {"double": np.float64, "float": np.float32}
+
+#: Largest errors in ulps that are allowed. Polynomials and reductions err by a rounding or two; the
+#: square root is Newton's, so correct but for the last rounding; atan2 halves its angle twice.
+ULPS = {"exp": 2.5, "log": 1.5, "sqrt": 1.0, "sin": 2.0, "cos": 2.0, "tan": 4.0, "atan2": 4.0}
+
+LIMITS = {"double": (-708.0, 709.0), "float": (-87.0, 88.0)}
+
+
+def arguments(name, scalar, count):
+    """Arguments over the range of a function, in its scalar type."""
+    rng = np.random.default_rng(len(name))
+    low, high = LIMITS[scalar]
+    spans = {
+        "exp": rng.uniform(low, high, count),
+        "log": np.exp(rng.uniform(low, high, count)),
+        "sqrt": np.exp(rng.uniform(low, high, count)),
+    }
+    waves = np.concatenate([rng.uniform(-4.0, 4.0, count), rng.uniform(-1000.0, 1000.0, count)])
+    near = 1.0 + rng.uniform(-1e-3, 1e-3, count)
+    if name == "log":
+        return np.concatenate([spans["log"], near]).astype(REAL[scalar])
+    return spans.get(name, waves).astype(REAL[scalar])
+
+
+def ulps(found, exact, scalar):
+    """Error in units in the last place of the exact value."""
+    spacing = float(np.spacing(REAL[scalar](abs(exact))))
+    return abs(float((mpmath.mpf(float(found)) - exact) / spacing))
+
+
+@pytest.mark.parametrize("scalar", ["double", "float"])
+@pytest.mark.parametrize("name", ["exp", "log", "sqrt", "sin", "cos", "tan"])
+def test_functions_err_by_less_than_their_ulps(name, scalar):
+    function = getattr(Elementary(scalar), name)
+    with mpmath.workdps(50), np.errstate(all="ignore"):
+        errors = [
+            ulps(function(x), getattr(mpmath, name)(mpmath.mpf(float(x))), scalar)
+            for x in arguments(name, scalar, 400)
+        ]
+    worst = max(errors)
+    if name in {"sin", "cos", "tan"}:
+        # Near a zero beyond some turns, what is left of the reduction counts: a few units of pi.
+        assert np.quantile(errors, 0.99) <= ULPS[name]
+        assert worst <= 100.0
+    else:
+        assert worst <= ULPS[name]
+
+
+@pytest.mark.parametrize("scalar", ["double", "float"])
+def test_atan2_errs_by_less_than_its_ulps_in_every_octant(scalar):
+    rng = np.random.default_rng(2)
+    points = rng.standard_normal((400, 2)) * np.exp(rng.uniform(-5.0, 5.0, (400, 2)))
+    function = Elementary(scalar).atan2
+    with mpmath.workdps(50):
+        for y, x in points.astype(REAL[scalar]):
+            exact = mpmath.atan2(mpmath.mpf(float(y)), mpmath.mpf(float(x)))
+            assert ulps(function(y, x), exact, scalar) <= ULPS["atan2"]
+
+
+@pytest.mark.parametrize("scalar", ["double", "float"])
+class TestSpecialValues:
+    def test_logarithm(self, scalar):
+        log, real = Elementary(scalar).log, REAL[scalar]
+        with np.errstate(all="ignore"):
+            assert log(real(0.0)) == -np.inf
+            assert np.isnan(log(real(-1.0)))
+            assert np.isnan(log(real(np.nan)))
+            assert log(real(np.inf)) == np.inf
+            assert log(real(1.0)) == 0.0
+
+    def test_logarithm_of_a_subnormal_number(self, scalar):
+        real = REAL[scalar]
+        smallest = np.finfo(real).smallest_subnormal
+        exact = mpmath.log(mpmath.mpf(float(smallest)))
+        assert ulps(Elementary(scalar).log(smallest), exact, scalar) <= ULPS["log"]
+
+    def test_exponential(self, scalar):
+        exp, real = Elementary(scalar).exp, REAL[scalar]
+        assert exp(real(0.0)) == 1.0
+        assert exp(real(-np.inf)) == 0.0
+        assert exp(real(np.inf)) == np.inf
+        assert exp(real(-1e5)) == 0.0
+        assert exp(real(1e5)) == np.inf
+        assert np.isnan(exp(real(np.nan)))
+
+    def test_exponential_fades_out_without_a_jump(self, scalar):
+        exp, real = Elementary(scalar).exp, REAL[scalar]
+        low = {"double": -745.0, "float": -103.0}[scalar]
+        with np.errstate(all="ignore"):
+            last = exp(real(low))
+        assert 0.0 < last < np.finfo(real).tiny
+
+    def test_square_root(self, scalar):
+        sqrt, real = Elementary(scalar).sqrt, REAL[scalar]
+        with np.errstate(all="ignore"):
+            assert sqrt(real(0.0)) == 0.0
+            assert np.signbit(sqrt(real(-0.0)))
+            assert np.isnan(sqrt(real(-1.0)))
+            assert sqrt(real(np.inf)) == np.inf
+            assert np.isnan(sqrt(real(np.nan)))
+        for root in (1.0, 2.0, 3.0, 12.0, 0.25):
+            assert sqrt(real(root * root)) == root
+
+    def test_square_root_of_a_subnormal_number(self, scalar):
+        smallest = np.finfo(REAL[scalar]).smallest_subnormal
+        exact = mpmath.sqrt(mpmath.mpf(float(smallest)))
+        assert ulps(Elementary(scalar).sqrt(smallest), exact, scalar) <= ULPS["sqrt"]
+
+    def test_waves(self, scalar):
+        functions, real = Elementary(scalar), REAL[scalar]
+        assert functions.sin(real(0.0)) == 0.0
+        assert functions.cos(real(0.0)) == 1.0
+        assert functions.tan(real(0.0)) == 0.0
+        with np.errstate(all="ignore"):
+            for x in (np.inf, -np.inf, np.nan, 2e5):
+                assert np.isnan(functions.sin(real(x)))
+                assert np.isnan(functions.cos(real(x)))
+        assert functions.sin(real(-0.5)) == -functions.sin(real(0.5))
+        assert functions.cos(real(-0.5)) == functions.cos(real(0.5))
+
+    def test_angles_on_the_axes(self, scalar):
+        atan2, real = Elementary(scalar).atan2, REAL[scalar]
+        expected = {(0, 1): 0.0, (1, 0): np.pi / 2, (-1, 0): -np.pi / 2, (0, -1): np.pi}
+        for (y, x), angle in expected.items():
+            assert atan2(real(y), real(x)) == real(angle)
+        assert atan2(real(0.0), real(0.0)) == 0.0
+
+
+@pytest.mark.parametrize("scalar", ["double", "float"])
+@pytest.mark.parametrize("name", ["exp", "log", "sqrt", "sin", "cos", "tan", "atan2", "abs"])
+def test_compiled_functions_give_the_bits_of_the_reference(name, scalar):
+    expression = "atan2(a, b)" if name == "atan2" else f"{name}(a)"
+    one = [[1.0]]
+    model = {"A": [[expression]], "C": one, "Q": one, "R": one, "x0": [1.0], "P0": one}
+    plant = spec(model, family="kf", parameters={"a": 0.5, "b": 0.7}, code={"scalar": scalar})
+    assert f"plant_{name}(" in generated(plant).files["plant.c"] or name == "abs"
+    rng = np.random.default_rng(9)
+    a = rng.uniform(-3.0, 3.0, 300) if name not in {"log", "sqrt"} else rng.uniform(1e-6, 9.0, 300)
+    a[:3] = [0.0, 1.0, 1e-30] if name != "log" else [1.0, 2.0, 1e-30]
+    found, real = built(plant), REAL[scalar]
+    functions = Elementary(scalar)
+    for value in a.astype(real):
+        other = real(0.7)
+        found.reset()
+        filtered = found.step([np.nan], None, {"a": value, "b": other}).predicted_state
+        if name == "abs":
+            expected = abs(value)
+        elif name == "atan2":
+            expected = functions.atan2(value, other)
+        else:
+            expected = getattr(functions, name)(value)
+        np.testing.assert_array_equal(filtered, [expected])
