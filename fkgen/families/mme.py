@@ -21,6 +21,7 @@ from fkgen.symbolic.estimate import (
     correct,
     demand_finite,
     demand_positive,
+    finite,
     propagate,
 )
 from fkgen.symbolic.linalg import congruence, pack, spread, unpack, weighted_sum
@@ -187,12 +188,9 @@ def _predict(bank: Bank) -> Phase:
                 "mode_covariance": covariances,
                 "predicted_state": state,
                 "predicted_covariance": covariance,
-            }
+            },
+            [finite(*of) for of in ((state, covariance), *zip(each, packed, strict=True))],
         )
-        symbols = bank.symbols
-        demand_finite(script, symbols["predicted_state"], symbols["predicted_covariance"])
-        for state_i, packed_i in zip(each, packed, strict=True):
-            demand_finite(script, state_i, packed_i)
     return script.phase()
 
 

@@ -21,8 +21,9 @@ from fkgen.symbolic.conditioning import (
 )
 from fkgen.symbolic.decorrelation import Measurement
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import congruence, is_zero, pack, unpack
+from fkgen.symbolic.linalg import column, congruence, is_zero, pack, unpack
 from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.recursion import Guard
 from fkgen.symbolic.script import Script
 
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
@@ -155,11 +156,16 @@ def demand_rates(script: Script, rates: list[ca.SX]) -> None:
         script.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
 
 
-def demand_finite(script: Script, state: ca.SX, packed: ca.SX) -> None:
+def finite(state: ca.SX, packed: ca.SX) -> Guard:
     """Refuse the sample unless the state and the variances are finite."""
     n = state.numel()
     values = [state[i] for i in range(n)] + [packed[i * (i + 3) // 2] for i in range(n)]
-    script.demand(Kind.FINITE, values, Status.RESULT_NOT_FINITE)
+    return Guard(column(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
+
+
+def demand_finite(script: Script, state: ca.SX, packed: ca.SX) -> None:
+    """Write the guard of `finite` on its own."""
+    script.put({}, [finite(state, packed)])
 
 
 def demand_positive(script: Script, packed: ca.SX, n: int) -> None:

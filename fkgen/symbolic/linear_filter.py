@@ -14,6 +14,7 @@ from fkgen.symbolic.estimate import (
     demand_finite,
     demand_positive,
     demand_rates,
+    finite,
     propagate,
     update_form,
 )
@@ -122,8 +123,7 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
             gain = ca.vertcat(gain, from_rows(symbols["actuation_gain"], r))
         assign["gain"] = by_rows(through @ gain)
     with script.titled("prediction of the next sample"):
-        script.put(assign)
-        demand_finite(script, symbols["predicted_state"], symbols["predicted_covariance"])
+        script.put(assign, [finite(state, covariance)])
     return script.phase()
 
 

@@ -9,7 +9,7 @@
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
-#if defined(__GNUC__)
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define CAR_SPEED_INLINE static inline __attribute__((always_inline))
 #else
 #define CAR_SPEED_INLINE static
@@ -761,15 +761,15 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     const double t14 = self->filtered_covariance[2] * A;
     const double t15 = self->filtered_covariance[1] + t14;
     const double t16 = self->filtered_covariance[2] + Q[1];
+    if (!((t6 - t6) + (self->filtered_state[1] - self->filtered_state[1]) + (t13 - t13) + (t16 - t16) >= 0.0))
+    {
+        return CAR_SPEED_RESULT_NOT_FINITE;
+    }
     next->predicted_state[0] = t6;
     next->predicted_state[1] = self->filtered_state[1];
     next->predicted_covariance[0] = t13;
     next->predicted_covariance[1] = t15;
     next->predicted_covariance[2] = t16;
-    if (!((next->predicted_state[0] - next->predicted_state[0]) + (next->predicted_state[1] - next->predicted_state[1]) + (next->predicted_covariance[0] - next->predicted_covariance[0]) + (next->predicted_covariance[2] - next->predicted_covariance[2]) >= 0.0))
-    {
-        return CAR_SPEED_RESULT_NOT_FINITE;
-    }
     return CAR_SPEED_OK;
 }
 

@@ -9,7 +9,7 @@
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
-#if defined(__GNUC__)
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define DC_MOTOR_KNOWN_INLINE static inline __attribute__((always_inline))
 #else
 #define DC_MOTOR_KNOWN_INLINE static
@@ -285,6 +285,10 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t44 = 0.0094 * self->filtered_gain[0];
     const double t45 = 0.9048 * self->filtered_gain[1];
     const double t46 = t44 + t45;
+    if (!((t6 - t6) + (t11 - t11) + (t23 - t23) + (t40 - t40) >= 0.0))
+    {
+        return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
+    }
     next->predicted_state[0] = t6;
     next->predicted_state[1] = t11;
     next->predicted_covariance[0] = t23;
@@ -292,10 +296,6 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     next->predicted_covariance[2] = t40;
     next->gain[0] = t43;
     next->gain[1] = t46;
-    if (!((next->predicted_state[0] - next->predicted_state[0]) + (next->predicted_state[1] - next->predicted_state[1]) + (next->predicted_covariance[0] - next->predicted_covariance[0]) + (next->predicted_covariance[2] - next->predicted_covariance[2]) >= 0.0))
-    {
-        return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
-    }
     return DC_MOTOR_KNOWN_OK;
 }
 

@@ -9,7 +9,7 @@
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
-#if defined(__GNUC__)
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define DC_MOTOR_UNKNOWN_INLINE static inline __attribute__((always_inline))
 #else
 #define DC_MOTOR_UNKNOWN_INLINE static
@@ -2096,6 +2096,30 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t417 = t397 * t396;
     const double t418 = t416 + t417;
     const double t419 = t409 + t418;
+    if (!((combined_state[0] - combined_state[0]) + (combined_state[1] - combined_state[1]) + (t371 - t371) + (t419 - t419) >= 0.0))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+    if (!((moved_state[0] - moved_state[0]) + (moved_state[1] - moved_state[1]) + (moved_covariance[0] - moved_covariance[0]) + (moved_covariance[2] - moved_covariance[2]) >= 0.0))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+    if (!((moved_state[2] - moved_state[2]) + (moved_state[3] - moved_state[3]) + (moved_covariance[3] - moved_covariance[3]) + (moved_covariance[5] - moved_covariance[5]) >= 0.0))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+    if (!((moved_state[4] - moved_state[4]) + (moved_state[5] - moved_state[5]) + (moved_covariance[6] - moved_covariance[6]) + (moved_covariance[8] - moved_covariance[8]) >= 0.0))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+    if (!((moved_state[6] - moved_state[6]) + (moved_state[7] - moved_state[7]) + (moved_covariance[9] - moved_covariance[9]) + (moved_covariance[11] - moved_covariance[11]) >= 0.0))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+    if (!((moved_state[8] - moved_state[8]) + (moved_state[9] - moved_state[9]) + (moved_covariance[12] - moved_covariance[12]) + (moved_covariance[14] - moved_covariance[14]) >= 0.0))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
     next->mode_state[0] = moved_state[0];
     next->mode_state[1] = moved_state[1];
     next->mode_state[2] = moved_state[2];
@@ -2126,30 +2150,6 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     next->predicted_covariance[0] = t371;
     next->predicted_covariance[1] = t400;
     next->predicted_covariance[2] = t419;
-    if (!((next->predicted_state[0] - next->predicted_state[0]) + (next->predicted_state[1] - next->predicted_state[1]) + (next->predicted_covariance[0] - next->predicted_covariance[0]) + (next->predicted_covariance[2] - next->predicted_covariance[2]) >= 0.0))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    if (!((moved_state[0] - moved_state[0]) + (moved_state[1] - moved_state[1]) + (moved_covariance[0] - moved_covariance[0]) + (moved_covariance[2] - moved_covariance[2]) >= 0.0))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    if (!((moved_state[2] - moved_state[2]) + (moved_state[3] - moved_state[3]) + (moved_covariance[3] - moved_covariance[3]) + (moved_covariance[5] - moved_covariance[5]) >= 0.0))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    if (!((moved_state[4] - moved_state[4]) + (moved_state[5] - moved_state[5]) + (moved_covariance[6] - moved_covariance[6]) + (moved_covariance[8] - moved_covariance[8]) >= 0.0))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    if (!((moved_state[6] - moved_state[6]) + (moved_state[7] - moved_state[7]) + (moved_covariance[9] - moved_covariance[9]) + (moved_covariance[11] - moved_covariance[11]) >= 0.0))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    if (!((moved_state[8] - moved_state[8]) + (moved_state[9] - moved_state[9]) + (moved_covariance[12] - moved_covariance[12]) + (moved_covariance[14] - moved_covariance[14]) >= 0.0))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
     return DC_MOTOR_UNKNOWN_OK;
 }
 

@@ -1,4 +1,4 @@
-"""exp, log, sqrt, sin, cos, tan, atan2 in plain arithmetic: their errors in units of the last place."""
+"""exp, log, sqrt, sin, cos, tan, atan2 in plain arithmetic: errors in units in the last place."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ REAL = {"double": np.float64, "float": np.float32}
 
 #: Largest errors in ulps that are allowed. Polynomials and reductions err by a rounding or two; the
 #: square root is Newton's, so correct but for the last rounding; atan2 halves its angle twice.
-ULPS = {"exp": 2.5, "log": 1.5, "sqrt": 1.0, "sin": 2.0, "cos": 2.0, "tan": 4.0, "atan2": 4.0}
+ULPS = {"exp": 2.5, "log": 2.0, "sqrt": 1.0, "sin": 2.0, "cos": 2.0, "tan": 4.0, "atan2": 4.0}
 
 LIMITS = {"double": (-708.0, 709.0), "float": (-87.0, 88.0)}
 
