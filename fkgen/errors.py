@@ -8,7 +8,19 @@ from __future__ import annotations
 
 
 class FkgenError(Exception):
-    """Root of every exception raised on purpose."""
+    """Root of every exception raised on purpose; picklable, to leave a worker process."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild from text and attributes, not from constructor arguments."""
+        return _rebuilt, (type(self), self.args, self.__dict__)
+
+
+def _rebuilt(
+    kind: type[FkgenError], texts: tuple[object, ...], facts: dict[str, object]
+) -> FkgenError:
+    error = kind.__new__(kind, *texts)
+    error.__dict__.update(facts)
+    return error
 
 
 class UserError(FkgenError):

@@ -133,6 +133,15 @@ class CompiledFilter:
     ) -> Snapshot:
         """Update the instance with one sample, predict the next, and return what it says.
 
+        Parameters
+        ----------
+        y : (p,) array_like
+            NaN = missing; a number if p = 1.
+        u : (q,) array_like
+            If the model has inputs.
+        params : mapping of str to float
+            Parameters of this sample; those left out take their defaults.
+
         Raises
         ------
         StepRefused
@@ -140,15 +149,16 @@ class CompiledFilter:
         DataError
             If shapes or names do not fit.
         """
-        try:
-            self._y[:] = y
-            if self._u.size or u is not None:
-                self._u[:] = u
-            if params is not None:
-                for name, value in params.items():
-                    self._parameters[name][0] = value
-        except (TypeError, ValueError, KeyError):
-            raise self._misfit(y, u, params) from None
+        if type(y) is np.ndarray and y.dtype is self._y.dtype and y.shape == self._y.shape:
+            self._y[:] = y  # the fast way: nothing to check
+        else:
+            self._place("y", y, self._y)
+        if type(u) is np.ndarray and u.dtype is self._u.dtype and u.shape == self._u.shape:
+            self._u[:] = u
+        elif u is not None or self._u.size:
+            self._place("u", u, self._u)
+        if params is not None or self._varied:
+            self._place_parameters(params or {})
         self._record(*self._step_arguments)
         status = int(self._status[0])
         if status < 0:
@@ -159,8 +169,7 @@ class CompiledFilter:
     def reset(self) -> None:
         """Return the instance to the prior, and parameters to their defaults."""
         self._init(ctypes.addressof(self._instance))
-        for name, default in self.layout.parameters:
-            self._parameters[name][0] = default
+        self._place_parameters({})
 
     def snapshot(self) -> Snapshot:
         """The instance as it is now."""
@@ -213,6 +222,7 @@ class CompiledFilter:
         self._y = np.zeros(len(self.layout.outputs), self._dtype)
         self._u = np.zeros(len(self.layout.inputs), self._dtype)
         self._parameters = {n: np.zeros(1, self._dtype) for n, _ in self.layout.parameters}
+        self._varied = False
         self._status = (ctypes.c_int32 * 1)()
         pointers: Any = ctypes.c_void_p * max(1, len(self._parameters))
         self._pointers = pointers(*[p.ctypes.data for p in self._parameters.values()])
@@ -229,14 +239,21 @@ class CompiledFilter:
             ctypes.addressof(self._status),
         )
 
-    def _misfit(
-        self, y: ArrayLike, u: ArrayLike | None, params: Mapping[str, float] | None
-    ) -> DataError:
-        known = [name for name, _ in self.layout.parameters]
-        for name in params or {}:
-            if name not in known:
-                expected = record.choice(name, known)
-                return DataError(f"params.{name}", given="an unknown name", expected=expected)
-        q, p = len(self.layout.inputs), len(self.layout.outputs)
-        given = f"y {np.shape(y)}, u {'nothing' if u is None else np.shape(u)}"
-        return DataError("step", given=given, expected=f"numbers of shape y ({p},), u ({q},)")
+    def _place(self, what: str, value: ArrayLike | None, place: Array) -> None:
+        """Copy one sample to where C reads it; a number will do for a single row."""
+        if value is None:
+            raise DataError(what, given="nothing", expected=f"numbers of shape {place.shape}")
+        try:
+            sample = np.asarray(value, self._dtype)
+        except (TypeError, ValueError):
+            raise DataError(what, given=repr(value), expected="real numbers") from None
+        if sample.shape != place.shape and (sample.ndim or place.size != 1):
+            raise DataError(what, given=f"shape {sample.shape}", expected=f"shape {place.shape}")
+        place[:] = sample
+
+    def _place_parameters(self, given: Mapping[str, float]) -> None:
+        """Parameters of this sample; those not given take their defaults."""
+        self._varied = bool(given)
+        values = record.parameters(self.layout, given, 1)
+        for place, value in zip(self._parameters.values(), values, strict=True):
+            place[:] = value

@@ -27,7 +27,8 @@ def numbers(what: str, value: ArrayLike, dtype: type[np.floating]) -> Array:
         with contextlib.suppress(TypeError, ValueError):
             array = array.astype(np.float64)
     if array.dtype.kind not in "fiu":
-        raise DataError(what, given=f"type {array.dtype.name}", expected="real numbers")
+        kind = "text" if array.dtype.kind in "US" else f"type {array.dtype.name}"
+        raise DataError(what, given=kind, expected="real numbers")
     return np.ascontiguousarray(array, dtype=dtype)
 
 
@@ -98,5 +99,6 @@ def kept(layout: Layout, keep: Sequence[str] | None) -> frozenset[str]:
 def choice(name: str, known: Sequence[str]) -> str:
     """What could have been meant."""
     close = difflib.get_close_matches(str(name), known, n=1)
-    listed = ", ".join(known) or "none: the filter has no such thing"
-    return f"{close[0]!r}" if close else f"one of: {listed}"
+    if not known:
+        return "nothing: the filter has none"
+    return f"{close[0]!r}" if close else f"one of: {', '.join(known)}"
