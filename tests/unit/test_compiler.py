@@ -29,7 +29,7 @@ def path(tmp_path, monkeypatch):
 
 @pytest.fixture
 def without_zig(monkeypatch):
-    monkeypatch.setattr(compiler.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(compiler.importlib.util, "find_spec", lambda _: None)
 
 
 def program(folder, name, text="exit 0"):
@@ -76,7 +76,7 @@ def test_a_variable_that_names_nothing_is_an_error_not_a_hint(variable, path, mo
 
 @pytest.mark.usefixtures("path", "without_zig")
 def test_no_compiler_at_all_is_an_error_that_says_what_to_install():
-    with pytest.raises(CompilerError, match="no C compiler found: looked for .* apt install gcc"):
+    with pytest.raises(CompilerError, match=r"no C compiler found: looked for .* apt install gcc"):
         find_compiler()
     assert issubclass(CompilerError, UserError)
 
@@ -142,7 +142,7 @@ def test_a_compiler_that_does_not_come_back_is_an_error(path, source, tmp_path, 
     monkeypatch.setattr(compiler, "_WAIT", 0.2)
     monkeypatch.setenv("PATH", "/usr/bin:/bin")
     slow = program(path, "cc", "exec sleep 30")
-    with pytest.raises(CompilerError, match="cannot be run: .*timed out"):
+    with pytest.raises(CompilerError, match=r"cannot be run: .*timed out"):
         compile_shared(Compiler((slow,), ""), source, tmp_path / "filter.so", flops=1)
 
 

@@ -28,11 +28,11 @@ Y, U = np.zeros((5, 2)), np.ones((5, 1))
         (Y, np.ones((4, 1)), "u: given 4 samples; expected 5, as many as y has"),
         (Y, np.ones((5, 2)), r"u: given shape \(5, 2\)"),
         (Y, 1.0, "u: given 1 samples"),
-        ([["a", "b"]] * 5, U, r"y: given type str\d+; expected real numbers"),
+        ([["a", "b"]] * 5, U, "y: given text; expected real numbers"),
         (Y + 1j, U, "y: given type complex128"),
         (Y > 0.0, U, "y: given type bool"),
         ([[None, {}]] * 5, U, "y: given type object"),
-        (Y, [["one"]] * 5, "u: given type"),
+        (Y, [["one"]] * 5, "u: given text"),
     ],
 )
 def test_records_of_another_shape_or_type_are_refused(y, u, message):
@@ -95,7 +95,7 @@ def test_what_is_kept_is_what_there_is():
         ({"dt": np.nan}, r"params\.dt\[0\]: given nan; expected a finite number"),
         ({"dt": [0.1, 0.1, np.inf, 0.1, 0.1]}, r"params\.dt\[2\]: given inf"),
         ({"dt": [0.1, 0.2]}, r"params\.dt: given shape \(2,\); expected a number or shape \(5,\)"),
-        ({"dt": "0.1"}, r"params\.dt: given type"),
+        ({"dt": "0.1"}, r"params\.dt: given text"),
     ],
 )
 def test_parameters_that_do_not_fit_are_refused(params, message):
@@ -104,7 +104,7 @@ def test_parameters_that_do_not_fit_are_refused(params, message):
 
 
 def test_parameters_of_a_filter_without_any_are_refused():
-    with pytest.raises(DataError, match="none: the filter has no such thing"):
+    with pytest.raises(DataError, match="expected nothing: the filter has none"):
         built(PLANT).run(Y, U, {"dt": 0.1})
 
 
@@ -127,20 +127,17 @@ def test_a_step_that_does_not_fit_is_refused_and_changes_nothing(y, u, params):
     assert found.snapshot() == before
 
 
-@pytest.mark.xfail(reason="NumPy broadcasts what is assigned to a buffer", strict=True)
 @pytest.mark.parametrize(("y", "u"), [([1.0], [1.0]), (1.0, [1.0]), ([1.0, 2.0], None)])
 def test_a_step_never_repeats_a_number_to_fill_a_vector(y, u):
     with pytest.raises(DataError):
         fkgen.build(GIVEN).step(y, u)
 
 
-@pytest.mark.xfail(reason="one number is broadcast to none", strict=True)
 def test_a_step_of_a_filter_without_inputs_refuses_some():
     with pytest.raises(DataError):
         fkgen.build(SINGLE).step([1.0], [1.0])
 
 
-@pytest.mark.xfail(reason="a refused parameter stays for the next step", strict=True)
 def test_a_refused_parameter_is_forgotten():
     found = fkgen.build(GIVEN)
     with pytest.raises(StepRefused):
