@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.closed_form import LinearSystem, simulate
 from fkgen.families.family import Array, Record
@@ -28,10 +29,19 @@ def trial(spec: Spec, *, steady: bool) -> Record:
     u = rng.normal(size=(1 if steady else T, model.nu)).repeat(T if steady else 1, axis=0)
     P0 = _mild_prior(spec)
     system = LinearSystem.from_spec(spec, T, parameters, _rates(spec))
-    y = simulate(system, u, rng, missing=0.0 if steady else 0.25)
+    y = simulate(system, u, rng)
     if not steady:
-        y[T // 2] = np.nan
+        y[_missing(y.shape, rng)] = np.nan
     return Record(y=y, u=u, parameters=parameters, P0=P0)
+
+
+def _missing(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Rows to be left out: none at first, then row 0 alone, then all of them, then some."""
+    missing = rng.random(shape) < 0.25
+    missing[:3] = False
+    missing[1, 0] = True
+    missing[2] = True
+    return missing
 
 
 def _rates(spec: Spec) -> tuple[float, ...] | None:

@@ -13,7 +13,7 @@ from fkgen.families.family import Array, ClosedForm, Family, Record
 from fkgen.proof.experiment import distance, natural_deviation, trial
 from fkgen.spec import Spec
 from fkgen.symbolic.interpreter import Interpreter
-from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.packing import triangle, unpacked
 from fkgen.symbolic.recursion import Recursion
 
 
@@ -83,13 +83,14 @@ def validate(spec: Spec) -> Validated:
 
 def confront(tested: Family, recursion: Recursion) -> Validated:
     """Run every closed form of a family on one recursion."""
-    records = {steady: trial(recursion.spec, steady=steady) for steady in (False, True)}
+    spec = recursion.spec
+    records = {steady: trial(spec, steady=steady) for steady in (False, True)}
     claims = [
         claim
         for form in tested.closed_forms
         if (claim := _try(form, recursion, records[form.steady])) is not None
     ]
-    return Validated(recursion=recursion, claims=tuple(claims))
+    return Validated(recursion=recursion, claims=(_start_of(recursion), *claims))
 
 
 def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None:
@@ -113,6 +114,25 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
     )
     return Claim(
         claim=form.claim, source=form.source, error=error, tolerance=form.tolerance(spec, record)
+    )
+
+
+def _start_of(recursion: Recursion) -> Claim:
+    """Sample 0 corrects the prior of the spec: every prediction starts as (x0, P0)."""
+    model = recursion.spec.model
+    priors = {"state": model.x0.values().ravel(), "covariance": model.P0.values()}
+    values = Interpreter(recursion).values
+    errors = [
+        np.abs(unpacked(port, values[port.name]) - prior).max()
+        for port in recursion.ports
+        for what, prior in priors.items()
+        if port.name in {f"predicted_{what}", f"mode_{what}"}
+    ]
+    return Claim(
+        claim="the prediction for sample 0 is (x0, P0)",
+        source="time convention",
+        error=float(max(errors)),
+        tolerance=0.0,
     )
 
 

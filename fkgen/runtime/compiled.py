@@ -97,7 +97,17 @@ class CompiledFilter:
         *,
         keep: Sequence[str] | None = None,
     ) -> Run:
-        """Filter M independent records: ``y`` (M, T, p), ``u`` (M, T, q) or (T, q) for all of them.
+        """Filter M independent records, each from the prior.
+
+        Parameters
+        ----------
+        y : (M, T, p) array_like
+        u : (M, T, q) or (T, q) array_like
+            Inputs of each record, or of all of them.
+        params : mapping of str to float or (T,) array_like
+            As for `run`, the same for all records.
+        keep : sequence of str
+            Ports to store; all by default.
 
         Returns
         -------

@@ -81,6 +81,8 @@ class Snapshot:
         raise DataError("port", given=repr(name), expected=record.choice(name, names))
 
     def __getattr__(self, name: str) -> Array:
+        if name in Snapshot.__slots__:  # not set yet: while being copied
+            raise AttributeError(name)
         if any(port.name == name for port in self._layout.ports):
             return self[name]
         raise AttributeError(f"no port {name!r}")

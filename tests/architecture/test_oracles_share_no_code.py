@@ -104,7 +104,7 @@ def test_a_public_name_exists_and_says_what_it_is(name):
 CALLED = [n for n in fkgen.__all__ if inspect.isfunction(getattr(fkgen, n))]
 METHODS = (
     "run",
-    pytest.param("run_batch", marks=pytest.mark.xfail(reason="params, keep", strict=True)),
+    "run_batch",
     "step",
     "state",
 )

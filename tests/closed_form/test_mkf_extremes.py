@@ -147,7 +147,6 @@ def test_an_exact_measurement_leaves_no_variance_and_is_reproduced():
     assert (result.filtered_covariance[:, 0, 0] >= 0.0).all()
 
 
-@pytest.mark.xfail(reason="the proof compares log-likelihoods that differ by log(2)/2", strict=True)
 @pytest.mark.parametrize("scalar", ["double", "float"])
 def test_an_exact_measurement_that_comes_twice_counts_once(scalar):
     model = random_model(55, 3, 2, correlated=True)

@@ -191,9 +191,6 @@ def test_a_snapshot_stays_as_it_was_and_says_what_it_is():
         _ = first.speed
 
 
-@pytest.mark.xfail(
-    reason="an attribute of a snapshot without slots is looked for forever", strict=True
-)
 def test_a_snapshot_can_be_copied():
     first = fkgen.build(PLANT).step([0.1, 0.2], [1.0])
     assert copy.deepcopy(first) == first
