@@ -1,9 +1,8 @@
 """exp, log, sqrt and friends in plain arithmetic: the same bits on every IEEE target.
 
 Each function is a range reduction and a polynomial; the C templates and the Python reference below
-perform
-the same operations in the same order. Coefficients are Taylor coefficients, or Chebyshev fits
-where that halves the degree (`log`); accuracies are tested against libm.
+perform the same operations in the same order. Coefficients are Taylor coefficients, or Chebyshev
+fits where that halves the degree (`log`); accuracies are tested against libm.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Modified Kalman filter: actuators that fail now and then, at a known rate.
 
 Strandt, Schneider & Yaz, sec. 2: x[k+1] = A x + B g u + v, y = C x + D g u + w with g in {0, 1} of
-known
-mean xi, the same g in both lines; several actuators with common, independent or correlated faults.
+known mean xi, the same g in both lines; several actuators with common, independent or correlated
+faults.
 """
 
 from __future__ import annotations

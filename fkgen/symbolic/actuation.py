@@ -1,10 +1,9 @@
 """Inputs that work now and then: u reaches the plant as gamma .* u with a random gamma in {0, 1}.
 
 Strandt, Schneider & Yaz, eqs. (1), (3), and their extension to several actuators. The part of
-gamma that
-is not its mean is carried as r extra components of the state while y is processed, because the same
-gamma stands in x[k+1] and in y[k]: conditioning (x, gamma - xi) on y gives (11) and (12) without
-subtracting large numbers.
+gamma that is not its mean is carried as r extra components of the state while y is processed,
+because the same gamma stands in x[k+1] and in y[k]: conditioning (x, gamma - xi) on y gives (11)
+and (12) without subtracting large numbers.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Condition a Gaussian prior on the rows of y that are present, one scalar update per row.
 
 No matrix is inverted: a row costs one reciprocal. Correlated measurement noise is first
-decorrelated
-by LDL' elimination over the rows that are present, so that a missing row leaves R as well.
+decorrelated by LDL' elimination over the rows that are present, so that a missing row leaves R as
+well.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def condition(
         symbols=symbols,
     )
     for i in range(p):
-        with script.titled(f"row {i} of y"):
+        with script.titled(f"row {i} of y, {measurement.rows[i]}"):
             fold.take(i)
     return Conditioned(
         mean=fold.mean,

@@ -1,9 +1,8 @@
 """Decorrelate measurement noise: LDL' elimination on R over the rows of y that are present.
 
 Eliminating row j from the rows below it subtracts a multiple of row j from each of them, so that
-the
-noises left over are uncorrelated and rows can be processed one by one. A missing row is skipped,
-which is the elimination of the R that is left without it.
+the noises left over are uncorrelated and rows can be processed one by one. A missing row is
+skipped, which is the elimination of the R that is left without it.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ class Measurement:
     offset: ca.SX
     R: ca.SX
     y: ca.SX
+    rows: tuple[str, ...]
     rank_tolerance: float | None
     pivots_per_log: int
 
@@ -70,7 +70,7 @@ def decorrelate(
         pivot, coupling = R[j, j], {i: R[i, j] for i in later}
         positive = None if tolerance is None else pivot - tolerance * measurement.R[j, j]
         revision = _Revision(script, j, positive)
-        with script.titled(f"noise of row {j} out of the rows below"):
+        with script.titled(f"noise of {measurement.rows[j]} out of the rows below"):
             if tolerance is None:
                 with script.when(j):
                     script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)

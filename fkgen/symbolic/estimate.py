@@ -5,7 +5,7 @@ The Kalman filter is the case in which no input is random.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -102,6 +102,7 @@ def correct(
         offset=plant.D @ actuation.mean,
         R=plant.R,
         y=y,
+        rows=plant.rows,
         rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
         pivots_per_log=PIVOTS_PER_LOG[scalar],
     )
@@ -146,8 +147,7 @@ def bound(script: Script, plant: Plant, letters: str) -> Plant:
         matrix = named[letter]
         diagonal = [matrix[i, i] for i in range(matrix.shape[0]) if not is_zero(matrix[i, i])]
         script.demand(Kind.NONNEGATIVE, diagonal, Status.PARAMETER_OUT_OF_RANGE)
-    kept = {letter: named.get(letter, getattr(plant, letter)) for letter in "ABCDQR"}
-    return Plant(parameters=plant.parameters, noise_free=plant.noise_free, **kept)
+    return replace(plant, **named)
 
 
 def demand_rates(script: Script, rates: list[ca.SX]) -> None:

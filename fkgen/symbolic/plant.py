@@ -43,6 +43,8 @@ class Plant:
         Symbols of the run-time parameters.
     A, B, C, D, Q, R : SX
         (n, n), (n, q), (p, n), (p, q), (n, n), (p, p).
+    rows : tuple of str
+        Names of the rows of y, for headings in the C code.
     noise_free : bool
         R is singular: rows of y may be exact, so a rank decision is needed when conditioning.
     """
@@ -54,6 +56,7 @@ class Plant:
     D: ca.SX
     Q: ca.SX
     R: ca.SX
+    rows: tuple[str, ...]
     noise_free: bool
 
     @property
@@ -80,7 +83,8 @@ def plant_of(spec: Spec) -> Plant:
         letter: lift(getattr(model, letter), parameters)
         for letter in ("A", "B", "C", "D", "Q", "R")
     }
-    return Plant(parameters=parameters, noise_free=is_noise_free(spec), **lifted)
+    rows = tuple(signal.name for signal in model.outputs)
+    return Plant(parameters=parameters, rows=rows, noise_free=is_noise_free(spec), **lifted)
 
 
 def is_noise_free(spec: Spec) -> bool:

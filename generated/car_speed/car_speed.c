@@ -282,7 +282,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     covariance[1] = self->predicted_covariance[1];
     covariance[2] = self->predicted_covariance[2];
 
-    /* row 0 of y */
+    /* row 0 of y, wheel_fl */
     const double t10 = 0.9921619208254787 * self->predicted_covariance[0];
     const double t11 = 0.9921619208254787 * self->predicted_covariance[1];
     cross_0[0] = t10;
@@ -341,7 +341,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         covariance[2] = t36;
     }
 
-    /* row 1 of y */
+    /* row 1 of y, wheel_fr */
     const double t37 = 0.9921619208254787 * covariance[0];
     const double t38 = 0.9921619208254787 * covariance[1];
     cross_1[0] = t37;
@@ -401,7 +401,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         covariance[2] = t66;
     }
 
-    /* row 2 of y */
+    /* row 2 of y, wheel_rl */
     const double t67 = 0.9903931860948796 * covariance[0];
     const double t68 = 0.9903931860948796 * covariance[1];
     cross_2[0] = t67;
@@ -459,7 +459,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         covariance[2] = t96;
     }
 
-    /* row 3 of y */
+    /* row 3 of y, wheel_rr */
     const double t97 = 0.9903931860948796 * covariance[0];
     const double t98 = 0.9903931860948796 * covariance[1];
     cross_3[0] = t97;
@@ -514,7 +514,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         covariance[2] = t125;
     }
 
-    /* row 4 of y */
+    /* row 4 of y, ublox */
     coupling_4 = covariance[0];
     const double t126 = covariance[0] + 0.25;
     pivot_4 = t126;
@@ -564,7 +564,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         covariance[2] = t153;
     }
 
-    /* row 5 of y */
+    /* row 5 of y, qcom */
     const double t154 = covariance[0] + 9.0;
     pivot_5 = t154;
     if ((present & 0x20u) != 0u)

@@ -169,7 +169,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     covariance[1] = self->predicted_covariance[1];
     covariance[2] = self->predicted_covariance[2];
 
-    /* row 0 of y */
+    /* row 0 of y, speed_measured */
     const double t2 = self->predicted_covariance[2] + 5.0e-06;
     pivot_0 = t2;
     if ((present & 0x1u) != 0u)

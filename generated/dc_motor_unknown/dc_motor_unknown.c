@@ -423,7 +423,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     covariance_h0[4] = 0.0;
     covariance_h0[5] = 0.09000000000000001;
 
-    /* row 0 of y */
+    /* row 0 of y, speed_measured */
     const double t3 = self->mode_covariance[2] + 5.0e-06;
     pivot_h0_0 = t3;
     if ((present & 0x1u) != 0u)
@@ -472,7 +472,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h0[5] = 0.09000000000000001;
     }
 
-    /* row 1 of y */
+    /* row 1 of y, voltage_measured */
     const double t29 = covariance_h0[3] * u[0];
     const double t30 = covariance_h0[4] * u[0];
     const double t31 = covariance_h0[5] * u[0];
@@ -579,7 +579,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     covariance_h1[4] = 0.0;
     covariance_h1[5] = 0.21;
 
-    /* row 0 of y */
+    /* row 0 of y, speed_measured */
     const double t85 = self->mode_covariance[5] + 5.0e-06;
     pivot_h1_0 = t85;
     if ((present & 0x1u) != 0u)
@@ -628,7 +628,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h1[5] = 0.21;
     }
 
-    /* row 1 of y */
+    /* row 1 of y, voltage_measured */
     const double t111 = covariance_h1[3] * u[0];
     const double t112 = covariance_h1[4] * u[0];
     const double t113 = covariance_h1[5] * u[0];
@@ -735,7 +735,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     covariance_h2[4] = 0.0;
     covariance_h2[5] = 0.25;
 
-    /* row 0 of y */
+    /* row 0 of y, speed_measured */
     const double t167 = self->mode_covariance[8] + 5.0e-06;
     pivot_h2_0 = t167;
     if ((present & 0x1u) != 0u)
@@ -784,7 +784,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h2[5] = 0.25;
     }
 
-    /* row 1 of y */
+    /* row 1 of y, voltage_measured */
     const double t193 = covariance_h2[3] * u[0];
     const double t194 = covariance_h2[4] * u[0];
     const double t195 = covariance_h2[5] * u[0];
@@ -891,7 +891,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     covariance_h3[4] = 0.0;
     covariance_h3[5] = 0.21000000000000002;
 
-    /* row 0 of y */
+    /* row 0 of y, speed_measured */
     const double t249 = self->mode_covariance[11] + 5.0e-06;
     pivot_h3_0 = t249;
     if ((present & 0x1u) != 0u)
@@ -940,7 +940,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h3[5] = 0.21000000000000002;
     }
 
-    /* row 1 of y */
+    /* row 1 of y, voltage_measured */
     const double t275 = covariance_h3[3] * u[0];
     const double t276 = covariance_h3[4] * u[0];
     const double t277 = covariance_h3[5] * u[0];
@@ -1047,7 +1047,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     covariance_h4[4] = 0.0;
     covariance_h4[5] = 0.08999999999999998;
 
-    /* row 0 of y */
+    /* row 0 of y, speed_measured */
     const double t331 = self->mode_covariance[14] + 5.0e-06;
     pivot_h4_0 = t331;
     if ((present & 0x1u) != 0u)
@@ -1096,7 +1096,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h4[5] = 0.08999999999999998;
     }
 
-    /* row 1 of y */
+    /* row 1 of y, voltage_measured */
     const double t357 = covariance_h4[3] * u[0];
     const double t358 = covariance_h4[4] * u[0];
     const double t359 = covariance_h4[5] * u[0];
