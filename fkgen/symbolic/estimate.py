@@ -6,6 +6,7 @@ The Kalman filter is the case in which no input is random.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -142,7 +143,9 @@ def propagate(
 
 def bound(script: Script, plant: Plant, letters: str) -> Plant:
     """The plant with its computed entries named; variances below zero are refused."""
-    named = {letter: script.name_entries(letter, getattr(plant, letter)) for letter in letters}
+    named: dict[str, Any] = {
+        letter: script.name_entries(letter, getattr(plant, letter)) for letter in letters
+    }
     for letter in set(letters) & {"Q", "R"}:
         matrix = named[letter]
         diagonal = [matrix[i, i] for i in range(matrix.shape[0]) if not is_zero(matrix[i, i])]
