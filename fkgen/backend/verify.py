@@ -55,6 +55,7 @@ def elements(port: Port) -> list[tuple[str, int | None]]:
 def _check_phase(name: str, phase: Phase) -> set[tuple[str, int | None]]:
     assigned: set[int] = set()
     written: set[tuple[str, int | None]] = set()
+    unconditional = set(map(id, phase.body))
     for node in walk(phase.body):
         for operand in operands(node):
             if isinstance(operand, Temp) and operand.index not in assigned:
@@ -66,7 +67,7 @@ def _check_phase(name: str, phase: Phase) -> set[tuple[str, int | None]]:
                 raise InternalError(f"{name}: temporary {node.target.index} is assigned twice")
             assigned.add(node.target.index)
         if isinstance(node, Assign) and node.target.space is Space.NEXT:
-            if node not in phase.body:
+            if id(node) not in unconditional:
                 raise InternalError(f"{name}: {node.target} is written under a condition")
             if (node.target.name, node.target.index) in written:
                 raise InternalError(f"{name}: {node.target} is written twice")

@@ -55,7 +55,13 @@ def digits_at_stake(spec: Spec, record: Record) -> float:
     C, Q, R = (getattr(spec.model, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
     noise = np.diag(R)
     ratio = np.max(np.diag(C @ (record.P0 + Q) @ C.T) / noise)
-    return float(max(EXACT, 1e3 * np.finfo(float).eps * ratio))
+    growth = _growth(spec) ** (2 * len(record.y))
+    return float(max(EXACT, 1e3 * np.finfo(float).eps * ratio * growth))
+
+
+def _growth(spec: Spec) -> float:
+    """By how much an unstable plant amplifies in a sample what is not known exactly."""
+    return float(max(1.0, np.abs(np.linalg.eigvals(spec.model.A.values(spec.defaults))).max()))
 
 
 def _batch(spec: Spec, record: Record) -> Mapping[str, Array]:
@@ -109,7 +115,7 @@ def _at_the_fixed_point(spec: Spec, record: Record) -> Mapping[str, Array]:
 
 def _riccati_tolerance(spec: Spec, record: Record) -> float:
     """A Riccati solver keeps about half of the digits of an ill-conditioned equation."""
-    return max(1e-7, digits_at_stake(spec, record))
+    return max(1e-7 * _growth(spec) ** 4, digits_at_stake(spec, record))
 
 
 RICCATI = ClosedForm(

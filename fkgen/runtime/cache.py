@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -14,6 +16,9 @@ from fkgen.errors import OutputError
 
 LIBRARY = "filter.so"
 LAYOUT = "layout.json"
+
+#: Age in seconds at which an unfinished build is nobody's any more.
+ABANDONED = 86400.0
 
 
 def folder() -> Path:
@@ -63,6 +68,7 @@ def store(key: str, fill: Callable[[Path], None]) -> Path:
     target = folder() / key
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(target.parent)
         partial = Path(tempfile.mkdtemp(prefix=".building-", dir=target.parent))
     except OSError as error:
         raise _unwritable(error) from None
@@ -80,6 +86,14 @@ def store(key: str, fill: Callable[[Path], None]) -> Path:
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return target
+
+
+def _sweep(parent: Path) -> None:
+    """Remove what builds left behind that were killed long ago."""
+    for left in parent.glob(".building-*"):
+        with contextlib.suppress(OSError):
+            if time.time() - left.stat().st_mtime > ABANDONED:
+                shutil.rmtree(left, ignore_errors=True)
 
 
 def _unwritable(error: OSError) -> OutputError:

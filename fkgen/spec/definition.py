@@ -10,6 +10,7 @@ from fkgen.spec.code_options import Code, read_code
 from fkgen.spec.covariance import is_singular
 from fkgen.spec.faults import Faults, read_faults
 from fkgen.spec.filter import Filter, filter_section, read_filter
+from fkgen.spec.magnitude import check_magnitudes
 from fkgen.spec.model import Model, read_model
 from fkgen.spec.naming import check_distinct, read_parameter_name, read_prefix
 from fkgen.spec.place import Place
@@ -108,13 +109,15 @@ class Spec:
             family=family,
             inputs=model.nu,
         )
+        code = read_code(section.table.get("code", {}), place.entry("code"))
+        check_magnitudes(model, model_place, defaults, code.scalar)
         return cls(
             name=name,
             model=model,
             parameters=parameters,
             faults=faults,
             filter=read_filter(options, faults.actuator, model.nu),
-            code=read_code(section.table.get("code", {}), place.entry("code")),
+            code=code,
             file=file,
         )
 

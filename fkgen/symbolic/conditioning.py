@@ -15,7 +15,7 @@ import casadi as ca
 
 from fkgen.symbolic.decorrelation import Measurement, Row, decorrelate
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, congruence, is_zero, outer_lower, pack, unpack
+from fkgen.symbolic.linalg import column, congruence, is_zero, operations, outer_lower, pack, unpack
 from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.script import Script
 
@@ -71,10 +71,7 @@ def condition(
     mean, covariance = prior
     p, m = measurement.C.shape
     innovation = _innovations(script, mean, measurement, tag)
-    variance = None
-    if not measurement.R.sparsity().is_diag() or measurement.rank_tolerance is not None:
-        S = congruence(measurement.C, covariance) + pack(measurement.R)
-        variance = script.let(f"variance{tag}", S)
+    variance = _variance(script, covariance, measurement, tag)
     rows = decorrelate(script, measurement, innovation, tag)
     packed = pack(covariance)
     symbols = {
@@ -87,7 +84,9 @@ def condition(
         rows=rows,
         tag=tag,
         form=form,
-        rank=_rank(measurement, variance),
+        variance=variance,
+        rank_tolerance=measurement.rank_tolerance,
+        prior=mean,
         mean=mean,
         covariance=packed,
         gain=ca.SX(m, p) if with_gain else None,
@@ -108,11 +107,20 @@ def condition(
     )
 
 
-def _rank(measurement: Measurement, variance: ca.SX | None) -> tuple[float, ca.SX] | None:
-    """Tolerance and variances of the rank decision, where one is needed."""
-    if measurement.rank_tolerance is None or variance is None:
+def _variance(
+    script: Script, covariance: ca.SX, measurement: Measurement, tag: str
+) -> ca.SX | None:
+    """S = C P C' + R, packed; None if it comes cheaper from the factors of the row updates.
+
+    With many rows and few states, products of rows with each other cost more than C P C'.
+    """
+    p, C = measurement.C.shape[0], measurement.C
+    S = congruence(C, covariance) + pack(measurement.R)
+    by_factors = p * (p - 1) * C.nnz() / p + 1.5 * p * (p - 1) + p**3 / 3
+    diagonal = measurement.R.sparsity().is_diag()
+    if diagonal and measurement.rank_tolerance is None and by_factors <= operations(S):
         return None
-    return measurement.rank_tolerance, variance
+    return script.let(f"variance{tag}", S)
 
 
 def _innovations(script: Script, mean: ca.SX, measurement: Measurement, tag: str) -> list[ca.SX]:
@@ -133,14 +141,17 @@ class _Fold:
     """Builder of the sequential update: the values so far, which start as the prior.
 
     With S = L E L' over the rows present, ``coupling`` holds L E and ``factor`` holds L below the
-    diagonal, by columns; both give back S without a second product with P.
+    diagonal, by columns; both give back S without a second product with P. They are empty if S is
+    there already (``variance``): then innovations are corrected through the mean.
     """
 
     script: Script
     rows: list[Row]
     tag: str
     form: Form
-    rank: tuple[float, ca.SX] | None
+    variance: ca.SX | None
+    rank_tolerance: float | None
+    prior: ca.SX
     mean: ca.SX
     covariance: ca.SX
     gain: ca.SX | None
@@ -159,12 +170,13 @@ class _Fold:
         cross = unpack(self.covariance, self.mean.numel()) @ row.c
         if not all(cross[k].is_leaf() for k in range(cross.numel())):
             cross = script.let(f"cross{self.tag}_{i}", cross)
-        later = [ca.mtimes(other.c.T, cross) for other in self.rows[i + 1 :]]
-        coupling = script.let(f"coupling{self.tag}_{i}", column(later)) if later else ca.SX(0, 1)
+        later = self.rows[i + 1 :] if self.variance is None else []
+        products = [ca.mtimes(other.c.T, cross) for other in later]
+        coupling = ca.SX(0, 1)
+        if products:
+            coupling = script.let(f"coupling{self.tag}_{i}", column(products))
         pivot = script.let(f"pivot{self.tag}_{i}", ca.mtimes(row.c.T, cross) + row.variance)
-        innovation = row.innovation
-        for j in range(i):
-            innovation = innovation - self.coupling[j][i - j - 1] * self.weight[j]
+        innovation = self._innovation(i)
         if is_zero(pivot):  # a row that is always zero, without noise
             self.weight.append(ca.SX(0))
             self.factor.append(ca.SX.zeros(coupling.numel()))
@@ -174,14 +186,23 @@ class _Fold:
         self.coupling.append(coupling)
         self.pivot.append(pivot)
 
+    def _innovation(self, i: int) -> ca.SX:
+        """Innovation of row i given the rows before it."""
+        row = self.rows[i]
+        if self.variance is not None:
+            return row.innovation - (ca.mtimes(row.c.T, self.mean - self.prior) if i else 0)
+        innovation = row.innovation
+        for j in range(i):
+            innovation = innovation - self.coupling[j][i - j - 1] * self.weight[j]
+        return innovation
+
     def _significant(self, i: int, pivot: ca.SX) -> ca.SX | None:
         """Positive when row i is no combination of the rows before it; None if that cannot be."""
-        if self.rank is None:
+        if self.rank_tolerance is None or self.variance is None:
             return None
-        tolerance, variance = self.rank
-        own = variance[i * (i + 3) // 2]
+        own = self.variance[i * (i + 3) // 2]
         self.script.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
-        return pivot - tolerance * own
+        return pivot - self.rank_tolerance * own
 
     def _update(self, i: int, values: tuple[ca.SX, ca.SX, ca.SX, ca.SX]) -> None:
         cross, coupling, pivot, innovation = values
@@ -247,7 +268,7 @@ class _Fold:
         m = cross.numel()
         residual = row.variance * k - unpack(short, m) @ row.c
         reduced = short + outer_lower(residual, k)
-        if self.rank is not None:
+        if self.rank_tolerance is not None:
             diagonal = {position for position, (a, b) in enumerate(triangle(m)) if a == b}
             entries = [reduced[at] for at in range(reduced.numel())]
             reduced = column(

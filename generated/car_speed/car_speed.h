@@ -21,7 +21,7 @@
  *   y[4]  ublox, m/s
  *   y[5]  qcom, m/s
  *
- * Cost of one step with every row present: 274 floating-point operations and 2 log.
+ * Cost of one step with every row present: 190 floating-point operations and 2 log.
  * An instance is 39 doubles; nothing else is kept. No heap, no globals that change, no I/O, no libm.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same bits.
  */

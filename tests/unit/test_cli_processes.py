@@ -19,6 +19,11 @@ exec cc "$@"
 """
 
 
+def heed_interrupts():
+    """A process started in the background of a script ignores SIGINT, and so do its children."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "motor.toml").write_text(starter("mkf"), encoding="utf-8")
@@ -40,6 +45,7 @@ def start(folder):
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
+            preexec_fn=heed_interrupts,  # noqa: PLW1509 - it starts no thread
         )
         started.append(process)
         return process

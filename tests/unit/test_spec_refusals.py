@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import INF, KF, MKF, MME, NAN, REMOVED, Case, check, refusal
+from refusals import INF, KF, MKF, MME, NAN, REMOVED, Case, changed, check, refusal
 
 from fkgen.spec import Spec
 
@@ -232,3 +232,25 @@ MATRICES: list[Case] = [
 @pytest.mark.parametrize("case", KEYS + MATRICES, ids=lambda case: f"{case[2]}: {case[3]}")
 def test_keys_and_matrices(case: Case) -> None:
     check(*case)
+
+
+FLOAT = {"code.scalar": "float"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "given", "expected"),
+    [
+        ({"model.x0": [1e300, 0.0]}, "model.x0[0]", "1e+300", "at most 1e+100"),
+        ({"model.R": [[1e-320]]}, "model.R[0][0]", "9.99989e-321", "0 or at least 1e-100"),
+        ({"model.P0": [[1e308, 0.0], [0.0, 1.0]]}, "model.P0[0][0]", "1e+308", "at most 1e+100"),
+        ({"model.A": [[1e39, 0.0], [0.0, 1.0]], **FLOAT}, "model.A[0][0]", "1e+39", "at most"),
+        ({"model.C": [[0.0, "1e30*tau"]], **FLOAT}, "model.C[0][1]", "5e+28", "scalar 'float'"),
+    ],
+)
+def test_numbers_that_leave_the_range_of_the_scalar(changes, key, given, expected) -> None:
+    check(MKF, changes, key, given, expected)
+
+
+def test_large_numbers_that_fit_are_taken() -> None:
+    wide = changed(MKF, {"model.P0": [[1e60, 0.0], [0.0, 1.0]], "model.R": [[1e-60]]})
+    assert Spec.from_dict(wide).model.P0.values()[0, 0] == 1e60
