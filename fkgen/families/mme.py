@@ -80,7 +80,7 @@ def _update(bank: Bank) -> Phase:
                 form=bank.form,
                 tag=f"_h{i}",
             )
-        demand_finite(script, posterior.state, posterior.covariance)
+        demand_finite(script, posterior.state)
         found.append(conditioned)
         posteriors.append(posterior)
     with script.titled("weights of the hypotheses"):

@@ -166,9 +166,14 @@ def finite(state: ca.SX, packed: ca.SX) -> Guard:
     return Guard(column(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
 
 
-def demand_finite(script: Script, state: ca.SX, packed: ca.SX) -> None:
-    """Write the guard of `finite` on its own."""
-    script.put({}, [finite(state, packed)])
+def demand_finite(script: Script, state: ca.SX) -> None:
+    """Refuse the sample unless the corrected state is finite.
+
+    Its variances are then finite too: none is larger than before the correction, and a pivot whose
+    reciprocal overflows spoils the state along with them.
+    """
+    values = [state[i] for i in range(state.numel())]
+    script.demand(Kind.FINITE, values, Status.RESULT_NOT_FINITE)
 
 
 def demand_positive(script: Script, packed: ca.SX, n: int) -> None:

@@ -82,7 +82,7 @@ def _update(
         form=form,
         with_gain=with_gain,
     )
-    demand_finite(script, posterior.state, posterior.covariance)
+    demand_finite(script, posterior.state)
     assign = {
         "filtered_state": posterior.state,
         "filtered_covariance": posterior.covariance,
