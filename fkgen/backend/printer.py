@@ -126,29 +126,16 @@ class Printer:
 
     @statement.register
     def _(self, node: Require, depth: int) -> str:
-        if node.kind is Kind.FINITE and len(node.values) > 1:
-            return self._finite_sum(node, depth)
         values, zero = [self.operand(value) for value in node.values], self.literal(0.0)
-        test = {
-            Kind.POSITIVE: f"{{}} > {zero}",
-            Kind.NONNEGATIVE: f"{{}} >= {zero}",
-            Kind.FINITE: f"({{0}} >= -{self.limit}) && ({{0}} <= {self.limit})",
-        }[node.kind]
-        holds = [test.format(value) for value in values]
-        return self._refusal(holds[0] if len(holds) == 1 else _all(holds), node.status, depth)
-
-    def _finite_sum(self, node: Require, depth: int) -> str:
-        """One test for many values: a sum is finite only if every term is."""
-        inside = depth + 1
-        values = [self.operand(value) for value in node.values]
-        lines = [" + ".join(values[i : i + 4]) for i in range(0, len(values), 4)]
-        total = f" +\n{_indent(inside + 1)}".join(lines)
-        test = f"(sum >= -{self.limit}) && (sum <= {self.limit})"
-        declared = f"{_indent(inside)}const {self.real} sum = {total};"
-        return _braced(f"{declared}\n{self._refusal(test, node.status, inside)}", depth)
-
-    def _refusal(self, holds: str, status: Status, depth: int) -> str:
-        inner = f"{_indent(depth + 1)}return {self.status(status)};"
+        match node.kind:
+            case Kind.POSITIVE:
+                holds = _all([f"{value} > {zero}" for value in values])
+            case Kind.NONNEGATIVE:
+                holds = _all([f"{value} >= {zero}" for value in values])
+            case Kind.FINITE:
+                differences = [f"({value} - {value})" for value in values]
+                holds = f"{_folded(differences, ' + ', depth)} >= {zero}"
+        inner = f"{_indent(depth + 1)}return {self.status(node.status)};"
         return f"{_indent(depth)}if (!({holds}))\n{_braced(inner, depth)}"
 
     @statement.register
@@ -185,7 +172,13 @@ class Printer:
 
 
 def _all(tests: list[str]) -> str:
-    return " && ".join(f"({test})" for test in tests)
+    return tests[0] if len(tests) == 1 else " && ".join(f"({test})" for test in tests)
+
+
+def _folded(terms: list[str], joint: str, depth: int) -> str:
+    """Terms joined, some to a line."""
+    lines = [joint.join(terms[i : i + 4]) for i in range(0, len(terms), 4)]
+    return f"{joint.rstrip()}\n{_indent(depth + 2)}".join(lines)
 
 
 def _indent(depth: int) -> str:

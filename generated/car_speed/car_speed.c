@@ -569,12 +569,9 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         covariance[1] = t166;
         covariance[2] = t168;
     }
+    if (!((mean[0] - mean[0]) + (mean[1] - mean[1]) >= 0.0))
     {
-        const double sum = mean[0] + mean[1];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return CAR_SPEED_RESULT_NOT_FINITE;
-        }
+        return CAR_SPEED_RESULT_NOT_FINITE;
     }
 
     /* results of the update */
@@ -652,12 +649,9 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     const double t14 = self->filtered_covariance[2] * A;
     const double t15 = self->filtered_covariance[1] + t14;
     const double t16 = self->filtered_covariance[2] + Q[1];
+    if (!((t6 - t6) + (self->filtered_state[1] - self->filtered_state[1]) + (t13 - t13) + (t16 - t16) >= 0.0))
     {
-        const double sum = t6 + self->filtered_state[1] + t13 + t16;
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return CAR_SPEED_RESULT_NOT_FINITE;
-        }
+        return CAR_SPEED_RESULT_NOT_FINITE;
     }
     next->predicted_state[0] = t6;
     next->predicted_state[1] = self->filtered_state[1];

@@ -205,12 +205,9 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
         update_gain[0] = t10;
         update_gain[1] = t13;
     }
+    if (!((mean[0] - mean[0]) + (mean[1] - mean[1]) >= 0.0))
     {
-        const double sum = mean[0] + mean[1];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
 
     /* results of the update */
@@ -288,12 +285,9 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t44 = 0.0094 * self->filtered_gain[0];
     const double t45 = 0.9048 * self->filtered_gain[1];
     const double t46 = t44 + t45;
+    if (!((t6 - t6) + (t11 - t11) + (t23 - t23) + (t40 - t40) >= 0.0))
     {
-        const double sum = t6 + t11 + t23 + t40;
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
     next->predicted_state[0] = t6;
     next->predicted_state[1] = t11;

@@ -550,12 +550,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h0[4] = t79;
         covariance_h0[5] = t81;
     }
+    if (!((mean_h0[0] - mean_h0[0]) + (mean_h0[1] - mean_h0[1]) >= 0.0))
     {
-        const double sum = mean_h0[0] + mean_h0[1];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
 
     /* innovation, row by row */
@@ -709,12 +706,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h1[4] = t161;
         covariance_h1[5] = t163;
     }
+    if (!((mean_h1[0] - mean_h1[0]) + (mean_h1[1] - mean_h1[1]) >= 0.0))
     {
-        const double sum = mean_h1[0] + mean_h1[1];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
 
     /* innovation, row by row */
@@ -868,12 +862,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h2[4] = t243;
         covariance_h2[5] = t245;
     }
+    if (!((mean_h2[0] - mean_h2[0]) + (mean_h2[1] - mean_h2[1]) >= 0.0))
     {
-        const double sum = mean_h2[0] + mean_h2[1];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
 
     /* innovation, row by row */
@@ -1027,12 +1018,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h3[4] = t325;
         covariance_h3[5] = t327;
     }
+    if (!((mean_h3[0] - mean_h3[0]) + (mean_h3[1] - mean_h3[1]) >= 0.0))
     {
-        const double sum = mean_h3[0] + mean_h3[1];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
 
     /* innovation, row by row */
@@ -1186,12 +1174,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h4[4] = t407;
         covariance_h4[5] = t409;
     }
+    if (!((mean_h4[0] - mean_h4[0]) + (mean_h4[1] - mean_h4[1]) >= 0.0))
     {
-        const double sum = mean_h4[0] + mean_h4[1];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
 
     /* weights of the hypotheses */
@@ -1267,12 +1252,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t451 = t450 + share_of_largest[3];
         const double t452 = t451 + share_of_largest[4];
         share_total = t452;
+        if (!((log_largest - log_largest) + (share_total - share_total) >= 0.0))
         {
-            const double sum = log_largest + share_total;
-            if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-            {
-                return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-            }
+            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
         }
         const double t453 = 1.0 / share_total;
         share_total_inverse = t453;
@@ -2114,47 +2096,29 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t417 = t397 * t396;
     const double t418 = t416 + t417;
     const double t419 = t409 + t418;
+    if (!((combined_state[0] - combined_state[0]) + (combined_state[1] - combined_state[1]) + (t371 - t371) + (t419 - t419) >= 0.0))
     {
-        const double sum = combined_state[0] + combined_state[1] + t371 + t419;
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    if (!((moved_state[0] - moved_state[0]) + (moved_state[1] - moved_state[1]) + (moved_covariance[0] - moved_covariance[0]) + (moved_covariance[2] - moved_covariance[2]) >= 0.0))
     {
-        const double sum = moved_state[0] + moved_state[1] + moved_covariance[0] + moved_covariance[2];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    if (!((moved_state[2] - moved_state[2]) + (moved_state[3] - moved_state[3]) + (moved_covariance[3] - moved_covariance[3]) + (moved_covariance[5] - moved_covariance[5]) >= 0.0))
     {
-        const double sum = moved_state[2] + moved_state[3] + moved_covariance[3] + moved_covariance[5];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    if (!((moved_state[4] - moved_state[4]) + (moved_state[5] - moved_state[5]) + (moved_covariance[6] - moved_covariance[6]) + (moved_covariance[8] - moved_covariance[8]) >= 0.0))
     {
-        const double sum = moved_state[4] + moved_state[5] + moved_covariance[6] + moved_covariance[8];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    if (!((moved_state[6] - moved_state[6]) + (moved_state[7] - moved_state[7]) + (moved_covariance[9] - moved_covariance[9]) + (moved_covariance[11] - moved_covariance[11]) >= 0.0))
     {
-        const double sum = moved_state[6] + moved_state[7] + moved_covariance[9] + moved_covariance[11];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    if (!((moved_state[8] - moved_state[8]) + (moved_state[9] - moved_state[9]) + (moved_covariance[12] - moved_covariance[12]) + (moved_covariance[14] - moved_covariance[14]) >= 0.0))
     {
-        const double sum = moved_state[8] + moved_state[9] + moved_covariance[12] + moved_covariance[14];
-        if (!((sum >= -DBL_MAX) && (sum <= DBL_MAX)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
     next->mode_state[0] = moved_state[0];
     next->mode_state[1] = moved_state[1];
