@@ -88,9 +88,7 @@ class Spec:
         place = Place(file)
         section = _whole(table, place)
         name = read_prefix(section.require("name", "a C identifier"), place.entry("name"))
-        parameters = _read_parameters(
-            section.table.get("parameters", {}), place.entry("parameters")
-        )
+        parameters = _read_parameters(section, place)
         defaults = {parameter.name: parameter.default for parameter in parameters}
         options = filter_section(
             section.require("filter", "a table with the family of the filter"),
@@ -151,7 +149,9 @@ def _whole(table: object, place: Place) -> Section:
     return Section(table, place, known=_KEYS)
 
 
-def _read_parameters(table: object, place: Place) -> tuple[Parameter, ...]:
+def _read_parameters(whole: Section, place: Place) -> tuple[Parameter, ...]:
+    place = place.entry("parameters")
+    table = whole.table.get("parameters", {})
     entries = as_table(table, place, "a table of default values, such as tau = 0.05")
     parameters = tuple(
         Parameter(

@@ -171,7 +171,7 @@ def test_the_short_form_in_float_with_a_vague_prior_is_an_error():
 
 
 def test_numbers_beyond_float_are_an_error_in_float_only():
-    model = {"P0": [[1e39, 0.0], [0.0, 1.0]]}
+    model = {"C": [[1.0, 1e-39]]}
     assert "float_range" in codes(
         fkgen.check(track(model=model, code={"scalar": "float"})), "error"
     )
