@@ -19,6 +19,7 @@ from fkgen.closed_form import (
 )
 from fkgen.families.family import Array, ClosedForm, Record
 from fkgen.spec import Spec
+from fkgen.spec.covariance import is_singular
 
 __all__ = ["BATCH", "IDENTITIES", "MME_BATCH", "MME_TEXTBOOK", "OPTIMAL_GAIN", "RICCATI"]
 
@@ -35,11 +36,7 @@ RANK_DEFICIENT = 1e-6
 
 def _has_exact_rows(spec: Spec) -> bool:
     """Whether some combination of the rows of y carries no noise."""
-    R = spec.model.R.values(spec.defaults)
-    scale = np.sqrt(np.diag(R))
-    if not np.all(scale > 0.0):
-        return True
-    return bool(np.linalg.eigvalsh(R / np.outer(scale, scale))[0] < 1e-12)
+    return is_singular(spec.model.R.values(spec.defaults))
 
 
 def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None) -> LinearSystem:

@@ -26,8 +26,8 @@ from fkgen.symbolic.estimate import (
 )
 from fkgen.symbolic.linalg import congruence, pack, spread, unpack, weighted_sum
 from fkgen.symbolic.linear_filter import by_rows
-from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
 from fkgen.symbolic.weights import Weights, log_prior, log_sum_exp, patterns, reweigh
@@ -36,10 +36,8 @@ from fkgen.symbolic.weights import Weights, log_prior, log_sum_exp, patterns, re
 def build(spec: Spec) -> Recursion:
     """Build the bank: N corrections, one reweighing, the combination, N predictions."""
     bank = Bank.of(spec)
-    n, count = spec.model.nx, len(spec.filter.hypotheses)
-    x0 = tuple(float(v) for v in spec.model.x0.values().ravel())
-    P0 = spec.model.P0.values()
-    packed = tuple(float(P0[i, j]) for i, j in triangle(n))
+    count = len(spec.filter.hypotheses)
+    x0, packed = prior_of(spec)
     initial = {f"{of}_state": x0 for of in ("predicted", "filtered")}
     initial |= {f"{of}_covariance": packed for of in ("predicted", "filtered")}
     initial |= {"mode_state": x0 * count, "mode_filtered_state": x0 * count}

@@ -19,9 +19,8 @@ from fkgen.symbolic.estimate import (
     update_form,
 )
 from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
+from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
 
@@ -38,10 +37,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     )
     symbols = symbols_of(spec, plant, ports)
     form = update_form(spec, plant, augmented=size > 0)
-    x0 = spec.model.x0.values().ravel()
-    P0 = spec.model.P0.values()
-    packed = tuple(float(P0[i, j]) for i, j in triangle(plant.nx))
-    start = {"state": tuple(float(v) for v in x0), "covariance": packed}
+    start = dict(zip(("state", "covariance"), prior_of(spec), strict=True))
     return Recursion(
         spec=spec,
         source=source,

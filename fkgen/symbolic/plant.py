@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
 
 from fkgen.errors import InternalError
 from fkgen.spec import Expression, Matrix, Name, Number, Operation, Spec
+from fkgen.spec.covariance import is_singular
 
 _ARITHMETIC: dict[str, Callable[..., ca.SX]] = {
     "+": arithmetic.add,
@@ -88,14 +88,8 @@ def plant_of(spec: Spec) -> Plant:
 
 
 def is_noise_free(spec: Spec) -> bool:
-    """Whether a constant R is singular, decided on the correlation-scaled matrix."""
-    if not spec.model.R.is_constant:
-        return False
-    R = spec.model.R.values(spec.defaults)
-    scale = np.sqrt(np.diag(R))
-    if not np.all(scale > 0.0):
-        return True
-    return bool(np.linalg.eigvalsh(R / np.outer(scale, scale))[0] < 1e-12)
+    """Whether a constant R is singular."""
+    return spec.model.R.is_constant and is_singular(spec.model.R.values())
 
 
 def lift(matrix: Matrix, parameters: Mapping[str, ca.SX]) -> ca.SX:

@@ -8,6 +8,7 @@ import casadi as ca
 
 from fkgen.spec import Spec
 from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant
 
 #: Prefix of run-time parameters among the symbols: a parameter may be called ``u``.
@@ -79,6 +80,13 @@ def innovation_ports(spec: Spec) -> tuple[Port, ...]:
             meaning="log density of the rows present given y[0..k-1]",
         ),
     )
+
+
+def prior_of(spec: Spec) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """x0, and P0 packed: what every prediction for sample 0 is."""
+    P0 = spec.model.P0.values()
+    state = tuple(float(v) for v in spec.model.x0.values().ravel())
+    return state, tuple(float(P0[i, j]) for i, j in triangle(spec.model.nx))
 
 
 def symbols_of(spec: Spec, plant: Plant, ports: Sequence[Port]) -> dict[str, ca.SX]:
