@@ -6,33 +6,83 @@ alone.
 """
 
 from fkgen.closed_form.batch import BatchResult, Joint, batch_lmmse, joint_distribution
+from fkgen.closed_form.draw import draw_record, informed
+from fkgen.closed_form.enumeration import EnumerationResult, enumerate_modes
+from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
 from fkgen.closed_form.hypotheses import MultipleModelResult, batch_posterior, textbook_mme
 from fkgen.closed_form.identities import IDENTITIES, Identity
+from fkgen.closed_form.linear_optimal import (
+    LinearOptimalResult,
+    linear_optimal,
+    true_covariance,
+)
+from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
 from fkgen.closed_form.riccati import (
     constant_input_noise,
     stationary_prediction,
     stationary_prediction_by_control,
 )
+from fkgen.closed_form.sensor import (
+    SensorLaw,
+    aggregate,
+    draw_modes,
+    gamma_delta,
+    is_lumpable,
+    mode_plant,
+    nominal_share,
+    simulate_sensor,
+)
+from fkgen.closed_form.switching import (
+    InteractingResult,
+    OneStepResult,
+    textbook_imm,
+    textbook_one_step,
+)
 from fkgen.closed_form.system import LinearSystem, draw_gamma, simulate
 from fkgen.closed_form.textbook import TextbookStep, log_likelihood, textbook_step
+from fkgen.closed_form.uncertain import batch_uncertain, joint_moments
 
 __all__ = [
     "IDENTITIES",
+    "LINEAR_IDENTITIES",
     "BatchResult",
+    "EnumerationResult",
+    "FaultMoments",
     "Identity",
+    "InteractingResult",
     "Joint",
+    "LinearOptimalResult",
     "LinearSystem",
     "MultipleModelResult",
+    "OneStepResult",
+    "SensorLaw",
     "TextbookStep",
+    "aggregate",
     "batch_lmmse",
     "batch_posterior",
+    "batch_uncertain",
     "constant_input_noise",
     "draw_gamma",
+    "draw_modes",
+    "draw_record",
+    "enumerate_modes",
+    "gamma_delta",
+    "informed",
+    "is_lumpable",
     "joint_distribution",
+    "joint_moments",
+    "linear_optimal",
     "log_likelihood",
+    "mode_plant",
+    "nominal_share",
+    "satisfies_lemma_2",
     "simulate",
+    "simulate_sensor",
     "stationary_prediction",
     "stationary_prediction_by_control",
+    "textbook_imm",
     "textbook_mme",
+    "textbook_one_step",
     "textbook_step",
+    "true_covariance",
 ]

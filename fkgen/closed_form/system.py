@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -104,6 +104,11 @@ class LinearSystem:
         if record.shape != expected:
             raise DataError("u", given=f"shape {record.shape}", expected=f"shape {expected}")
         return record
+
+    def first(self, samples: int) -> Self:
+        """The same plant over its first samples."""
+        varying = ("A", "B", "C", "D", "Q", "R", "rate", "fault_covariance")
+        return replace(self, **{name: getattr(self, name)[:samples] for name in varying})
 
     @classmethod
     def from_spec(

@@ -14,6 +14,7 @@ from fkgen.closed_form import (
     batch_lmmse,
     batch_posterior,
     constant_input_noise,
+    informed,
     stationary_prediction,
     textbook_mme,
 )
@@ -34,7 +35,7 @@ PAPER = "Strandt, Schneider & Yaz"
 RANK_DEFICIENT = 1e-6
 
 
-def _has_exact_rows(spec: Spec) -> bool:
+def has_exact_rows(spec: Spec) -> bool:
     """Whether some combination of the rows of y carries no noise."""
     return is_singular(spec.model.R.values(spec.defaults))
 
@@ -42,12 +43,16 @@ def _has_exact_rows(spec: Spec) -> bool:
 def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None) -> LinearSystem:
     """The linear system of a record, with the record's prior."""
     system = LinearSystem.from_spec(spec, len(record.y), record.parameters, rates)
+    faults = spec.faults.sensor
+    if faults is not None and spec.filter.family == "genie":
+        gamma, delta = (np.asarray(record.parameters[name]) for name in ("gamma", "delta"))
+        system = informed(system, faults, gamma, delta)
     return dataclasses.replace(system, P0=record.P0)
 
 
 def digits_at_stake(spec: Spec, record: Record) -> float:
     """`EXACT`, or what the ratio of state to measurement noise leaves of double precision."""
-    if _has_exact_rows(spec):
+    if has_exact_rows(spec):
         return RANK_DEFICIENT
     C, Q, R = (getattr(spec.model, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
     noise = np.diag(R)
@@ -64,7 +69,7 @@ def _growth(spec: Spec) -> float:
 def _batch(spec: Spec, record: Record) -> Mapping[str, Array]:
     result = batch_lmmse(system_of(spec, record), record.y, record.u)
     ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
-    if _has_exact_rows(spec):  # a density on a subspace depends on the coordinates chosen there
+    if has_exact_rows(spec):  # a density on a subspace depends on the coordinates chosen there
         del ports["log_likelihood"]
     return ports
 

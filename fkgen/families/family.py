@@ -47,8 +47,9 @@ class ClosedForm:
     tolerance : callable
         ``tolerance(spec, record)``: the largest relative error at which it is taken to hold.
     expected : callable
-        ``expected(spec, record)`` gives ports by name with shape (T, ...), without any code of the
-        recursion; None if the statement is not about this spec. NaN = a missing row.
+        ``expected(spec, record)`` gives ports by name with shape (T, ...), or of fewer samples if
+        the statement is about the first ones only, without any code of the recursion; None if the
+        statement is not about this spec. NaN = a missing row.
     start : callable
         ``start(spec, record)`` gives ports (unpacked) that replace the prior before the run.
     steady : bool

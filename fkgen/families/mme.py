@@ -26,6 +26,7 @@ from fkgen.symbolic.estimate import (
 )
 from fkgen.symbolic.linalg import congruence, pack, spread, unpack, weighted_sum
 from fkgen.symbolic.linear_filter import by_rows
+from fkgen.symbolic.mixture import combined_innovation
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -84,9 +85,16 @@ def _update(bank: Bank) -> Phase:
     with script.titled("weights of the hypotheses"):
         logs = [_log_likelihood(script, bank, plant, i, found[i]) for i in range(bank.size)]
         held = (bank.symbols["mode_probability"], bank.symbols["log_weight"])
-        weights = reweigh(script, held, logs, spec.filter.weight_floor)
+        weights = reweigh(script, held, logs, spec.filter.weight_floor, spec.code.scalar)
     with script.titled("combination"):
-        results = _combined_innovation(script, bank, plant, found)
+        predicted = [
+            script.let(
+                f"predicted_y_h{i}",
+                plant.C @ bank.part("mode_state", i) + plant.D @ bank.actuation(i).mean,
+            )
+            for i in range(bank.size)
+        ]
+        results = combined_innovation(script, bank.symbols["mode_probability"], predicted, found)
         results |= _combined_state(bank, posteriors, weights)
         results |= {
             "mode_probability": weights.probability,
@@ -121,28 +129,6 @@ def _log_likelihood(script: Script, bank: Bank, plant: Plant, i: int, found: Con
 def _random_rates(bank: Bank, i: int) -> list[float]:
     """Success rates of the components whose outcome is uncertain under hypothesis i."""
     return [rate for rate in bank.spec.filter.hypotheses[i] if rate * (1.0 - rate) > 0.0]
-
-
-def _combined_innovation(
-    script: Script, bank: Bank, plant: Plant, found: list[Conditioned]
-) -> dict[str, ca.SX]:
-    """Innovation of the mixture of predictions, its covariance, its NIS over the rows present."""
-    held = bank.symbols["mode_probability"]
-    predicted = [
-        script.let(
-            f"predicted_y_h{i}",
-            plant.C @ bank.part("mode_state", i) + plant.D @ bank.actuation(i).mean,
-        )
-        for i in range(bank.size)
-    ]
-    mean = weighted_sum(held, predicted)
-    S = weighted_sum(held, [each.innovation_covariance for each in found])
-    S = script.let("combined_variance", S + spread(held, predicted, mean))
-    nu = script.let("combined_innovation", weighted_sum(held, [f.innovation for f in found]))
-    results = {"innovation": nu, "innovation_covariance": S}
-    if bank.size == 1:
-        return {**results, "nis": found[0].nis}
-    return {**results, "nis": whiten(script, S, nu, "_combined").quadratic(ca.SX(1))}
 
 
 def _combined_state(bank: Bank, posteriors: list[Posterior], weights: Weights) -> dict[str, ca.SX]:

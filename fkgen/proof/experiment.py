@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.closed_form import LinearSystem, simulate
+from fkgen.closed_form import LinearSystem, draw_record
 from fkgen.families.family import Array, Record
 from fkgen.spec import Spec
 
@@ -23,13 +23,13 @@ def trial(spec: Spec, *, steady: bool) -> Record:
     rng = np.random.default_rng(20130905)
     model = spec.model
     T = LONG if model.nx < MANY_STATES else SHORT
-    parameters = {name: np.full(T, value) for name, value in spec.defaults.items()}
+    parameters = {item.name: np.full(T, item.default) for item in spec.stated_parameters}
     if not steady:
         parameters = _varied(spec, parameters, rng)
     u = rng.normal(size=(1 if steady else T, model.nu)).repeat(T if steady else 1, axis=0)
     P0 = _mild_prior(spec)
-    system = LinearSystem.from_spec(spec, T, parameters, _rates(spec))
-    y = simulate(system, u, rng)
+    y, drawn = draw_record(spec, parameters, u, rng)
+    parameters = {name: np.full(T, spec.defaults[name]) for name in drawn} if steady else drawn
     if not steady:
         y[_missing(y.shape, rng)] = np.nan
     return Record(y=y, u=u, parameters=parameters, P0=P0)
@@ -78,7 +78,12 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
 
 
 def _mild_prior(spec: Spec) -> Array:
-    """P0, scaled down where it dwarfs the measurement noise: a start value, not an equation."""
+    """P0, scaled down where it dwarfs the measurement noise: a start value, not an equation.
+
+    Not for ``linear_optimal``, in which P0 is part of the second moments that its gain depends on.
+    """
+    if spec.filter.family == "linear_optimal":
+        return np.asarray(spec.model.P0.values())
     C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
     noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)
     known = (noise > 0.0) & (prior > 0.0)

@@ -105,7 +105,7 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
     found = instance.run(record.y, record.u, record.parameters, keep=tuple(expected))
     error = max(
         distance(
-            np.asarray(found[name], float) if name in found else np.array(np.nan),
+            np.asarray(found[name][: len(value)] if name in found else np.nan, float),
             np.asarray(value, float),
             symmetric=name in found and recursion.port(name).symmetric,
             deviation=natural_deviation(name, expected),
@@ -138,7 +138,7 @@ def _start_of(recursion: Recursion) -> Claim:
 
 def _prior(recursion: Recursion, record: Record) -> Mapping[str, Array]:
     """The record's prior covariance, in every port that starts as the spec's."""
-    stacked = {"mode_covariance", "mode_filtered_covariance"}
+    stacked = {"mode_covariance", "mode_filtered_covariance", "riccati_covariance"}
     names = {"predicted_covariance", "filtered_covariance"} | stacked
     ports = [port for port in recursion.ports if port.name in names]
     return {port.name: np.broadcast_to(record.P0, port.shape) for port in ports}

@@ -8,6 +8,7 @@ from fkgen.spec.filter import Filter
 from fkgen.spec.matrix import Matrix
 from fkgen.spec.model import Model
 from fkgen.spec.reader import load
+from fkgen.spec.sensor_faults import Moments, SensorFaults
 from fkgen.spec.signals import Signal
 
 __all__ = [
@@ -18,10 +19,12 @@ __all__ = [
     "Filter",
     "Matrix",
     "Model",
+    "Moments",
     "Name",
     "Number",
     "Operation",
     "Parameter",
+    "SensorFaults",
     "Signal",
     "Spec",
     "evaluate",

@@ -10,6 +10,7 @@ from fkgen.spec.code_options import Code, read_code
 from fkgen.spec.covariance import is_singular
 from fkgen.spec.faults import Faults, read_faults
 from fkgen.spec.filter import Filter, filter_section, read_filter
+from fkgen.spec.linear_optimal import check_linear_filter
 from fkgen.spec.magnitude import check_magnitudes
 from fkgen.spec.model import Model, read_model
 from fkgen.spec.naming import check_distinct, read_parameter_name, read_prefix
@@ -35,6 +36,10 @@ class Parameter:
     default: float
 
 
+#: Parameters that a family has of its own: the indicators that only a genie knows.
+IMPLIED = {"genie": (Parameter("gamma", 1.0), Parameter("delta", 1.0))}
+
+
 @dataclass(frozen=True, slots=True)
 class Spec:
     """What the user wants, checked.
@@ -48,7 +53,7 @@ class Spec:
     model : Model
         The plant.
     parameters : tuple of Parameter
-        In the order of the file.
+        In the order of the file, then those of the family (``gamma`` and ``delta`` of ``genie``).
     faults : Faults
         What can fail.
     filter : Filter
@@ -88,13 +93,13 @@ class Spec:
         place = Place(file)
         section = _whole(table, place)
         name = read_prefix(section.require("name", "a C identifier"), place.entry("name"))
-        parameters = _read_parameters(section, place)
-        defaults = {parameter.name: parameter.default for parameter in parameters}
         options = filter_section(
             section.require("filter", "a table with the family of the filter"),
             place.entry("filter"),
         )
         family = str(options.table["family"])
+        parameters = _read_parameters(section, place, family)
+        defaults = {parameter.name: parameter.default for parameter in parameters}
         model_place = place.entry("model")
         model = read_model(
             section.require("model", "a table with the plant"), model_place, defaults
@@ -106,7 +111,11 @@ class Spec:
             defaults,
             family=family,
             inputs=model.nu,
+            outputs=model.outputs,
         )
+        reading = read_filter(options, faults.actuator, model.nu)
+        if faults.sensor is not None:
+            check_linear_filter(model, place, faults.sensor, reading)
         code = read_code(section.table.get("code", {}), place.entry("code"))
         check_magnitudes(model, model_place, defaults, code.scalar)
         return cls(
@@ -114,7 +123,7 @@ class Spec:
             model=model,
             parameters=parameters,
             faults=faults,
-            filter=read_filter(options, faults.actuator, model.nu),
+            filter=reading,
             code=code,
             file=file,
         )
@@ -124,12 +133,18 @@ class Spec:
         """The default value of every parameter."""
         return {parameter.name: parameter.default for parameter in self.parameters}
 
+    @property
+    def stated_parameters(self) -> tuple[Parameter, ...]:
+        """The parameters of the file, without those that the family brings along."""
+        implied = IMPLIED.get(self.filter.family, ())
+        return tuple(item for item in self.parameters if item not in implied)
+
     def to_dict(self) -> dict[str, object]:
         """Return plain dicts, lists, numbers and texts; `from_dict` gives an equal spec back."""
         return {
             "name": self.name,
             "model": self.model.plain(),
-            "parameters": self.defaults,
+            "parameters": {item.name: item.default for item in self.stated_parameters},
             "faults": self.faults.plain(),
             "filter": self.filter.plain(),
             "code": self.code.plain(),
@@ -138,7 +153,7 @@ class Spec:
     def canonical(self) -> str:
         """Return a JSON text that is equal for equal specs and different for different ones."""
         table = self.to_dict()
-        table["parameters"] = [[item.name, item.default] for item in self.parameters]
+        table["parameters"] = [[item.name, item.default] for item in self.stated_parameters]
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
@@ -149,7 +164,7 @@ def _whole(table: object, place: Place) -> Section:
     return Section(table, place, known=_KEYS)
 
 
-def _read_parameters(whole: Section, place: Place) -> tuple[Parameter, ...]:
+def _read_parameters(whole: Section, place: Place, family: str) -> tuple[Parameter, ...]:
     place = place.entry("parameters")
     table = whole.table.get("parameters", {})
     entries = as_table(table, place, "a table of default values, such as tau = 0.05")
@@ -160,6 +175,13 @@ def _read_parameters(whole: Section, place: Place) -> tuple[Parameter, ...]:
         )
         for name, value in entries.items()
     )
+    for implied in IMPLIED.get(family, ()):
+        if implied.name in entries:
+            raise place.entry(implied.name).error(
+                f"a parameter {implied.name}",
+                f"another name: the family {family} has a parameter {implied.name} of its own",
+            )
+    parameters += IMPLIED.get(family, ())
     check_distinct((parameter.name for parameter in parameters), place, "parameters")
     return parameters
 
@@ -172,9 +194,10 @@ def _check_family(model: Model, place: Place, family: str, defaults: Mapping[str
         )
     if not is_singular(model.R.values(defaults)):
         return
-    if family == "mme":
+    if family in {"mme", "one_step", "imm"}:
         raise place.entry("R").error(
-            "a singular matrix", "a positive definite R for the family mme: it compares densities"
+            "a singular matrix",
+            f"a positive definite R for the family {family}: it compares densities",
         )
     if not model.Q.values(defaults).any():
         raise place.entry("R").error(

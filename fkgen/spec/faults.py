@@ -1,8 +1,8 @@
-"""Faults of the plant: so far actuators that fail intermittently."""
+"""Faults of a plant: which sections a family takes, and actuators that fail intermittently."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,6 +13,8 @@ from fkgen.spec.matrix import Matrix
 from fkgen.spec.matrix_input import Role, read_entry, read_matrix
 from fkgen.spec.place import Place
 from fkgen.spec.section import Section
+from fkgen.spec.sensor_faults import SensorFaults, read_sensor_faults
+from fkgen.spec.signals import Signal
 
 Dependence = Literal["common", "independent", "covariance"]
 
@@ -62,17 +64,34 @@ class Faults:
     ----------
     actuator : ActuatorFaults or None
         Intermittent actuator faults, if any.
+    sensor : SensorFaults or None
+        Sensors that lose their signal or gain noise, if any.
     """
 
     actuator: ActuatorFaults | None = None
+    sensor: SensorFaults | None = None
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        return {} if self.actuator is None else {"actuator": self.actuator.plain()}
+        sections = {"actuator": self.actuator, "sensor": self.sensor}
+        return {name: faults.plain() for name, faults in sections.items() if faults is not None}
+
+
+#: The section of ``faults`` that each family is about; kf knows no faults.
+SECTIONS = {
+    **dict.fromkeys(("mkf", "mme"), "actuator"),
+    **dict.fromkeys(("linear_optimal", "one_step", "imm", "genie"), "sensor"),
+}
 
 
 def read_faults(
-    table: object, place: Place, defaults: Mapping[str, float], *, family: str, inputs: int
+    table: object,
+    place: Place,
+    defaults: Mapping[str, float],
+    *,
+    family: str,
+    inputs: int,
+    outputs: Sequence[Signal],
 ) -> Faults:
     """Return the faults that a table describes, which must be those the family handles.
 
@@ -88,6 +107,8 @@ def read_faults(
         The family of the filter.
     inputs : int
         Number of inputs, q.
+    outputs : sequence of Signal
+        The rows of y.
 
     Raises
     ------
@@ -95,19 +116,25 @@ def read_faults(
         If a section is missing, unknown or of no use to the family, or a rate or a joint
         probability is impossible.
     """
-    section = Section(table, place, known=("actuator",), later=("sensor", "jump", "soft"))
-    where = place.entry("actuator")
-    if family == "kf":
-        if "actuator" in section:
-            raise where.error(
-                "actuator faults", "none for the family kf; mkf and mme handle actuator faults"
+    section = Section(table, place, known=("actuator", "sensor"), later=("jump", "soft"))
+    own = SECTIONS.get(family)
+    for kind in section.table:
+        if kind != own:
+            able = ", ".join(name for name, of in SECTIONS.items() if of == kind)
+            raise place.entry(kind).error(
+                f"{kind} faults", f"none for the family {family}; {able} handle {kind} faults"
             )
+    if own is None:
         return Faults()
-    if "actuator" not in section and family != "mme":
+    where = place.entry(own)
+    if own not in section and family != "mme":
         raise where.error(
-            "nothing (the section is missing)", f"actuator faults for the family {family}"
+            "nothing (the section is missing)", f"{own} faults for the family {family}"
         )
-    reader = _ActuatorReader(section.table.get("actuator", {}), where, defaults, inputs)
+    given = section.table.get(own, {})
+    if own == "sensor":
+        return Faults(sensor=read_sensor_faults(given, where, outputs, family))
+    reader = _ActuatorReader(given, where, defaults, inputs)
     return Faults(reader.unknown_rate() if family == "mme" else reader.known_rate())
 
 

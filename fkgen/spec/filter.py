@@ -5,41 +5,58 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from fkgen.spec.faults import ActuatorFaults
+from fkgen.spec.faults import SECTIONS, ActuatorFaults
 from fkgen.spec.foreign import plain_list
 from fkgen.spec.place import Place, show, suggestion
+from fkgen.spec.probability import as_distribution, as_probability
 from fkgen.spec.section import LATER, Section, as_list, as_number
 
 Likelihood = Literal["mixture", "gaussian"]
+CovarianceReading = Literal["moment_matched", "weighted", "paper", "paper_nominal"]
+LinearForm = Literal["lemma2", "augmented"]
 
-FAMILIES = ("kf", "mkf", "mme")
-LATER_FAMILIES = (
-    *("one_step", "imm", "linear_optimal", "genie", "mjls_lmmse"),
-    *("compression_full", "dfcf", "cpcf"),
-)
+FAMILIES = ("kf", *SECTIONS)
+LATER_FAMILIES = ("mjls_lmmse", "compression_full", "dfcf", "cpcf")
 _LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
-_HYPOTHESIS_KEYS = ("hypotheses", "prior", "weight_floor", "likelihood")
-_LATER_KEYS = ("covariance", "modes", "detector", "alpha", "maintenance")
+_READINGS: tuple[CovarianceReading, ...] = ("moment_matched", "weighted", "paper", "paper_nominal")
+_FORMS: tuple[LinearForm, ...] = ("lemma2", "augmented")
+
+#: Which options a family has, besides ``family``.
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "mme": ("hypotheses", "prior", "weight_floor", "likelihood"),
+    "one_step": ("covariance",),
+    "imm": ("modes",),
+    "linear_optimal": ("form",),
+}
+_OWNER = {key: family for family, keys in OPTIONS.items() for key in keys}
+_LATER_KEYS = ("detector", "alpha", "maintenance")
 DEFAULT_FLOOR = 1e-6
-SUM_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """A family and its options; only ``mme`` has any so far.
+    """A family and its options; those of other families have their defaults.
 
     Parameters
     ----------
     family : str
-        ``"kf"``, ``"mkf"`` or ``"mme"``.
+        One of `FAMILIES`.
     hypotheses : tuple of tuple of float
-        The N success rates that are tried, each as long as ``ActuatorFaults.success_rate`` is.
+        ``mme``: the N success rates that are tried, each as long as
+        ``ActuatorFaults.success_rate`` is.
     prior : tuple of float
-        Their N probabilities at the start; they sum to one.
+        ``mme``: their N probabilities at the start; they sum to one.
     weight_floor : float
-        Every hypothesis keeps this probability, in [0, 1/N).
+        ``mme``: every hypothesis keeps this probability, in [0, 1/N).
     likelihood : str
-        ``"mixture"`` (exact for the present sample) or ``"gaussian"``.
+        ``mme``: ``"mixture"`` (exact for the present sample) or ``"gaussian"``.
+    covariance : str
+        ``one_step``: how (7) is read; ``"moment_matched"``, ``"weighted"``, ``"paper"`` or
+        ``"paper_nominal"``.
+    modes : int
+        ``imm``: 4, or 3 (without signal, both noise levels are one mode).
+    form : str
+        ``linear_optimal``: ``"lemma2"`` (23) or ``"augmented"``.
     """
 
     family: str
@@ -47,18 +64,21 @@ class Filter:
     prior: tuple[float, ...] = ()
     weight_floor: float = DEFAULT_FLOOR
     likelihood: Likelihood = "mixture"
+    covariance: CovarianceReading = "moment_matched"
+    modes: int = 4
+    form: LinearForm = "lemma2"
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        if not self.hypotheses:
-            return {"family": self.family}
-        return {
-            "family": self.family,
-            "hypotheses": [list(hypothesis) for hypothesis in self.hypotheses],
-            "prior": list(self.prior),
-            "weight_floor": self.weight_floor,
-            "likelihood": self.likelihood,
-        }
+        table: dict[str, object] = {"family": self.family}
+        for key in OPTIONS.get(self.family, ()):
+            value = getattr(self, key)
+            table[key] = _listed(value) if isinstance(value, tuple) else value
+        return table
+
+
+def _listed(value: tuple[object, ...]) -> list[object]:
+    return [list(entry) if isinstance(entry, tuple) else entry for entry in value]
 
 
 def filter_section(table: object, place: Place) -> Section:
@@ -69,7 +89,7 @@ def filter_section(table: object, place: Place) -> Section:
     SpecError
         If the family is missing or unknown, or a key is unknown or belongs to another family.
     """
-    section = Section(table, place, known=("family", *_HYPOTHESIS_KEYS), later=_LATER_KEYS)
+    section = Section(table, place, known=("family", *_OWNER), later=_LATER_KEYS)
     expected = f"one of {', '.join(FAMILIES)}"
     family = section.require("family", expected)
     where = place.entry("family")
@@ -78,10 +98,10 @@ def filter_section(table: object, place: Place) -> Section:
     if not isinstance(family, str) or family not in FAMILIES:
         hint = suggestion(family, FAMILIES + LATER_FAMILIES) if isinstance(family, str) else ""
         raise where.error(show(family), expected + hint)
-    for key in _HYPOTHESIS_KEYS:
-        if family != "mme" and key in section:
+    for key, owner in _OWNER.items():
+        if family != owner and key in section:
             raise place.entry(key).error(
-                f"{key} for the family {family}", f"{key} only for the family mme"
+                f"{key} for the family {family}", f"{key} only for the family {owner}"
             )
     return section
 
@@ -105,7 +125,12 @@ def read_filter(section: Section, actuator: ActuatorFaults | None, inputs: int) 
     """
     family = str(section.table["family"])
     if family != "mme":
-        return Filter(family)
+        return Filter(
+            family,
+            covariance=section.choice("covariance", _READINGS, "moment_matched"),
+            modes=_modes(section),
+            form=section.choice("form", _FORMS, "lemma2"),
+        )
     common = actuator is None or actuator.dependence == "common"
     hypotheses = _hypotheses(section, 1 if common else inputs)
     return Filter(
@@ -132,32 +157,27 @@ def _hypotheses(section: Section, length: int) -> tuple[tuple[float, ...], ...]:
 def _hypothesis(entry: object, place: Place, length: int) -> tuple[float, ...]:
     rates = plain_list(entry, place)
     if not isinstance(rates, list):
-        return (_probability(entry, place),) * length
+        return (as_probability(entry, place),) * length
     if len(rates) != length:
         reason = "the faults are common" if length == 1 else "one per input"
         raise place.error(f"{len(rates)} rates", f"{length}: {reason}")
-    return tuple(_probability(rate, place.item(index)) for index, rate in enumerate(rates))
-
-
-def _probability(value: object, place: Place) -> float:
-    number = as_number(value, place, "a probability in [0, 1]")
-    if not 0.0 <= number <= 1.0:
-        raise place.error(show(number), "a probability in [0, 1]")
-    return number
+    return tuple(as_probability(rate, place.item(index)) for index, rate in enumerate(rates))
 
 
 def _prior(section: Section, count: int) -> tuple[float, ...]:
     if "prior" not in section:
         return (1.0 / count,) * count
     place = section.place.entry("prior")
-    expected = f"a list of {count} probabilities, one per hypothesis"
-    entries = as_list(section.table["prior"], place, expected)
-    if len(entries) != count:
-        raise place.error(f"{len(entries)} entries", expected)
-    prior = tuple(_probability(entry, place.item(index)) for index, entry in enumerate(entries))
-    if abs(sum(prior) - 1.0) > SUM_TOLERANCE:
-        raise place.error(f"probabilities that sum to {sum(prior):.12g}", "a sum of 1")
-    return prior
+    return as_distribution(section.table["prior"], place, count, "one per hypothesis")
+
+
+def _modes(section: Section) -> int:
+    place = section.place.entry("modes")
+    expected = "4, or 3: the modes without signal are one, with the mixture of their likelihoods"
+    number = as_number(section.table.get("modes", 4), place, expected)
+    if number not in {3.0, 4.0}:
+        raise place.error(show(number), expected)
+    return int(number)
 
 
 def _floor(section: Section, count: int) -> float:

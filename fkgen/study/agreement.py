@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fkgen.backend.execute import Machine
 from fkgen.backend.ir import CProgram
 from fkgen.backend.source import Source
-from fkgen.closed_form import LinearSystem, simulate
+from fkgen.closed_form import draw_record
 from fkgen.families.evidence import digits_at_stake
 from fkgen.families.family import Record
 from fkgen.pipeline import compile as compile_source
@@ -39,6 +39,9 @@ _LOGARITHM = 1e-14
 #: Weights are exponentials of sums of some hundred: an error of 1e-15 there is 1e-13 here.
 _WEIGHTS = 1e-12
 
+#: Share of the entries of y that are missing.
+MISSING = 0.2
+
 _FORM = "covariance update: joseph form"
 
 
@@ -54,15 +57,16 @@ class Trial:
 def trial(spec: Spec) -> Trial:
     """A record of the model itself; parameters shaken by a percent, sample by sample."""
     rng = np.random.default_rng(20260101)
-    hypotheses = spec.filter.hypotheses
-    system = LinearSystem.from_spec(spec, SAMPLES, None, hypotheses[0] if hypotheses else None)
     u = rng.normal(size=(SAMPLES, spec.model.nu))
-    y = simulate(system, u, rng, missing=0.2)
-    y[SAMPLES // 2] = np.nan
     parameters = {
-        name: value * rng.uniform(0.99, 1.01, SAMPLES) for name, value in spec.defaults.items()
+        item.name: item.default * rng.uniform(0.99, 1.01, SAMPLES)
+        for item in spec.stated_parameters
     }
-    return Trial(y, u, parameters)
+    steady = {name: np.full(SAMPLES, spec.defaults[name]) for name in parameters}
+    y, told = draw_record(spec, steady, u, rng)
+    y[rng.random(y.shape) < MISSING] = np.nan
+    y[SAMPLES // 2] = np.nan
+    return Trial(y, u, {**told, **parameters})
 
 
 def with_machine(source: Source, record: Trial) -> tuple[Claim, ...]:
@@ -172,6 +176,8 @@ def _tolerance(spec: Spec, port: Port) -> float:
         none = np.zeros((0, 0))
         start = Record(y=none, u=none, parameters={}, P0=spec.model.P0.values())
         return digits_at_stake(spec, start)
+    if spec.filter.family in {"one_step", "imm"}:  # mixing makes everything depend on weights
+        return _WEIGHTS
     if spec.filter.family == "mme":
         before = port.name.startswith("mode_") and port.name != "mode_probability"
         return 0.0 if before else _WEIGHTS
@@ -181,7 +187,7 @@ def _tolerance(spec: Spec, port: Port) -> float:
 def _reason(spec: Spec) -> str:
     if _goes_through_functions(spec):
         return "entries of the model go through fkgen's own functions, good to one ulp"
-    if spec.filter.family == "mme":
+    if spec.filter.family in {"mme", "one_step", "imm"}:
         return "weights are exponentials of sums, which enlarge the last bit of exp and log"
     return "fkgen's own log is good to one unit in the last place"
 

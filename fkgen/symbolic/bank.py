@@ -10,12 +10,12 @@ import casadi as ca
 from fkgen.errors import InternalError
 from fkgen.spec import ActuatorFaults, Spec
 from fkgen.symbolic.actuation import Actuation, intermittent
-from fkgen.symbolic.conditioning import Form
 from fkgen.symbolic.estimate import Posterior, senses_actuation, update_form
 from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.linear_filter import from_rows
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
+from fkgen.symbolic.sequential import Form
 
 #: With more independent inputs than this the mixture has too many terms; the Gaussian is used
 #: instead.

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fkgen.symbolic.conditioning import LOG_TWO_PI
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import unpack
 from fkgen.symbolic.script import Script
+from fkgen.symbolic.sequential import LOG_TWO_PI
 
 
 @dataclass(frozen=True, slots=True)

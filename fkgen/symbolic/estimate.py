@@ -17,7 +17,6 @@ from fkgen.symbolic.conditioning import (
     PIVOTS_PER_LOG,
     RANK_TOLERANCE,
     Conditioned,
-    Form,
     condition,
 )
 from fkgen.symbolic.decorrelation import Measurement
@@ -26,6 +25,7 @@ from fkgen.symbolic.linalg import column, congruence, is_zero, pack, unpack
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.recursion import Guard
 from fkgen.symbolic.script import Script
+from fkgen.symbolic.sequential import Form
 
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
 SHORT_FORM_RATIO = 1e6
@@ -98,14 +98,8 @@ def correct(
         state = ca.vertcat(state, ca.SX.zeros(r))
         covariance = ca.diagcat(covariance, actuation.covariance)
         C = ca.horzcat(C, plant.D @ actuation.through)
-    measurement = Measurement(
-        C=C,
-        offset=plant.D @ actuation.mean,
-        R=plant.R,
-        y=y,
-        rows=plant.rows,
-        rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
-        pivots_per_log=PIVOTS_PER_LOG[scalar],
+    measurement = measurement_of(
+        plant, scalar=scalar, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R
     )
     found = condition(
         script, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
@@ -119,6 +113,29 @@ def correct(
         cross_covariance=P[n:, :n],
     )
     return found, posterior
+
+
+def measurement_of(
+    plant: Plant,
+    *,
+    scalar: str,
+    y: ca.SX,
+    C: ca.SX,
+    offset: ca.SX,
+    R: ca.SX,
+    cross: ca.SX | None = None,
+) -> Measurement:
+    """Y = C z + offset + w as this plant measures it, with what rank and logarithms need."""
+    return Measurement(
+        C=C,
+        offset=offset,
+        R=R,
+        y=y,
+        rows=plant.rows,
+        rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
+        pivots_per_log=PIVOTS_PER_LOG[scalar],
+        cross=cross,
+    )
 
 
 def propagate(
@@ -139,6 +156,18 @@ def propagate(
     joint = ca.blockcat(P, cross.T, cross, unpack(posterior.deviation_covariance, r))
     through = ca.horzcat(plant.A, B)
     return state + B @ posterior.deviation, congruence(through, joint) + pack(plant.Q), through
+
+
+def estimated(state: ca.SX, covariance: ca.SX) -> Posterior:
+    """A filtered estimate in which nothing is known of random inputs."""
+    none = ca.SX(0, 1)
+    return Posterior(
+        state=state,
+        covariance=covariance,
+        deviation=none,
+        deviation_covariance=none,
+        cross_covariance=ca.SX(0, state.numel()),
+    )
 
 
 def bound(script: Script, plant: Plant, letters: str) -> Plant:

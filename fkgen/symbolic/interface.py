@@ -37,7 +37,9 @@ _MEANINGS = {
     Status.NULL_POINTER: "a pointer argument is NULL",
     Status.INPUT_NOT_FINITE: "u holds NaN or an infinity, or y holds an infinity",
     Status.NOT_POSITIVE_DEFINITE: "a covariance lost its positivity",
-    Status.PARAMETER_OUT_OF_RANGE: "a variance below zero, or a rate outside [0, 1]",
+    Status.PARAMETER_OUT_OF_RANGE: (
+        "a variance below zero, a rate outside [0, 1], or an indicator with another value"
+    ),
     Status.RESULT_NOT_FINITE: "the result would not be finite",
     Status.SELFTEST_FAILED: "the self-test does not give the recorded bits on this target",
 }

@@ -1,4 +1,4 @@
-"""The linear filter with one mean and one covariance: Kalman filter and modified Kalman filter."""
+"""The linear filter with one mean and one covariance: kf, mkf and genie."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import casadi as ca
 
 from fkgen.spec import Spec
 from fkgen.symbolic.actuation import Actuation, certain, intermittent, rates_of
-from fkgen.symbolic.conditioning import Form
 from fkgen.symbolic.estimate import (
     Posterior,
     bound,
@@ -23,10 +22,12 @@ from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
+from fkgen.symbolic.sensing import demand_indicators, observed
+from fkgen.symbolic.sequential import Form
 
 
 def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
-    """Build the recursion of ``kf`` (no actuator faults in the spec) or ``mkf``."""
+    """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
     plant = plant_of(spec)
     size = _actuation(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
     ports = (
@@ -67,6 +68,9 @@ def _update(
     script = Script(symbols)
     demand_positive(script, symbols["predicted_covariance"], plant.nx)
     _demand_rates(script, spec, plant)
+    if spec.faults.sensor is not None:
+        demand_indicators(script, plant, spec.faults.sensor)
+        plant = observed(plant, spec.faults.sensor)
     plant = bound(script, plant, "CDR")
     found, posterior = correct(
         script,

@@ -1,4 +1,4 @@
-"""Probabilities of hypotheses, kept as logarithms: Strandt, Schneider & Yaz, eqs. (14)-(16)."""
+"""Probabilities of hypotheses, kept as logarithms, and Bayes' rule for them."""
 
 from __future__ import annotations
 
@@ -43,8 +43,13 @@ def reweigh(
     held: tuple[ca.SX, ca.SX],
     log_likelihoods: list[ca.SX],
     floor: float,
+    scalar: str,
 ) -> Weights:
-    """Bayes' rule for ``held`` = (probability, logarithm); with no row present nothing moves."""
+    """Bayes' rule for ``held`` = (probability, logarithm); with no row present nothing moves.
+
+    A sample so far out that no hypothesis has a density that a logarithm of ``scalar`` can tell
+    from that of probability zero is refused.
+    """
     probability, logarithm = held
     n = len(log_likelihoods)
     if n == 1:
@@ -67,7 +72,8 @@ def reweigh(
         top = script.let("log_largest", largest, initial=0.0)
         share = script.let("share_of_largest", ca.exp(joint - top), initial=0.0)
         total = script.let("share_total", ca.sum1(share), initial=0.0)
-        script.demand(Kind.FINITE, [top, total], Status.RESULT_NOT_FINITE)
+        script.demand(Kind.POSITIVE, [top - 0.5 * LOG_ZERO[scalar]], Status.RESULT_NOT_FINITE)
+        script.demand(Kind.FINITE, [total], Status.RESULT_NOT_FINITE)
         inverse = script.let("share_total_inverse", 1 / total, initial=0.0)
         log_total = script.let("log_share_total", ca.log(total), initial=0.0)
         if floor > 0.0:
@@ -75,7 +81,8 @@ def reweigh(
             weight = script.let("floored", posterior, initial=0.0)
             logarithms = ca.log(weight)
         else:
-            weight, logarithms = share * inverse, (joint - top) - log_total
+            weight = share * inverse
+            logarithms = ca.fmax((joint - top) - log_total, LOG_ZERO[scalar])
         script.put(
             {"weight": weight, "log_weight_now": logarithms, "log_evidence": top + log_total}
         )

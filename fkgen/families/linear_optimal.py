@@ -1,0 +1,31 @@
+"""Linear optimal filter for measurements that may carry no signal or more noise.
+
+Sigalov & Oshman, sec. V: the best linear filter in terms of E[gamma], p11 and E[delta] (Nahi 1969
+and Hadidi & Schwartz 1979 are special cases), exact under Lemma 2; with ``form = "augmented"`` the
+best linear filter for any Markov gamma (Costa 1994).
+"""
+
+from __future__ import annotations
+
+from fkgen.families.family import Family
+from fkgen.families.sensor_evidence import LEMMA_2_FORM, LINEAR_BATCH, LINEAR_IDENTITIES
+from fkgen.spec import Spec
+from fkgen.symbolic.augmented import augmented_filter
+from fkgen.symbolic.recursion import Recursion
+from fkgen.symbolic.uncertain import uncertain_filter
+
+
+def build(spec: Spec) -> Recursion:
+    """Build the filter in the form of the spec."""
+    if spec.filter.form == "augmented":
+        return augmented_filter(spec, "Costa 1994; Sigalov & Oshman, sec. V without Lemma 2")
+    return uncertain_filter(spec, "Sigalov & Oshman, sec. V, eqs. (19)-(23), covariance form")
+
+
+FAMILY = Family(
+    name="linear_optimal",
+    title="sensors that lose their signal or gain noise: linear optimal filter",
+    build=build,
+    closed_forms=(LEMMA_2_FORM, LINEAR_BATCH),
+    theorems=LINEAR_IDENTITIES,
+)

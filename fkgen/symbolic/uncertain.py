@@ -1,0 +1,248 @@
+"""Linear optimal filter with uncertain observations: Sigalov & Oshman, eqs. (19)-(23).
+
+With w = (gamma - p11) C x + v the measurement is y = p11 C x + w, whose noise has covariance
+(E[gamma] - p11) E[x x'] C' with the state. Conditioning on it is the covariance form of (23): C - V
+is never formed, which cancels for an unstable plant. Rows that cannot fail have gamma = 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from fkgen.errors import InternalError
+from fkgen.spec import Spec
+from fkgen.symbolic.actuation import certain
+from fkgen.symbolic.conditioning import Conditioned, condition
+from fkgen.symbolic.estimate import (
+    bound,
+    demand_finite,
+    demand_positive,
+    estimated,
+    finite,
+    measurement_of,
+    propagate,
+    update_form,
+)
+from fkgen.symbolic.fault_law import FaultLaw
+from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.linalg import congruence, is_zero, pack, sparse, unpack
+from fkgen.symbolic.linear_filter import by_rows, from_rows
+from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.recursion import Phase, Recursion
+from fkgen.symbolic.script import Script
+from fkgen.symbolic.sequential import Form
+
+#: Moments that the prediction moves on and y[k] does not change.
+CARRIED = ("state_second_moment", "state_mean", "mode_law")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Design:
+    spec: Spec
+    plant: Plant
+    law: FaultLaw
+    symbols: dict[str, ca.SX]
+    form: Form
+
+
+def uncertain_filter(spec: Spec, source: str) -> Recursion:
+    """Build the recursion of ``linear_optimal`` in its form ``lemma2``."""
+    plant, faults = plant_of(spec), spec.faults.sensor
+    if faults is None:
+        raise InternalError("linear_optimal without sensor faults")
+    law = FaultLaw.of(spec, faults)
+    ports = (
+        *state_ports(spec),
+        *innovation_ports(spec),
+        *_gain_ports(plant),
+        *_moment_ports(plant),
+        *law.law_ports(),
+        *law.persistence_ports(),
+    )
+    symbols = symbols_of(spec, plant, ports)
+    form = update_form(spec, plant, augmented=False)
+    design = _Design(spec=spec, plant=plant, law=law, symbols=symbols, form=form)
+    return Recursion(
+        spec=spec,
+        source=source,
+        ports=ports,
+        initial=_start(spec, law),
+        update=_update(design),
+        predict=_predict(design),
+        notes=(f"covariance update: {form} form",),
+    )
+
+
+def _start(spec: Spec, law: FaultLaw) -> dict[str, tuple[float, ...]]:
+    x0, packed = prior_of(spec)
+    n = spec.model.nx
+    moment = spec.model.P0.values() + np.outer(x0, x0)
+    second = tuple(float(moment[i, j]) for i, j in triangle(n))
+    return {
+        **{f"{of}_state": x0 for of in ("predicted", "filtered")},
+        **{f"{of}_covariance": packed for of in ("predicted", "filtered")},
+        "predicted_state_second_moment": second,
+        "transition": tuple(np.eye(n).ravel().tolist()),
+        **({"predicted_state_mean": x0} if spec.model.nu else {}),
+        **law.law_start(),
+        **law.persistence_start(),
+    }
+
+
+def _gain_ports(plant: Plant) -> tuple[Port, ...]:
+    n, p = plant.nx, plant.ny
+    return (
+        Port(
+            name="state_gain",
+            shape=(n, n),
+            role=Role.OUTPUT,
+            meaning="F1: d x(k|k) / d x(k-1|k-1); at k = 0 d x(0|0) / d x0",
+        ),
+        Port(
+            name="measurement_gain",
+            shape=(n, p),
+            role=Role.OUTPUT,
+            meaning="F2: d x(k|k) / d y[k]; columns of missing rows are 0",
+        ),
+        Port(
+            name="transition",
+            shape=(n, n),
+            role=Role.STATE,
+            meaning="A of the prediction for this sample; 1 at sample 0",
+        ),
+    )
+
+
+def _moment_ports(plant: Plant) -> tuple[Port, ...]:
+    n, ports = plant.nx, []
+    for prefix, k in (("", "k"), ("predicted_", "k+1")):
+        ports.append(
+            Port(
+                name=f"{prefix}state_second_moment",
+                shape=(n, n),
+                role=Role.STATE,
+                symmetric=True,
+                meaning=f"E[x[{k}] x[{k}]'], unconditional",
+            )
+        )
+        if plant.nu:
+            meaning = f"E[x[{k}]], unconditional"
+            name = f"{prefix}state_mean"
+            ports.append(Port(name=name, shape=(n,), role=Role.STATE, meaning=meaning))
+    return tuple(ports)
+
+
+def _update(design: _Design) -> Phase:
+    symbols, n = design.symbols, design.plant.nx
+    script = Script(symbols)
+    demand_positive(script, symbols["predicted_covariance"], n)
+    plant = bound(script, design.plant, "CDR")
+    with script.titled("moments of the measurement"):
+        pi, found = _condition(script, design, plant)
+    demand_finite(script, found.mean)
+    if found.gain is None:
+        raise InternalError("linear_optimal without a gain")
+    with script.titled("results of the update"):
+        F2 = script.name_entries("gain", found.gain)
+        C = sparse(ca.diag(pi) @ plant.C)
+        transition = from_rows(symbols["transition"], n)
+        F1 = (ca.SX.eye(n) - F2 @ C) @ transition
+        script.put(
+            {
+                "filtered_state": found.mean,
+                "filtered_covariance": found.covariance,
+                "innovation": found.innovation,
+                "innovation_covariance": found.innovation_covariance,
+                "nis": found.nis,
+                "log_likelihood": found.log_likelihood,
+                "measurement_gain": by_rows(F2),
+                "state_gain": by_rows(F1),
+                **{name: symbols[f"predicted_{name}"] for name in CARRIED if name in symbols},
+            }
+        )
+    return script.phase()
+
+
+def _condition(script: Script, design: _Design, plant: Plant) -> tuple[ca.SX, Conditioned]:
+    """Diagonal of the p11 by rows, and what conditioning on y = p11 C x + w gives."""
+    symbols, law, rows = design.symbols, design.law, design.law.faults.rows
+    n, p = plant.nx, plant.ny
+    g, p11 = law.gamma(symbols), law.persistence(symbols)
+    pi, cross = ca.SX.ones(p), ca.SX(n, p)
+    for row in rows:
+        pi[row] = p11
+    second = unpack(symbols["predicted_state_second_moment"], n)
+    signal = _signal_moment(plant, symbols, second)
+    R = law.noise(plant, symbols)
+    excess = script.let("signal_variance_share", g * (1 - p11) + p11 * (p11 - g))
+    for i in rows:
+        for j in rows:
+            if j <= i and not (is_zero(excess) or is_zero(signal[i, j])):
+                R[i, j] = R[j, i] = R[i, j] + excess * signal[i, j]
+    if not law.white:
+        cross[:, list(rows)] = (g - p11) * (second @ plant.C[list(rows), :].T)
+        cross = script.name_entries("noise_cross", sparse(cross))
+    measurement = measurement_of(
+        plant,
+        scalar=design.spec.code.scalar,
+        y=symbols["y"],
+        C=sparse(ca.diag(pi) @ plant.C),
+        offset=ca.diag(pi) @ plant.D @ symbols["u"],
+        R=_named(script, R),
+        cross=None if law.white else cross,
+    )
+    prior = (symbols["predicted_state"], unpack(symbols["predicted_covariance"], n))
+    return pi, condition(script, prior, measurement, form=design.form, with_gain=True)
+
+
+def _named(script: Script, R: ca.SX) -> ca.SX:
+    """A symmetric matrix whose entries are computed once."""
+    p = R.shape[0]
+    lower = script.name_entries("noise", sparse(ca.tril(R)))
+    result = ca.SX(lower)
+    for i in range(p):
+        for j in range(i):
+            if not is_zero(lower[i, j]):
+                result[j, i] = lower[i, j]
+    return result
+
+
+def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca.SX:
+    """Second moment of C x + D u."""
+    moment = unpack(congruence(plant.C, second), plant.ny)
+    if not plant.D.nnz():
+        return moment
+    direct = plant.D @ symbols["u"]
+    common = plant.C @ symbols["predicted_state_mean"] @ direct.T
+    return moment + common + common.T + direct @ direct.T
+
+
+def _predict(design: _Design) -> Phase:
+    symbols, n = design.symbols, design.plant.nx
+    script = Script(symbols)
+    plant = bound(script, design.plant, "ABQ")
+    inputs = certain(symbols["u"])
+    filtered = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
+    state, covariance, _ = propagate(plant, inputs, filtered)
+    second = unpack(symbols["state_second_moment"], n)
+    moved = congruence(plant.A, second) + pack(plant.Q)
+    assign = {
+        "predicted_state": state,
+        "predicted_covariance": covariance,
+        "transition": by_rows(plant.A),
+        **design.law.advanced(symbols),
+    }
+    if plant.nu:
+        mean, forced = plant.A @ symbols["state_mean"], plant.B @ symbols["u"]
+        common = mean @ forced.T
+        moved += pack(common + common.T + forced @ forced.T)
+        assign["predicted_state_mean"] = mean + forced
+    assign["predicted_state_second_moment"] = moved
+    with script.titled("prediction of the next sample"):
+        script.put(assign, [finite(state, covariance), finite(state, moved)])
+    return script.phase()
