@@ -7,116 +7,13 @@ one form is turned into another. SymPy has no static types: `Any` stands for its
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 from fkgen.closed_form.identities import Identity
+from fkgen.closed_form.linear_symbols import step
 
 PAPER = "Sigalov, Oshman"
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Step:
-    """One step of eq. (23), scalar or matrix, in symbols.
-
-    Attributes
-    ----------
-    A, H : Matrix
-        Plant; H is `C` elsewhere in fkgen.
-    C, V : Matrix
-        C_(k+1) = E[x x'] at the new sample and V_k = E[xhat xhat'] at the last one.
-    R : Matrix
-        R E[delta].
-    g, p : Matrix
-        Diagonal matrices of E[gamma] and p11, ones at rows that do not fail.
-    pair : Matrix
-        E[G_i G_j].
-    """
-
-    A: Any
-    H: Any
-    C: Any
-    V: Any
-    R: Any
-    g: Any
-    p: Any
-    pair: Any
-
-    @property
-    def predicted(self) -> Any:
-        """A V A', the second moment of the predicted estimate."""
-        return self.A * self.V * self.A.T
-
-    @property
-    def signal(self) -> Any:
-        """E[z z'], noise included."""
-        return self.pair.multiply_elementwise(self.H * self.C * self.H.T) + self.R
-
-    @property
-    def bracket(self) -> Any:
-        """What is inverted in eq. (23c)."""
-        return self.signal - self.p * self.H * self.predicted * self.H.T * self.p
-
-    @property
-    def numerator(self) -> Any:
-        """What multiplies the inverse in eq. (23c)."""
-        return self.C * self.H.T * self.g - self.predicted * self.H.T * self.p
-
-    @property
-    def F2(self) -> Any:
-        """Eq. (23c)."""
-        return self.numerator * self.bracket.adjugate() / self.bracket.det().expand()
-
-    @property
-    def F1(self) -> Any:
-        """Eq. (23b)."""
-        return self.A - self.F2 * self.p * self.H * self.A
-
-    def estimate_moment(self, F1: Any, F2: Any) -> Any:
-        """Eq. (23e) for any gains."""
-        cross = F2 * self.p * self.H * self.A * self.V * F1.T
-        return F1 * self.V * F1.T + F2 * self.signal * F2.T + cross + cross.T
-
-
-def step(n: int = 1, p: int = 1, faulty: Sequence[int] = (0,)) -> Step:
-    """Write down the symbols for n states and p measurements.
-
-    Parameters
-    ----------
-    n, p : int
-        Dimensions.
-    faulty : sequence of int
-        Rows subject to faults.
-
-    Returns
-    -------
-    Step
-    """
-    import sympy  # noqa: PLC0415 - slow to import
-
-    def general(name: str, rows: int, columns: int) -> Any:
-        return sympy.Matrix(rows, columns, lambda i, j: sympy.Symbol(f"{name}{i}{j}", real=True))
-
-    def symmetric(name: str, size: int) -> Any:
-        return sympy.Matrix(
-            size, size, lambda i, j: sympy.Symbol(f"{name}{max(i, j)}{min(i, j)}", real=True)
-        )
-
-    rate, persistence = sympy.symbols("g p", real=True)
-
-    def diagonal(value: Any) -> Any:
-        return sympy.diag(*(value if i in faulty else 1 for i in range(p)))
-
-    return Step(
-        A=general("a", n, n),
-        H=general("h", p, n),
-        C=symmetric("c", n),
-        V=symmetric("v", n),
-        R=symmetric("r", p),
-        g=diagonal(rate),
-        p=diagonal(persistence),
-        pair=sympy.Matrix(p, p, lambda i, j: rate if i in faulty or j in faulty else 1),
-    )
 
 
 def _past_measurement() -> tuple[Any, ...]:
@@ -197,67 +94,57 @@ def _first_samples() -> tuple[Any, ...]:
     """
     import sympy  # noqa: PLC0415 - slow to import
 
-    a, q, c, r = sympy.symbols("a q c r", positive=True)
-    g, p = sympy.symbols("g0:3", positive=True), (0, *sympy.symbols("p1:3", positive=True))
-    variance = [c]
+    # Elements of a field of rational functions: sums of them are reduced at once.
+    field, *free = sympy.field("g0 g1 g2 p1 p2", sympy.QQ)
+    a, q, r = sympy.Rational(-4, 5), 1, 3
+    g, p = free[:3], [field.zero, *free[3:]]
+    C = [sympy.Integer(2)]
     for _ in range(2):
-        variance.append(a**2 * variance[-1] + q)
+        C.append(a**2 * C[-1] + q)
 
-    def pair(k: int, i: int) -> Any:  # E[z_k z_i], i < k
-        return p[k] * g[i] * a ** (k - i) * variance[i]
+    def z_z(k: int, i: int) -> Any:
+        if k == i:
+            return g[k] * C[k] + r
+        first, last = min(i, k), max(i, k)
+        return p[last] * g[first] * a ** (last - first) * C[first]
 
-    past: list[Any] = []  # E[xhat_k z_i] of the estimate so far
-    V, entries = sympy.Integer(0), []
+    weights: list[Any] = []  # xhat_k = sum of weights[i] z_i
+    V, entries = field.zero, []
     for k in range(3):
-        signal = g[k] * variance[k] + r
-        bracket = signal - (p[k] * a) ** 2 * V
-        F2 = sympy.cancel((g[k] * variance[k] - p[k] * a**2 * V) / bracket)
+        F2 = (g[k] * C[k] - p[k] * a**2 * V) / (z_z(k, k) - (p[k] * a) ** 2 * V)
         F1 = a - p[k] * F2 * a
-        # E[xhat_(k-1) z_k] from the weights of z_0, ..., z_(k-1), not from V.
-        weights = [w * F1 for w in past]
-        past = [*weights, F2]
-        V = F1**2 * V + F2**2 * signal + 2 * p[k] * F1 * F2 * a * V
-        for i in range(k + 1):
-            z_z = [signal if i == j == k else None for j in range(k + 1)]
-            for j in range(k + 1):
-                if i == j:
-                    z_z[j] = g[i] * variance[i] + r
-                else:
-                    z_z[j] = pair(max(i, j), min(i, j))
-            entries.append(
-                sum(w * m for w, m in zip(past, z_z, strict=True))
-                - g[i] * a ** (k - i) * variance[i]
-            )
-    return (entries,)
+        V = F1**2 * V + F2**2 * z_z(k, k) + 2 * p[k] * F1 * F2 * a * V
+        weights = [*(F1 * weight for weight in weights), F2]
+        entries += [
+            sum(weight * z_z(j, i) for j, weight in enumerate(weights)) - g[i] * a ** (k - i) * C[i]
+            for i in range(k + 1)
+        ]
+    return ([entry.as_expr() for entry in entries],)
 
 
 def _nahi() -> tuple[Any, ...]:
     """p11 = E[gamma]: gain and covariance as Nahi has them."""
     s = step(2, 1)
+    s = replace(s, p=s.g)
     g = s.g[0, 0]
     prediction = s.C - s.predicted
-    noise = s.R + g * (1 - g) * s.H * s.C * s.H.T
-    M = g**2 * s.H * prediction * s.H.T + noise
-    K = g * prediction * s.H.T / M[0, 0]
-    independent = {s.p[0, 0]: g}
-    covariance = s.C - s.estimate_moment(s.F1, s.F2)
+    M = g**2 * s.H * prediction * s.H.T + s.R + g * (1 - g) * s.H * s.C * s.H.T
+    K = g * prediction * s.H.T / M.det().expand()
     return (
-        s.F2.subs(independent) - K,
-        s.F1.subs(independent) - (s.A - g * K * s.H * s.A),
-        covariance.subs(independent) - (prediction - g * K * s.H * prediction),
+        s.F2 - K,
+        s.F1 - (s.A - g * K * s.H * s.A),
+        s.C - s.estimate_moment(s.F1, s.F2) - (prediction - g * K * s.H * prediction),
     )
 
 
 def _kalman() -> tuple[Any, ...]:
     """E[gamma] = p11 = 1: the Kalman filter with R E[delta]."""
-    s = step(2, 1)
+    s = step(2, 1, ())
     prediction = s.C - s.predicted
-    K = prediction * s.H.T / (s.H * prediction * s.H.T + s.R)[0, 0]
-    healthy = {s.g[0, 0]: 1, s.p[0, 0]: 1}
-    covariance = s.C - s.estimate_moment(s.F1, s.F2)
+    K = prediction * s.H.T / (s.H * prediction * s.H.T + s.R).det().expand()
     return (
-        s.F2.subs(healthy) - K,
-        covariance.subs(healthy) - (prediction - K * s.H * prediction),
+        s.F2 - K,
+        s.C - s.estimate_moment(s.F1, s.F2) - (prediction - K * s.H * prediction),
     )
 
 
@@ -267,8 +154,8 @@ def _mean() -> tuple[Any, ...]:
 
     s = step(2, 1)
     mean = sympy.Matrix(sympy.symbols("m0:2"))
-    bias = s.F1 * mean + s.F2 * s.g * s.H * s.A * mean - s.A * mean
-    return (bias.subs({s.p[0, 0]: s.g[0, 0]}),)
+    s = replace(s, p=s.g)
+    return (s.F1 * mean + s.F2 * s.g * s.H * s.A * mean - s.A * mean,)
 
 
 def _corollary() -> tuple[Any, ...]:
@@ -286,7 +173,7 @@ def _corollary() -> tuple[Any, ...]:
 
 
 def _example_2() -> tuple[Any, ...]:
-    """Gamma = 1 - alpha + alpha beta, alpha drawn once, beta independent from sample to sample."""
+    """Gamma = 1 - alpha + alpha beta, alpha drawn once, beta at each sample."""
     import sympy  # noqa: PLC0415 - slow to import
 
     p, q = sympy.symbols("p q")

@@ -188,10 +188,13 @@ def simulate_sensor(
 def nominal_share(law: SensorLaw) -> float:
     """Pr(delta = 1 | gamma = 0) under the stationary law: the constant that three modes need.
 
-    The initial law takes its place where the kernel has several stationary laws or its only one
-    excludes gamma = 0; where gamma = 0 is impossible there as well the answer is 1.
+    Where the kernel has several stationary laws, or its only one excludes gamma = 0, the initial
+    law takes its place, then the sum of all ways that lead from visited modes to gamma = 0; where
+    that is impossible as well the answer is 1.
     """
-    for now in (_stationary_law(law.kernel), law.initial):
+    visited = np.atleast_1d(_reaches(law.kernel)[law.initial > 0.0].any(axis=0))
+    ways = law.kernel[visited].sum(axis=0)
+    for now in (_stationary_law(law.kernel), law.initial, ways):
         if now is not None and now[2] + now[3] > 0.0:
             return float(now[2] / (now[2] + now[3]))
     return 1.0

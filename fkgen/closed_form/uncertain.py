@@ -135,9 +135,8 @@ def joint_uncertain(system: LinearSystem, moments: FaultMoments, u: Array | None
     stacked = np.zeros(((T + 1) * n + T * p, width))
     stacked[: (T + 1) * n, :size] = signal.state_root.reshape((T + 1) * n, size)
     stacked[(T + 1) * n :] = np.hstack(measurements)
-    root = np.linalg.qr(
-        stacked.T, mode="r"
-    ).T  # the same vectors in as few coordinates as they need
+    # The same vectors in as few coordinates as they need.
+    root = np.linalg.qr(stacked.T).R.T
     return Joint(
         state_mean=signal.state_mean,
         state_root=root[: (T + 1) * n].reshape(T + 1, n, -1),

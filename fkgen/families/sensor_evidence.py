@@ -56,9 +56,14 @@ ONE_STEP = ClosedForm(
 
 
 def _imm(spec: Spec, record: Record) -> Mapping[str, Array]:
+    """All ports; without the estimates of single modes if one of them is impossible at times."""
     system, law = system_of(spec, record), SensorLaw.from_spec(spec)
     modes = 3 if spec.filter.modes == 3 else 4
-    return _ports(textbook_imm(system, law, record.y, record.u, modes=modes))
+    result = textbook_imm(system, law, record.y, record.u, modes=modes)
+    if result.mode_probability.all() and result.predicted_mode_probability.all():
+        return _ports(result)
+    single = ("mode_state", "mode_covariance", "mode_filtered_state", "mode_filtered_covariance")
+    return _ports(result, frozenset(single))
 
 
 IMM = ClosedForm(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fkgen.symbolic.decorrelation import Measurement, Row, decorrelate
+from fkgen.symbolic.decorrelation import Measurement, decorrelate
 from fkgen.symbolic.linalg import column, congruence, operations, pack
 from fkgen.symbolic.script import Script
 from fkgen.symbolic.sequential import Fold, Form
@@ -72,7 +72,6 @@ def condition(
         f"covariance{tag}": script.local(f"covariance{tag}", packed.numel()),
     }
     script.put({f"mean{tag}": mean, f"covariance{tag}": packed})
-    symbols |= _noise_of_later_rows(script, rows, tag)
     fold = Fold(
         script=script,
         rows=rows,
@@ -80,7 +79,6 @@ def condition(
         form=form,
         variance=variance,
         rank_tolerance=measurement.rank_tolerance,
-        noise_cross=[row.cross for row in rows],
         prior=mean,
         mean=mean,
         covariance=packed,
@@ -111,9 +109,6 @@ def _variance(
     """
     p, C = measurement.C.shape[0], measurement.C
     S = congruence(C, covariance) + pack(measurement.R)
-    if measurement.cross is not None:
-        common = C @ measurement.cross
-        S += pack(common + common.T)
     by_factors = p * (p - 1) * C.nnz() / p + 1.5 * p * (p - 1) + p**3 / 3
     diagonal = measurement.R.sparsity().is_diag()
     if diagonal and measurement.rank_tolerance is None and by_factors <= operations(S):
@@ -132,14 +127,3 @@ def _innovations(script: Script, mean: ca.SX, measurement: Measurement, tag: str
                 script.put({name: measurement.y[i] - predicted - measurement.offset[i]})
             result.append(symbol)
     return result
-
-
-def _noise_of_later_rows(script: Script, rows: list[Row], tag: str) -> dict[str, ca.SX]:
-    """Covariance of the state with noises that corrections by earlier rows will change."""
-    symbols = {}
-    for j, row in enumerate(rows[1:], 1):
-        if row.cross.nnz():
-            name = f"noise_state{tag}_{j}"
-            symbols[name] = script.local(name, row.cross.numel())
-            script.put({name: row.cross})
-    return symbols

@@ -20,7 +20,6 @@ from fkgen.symbolic.script import Script
 class Measurement:
     """y = C z + offset + w for the state z that is to be conditioned, Cov(w) = R.
 
-    ``cross`` (m, p) is Cov(z, w), None if the noise is independent of the state.
     ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out,
     as the pseudo-inverse does. ``pivots_per_log`` pivots may be multiplied before their logarithm.
     """
@@ -32,7 +31,6 @@ class Measurement:
     rows: tuple[str, ...]
     rank_tolerance: float | None
     pivots_per_log: int
-    cross: ca.SX | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +45,12 @@ class Row:
         Its innovation with respect to the prior, and the variance of its noise.
     of_y : (p, 1) SX
         The combination of the rows of y that it is.
-    cross : (m, 1) SX
-        Covariance of the state with its noise.
     """
 
     c: ca.SX
     innovation: ca.SX
     variance: ca.SX
     of_y: ca.SX
-    cross: ca.SX
 
 
 def decorrelate(
@@ -65,7 +60,6 @@ def decorrelate(
     p = measurement.C.shape[0]
     C = [sparse(measurement.C[i, :].T) for i in range(p)]
     of_y = [ca.SX.eye(p)[:, i] for i in range(p)]
-    X = [_cross(measurement, i) for i in range(p)]
     e = list(innovation)
     R = {(i, j): measurement.R[i, j] for i in range(p) for j in range(i + 1)}
     tolerance = measurement.rank_tolerance
@@ -85,7 +79,6 @@ def decorrelate(
                 share = script.let(f"share{name}", coupling[i] / pivot)
                 C[i] = revision.of(f"sensed{name}", C[i], C[i] - share * C[j])
                 e[i] = revision.of(f"decorrelated{name}", e[i], e[i] - share * e[j])
-                X[i] = revision.of(f"noise_cross{name}", X[i], X[i] - share * X[j])
                 of_y[i] = revision.of(f"combined{name}", of_y[i], of_y[i] - share * of_y[j])
                 for k in [k for k in later if k <= i]:
                     R[i, k] = revision.of(
@@ -93,14 +86,7 @@ def decorrelate(
                     )
     if tolerance is not None:
         R = {key: v if v.is_constant() else ca.fmax(v, 0) for key, v in R.items()}
-    return [Row(C[i], e[i], R[i, i], of_y[i], X[i]) for i in range(p)]
-
-
-def _cross(measurement: Measurement, i: int) -> ca.SX:
-    """Covariance of the state with the noise of row i; structural zeros where there is none."""
-    if measurement.cross is None:
-        return ca.SX(measurement.C.shape[1], 1)
-    return sparse(measurement.cross[:, i])
+    return [Row(C[i], e[i], R[i, i], of_y[i]) for i in range(p)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,7 +123,6 @@ def measurement_of(
     C: ca.SX,
     offset: ca.SX,
     R: ca.SX,
-    cross: ca.SX | None = None,
 ) -> Measurement:
     """Y = C z + offset + w as this plant measures it, with what rank and logarithms need."""
     return Measurement(
@@ -134,7 +133,6 @@ def measurement_of(
         rows=plant.rows,
         rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
         pivots_per_log=PIVOTS_PER_LOG[scalar],
-        cross=cross,
     )
 
 

@@ -34,7 +34,6 @@ class Fold:
     form: Form
     variance: ca.SX | None
     rank_tolerance: float | None
-    noise_cross: list[ca.SX]
     prior: ca.SX
     mean: ca.SX
     covariance: ca.SX
@@ -51,19 +50,15 @@ class Fold:
     def take(self, i: int) -> None:
         """Fold in row i: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
         row, script = self.rows[i], self.script
-        noise = self.noise_cross[i]
-        cross = unpack(self.covariance, self.mean.numel()) @ row.c + noise
+        cross = unpack(self.covariance, self.mean.numel()) @ row.c
         if not all(cross[k].is_leaf() for k in range(cross.numel())):
             cross = script.let(f"cross{self.tag}_{i}", cross)
         later = self.rows[i + 1 :] if self.variance is None else []
-        products = [
-            ca.mtimes(other.c.T, cross) + ca.mtimes(self.noise_cross[at].T, row.c)
-            for at, other in enumerate(later, i + 1)
-        ]
+        products = [ca.mtimes(other.c.T, cross) for other in later]
         coupling = ca.SX(0, 1)
         if products:
             coupling = script.let(f"coupling{self.tag}_{i}", column(products))
-        pivot = script.let(f"pivot{self.tag}_{i}", ca.mtimes(row.c.T, cross + noise) + row.variance)
+        pivot = script.let(f"pivot{self.tag}_{i}", ca.mtimes(row.c.T, cross) + row.variance)
         innovation = self._innovation(i)
         if is_zero(pivot):  # a row that is always zero, without noise
             self.weight.append(ca.SX(0))
@@ -107,8 +102,7 @@ class Fold:
         }
         if cross.nnz():  # else a row of noise alone, which says nothing about the state
             new[f"mean{tag}"] = self.mean + cross * weight
-            new[f"covariance{tag}"] = self._reduced(i, cross, k)
-            new |= self._noise_after(i, k)
+            new[f"covariance{tag}"] = self._reduced(row, cross, k)
         if self.gain is not None:
             gain = self.gain + ca.mtimes(k, row.of_y.T - ca.mtimes(row.c.T, self.gain))
             new[f"update_gain{tag}"] = ca.reshape(ca.densify(gain), -1, 1)
@@ -120,23 +114,11 @@ class Fold:
         self.log_constant = symbol[f"log_constant{tag}"]
         chunk = self._chunk(i)
         self.determinant[chunk] = symbol.get(f"determinant{tag}_{chunk}", self.determinant[chunk])
-        for j in range(i + 1, len(self.rows)):
-            if f"noise_state{tag}_{j}" in symbol:
-                self.noise_cross[j] = symbol[f"noise_state{tag}_{j}"]
         self.mean = symbol.get(f"mean{tag}", self.mean)
         self.covariance = symbol.get(f"covariance{tag}", self.covariance)
         if self.gain is not None:
             known = ca.reshape(symbol[f"update_gain{tag}"], *gain.shape)
             self.gain = ca.project(known, gain.sparsity())
-
-    def _noise_after(self, i: int, k: ca.SX) -> dict[str, ca.SX]:
-        """Covariance of the corrected state with the noises of the rows to come."""
-        c, result = self.rows[i].c, {}
-        for j in range(i + 1, len(self.rows)):
-            before = self.noise_cross[j]
-            if before.nnz():
-                result[f"noise_state{self.tag}_{j}"] = before - k * ca.mtimes(c.T, before)
-        return result
 
     def _chunk(self, i: int) -> int:
         """Which product of pivots row i goes into."""
@@ -177,18 +159,13 @@ class Fold:
             entries.append(value)
         return column(entries)
 
-    def _reduced(self, i: int, cross: ca.SX, k: ca.SX) -> ca.SX:
-        """P - k n' with n = P c + x, x = Cov(z, w), corrected in Joseph form by k m - n.
-
-        With the short form P' the residual is k (r + c'x) - x - P' c.
-        """
-        row, noise = self.rows[i], self.noise_cross[i]
+    def _reduced(self, row: Row, cross: ca.SX, k: ca.SX) -> ca.SX:
+        """P - k (P c)', in Joseph form corrected by the residual r k - (P - k c'P) c."""
         short = self.covariance - outer_lower(k, cross)
         if self.form == "short":
             return short
         m = cross.numel()
-        variance = row.variance + ca.mtimes(row.c.T, noise)
-        residual = variance * k - noise - unpack(short, m) @ row.c
+        residual = row.variance * k - unpack(short, m) @ row.c
         reduced = short + outer_lower(residual, k)
         if self.rank_tolerance is not None:
             diagonal = {position for position, (a, b) in enumerate(triangle(m)) if a == b}

@@ -1,13 +1,13 @@
 """Linear optimal filter with uncertain observations: Sigalov & Oshman, eqs. (19)-(23).
 
 With w = (gamma - p11) C x + v the measurement is y = p11 C x + w, whose noise has covariance
-(E[gamma] - p11) E[x x'] C' with the state. Conditioning on it is the covariance form of (23): C - V
-is never formed, which cancels for an unstable plant. Rows that cannot fail have gamma = 1.
+(E[gamma] - p11) E[x x'] C' with the state. Conditioning (x, w) on it is (23) in covariance form: C
+minus V is never formed, which cancels for an unstable plant. Rows that cannot fail have gamma = 1.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -145,10 +145,8 @@ def _update(design: _Design) -> Phase:
     with script.titled("moments of the measurement"):
         pi, found = _condition(script, design, plant)
     demand_finite(script, found.mean)
-    if found.gain is None:
-        raise InternalError("linear_optimal without a gain")
     with script.titled("results of the update"):
-        F2 = script.name_entries("gain", found.gain)
+        F2 = script.name_entries("gain", ca.SX(found.gain))
         C = sparse(ca.diag(pi) @ plant.C)
         transition = from_rows(symbols["transition"], n)
         F1 = (ca.SX.eye(n) - F2 @ C) @ transition
@@ -170,34 +168,49 @@ def _update(design: _Design) -> Phase:
 
 def _condition(script: Script, design: _Design, plant: Plant) -> tuple[ca.SX, Conditioned]:
     """Diagonal of the p11 by rows, and what conditioning on y = p11 C x + w gives."""
-    symbols, law, rows = design.symbols, design.law, design.law.faults.rows
+    symbols, law, rows = design.symbols, design.law, list(design.law.faults.rows)
     n, p = plant.nx, plant.ny
     g, p11 = law.gamma(symbols), law.persistence(symbols)
-    pi, cross = ca.SX.ones(p), ca.SX(n, p)
-    for row in rows:
-        pi[row] = p11
+    pi = ca.SX.ones(p)
+    pi[rows] = p11
     second = unpack(symbols["predicted_state_second_moment"], n)
-    signal = _signal_moment(plant, symbols, second)
+    noise = _noise(script, design, plant, _signal_moment(plant, symbols, second))
+    C = sparse(ca.diag(pi) @ plant.C)
+    state = symbols["predicted_state"]
+    covariance = unpack(symbols["predicted_covariance"], n)
+    if not law.white:
+        cross = ca.SX(n, p)
+        cross[:, rows] = (g - p11) * (second @ plant.C[rows, :].T)
+        cross = script.name_entries("noise_cross", sparse(cross))
+        state = ca.vertcat(state, ca.SX.zeros(p))
+        covariance = sparse(ca.blockcat(covariance, cross, cross.T, noise))
+        C, noise = ca.horzcat(C, ca.SX.eye(p)), ca.SX(p, p)
+    measurement = measurement_of(
+        plant,
+        scalar=design.spec.code.scalar,
+        y=symbols["y"],
+        C=C,
+        offset=ca.diag(pi) @ plant.D @ symbols["u"],
+        R=noise,
+    )
+    found = condition(script, (state, covariance), measurement, form=design.form, with_gain=True)
+    if found.gain is None:
+        raise InternalError("a condition without a gain")
+    P = unpack(found.covariance, state.numel())[:n, :n]
+    return pi, replace(found, mean=found.mean[:n, 0], covariance=pack(P), gain=found.gain[:n, :])
+
+
+def _noise(script: Script, design: _Design, plant: Plant, signal: ca.SX) -> ca.SX:
+    """Cov(w): R E[delta] and E[(gamma - p11)^2] E[(C x)(C x)'] on the rows that can fail."""
+    law, symbols, rows = design.law, design.symbols, design.law.faults.rows
+    g, p11 = law.gamma(symbols), law.persistence(symbols)
     R = law.noise(plant, symbols)
     excess = script.let("signal_variance_share", g * (1 - p11) + p11 * (p11 - g))
     for i in rows:
         for j in rows:
             if j <= i and not (is_zero(excess) or is_zero(signal[i, j])):
                 R[i, j] = R[j, i] = R[i, j] + excess * signal[i, j]
-    if not law.white:
-        cross[:, list(rows)] = (g - p11) * (second @ plant.C[list(rows), :].T)
-        cross = script.name_entries("noise_cross", sparse(cross))
-    measurement = measurement_of(
-        plant,
-        scalar=design.spec.code.scalar,
-        y=symbols["y"],
-        C=sparse(ca.diag(pi) @ plant.C),
-        offset=ca.diag(pi) @ plant.D @ symbols["u"],
-        R=_named(script, R),
-        cross=None if law.white else cross,
-    )
-    prior = (symbols["predicted_state"], unpack(symbols["predicted_covariance"], n))
-    return pi, condition(script, prior, measurement, form=design.form, with_gain=True)
+    return _named(script, R)
 
 
 def _named(script: Script, R: ca.SX) -> ca.SX:
