@@ -20,6 +20,9 @@ GAMMA = np.array([1.0, 1.0, 0.0, 0.0])
 #: form in the law of four modes, and those have ten dimensions: by then it holds for ever.
 LEMMA_HORIZON = 24
 
+#: A variance of gamma below this is the rounding of zero: gamma is certain.
+CERTAIN = 1e-14
+
 #: Relative size of a negative eigenvalue that no rounding explains.
 INDEFINITE = 1e-9
 
@@ -186,7 +189,7 @@ class FaultMoments:
             If that is indefinite: no sequence of zeros and ones has these moments.
         """
         variance = self.gamma * (1.0 - self.gamma)
-        random = variance > SAME_PROBABILITY**1.2  # what is certain to rounding is certain
+        random = variance > CERTAIN
         covariance = np.where(
             np.outer(random, random), self.gamma_pair - np.outer(self.gamma, self.gamma), 0.0
         )

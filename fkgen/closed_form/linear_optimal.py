@@ -81,6 +81,11 @@ def linear_optimal(
         If the actuators fail, the samples differ in number, or inputs or x0 are not zero while p11
         is not E[gamma], which Lemma 2 does not cover.
 
+    Notes
+    -----
+    A row that never fails asks for p11 = E[gamma], too, if C - V is to be the error covariance:
+    gamma_i does not multiply what it says about gamma_k x_k, whose weight is E[gamma_k].
+
     References
     ----------
     Sigalov, Oshman, eq. (19)-(23).

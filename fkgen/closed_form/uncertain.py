@@ -123,12 +123,13 @@ def joint_uncertain(system: LinearSystem, moments: FaultMoments, u: Array | None
     z = signal.measurement_root.reshape(T * p, size)
     gain = moments.gains(p).reshape(T * p, 1)
     e = np.repeat(moments.gamma_root, p, axis=0) * np.tile(moments.faulty(p), T)[:, None]
+    e = e[:, e.any(axis=0)]
     noise = np.zeros((T, p, T, p))
     noise[np.arange(T), :, np.arange(T), :] = square_root(moments.noise(system.R))
     measurements = [
         gain * z,
         e * signal.measurement_mean.reshape(T * p, 1),
-        (e[:, :, None] * z[:, None, :]).reshape(T * p, -1),
+        (e[:, :, None] * z[:, None, z.any(axis=0)]).reshape(T * p, -1),
         noise.reshape(T * p, T * p),
     ]
     width = sum(part.shape[1] for part in measurements)

@@ -23,14 +23,14 @@ from fkgen.symbolic.estimate import (
     propagate,
 )
 from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.linalg import weighted_sum
 from fkgen.symbolic.markov import Prediction, advance
-from fkgen.symbolic.mixture import Scatter
+from fkgen.symbolic.mixture import Mixer
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
 from fkgen.symbolic.switching import Switching, modes_of
+from fkgen.symbolic.weights import TINY
 
 
 def build(spec: Spec) -> Recursion:
@@ -85,17 +85,17 @@ def _update(filtering: Switching, count: int) -> Phase:
     modes = filtering.modes(script, count)
     each = [filtering.update(script, modes, j, prior) for j, prior in enumerate(priors)]
     weights, results = filtering.weigh(script, each)
-    states, w = [one.state for one in each], weights.probability
+    states, covariances = [one.state for one in each], [one.covariance for one in each]
     with script.titled("combination"):
-        state = script.let("combined_state", weighted_sum(w, states))
+        tiny = TINY[filtering.spec.code.scalar]
+        parts = list(zip(states, covariances, strict=True))
+        state, covariance = Mixer(script, "combined", parts, tiny).under(weights.probability)
         demand_finite(script, state)
-        covariance = weighted_sum(w, [one.covariance for one in each])
-        covariance += Scatter(script, "combined", states).under(w, state)
         results |= {
             "filtered_state": state,
             "filtered_covariance": covariance,
             "mode_filtered_state": ca.vertcat(*states),
-            "mode_filtered_covariance": ca.vertcat(*(one.covariance for one in each)),
+            "mode_filtered_covariance": ca.vertcat(*covariances),
         }
         script.put(results)
     return script.phase()
@@ -122,7 +122,7 @@ def _predict(filtering: Switching, kernel: tuple[tuple[float, ...], ...]) -> Pha
                 "predicted_state": combined[0],
                 "predicted_covariance": combined[1],
             },
-            [finite(*each) for each in (*moved, combined)],
+            [finite(*(sum(each[1:], start=each[0]) for each in zip(*moved, strict=True)))],
         )
     return script.phase()
 
@@ -133,15 +133,12 @@ def _moved(
     """For every group of targets: mixed by (17), (18), then propagated."""
     symbols, result = filtering.symbols, []
     parts = _parts(filtering, "mode_filtered_", len(law.group))
-    states, covariances = [state for state, _ in parts], [packed for _, packed in parts]
-    scatter = Scatter(script, "mode", states)
-    for at, weights in enumerate(law.mixing):
+    mixer = Mixer(script, "mixed", parts, TINY[filtering.spec.code.scalar])
+    for at, (weights, column) in enumerate(zip(law.mixing, law.columns, strict=True)):
         if weights is symbols["mode_probability"]:  # nothing is learnt about the mode before
             mixed = (symbols["filtered_state"], symbols["filtered_covariance"])
         else:
-            state = script.let(f"mixed_state_{at}", weighted_sum(weights, states))
-            covariance = weighted_sum(weights, covariances) + scatter.under(weights, state)
-            mixed = (state, script.let(f"mixed_covariance_{at}", covariance))
+            mixed = mixer.under(weights, f"_{at}", column)
         state, covariance, _ = propagate(plant, certain(symbols["u"]), estimated(*mixed))
         moved_state = script.let(f"moved_state_{at}", state)
         result.append((moved_state, script.let(f"moved_covariance_{at}", covariance)))

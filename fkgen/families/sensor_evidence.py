@@ -58,8 +58,8 @@ ONE_STEP = ClosedForm(
 def _imm(spec: Spec, record: Record) -> Mapping[str, Array]:
     """All ports; without the estimates of single modes if one of them is impossible at times."""
     system, law = system_of(spec, record), SensorLaw.from_spec(spec)
-    modes = 3 if spec.filter.modes == 3 else 4
-    result = textbook_imm(system, law, record.y, record.u, modes=modes)
+    three = spec.filter.modes == 3
+    result = textbook_imm(system, law, record.y, record.u, modes=3 if three else 4)
     if result.mode_probability.all() and result.predicted_mode_probability.all():
         return _ports(result)
     single = ("mode_state", "mode_covariance", "mode_filtered_state", "mode_filtered_covariance")

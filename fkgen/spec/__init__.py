@@ -1,9 +1,10 @@
 """What the user says: plant, faults, filter and code options, as frozen and checked values."""
 
+from fkgen.spec.actuator_faults import ActuatorFaults
 from fkgen.spec.code_options import Code
 from fkgen.spec.definition import Parameter, Spec
 from fkgen.spec.expression import Expression, Name, Number, Operation, evaluate, names, parse
-from fkgen.spec.faults import ActuatorFaults, Faults
+from fkgen.spec.faults import Faults
 from fkgen.spec.filter import Filter
 from fkgen.spec.matrix import Matrix
 from fkgen.spec.model import Model

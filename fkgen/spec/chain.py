@@ -43,7 +43,7 @@ def visited(transition: ArrayLike, initial: ArrayLike) -> NDArray[np.bool_]:
 
 def _reaches(P: Array) -> NDArray[np.bool_]:
     """Whether j can be reached from i in any number of steps, none included."""
-    reach = (P > 0.0) | np.eye(len(P), dtype=bool)
+    reach: NDArray[np.bool_] = (P > 0.0) | np.eye(len(P), dtype=bool)
     for middle in range(len(P)):
         reach |= np.outer(reach[:, middle], reach[middle])
     return reach
@@ -58,4 +58,4 @@ def _irreducible_law(transition: Array) -> Array:
     law = np.ones(n)
     for i in range(1, n):
         law[i] = law[:i] @ P[:i, i]
-    return law / law.sum()
+    return np.asarray(law / law.sum())

@@ -92,7 +92,7 @@ class Spec:
         """
         place = Place(file)
         section = _whole(table, place)
-        name = read_prefix(section.require("name", "a C identifier"), place.entry("name"))
+        given_name = section.require("name", "a C identifier")
         options = filter_section(
             section.require("filter", "a table with the family of the filter"),
             place.entry("filter"),
@@ -105,21 +105,15 @@ class Spec:
             section.require("model", "a table with the plant"), model_place, defaults
         )
         _check_family(model, model_place, family, defaults)
-        faults = read_faults(
-            section.table.get("faults", {}),
-            place.entry("faults"),
-            defaults,
-            family=family,
-            inputs=model.nu,
-            outputs=model.outputs,
-        )
+        given_faults = section.table.get("faults", {})
+        faults = read_faults(given_faults, place.entry("faults"), defaults, family, model)
         reading = read_filter(options, faults.actuator, model.nu)
         if faults.sensor is not None:
             check_linear_filter(model, place, faults.sensor, reading)
         code = read_code(section.table.get("code", {}), place.entry("code"))
         check_magnitudes(model, model_place, defaults, code.scalar)
         return cls(
-            name=name,
+            name=read_prefix(given_name, place.entry("name")),
             model=model,
             parameters=parameters,
             faults=faults,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from fkgen.spec.faults import SECTIONS, ActuatorFaults
+from fkgen.spec.actuator_faults import ActuatorFaults
+from fkgen.spec.faults import SECTIONS
 from fkgen.spec.foreign import plain_list
 from fkgen.spec.place import Place, show, suggestion
 from fkgen.spec.probability import as_distribution, as_probability

@@ -44,9 +44,12 @@ def check_linear_filter(model: Model, place: Place, faults: SensorFaults, option
         return
     if is_white(faults):
         return
-    because = (
-        "where gamma depends on its past: (23) has no constant term; filter.form = 'augmented' has"
+    way_out = (
+        "filter.form = 'augmented' has one"
+        if faults.moments is None
+        else "with problem 3 or 4, filter.form = 'augmented' has one"
     )
+    because = f"where gamma depends on its past: the filter has no constant term; {way_out}"
     if model.x0.values().any():
         raise place.entry("model").entry("x0").error("a start that is not zero", f"zero {because}")
     if model.nu:

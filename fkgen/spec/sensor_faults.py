@@ -25,6 +25,11 @@ LAW_KEYS: dict[Problem, tuple[str, ...]] = {
     "moments": ("gamma_rate", "gamma_persistence", "delta_nominal_rate"),
 }
 _ALL_LAW_KEYS = tuple(dict.fromkeys(key for keys in LAW_KEYS.values() for key in keys))
+_RATES = {
+    "gamma_rate": "Pr(gamma = 1)",
+    "gamma_persistence": "Pr(gamma = 1, given that it was 1 in an earlier sample)",
+    "delta_nominal_rate": "Pr(delta = 1)",
+}
 _MODES = "(1,1) (1,C) (0,1) (0,C) as (gamma, delta)"
 LARGEST_FACTOR = 1e12
 ROUNDED = 1e-12
@@ -175,9 +180,10 @@ def _problem(section: Section, family: str) -> Problem:
     if found is None:
         raise place.error(show(given), expected)
     if found == "moments" and family != "linear_optimal":
+        others = "problem 1, 2, 3 or 4" + (", or no law at all" if family == "genie" else "")
         raise place.error(
             f'"moments" for the family {family}',
-            "problem 1, 2, 3 or 4: only linear_optimal gets by with moments",
+            f"{others}: only linear_optimal works with moments",
         )
     allowed = LAW_KEYS[found] if found == "moments" else (*LAW_KEYS[found], "initial")
     for key in ("initial", *_ALL_LAW_KEYS):
@@ -199,7 +205,7 @@ class _Law:
         match self.problem:
             case 1:
                 g, d = self.rate("gamma_rate"), self.delta_rate()
-                joint = (g * d, g * (1.0 - d), (1.0 - g) * d, (1.0 - g) * (1.0 - d))
+                joint: Distribution = tuple(s * n for s in (g, 1.0 - g) for n in (d, 1.0 - d))
                 return (joint,) * 4, joint
             case 2:
                 given = self.section.require("joint", f"4 probabilities, ordered {_MODES}")
@@ -246,18 +252,11 @@ class _Law:
         """E[gamma], p11 and E[delta], which must belong to some process."""
         g, p = self.rate("gamma_rate"), self.rate("gamma_persistence")
         place = self.section.place.entry("gamma_persistence")
-        if not max(0.0, 2.0 * g - 1.0) - ROUNDED <= p * g:
-            raise place.error(
-                show(p),
-                f"at least {(2.0 * g - 1.0) / g:.6g}: Pr(both 1) is a joint probability of two "
-                f"samples with rate {g:g}",
-            )
         if g > 0.0 and p < g - ROUNDED:
             raise place.error(
                 show(p),
-                f"at least gamma_rate = {g:g}: were every pair of samples less often both 1, the "
-                "mean of many samples would have a negative variance; a chain that alternates "
-                "needs problem 3 or 4",
+                f"at least gamma_rate = {g:g}: were any two samples less often both 1, the mean of "
+                "many would have a negative variance; a chain that alternates needs problem 3 or 4",
             )
         return Moments(g, p, self.delta_rate())
 
@@ -267,5 +266,5 @@ class _Law:
         return self.rate("delta_nominal_rate")
 
     def rate(self, key: str) -> float:
-        given = self.section.require(key, "a probability in [0, 1]")
+        given = self.section.require(key, f"a probability in [0, 1]: {_RATES[key]}")
         return as_probability(given, self.section.place.entry(key))

@@ -8,16 +8,12 @@ indicators around their prediction, so nothing cancels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
-from fkgen.spec import SensorFaults, Spec
-from fkgen.spec.chain import visited
-from fkgen.spec.linear_optimal import EQUAL
+from fkgen.spec import Spec
 from fkgen.symbolic.conditioning import condition
 from fkgen.symbolic.estimate import (
     bound,
@@ -28,47 +24,17 @@ from fkgen.symbolic.estimate import (
     update_form,
 )
 from fkgen.symbolic.fault_law import FaultLaw
-from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.linalg import column, congruence, pack, sparse, unpack
-from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
-from fkgen.symbolic.sequential import Form
+from fkgen.symbolic.split import Split, split_modes, split_ports, split_start
 
 Array = NDArray[np.float64]
 
 #: What the prediction moves on and y[k] does not change.
 _CARRIED = ("mode_second_moment", "mode_law")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Split:
-    """The split state: N modes with the signal indicator of each, and its sizes."""
-
-    spec: Spec
-    plant: Plant
-    law: FaultLaw
-    symbols: dict[str, ca.SX]
-    form: Form
-    kernel: Array
-    signal: tuple[int, ...]
-    members: tuple[tuple[int, ...], ...]
-
-    @property
-    def count(self) -> int:
-        """Number N of modes."""
-        return len(self.signal)
-
-    @property
-    def width(self) -> int:
-        """Length of (x, 1), or of x if nothing depends on an indicator alone."""
-        return self.plant.nx + (1 if self.plant.nu else 0)
-
-    def mode_law(self, law: ca.SX) -> list[ca.SX]:
-        """Probability of each mode of the split from that of the four."""
-        return [sum((law[i] for i in each[1:]), start=law[each[0]]) for each in self.members]
 
 
 def augmented_filter(spec: Spec, source: str) -> Recursion:
@@ -77,16 +43,16 @@ def augmented_filter(spec: Spec, source: str) -> Recursion:
     if faults is None or not faults.kernel:
         raise InternalError("the augmented form without a law")
     law = FaultLaw.of(spec, faults)
-    kernel, signal, members = _modes(faults)
+    kernel, signal, members = split_modes(faults)
     form = update_form(spec, plant, augmented=False)
     width = plant.nx + (1 if plant.nu else 0)
     ports = (
         *state_ports(spec),
         *innovation_ports(spec),
-        *_split_ports(plant, len(signal), width),
+        *split_ports(plant, len(signal), width),
         *law.law_ports(),
     )
-    split = _Split(
+    split = Split(
         spec=spec,
         plant=plant,
         law=law,
@@ -100,100 +66,14 @@ def augmented_filter(spec: Spec, source: str) -> Recursion:
         spec=spec,
         source=source,
         ports=ports,
-        initial=_start(split),
+        initial=split_start(split),
         update=_update(split),
         predict=_predict(split),
         notes=(f"covariance update: {form} form", f"state split by {split.count} modes"),
     )
 
 
-def _modes(faults: SensorFaults) -> tuple[Array, tuple[int, ...], tuple[tuple[int, ...], ...]]:
-    """Kernel, gamma and members of the modes: two if gamma alone is Markov, else four."""
-    P = np.array(faults.kernel)
-    signal_next = P[:, :2].sum(axis=1)
-    reached = visited(P, faults.initial)
-    groups = [[i for i in pair if reached[i]] for pair in ((0, 1), (2, 3))]
-    if any(len(g) > 1 and np.ptp(signal_next[g]) > EQUAL for g in groups):
-        return P, (1, 1, 0, 0), ((0,), (1,), (2,), (3,))
-    rates = [float(signal_next[g[0]]) if g else 0.0 for g in groups]
-    gamma = np.array([[rate, 1.0 - rate] for rate in rates])
-    return gamma, (1, 0), ((0, 1), (2, 3))
-
-
-def _split_ports(plant: Plant, count: int, width: int) -> tuple[Port, ...]:
-    n, size = plant.nx, count * width
-    what = "(x, 1) 1{mode}" if plant.nu else "x 1{mode}"
-    square = (size, size)
-    return (
-        Port(
-            name="augmented_state",
-            shape=(size,),
-            role=Role.STATE,
-            meaning=f"estimate of {what} at k+1 given y[0..k], mode by mode",
-        ),
-        Port(
-            name="augmented_covariance",
-            shape=square,
-            role=Role.STATE,
-            symmetric=True,
-            meaning="its error covariance",
-        ),
-        Port(
-            name="augmented_filtered_state",
-            shape=(size,),
-            role=Role.STATE,
-            meaning="the same at k given y[0..k]",
-        ),
-        Port(
-            name="augmented_filtered_covariance",
-            shape=square,
-            role=Role.STATE,
-            symmetric=True,
-            meaning="its error covariance",
-        ),
-        *(
-            Port(
-                name=f"{prefix}mode_second_moment",
-                shape=(count, width, width),
-                role=Role.STATE,
-                symmetric=True,
-                meaning=f"second moment of {what} at {k}, unconditional",
-            )
-            for prefix, k in (("", "k"), ("predicted_", "k+1"))
-        ),
-        Port(
-            name="state_second_moment",
-            shape=(n, n),
-            role=Role.OUTPUT,
-            symmetric=True,
-            meaning="E[x[k] x[k]'], unconditional",
-        ),
-    )
-
-
-def _start(split: _Split) -> dict[str, tuple[float, ...]]:
-    """Second moments of the prior, split by the law of the mode, and what the mean leaves."""
-    x0, packed = prior_of(split.spec)
-    P0, n, w = split.spec.model.P0.values(), split.plant.nx, split.width
-    mean = np.append(x0, 1.0)[:w]
-    second = np.outer(mean, mean)
-    second[:n, :n] += P0
-    law = np.array([sum(split.law.faults.initial[i] for i in each) for each in split.members])
-    covariance = np.kron(np.diag(law), second) - np.kron(np.outer(law, law), np.outer(mean, mean))
-    state = tuple(np.kron(law, mean).tolist())
-    lower = tuple(float(covariance[i, j]) for i, j in triangle(len(covariance)))
-    moments = tuple(float(p * second[i, j]) for p in law for i, j in triangle(w))
-    return {
-        **{f"{of}_state": x0 for of in ("predicted", "filtered")},
-        **{f"{of}_covariance": packed for of in ("predicted", "filtered")},
-        **{f"augmented_{of}state": state for of in ("", "filtered_")},
-        **{f"augmented_{of}covariance": lower for of in ("", "filtered_")},
-        "predicted_mode_second_moment": moments,
-        **split.law.law_start(),
-    }
-
-
-def _update(split: _Split) -> Phase:
+def _update(split: Split) -> Phase:
     symbols, n, size = split.symbols, split.plant.nx, split.count * split.width
     script = Script(symbols)
     demand_positive(script, symbols["augmented_covariance"], size)
@@ -230,7 +110,7 @@ def _update(split: _Split) -> Phase:
     return script.phase()
 
 
-def _measured(split: _Split, plant: Plant) -> ca.SX:
+def _measured(split: Split, plant: Plant) -> ca.SX:
     """What y measures of the split state: C (and D u) where there is a signal."""
     signal = ca.horzcat(plant.C, plant.D @ split.symbols["u"]) if plant.nu else plant.C
     blocks = []
@@ -243,7 +123,7 @@ def _measured(split: _Split, plant: Plant) -> ca.SX:
     return sparse(ca.horzcat(*blocks))
 
 
-def _whole(split: _Split, state: ca.SX, packed: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _whole(split: Split, state: ca.SX, packed: ca.SX) -> tuple[ca.SX, ca.SX]:
     """X and its covariance: the sum over the modes."""
     n, w = split.plant.nx, split.width
     P = unpack(packed, split.count * w)
@@ -259,14 +139,14 @@ def _sum(matrices: list[ca.SX]) -> ca.SX:
     return total
 
 
-def _moments(split: _Split, port: str) -> list[ca.SX]:
+def _moments(split: Split, port: str) -> list[ca.SX]:
     """Second moment of the split state, mode by mode."""
     w = split.width
     parts = ca.vertsplit(split.symbols[port], w * (w + 1) // 2)
     return [unpack(part, w) for part in parts]
 
 
-def _predict(split: _Split) -> Phase:
+def _predict(split: Split) -> Phase:
     symbols, w, N = split.symbols, split.width, split.count
     script, P = Script(symbols), split.kernel
     plant = bound(script, split.plant, "ABQ")
@@ -306,7 +186,7 @@ def _predict(split: _Split) -> Phase:
     return script.phase()
 
 
-def _homogeneous(split: _Split, plant: Plant) -> tuple[ca.SX, ca.SX]:
+def _homogeneous(split: Split, plant: Plant) -> tuple[ca.SX, ca.SX]:
     """Transition and noise of (x, 1), or of x."""
     if not plant.nu:
         return plant.A, plant.Q

@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 from fkgen.spec import SensorFaults, Spec
 from fkgen.spec.linear_optimal import is_white
 from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.linalg import column
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.sensing import scaled_noise
+from fkgen.symbolic.weights import TINY
 
 #: Largest change by one step of a law that counts as stationary.
 STATIONARY = 1e-13
-
-#: Keeps 0/0 out of a conditional probability whose condition has probability zero.
-TINY = {"double": 1e-290, "float": 1e-30}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +57,25 @@ class FaultLaw:
         return {} if self.stationary else {"predicted_mode_law": self.faults.initial}
 
     def persistence_ports(self) -> tuple[Port, ...]:
-        """P11 of the coming sample; not needed if gamma does not depend on its past."""
+        """What p11 of the coming sample follows from; nothing if gamma ignores its past."""
         if self.white:
             return ()
-        meaning = "p11: Pr(gamma[k+1] = 1 | gamma[k] = 1)"
-        return (Port(name="gamma_persistence", shape=(), role=Role.STATE, meaning=meaning),)
+        if self.stationary:
+            meaning = "p11: Pr(gamma[k+1] = 1 | gamma[k] = 1)"
+            return (Port(name="gamma_persistence", shape=(), role=Role.STATE, meaning=meaning),)
+        meaning = "law of the mode given the last signal that was possible before, at"
+        return tuple(
+            Port(name=f"{prefix}signal_law", shape=(4,), role=Role.STATE, meaning=f"{meaning} {k}")
+            for prefix, k in (("", "k"), ("predicted_", "k+1"))
+        )
 
     def persistence_start(self) -> dict[str, tuple[float, ...]]:
-        """At sample 0 nothing came before: E[gamma] takes its place."""
-        return {} if self.white else {"gamma_persistence": (float(self.gamma({})),)}
+        """At sample 0 nothing came before: E[gamma] takes the place of p11."""
+        if self.white:
+            return {}
+        if self.stationary:
+            return {"gamma_persistence": (float(self.gamma({})),)}
+        return {"predicted_signal_law": self.faults.initial}
 
     def law(self, symbols: dict[str, ca.SX]) -> ca.SX:
         """Law of the mode at the sample that is corrected, (4,)."""
@@ -95,7 +102,11 @@ class FaultLaw:
 
     def persistence(self, symbols: dict[str, ca.SX]) -> ca.SX:
         """p11(k); E[gamma_k] if gamma does not depend on its past."""
-        return self.gamma(symbols) if self.white else symbols["gamma_persistence"]
+        if self.white:
+            return self.gamma(symbols)
+        if self.stationary:
+            return symbols["gamma_persistence"]
+        return symbols["predicted_signal_law"][0] + symbols["predicted_signal_law"][1]
 
     def noise(self, plant: Plant, symbols: dict[str, ca.SX]) -> ca.SX:
         """Mean covariance of the measurement noise: R E[delta] on the rows that can fail."""
@@ -111,22 +122,23 @@ class FaultLaw:
         moved = ca.SX(self._kernel()).T @ symbols["mode_law"]
         return moved / ca.sum1(moved)
 
-    def next_persistence(self, symbols: dict[str, ca.SX]) -> ca.SX:
-        """p11 of the next sample; where gamma_k = 1 is impossible, the next E[gamma]."""
-        if self.faults.moments is not None:
-            return ca.SX(self.faults.moments.gamma_persistence)
-        P = self._kernel()
-        law = self.law(symbols) if self.stationary else symbols["mode_law"]
-        both = law[0] * float(P[0, :2].sum()) + law[1] * float(P[1, :2].sum())
-        after, tiny = self.next_law(symbols), TINY[self.scalar]
-        return (both + tiny * (after[0] + after[1])) / (law[0] + law[1] + tiny)
-
     def advanced(self, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
         """The ports of the law for the next sample."""
-        result = {} if self.stationary else {"predicted_mode_law": self.next_law(symbols)}
+        if self.stationary:
+            return {} if self.white else {"gamma_persistence": ca.SX(self._constant_persistence())}
+        result = {"predicted_mode_law": self.next_law(symbols)}
         if not self.white:
-            result["gamma_persistence"] = column([self.next_persistence(symbols)])
+            law, tiny = symbols["mode_law"], TINY[self.scalar]
+            signal = ca.vertcat(law[:2], ca.SX.zeros(2)) + tiny * symbols["signal_law"]
+            moved = ca.SX(self._kernel()).T @ signal
+            result["predicted_signal_law"] = moved / (law[0] + law[1] + tiny)
         return result
+
+    def _constant_persistence(self) -> float:
+        if self.faults.moments is not None:
+            return self.faults.moments.gamma_persistence
+        law, P = np.array(self.faults.initial[:2]), self._kernel()
+        return _whole(float(law @ P[:2, :2].sum(axis=1) / law.sum()))
 
     def _kernel(self) -> NDArray[np.float64]:
         return np.array(self.faults.kernel)

@@ -35,6 +35,9 @@ class Prediction:
         c_j = sum_i p_ij mu_i, and log c_j.
     mixing : tuple of (N,) SX
         mu_(i|j), eq. (17), for every group of targets with the same weights.
+    columns : tuple of (N,) tuple or None
+        For every group the column of the kernel, if the weights are that column times a factor of
+        each mode, with no entry zero.
     group : tuple of int
         Which of ``mixing`` belongs to target j.
     """
@@ -42,6 +45,7 @@ class Prediction:
     probability: ca.SX
     logarithm: ca.SX
     mixing: tuple[ca.SX, ...]
+    columns: tuple[tuple[float, ...] | None, ...]
     group: tuple[int, ...]
 
 
@@ -69,6 +73,9 @@ def advance(
         probability=column([probability[j] for j in range(len(columns))]),
         logarithm=column([logarithm[j] for j in range(len(columns))]),
         mixing=tuple(head.mixing for head in heads),
+        columns=tuple(
+            columns[members[0]] if _is_full(columns[members[0]]) else None for members in groups
+        ),
         group=tuple(group.get(j, 0) for j in range(len(columns))),
     )
 
@@ -117,13 +124,18 @@ def _column(
     if len(source) == 1:
         weights = ca.SX.eye(len(entries))[:, source[0]]
         return _Column(total, logarithm[source[0]] + math.log(entries[source[0]]), weights)
-    if len(source) == len(entries) and min(entries) >= SMALL * max(entries):
+    if _is_full(entries):
         inverse = script.let(f"mode_prediction_inverse_{tag}", 1 / total) if mixing else ca.SX(0)
         shares = column([product * inverse for product in products])
         return _Column(
             total, ca.log(total), script.let(f"mixing_{tag}", shares) if mixing else shares
         )
     return _in_logarithms(script, entries, logarithm, total, tag)
+
+
+def _is_full(entries: tuple[float, ...]) -> bool:
+    """Whether every mode can lead here, so that one of them is probable."""
+    return min(entries) > 0.0 and min(entries) >= SMALL * max(entries)
 
 
 def _in_logarithms(

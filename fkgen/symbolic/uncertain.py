@@ -38,7 +38,7 @@ from fkgen.symbolic.script import Script
 from fkgen.symbolic.sequential import Form
 
 #: Moments that the prediction moves on and y[k] does not change.
-CARRIED = ("state_second_moment", "state_mean", "mode_law")
+CARRIED = ("state_second_moment", "state_mean", "mode_law", "signal_law")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,10 +143,10 @@ def _update(design: _Design) -> Phase:
     demand_positive(script, symbols["predicted_covariance"], n)
     plant = bound(script, design.plant, "CDR")
     with script.titled("moments of the measurement"):
-        pi, found = _condition(script, design, plant)
+        pi, found, gain = _condition(script, design, plant)
     demand_finite(script, found.mean)
     with script.titled("results of the update"):
-        F2 = script.name_entries("gain", ca.SX(found.gain))
+        F2 = script.name_entries("gain", gain)
         C = sparse(ca.diag(pi) @ plant.C)
         transition = from_rows(symbols["transition"], n)
         F1 = (ca.SX.eye(n) - F2 @ C) @ transition
@@ -166,8 +166,8 @@ def _update(design: _Design) -> Phase:
     return script.phase()
 
 
-def _condition(script: Script, design: _Design, plant: Plant) -> tuple[ca.SX, Conditioned]:
-    """Diagonal of the p11 by rows, and what conditioning on y = p11 C x + w gives."""
+def _condition(script: Script, design: _Design, plant: Plant) -> tuple[ca.SX, Conditioned, ca.SX]:
+    """The p11 of every row, what conditioning on y = p11 C x + w gives, and its gain."""
     symbols, law, rows = design.symbols, design.law, list(design.law.faults.rows)
     n, p = plant.nx, plant.ny
     g, p11 = law.gamma(symbols), law.persistence(symbols)
@@ -197,7 +197,7 @@ def _condition(script: Script, design: _Design, plant: Plant) -> tuple[ca.SX, Co
     if found.gain is None:
         raise InternalError("a condition without a gain")
     P = unpack(found.covariance, state.numel())[:n, :n]
-    return pi, replace(found, mean=found.mean[:n, 0], covariance=pack(P), gain=found.gain[:n, :])
+    return pi, replace(found, mean=found.mean[:n, 0], covariance=pack(P)), found.gain[:n, :]
 
 
 def _noise(script: Script, design: _Design, plant: Plant, signal: ca.SX) -> ca.SX:

@@ -15,6 +15,9 @@ from fkgen.symbolic.script import Script
 #: Logarithm that stands for probability zero: finite, and no likelihood brings it back.
 LOG_ZERO = {"double": -1e300, "float": -1e30}
 
+#: Keeps 0/0 out of a conditional probability whose condition has probability zero.
+TINY = {"double": 1e-290, "float": 1e-30}
+
 
 @dataclass(frozen=True, slots=True)
 class Weights:
