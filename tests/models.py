@@ -45,7 +45,7 @@ PARAMETERS = {"dt": 0.1, "angle": 0.7}
 
 def table(model, *, family="kf", name="plant", **sections):
     """A spec as a nested dict; sections and filter options by keyword."""
-    actuator = sections.pop("actuator", None)
+    faults = {key: sections.pop(key) for key in ("actuator", "sensor") if key in sections}
     result = {
         "name": name,
         "model": deepcopy(model),
@@ -53,8 +53,8 @@ def table(model, *, family="kf", name="plant", **sections):
         "code": sections.pop("code", {}),
         "filter": {"family": family, **sections},
     }
-    if actuator is not None:
-        result["faults"] = {"actuator": actuator}
+    if faults:
+        result["faults"] = faults
     return result
 
 

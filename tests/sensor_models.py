@@ -130,14 +130,6 @@ def textbook(spec, y, u, params=None):
     return textbook_one_step(system, law, y, u, covariance=spec.filter.covariance)
 
 
-def gaps(y, *places):
-    """A copy with NaN at these indices."""
-    y = y.copy()
-    for place in places:
-        y[place] = np.nan
-    return y
-
-
 def final(spec, y, port, u=None):
     """The last value of a port."""
     return run(spec, y, u)[port][-1]

@@ -245,11 +245,8 @@ def _mask(c: Printer, row: tuple[float, ...]) -> str:
 
 def _shape_text(port: Port) -> str:
     if not port.symmetric:
-        return (
-            "(" + " x ".join(str(length) for length in port.shape) + ")"
-            if len(port.shape) > 1
-            else ""
-        )
+        extent = " x ".join(str(length) for length in port.shape)
+        return f" ({extent})" if len(port.shape) > 1 else ""
     stacked = " x ".join(str(length) for length in port.shape[:-2])
     return f" ({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.closed_form import Identity
+from fkgen.families.finding import Finding
 from fkgen.spec import Spec
 from fkgen.symbolic.recursion import Recursion
 
@@ -64,6 +65,11 @@ class ClosedForm:
     steady: bool = False
 
 
+def no_caveats(_: Spec) -> tuple[Finding, ...]:
+    """For families that are what they say, whatever the spec."""
+    return ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
     """A filter family.
@@ -80,6 +86,8 @@ class Family:
         All of them hold before any C is generated.
     theorems : tuple of Identity
         What SymPy proves once for all models.
+    caveats : callable
+        ``caveats(spec)``: where the filter of this spec is less than its name says.
     """
 
     name: str
@@ -87,3 +95,4 @@ class Family:
     build: Callable[[Spec], Recursion]
     closed_forms: tuple[ClosedForm, ...]
     theorems: tuple[Identity, ...] = ()
+    caveats: Callable[[Spec], tuple[Finding, ...]] = no_caveats

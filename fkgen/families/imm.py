@@ -11,6 +11,7 @@ from functools import partial
 import casadi as ca
 
 from fkgen.families.family import Family
+from fkgen.families.sensor_caveats import three_modes
 from fkgen.families.sensor_evidence import ENUMERATION, IMM
 from fkgen.spec import Spec
 from fkgen.symbolic.actuation import certain
@@ -49,7 +50,7 @@ def build(spec: Spec) -> Recursion:
         initial=initial,
         update=_update(filtering, count),
         predict=_predict(filtering, modes.kernel),
-        notes=(f"covariance update: {filtering.form} form", f"modes: {count}"),
+        notes=(f"covariance update: {filtering.form} form", modes.note),
     )
 
 
@@ -150,4 +151,5 @@ FAMILY = Family(
     title="sensors that lose their signal or gain noise: interacting multiple models",
     build=build,
     closed_forms=(IMM, ENUMERATION),
+    caveats=three_modes,
 )

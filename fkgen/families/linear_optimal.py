@@ -8,6 +8,7 @@ best linear filter for any Markov gamma (Costa 1994).
 from __future__ import annotations
 
 from fkgen.families.family import Family
+from fkgen.families.sensor_caveats import lemma_2
 from fkgen.families.sensor_evidence import LEMMA_2_FORM, LINEAR_BATCH, LINEAR_IDENTITIES
 from fkgen.spec import Spec
 from fkgen.symbolic.augmented import augmented_filter
@@ -28,4 +29,5 @@ FAMILY = Family(
     build=build,
     closed_forms=(LEMMA_2_FORM, LINEAR_BATCH),
     theorems=LINEAR_IDENTITIES,
+    caveats=lemma_2,
 )

@@ -27,7 +27,7 @@ from fkgen.symbolic.markov import advance
 from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
-from fkgen.symbolic.switching import ModeUpdate, Switching
+from fkgen.symbolic.switching import ModeUpdate, Switching, modes_of
 
 MODES = 4
 
@@ -53,6 +53,7 @@ def build(spec: Spec) -> Recursion:
         notes=(
             f"covariance update: {filtering.form} form",
             f"covariance: {spec.filter.covariance}",
+            modes_of(filtering.plant, filtering.faults, MODES).note,
         ),
     )
 

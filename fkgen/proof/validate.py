@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fkgen.errors import ValidationError
 from fkgen.families import family
 from fkgen.families.family import Array, ClosedForm, Family, Record
+from fkgen.families.finding import Finding
 from fkgen.proof.experiment import distance, natural_deviation, trial
 from fkgen.spec import Spec
 from fkgen.symbolic.interpreter import Interpreter
@@ -53,10 +54,13 @@ class Validated:
     recursion : Recursion
     claims : tuple of Claim
         What was proved.
+    findings : tuple of Finding
+        Where the filter of this spec is less than its name says; the header repeats them.
     """
 
     recursion: Recursion
     claims: tuple[Claim, ...]
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         failed = tuple(str(claim) for claim in self.claims if not claim.holds)
@@ -78,7 +82,11 @@ def validate(spec: Spec) -> Validated:
         If one is contradicted: a defect of fkgen, never of the spec.
     """
     found = family(spec.filter.family)
-    return confront(found, found.build(spec))
+    caveats = found.caveats(spec)
+    recursion = found.build(spec)
+    warned = (each.message for each in caveats)
+    design = confront(found, replace(recursion, notes=(*recursion.notes, *warned)))
+    return replace(design, findings=caveats)
 
 
 def confront(tested: Family, recursion: Recursion) -> Validated:

@@ -255,7 +255,7 @@ class _Law:
         if g > 0.0 and p < g - ROUNDED:
             raise place.error(
                 show(p),
-                f"at least gamma_rate = {g:g}: were any two samples less often both 1, the mean of "
+                f"at least gamma_rate = {g:g}: were samples less often 1 together, the mean of "
                 "many would have a negative variance; a chain that alternates needs problem 3 or 4",
             )
         return Moments(g, p, self.delta_rate())

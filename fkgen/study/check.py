@@ -7,7 +7,7 @@ y present.
 from __future__ import annotations
 
 from fkgen.spec import Spec
-from fkgen.study import dynamics, faults, noise, size
+from fkgen.study import dynamics, faults, noise, sensor, size
 from fkgen.study.figures import Figures
 from fkgen.study.findings import Finding, Report, combined
 
@@ -27,6 +27,10 @@ _EXAMINATIONS = (
     faults.hypotheses,
     faults.identification,
     faults.floor,
+    sensor.caveats,
+    sensor.noise_factor,
+    sensor.law,
+    sensor.lost_signal,
     size.parameters,
     size.cost,
 )

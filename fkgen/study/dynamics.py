@@ -117,9 +117,9 @@ def _precision(figures: Figures, values: dict[str, float]) -> Finding:
             max(found.predicted[i, i], 0.0)
         )
         texts.append(f"{signal.name} {deviation:.3g} {signal.unit}".rstrip())
-    message = "standard deviation of the filtered state at rest, all rows present: " + ", ".join(
-        texts
-    )
+    healthy = "" if figures.spec.faults.sensor is None else " and none faulty"
+    message = f"standard deviation of the filtered state at rest, all rows present{healthy}: "
+    message += ", ".join(texts)
     return Finding("stationary_sd", "note", message)
 
 

@@ -5,37 +5,12 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, dataclass, field
-from typing import Literal
 
-Severity = Literal["error", "warning", "note"]
+from fkgen.families.finding import Finding, Severity
+
+__all__ = ["Finding", "Part", "Report", "Severity", "combined"]
 
 _ORDER: tuple[Severity, ...] = ("error", "warning", "note")
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing worth knowing about a model.
-
-    Attributes
-    ----------
-    code : str
-        Its name, for programs.
-    severity : str
-        ``"error"``: the filter would not do its work; ``"warning"``: probably not what was meant;
-        ``"note"``.
-    message : str
-        What was found.
-    value : float or None
-        The number behind it, where there is one.
-    remedy : str
-        How to mend it; empty for most notes.
-    """
-
-    code: str
-    severity: Severity
-    message: str
-    value: float | None = None
-    remedy: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -208,19 +208,34 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
     axis.set_ylabel("NIS / upper bound" if mixed else "NIS", fontsize=9)
     degrees = "rows present" if mixed else f"{int(rows[used][0])} degrees of freedom"
     text = f"{inside:.1%} within the {_CONFIDENCE:.0%} bounds of chi-square ({degrees})"
+    if _is_mixture(sheet.spec):
+        text += "; a guide and no test: y with faults is a mixture"
     axis.set_title(text, loc="left", fontsize=8, color=_GREY)
+
+
+def _is_mixture(spec: Spec) -> bool:
+    """Whether y may be under several sensor conditions that the filter is not told."""
+    return spec.faults.sensor is not None and spec.filter.family != "genie"
 
 
 def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
     """Probabilities of the modes, one line each."""
     probability = sheet.run["mode_probability"]
-    hypotheses = sheet.spec.filter.hypotheses
-    for i in range(probability.shape[1]):
-        rates = ", ".join(f"{rate:g}" for rate in hypotheses[i]) if hypotheses else ""
-        name = f"rate {rates}" if rates else f"mode {i}"
+    names = _mode_names(sheet.spec, probability.shape[1])
+    for i, name in enumerate(names):
         axis.plot(
             sheet.time, probability[:, i], lw=1.4, color=_SHADES[i % len(_SHADES)], label=name
         )
     axis.set_ylim(-0.03, 1.03)
     axis.set_ylabel("probability", fontsize=9)
     _legend_above(axis)
+
+
+def _mode_names(spec: Spec, count: int) -> list[str]:
+    """What a mode stands for: success rates of the inputs, or a condition of the sensors."""
+    if spec.faults.sensor is None:
+        rates = [", ".join(f"{rate:g}" for rate in each) for each in spec.filter.hypotheses]
+        return [f"rate {each}" for each in rates]
+    noisy = f"noise x {spec.faults.sensor.noise_factor:g}"
+    silent = ["no signal"] if count == 3 else ["no signal", f"no signal, {noisy}"]
+    return ["signal", f"signal, {noisy}", *silent]

@@ -39,7 +39,7 @@ def parameters(figures: Figures) -> Part:
         used = used.union(*(names(rate) for rate in faults.success_rate))
         used |= faults.covariance.names if faults.covariance is not None else frozenset()
     findings = []
-    unused = [p.name for p in spec.parameters if p.name not in used]
+    unused = [p.name for p in spec.stated_parameters if p.name not in used]
     if unused:
         message = f"nothing uses the parameter{'s' * (len(unused) > 1)} {listed(unused)}"
         remedy = "take out of [parameters], or use in a matrix"

@@ -127,7 +127,7 @@ class FaultLaw:
         if self.stationary:
             return {} if self.white else {"gamma_persistence": ca.SX(self._constant_persistence())}
         result = {"predicted_mode_law": self.next_law(symbols)}
-        if not self.white:
+        if "signal_law" in symbols:
             law, tiny = symbols["mode_law"], TINY[self.scalar]
             signal = ca.vertcat(law[:2], ca.SX.zeros(2)) + tiny * symbols["signal_law"]
             moved = ca.SX(self._kernel()).T @ signal

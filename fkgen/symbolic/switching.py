@@ -60,6 +60,12 @@ class Modes:
         """Number N of modes."""
         return len(self.variants)
 
+    @property
+    def note(self) -> str:
+        """What the modes are, in their order."""
+        names = [" or ".join(each.title for each in mode) for mode in self.variants]
+        return "modes: " + "; ".join(f"{i} = {name}" for i, name in enumerate(names))
+
 
 def modes_of(plant: Plant, faults: SensorFaults, count: int) -> Modes:
     """The four modes of (gamma, delta), or three with the mixture of both noises at gamma = 0."""

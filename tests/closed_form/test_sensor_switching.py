@@ -18,7 +18,6 @@ from sensor_models import (
     TURN,
     centred,
     chain,
-    gaps,
     plane,
     product,
     seen,
@@ -77,8 +76,15 @@ def same_modes(result, expected):
             assert distance(result[port][possible], expected[port][possible]) < EXACT, port
 
 
-@pytest.mark.parametrize("which", list(SWITCHING))
-@pytest.mark.parametrize("name", list(PLANTS))
+@pytest.mark.parametrize(
+    ("name", "which"),
+    [
+        (name, which)
+        for name in PLANTS
+        for which in SWITCHING
+        if which in MATCHED or name in {"input", "one row of two"}
+    ],
+)
 def test_compiled_filters_are_the_matrix_filters(name, which):
     spec = plant(name, which)
     y, u, _ = seen(spec, 12, seed=len(name), missing=0.2)
@@ -106,11 +112,10 @@ def test_the_first_sample_is_bayes_rule(name, which):  # o
 
 
 @pytest.mark.parametrize("which", MATCHED)
-@pytest.mark.parametrize("mode", range(4))
-@pytest.mark.parametrize("rows", [[0], [0, 1]])
-def test_a_known_first_mode_makes_two_samples_bayes_rule(rows, mode, which):  # e_j
-    model = random_model(41, 2, 2, correlated=True)
-    spec = sensed(model, chain(DENSE, np.eye(4)[mode], rows=rows), **SWITCHING[which])
+@pytest.mark.parametrize(("p", "mode"), [*((1, j) for j in range(4)), (2, 0)])
+def test_a_known_first_mode_makes_two_samples_bayes_rule(p, mode, which):  # e_j
+    model = random_model(41, 2, p, correlated=True)
+    spec = sensed(model, chain(DENSE, np.eye(4)[mode], rows=[0]), **SWITCHING[which])
     y, u, _ = seen(spec, 2, seed=mode)
     assert_agree(run(spec, y, u), exact(spec, y, u), BAYES, EXACT)
 
@@ -122,7 +127,8 @@ def test_a_known_first_mode_makes_two_samples_bayes_rule(rows, mode, which):  # 
 def test_known_modes_make_the_kalman_filter_that_is_told_them(kernel, mode, which):  # m, n
     if which == "imm3" and kernel is TURN:
         pytest.skip("three modes cannot follow delta while gamma = 0")
-    spec = sensed(plane(), chain(kernel, np.eye(4)[mode], rows=[0]), **SWITCHING[which])
+    model = centred(random_model(44, 2, 1))
+    spec = sensed(model, chain(kernel, np.eye(4)[mode]), **SWITCHING[which])
     y, u, modes = seen(spec, 10, seed=9, missing=0.2)
     result = run(spec, y, u)
     system, law = LinearSystem.from_spec(spec, 10), SensorLaw.from_spec(spec)
@@ -137,11 +143,11 @@ def test_distances_from_bayes_rule_are_those_of_the_approximations():  # p
     law = product([[0.1, 0.9], [0.9, 0.1]], IID_NOISE)
     specs = {which: sensed(SCALAR, law, **SWITCHING[which]) for which in ("imm", "one_step")}
     found = dict.fromkeys(specs, 0.0)
-    for seed in range(20):
+    for seed in range(12):
         y, u, _ = seen(specs["imm"], 5, seed=seed)
         best = exact(specs["imm"], y, u).filtered_state[-1, 0]
         for which, spec in specs.items():
-            found[which] += abs(run(spec, y).filtered_state[-1, 0] - best) / 20
+            found[which] += abs(run(spec, y).filtered_state[-1, 0] - best) / 12
     # Over 200 records 0.005 to 0.012 with mixing, 0.09 to 0.13 without.
     assert 1e-4 < found["imm"] < 0.02
     assert 0.05 < found["one_step"] < 0.2
@@ -217,15 +223,16 @@ def test_noise_of_one_size_still_splits_modes_if_it_is_tied_to_the_signal_at_fir
 
 @pytest.mark.parametrize("which", MATCHED)
 def test_sensors_that_see_no_state_say_nothing_of_state_or_signal(which):  # u
-    spec = sensed(plane(C=np.zeros((2, 2))), PROBLEMS["3"], **SWITCHING[which])
+    gamma, rate = np.array(STICKY), 0.3
+    law = product(STICKY, TURNING, initial=(rate, 0.6))
+    spec = sensed(plane(C=np.zeros((2, 2))), law, **SWITCHING[which])
     y, u, _ = seen(spec, 15)
     result = run(spec, y, u)
     np.testing.assert_array_equal(result.filtered_state, 0.0)
     # Pr(gamma = 1) follows its own chain, in the order (0, 1), whatever y says about the noise.
-    law, rate = np.array(PROBLEMS["3"]["gamma_chain"]), 0.3
     for p in result.mode_probability:
         assert p[:2].sum() == pytest.approx(rate, rel=1e-12)
-        rate = np.array([1 - rate, rate]) @ law[:, 1]
+        rate = np.array([1 - rate, rate]) @ gamma[:, 1]
 
 
 @pytest.mark.parametrize("which", list(SWITCHING))
@@ -249,13 +256,13 @@ def test_units_and_coordinates_are_of_no_account(which):  # w
     law = PROBLEMS["4"] | {"rows": [0]}
     specs = [sensed(each, law, **SWITCHING[which]) for each in (model, moved)]
     y, u, _ = seen(specs[0], 20, missing=0.1)
-    here, there = run(specs[0], y, u), run(specs[1], y @ U, u)
+    here, there = run(specs[0], y, u), run(specs[1], y * np.diag(U), u)
     # Entries of 1e3 and 1e-2 beside each other cost some digits.
     assert distance(there.filtered_state, here.filtered_state @ T.T) < EXACT
     assert distance(there.filtered_covariance, T @ here.filtered_covariance @ T.T) < EXACT
     for port in ("mode_probability", "nis"):
         assert distance(there[port], here[port]) < EXACT
-    present = np.isfinite(y) @ np.log([1e3, 1e-2])
+    present = np.isfinite(y) @ np.log([1e3, 1e-2])  # densities are per unit
     np.testing.assert_allclose(
         there.log_likelihood + present, here.log_likelihood, rtol=EXACT, atol=EXACT
     )

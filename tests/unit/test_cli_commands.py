@@ -15,6 +15,7 @@ from click.testing import CliRunner
 import fkgen
 from fkgen.cli import main
 from fkgen.errors import InternalError
+from fkgen.spec.filter import FAMILIES
 from fkgen.study.starters import resource, starter
 
 CAR = resource("examples/car_speed/spec.toml")
@@ -75,11 +76,11 @@ def test_python_m_is_the_command():
 
 def test_families_are_listed_with_their_titles(invoke):
     words = invoke("families").stdout.split()
-    assert {"kf", "mkf", "mme"} <= set(words)
+    assert set(FAMILIES) <= set(words)
     assert "intermittent" in words
 
 
-@pytest.mark.parametrize("family", ["kf", "mkf", "mme"])
+@pytest.mark.parametrize("family", FAMILIES)
 def test_new_gives_a_spec_that_validates_as_it_is(invoke, tmp_path, family):
     invoke("new", family, "-o", "s.toml")
     assert (tmp_path / "s.toml").read_text(encoding="utf-8") == invoke("new", family).stdout
@@ -88,7 +89,7 @@ def test_new_gives_a_spec_that_validates_as_it_is(invoke, tmp_path, family):
     assert all(claim.holds for claim in fkgen.validate(spec).claims)
 
 
-@pytest.mark.parametrize("family", ["kf", "mkf", "mme"])
+@pytest.mark.parametrize("family", FAMILIES)
 def test_starters_explain_every_section(family):
     text = starter(family)
     assert text.count("#") > 10

@@ -40,7 +40,7 @@ def drawn(tmp_path_factory):
         spec = fkgen.load(path)
         built = fkgen.build(spec)
         table = table_of(spec, y, time_name)
-        modes = ("mode_probability",) if family == "mme" else ()
+        modes = ("mode_probability",) if "mode_probability" in built.ports else ()
         run = run_table(built, table, Selection((), (*PORTS, *modes)))
         return draw(spec, table, run)
 
@@ -71,6 +71,20 @@ def test_probabilities_have_a_panel(drawn):
     assert [text.get_text() for text in figure.axes[-1].get_legend().get_texts()] == [
         f"rate {rate}" for rate in (0.1, 0.3, 0.5, 0.7, 0.9)
     ]
+
+
+@pytest.mark.parametrize(("family", "width"), [("imm", 2), ("one_step", 1)])
+def test_modes_of_a_sensor_are_called_what_they_are(drawn, family, width):
+    legend = drawn(family, noise(20, width)).axes[-1].get_legend().get_texts()
+    names = ["signal", "signal, noise x 100", "no signal", "no signal, noise x 100"]
+    assert [text.get_text() for text in legend] == names
+
+
+@pytest.mark.parametrize(("family", "is_guide"), [("imm", True), ("genie", False), ("kf", False)])
+def test_where_y_is_a_mixture_chi_square_is_a_guide(drawn, family, is_guide):
+    axes = drawn(family, noise(20, 2)).axes
+    (panel,) = (axis for axis in axes if axis.get_ylabel() == "NIS")
+    assert ("a guide and no test" in panel.get_title(loc="left")) == is_guide
 
 
 def test_rows_that_come_and_go_change_the_scale_of_nis(drawn):
