@@ -96,8 +96,13 @@ def of_fkgen(spec: models.Spec, folder: Path) -> Contender:
     source.write(folder / name)
     _, p, q = models.width(spec)
     u = "u, " if q else ""
-    header = (
-        f'#include "{name}.h"\n#define TYPE {name}_t\n#define INIT(f) {name}_init(f)\n'
+    header = f'#include "{name}.h"\n'
+    if source.program.parameters:
+        u = "&defaults, " + u
+        values = ", ".join(repr(value) for _, value in source.program.parameters)
+        header += f"static const {name}_params_t defaults = {{ {values} }};\n"
+    header += (
+        f"#define TYPE {name}_t\n#define INIT(f) {name}_init(f)\n"
         f"#define STEP(f, u, y) {name}_step(f, {u}y, 0xffffffffu)\n"
         "#define RESULT(f) ((f)->filtered_state[0])\n"
     )

@@ -18,6 +18,29 @@ _MOTOR: Spec = {
 }
 _INPUT: Spec = {"B": [[0.0198], [0.0001]], "D": [[0.0]]}
 
+_PERIOD = 0.1
+_SIGNAL = [[0.7, 0.3], [0.05, 0.95]]  # states ordered (0, 1)
+_NOISE = [
+    [0.8, 0.2],
+    [0.8, 0.2],
+]  # ordered (1, C): independent samples, so that modes can be lumped
+_LUMPABLE: Spec = {
+    "problem": 3,
+    "gamma_chain": _SIGNAL,
+    "delta_chain": _NOISE,
+    "initial": [0.72, 0.18, 0.08, 0.02],
+}
+_GENERAL: Spec = {
+    "problem": 4,
+    "kernel": [
+        [0.85, 0.09, 0.05, 0.01],
+        [0.40, 0.50, 0.04, 0.06],
+        [0.25, 0.05, 0.60, 0.10],
+        [0.08, 0.22, 0.30, 0.40],
+    ],
+    "initial": [0.7, 0.1, 0.1, 0.1],
+}
+
 
 def motor() -> Spec:
     """Two states, one measurement: A dense, C = [0 1]; no input."""
@@ -68,6 +91,43 @@ def mme() -> Spec:
     return {"name": "motor_mme", "model": model, "faults": faults, "filter": bank}
 
 
+def target(family: str, law: Spec, *, name: str, **options: Any) -> Spec:
+    """A target of constant velocity in the plane whose measured position may be lost or noisy."""
+    axis = np.array([[1.0, _PERIOD], [0.0, 1.0]])
+    drift = np.array([[_PERIOD**3 / 3, _PERIOD**2 / 2], [_PERIOD**2 / 2, _PERIOD]])
+    model = {
+        "A": np.kron(np.eye(2), axis).tolist(),
+        "C": np.kron(np.eye(2), [[1.0, 0.0]]).tolist(),
+        "Q": np.kron(np.eye(2), 2.0 * drift).tolist(),
+        "R": [[0.25, 0.0], [0.0, 0.25]],
+        "x0": [0.0] * 4,
+        "P0": np.diag([4.0, 9.0, 4.0, 9.0]).tolist(),
+    }
+    faults = {"sensor": {"noise_factor": 10.0, **law}}
+    return {"name": name, "model": model, "faults": faults, "filter": {"family": family, **options}}
+
+
+def imm_models() -> dict[str, Spec]:
+    """Interacting multiple models with 3 and with 4 modes."""
+    return {
+        "imm, 3 modes": target("imm", _LUMPABLE, name="target_imm3", modes=3),
+        "imm, 4 modes": target("imm", _GENERAL, name="target_imm4", modes=4),
+    }
+
+
+def sensor_models() -> dict[str, Spec]:
+    """Every family for sensor faults."""
+    independent = {"problem": 1, "gamma_rate": 0.9, "delta_nominal_rate": 0.8}
+    lumpable = target("imm", _LUMPABLE, name="target_imm", modes=4)
+    return {
+        **imm_models(),
+        "imm, 4 modes, lumpable": lumpable,
+        "one_step": target("one_step", _GENERAL, name="target_one_step"),
+        "linear_optimal": target("linear_optimal", independent, name="target_linear"),
+        "genie": target("genie", {}, name="target_genie"),
+    }
+
+
 def kf_models() -> dict[str, Spec]:
     """Plain Kalman filters, by the title of their row."""
     return {
@@ -80,7 +140,8 @@ def kf_models() -> dict[str, Spec]:
 
 def all_models() -> dict[str, Spec]:
     """Everything that is measured."""
-    return {**kf_models(), "mkf motor": mkf(), "mme motor, 5 hypotheses": mme()}
+    actuators = {"mkf motor": mkf(), "mme motor, 5 hypotheses": mme()}
+    return {**kf_models(), **actuators, **sensor_models()}
 
 
 def with_code(spec: Spec, **code: str) -> Spec:
@@ -98,4 +159,18 @@ def record(spec: Spec, samples: int) -> tuple[Array, Array]:
     """Measurements (T, p) and inputs (T, q): noise of about the size the filter expects."""
     _, p, q = width(spec)
     rng = np.random.default_rng(0)
+    if "sensor" in spec.get("faults", {}):
+        return _circle(rng, samples), np.zeros((samples, 0))
     return 0.1 * rng.normal(size=(samples, p)), rng.uniform(-1.0, 1.0, (samples, q))
+
+
+def _circle(rng: np.random.Generator, samples: int) -> Array:
+    """What the sensor shows of a target on a circle, now and then nothing but noise."""
+    kernel = np.cumsum(_GENERAL["kernel"], axis=1)
+    draws, modes = rng.uniform(size=samples), np.zeros(samples, int)
+    for k in range(1, samples):
+        modes[k] = np.sum(kernel[modes[k - 1], :3] < draws[k])
+    angle = 0.6 * _PERIOD * np.arange(samples)
+    position = 5.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    noise = np.sqrt(np.where(modes % 2, 2.5, 0.25))[:, None] * rng.normal(size=(samples, 2))
+    return np.where(modes < 2, 1.0, 0.0)[:, None] * position + noise

@@ -17,6 +17,7 @@ import records  # noqa: E402
 import sizes  # noqa: E402
 import startup  # noqa: E402
 import steps  # noqa: E402
+import switching  # noqa: E402
 from contenders import FLAGS  # noqa: E402
 from report import Table  # noqa: E402
 from rich.console import Console  # noqa: E402
@@ -25,6 +26,8 @@ from settings import Settings  # noqa: E402
 PARTS = {
     "hand": steps.against_hand,
     "libraries": steps.against_libraries,
+    "imm": switching.models_side_by_side,
+    "missing": switching.missing_sample,
     "families": steps.families,
     "run": records.runs,
     "step": records.python_steps,

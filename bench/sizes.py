@@ -8,17 +8,29 @@ from pathlib import Path
 
 import contenders
 import models
-from report import Table
+from report import Table, verdict
 from settings import Settings
 
 import fkgen
+
+#: Operations that a step may cost, where a limit was agreed on.
+LIMITS = {"imm, 3 modes": 950, "imm, 4 modes": 1400, "imm, 4 modes, lumpable": 1400}
 
 
 def generated(settings: Settings) -> Table:
     """One row per filter and form of the covariance update."""
     table = Table(
         "What is generated",
-        ["filter", "update", "operations", "lines of C", ".text -O2", ".text -Os", "gcc -O2, s"],
+        [
+            "filter",
+            "update",
+            "operations",
+            "limit",
+            "lines of C",
+            ".text -O2",
+            ".text -Os",
+            "gcc -O2, s",
+        ],
         "Floating-point operations of a step with every row present, without those inside log and "
         "exp. .text in bytes by gcc: init, update, predict, step and constants.",
     )
@@ -32,7 +44,9 @@ def generated(settings: Settings) -> Table:
             code = folder / f"{spec['name']}.c"
             lines = len(code.read_text().splitlines())
             (fast, seconds), (small, _) = (_compile(code, level) for level in ("-O2", "-Os"))
-            table.add(title, form, source.program.flops, lines, fast, small, f"{seconds:.2f}")
+            flops = source.program.flops
+            limit = f"{LIMITS[title]} ({verdict(flops, LIMITS[title])})" if title in LIMITS else ""
+            table.add(title, form, flops, limit, lines, fast, small, f"{seconds:.2f}")
     return table
 
 

@@ -16,7 +16,7 @@ from settings import Settings
 Call = Callable[[], object]
 
 #: Samples of a record, by number of states: about a millisecond each, short beside a time slice.
-_SAMPLES = {2: 20000, 6: 4000, 15: 300}
+_SAMPLES = {2: 20000, 4: 4000, 6: 4000, 15: 300}
 _TARGET = 1.10
 
 

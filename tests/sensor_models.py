@@ -102,6 +102,48 @@ def centred(model):
     return kept | {"x0": np.zeros(len(model["x0"])).tolist()}
 
 
+#: Laws with all kinds of columns: full, proportional, with one source, with some.
+KINDS = {
+    "one_step": ("4", {}),
+    "one_step_paper": ("3", {"family": "one_step", "covariance": "paper"}),
+    "one_step_nominal": ("2", {"family": "one_step", "covariance": "paper_nominal"}),
+    "imm": ("4", {}),
+    "imm_zeros": ("zeros", {"family": "imm"}),
+    "imm_product": ("3", {"family": "imm"}),
+    "imm_white": ("2", {"family": "imm"}),
+    "imm3": ("3", {"family": "imm", "modes": 3}),
+    "linear_optimal": ("1", {}),
+    "linear_absorbing": ("absorbing", {"family": "linear_optimal"}),
+    "linear_moments": ("moments", {"family": "linear_optimal"}),
+    "augmented": ("3", {"family": "linear_optimal", "form": "augmented"}),
+    "genie": ("genie", {}),
+}
+#: Those with inputs; for the others (23) has no constant term.
+DRIVEN = tuple(name for name in KINDS if name not in {"linear_absorbing", "linear_moments"})
+
+
+def every(scalar="double", model=None):
+    """One spec of every kind by name: inputs, D, correlated rows of which one fails."""
+    model = random_model(71, 2, 2, 1, direct=True, correlated=True) if model is None else model
+    laws = PROBLEMS | {
+        "absorbing": product([[0.7, 0.3], [0.0, 1.0]], [[0.8, 0.2]] * 2, initial=(0.2, 0.8)),
+        "moments": {
+            "problem": "moments",
+            "gamma_rate": 0.55,
+            "gamma_persistence": 0.8,
+            "delta_nominal_rate": 0.8,
+        },
+        "genie": {},
+    }
+    result = {}
+    for name, (law, options) in KINDS.items():
+        rows = {"rows": [0]} if name in DRIVEN else {}
+        plant = model if name in DRIVEN else centred(model)
+        chosen = {"family": name} | options
+        result[name] = sensed(plant, laws[law] | rows, code={"scalar": scalar}, **chosen)
+    return result
+
+
 def shaken(T, seed=3):
     """Parameters of the plant `VARYING` that change in every sample."""
     rng = np.random.default_rng(seed)

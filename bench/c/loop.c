@@ -20,6 +20,22 @@ EXPORT REAL run(int64_t samples, const REAL *y, const REAL *u)
     return RESULT(&f);
 }
 
+#ifdef OUTPUTS
+/* The same, and everything that contenders have in common is kept: WIDTH values per step. */
+EXPORT void trace(int64_t samples, const REAL *y, const REAL *u, REAL *to)
+{
+    static TYPE f;
+    int64_t k;
+    (void)u;
+    INIT(&f);
+    for (k = 0; k < samples; ++k)
+    {
+        (void)STEP(&f, u + k * NU, y + k * NY);
+        OUTPUTS(&f, to + k * WIDTH);
+    }
+}
+#endif
+
 #ifdef MAIN
 #define RECORD 1000
 int main(int argc, char **argv)

@@ -26,6 +26,9 @@ _NEAR = 1e-9
 #: Samples beyond which nobody waits: about ten seconds of interpretation.
 _PATIENCE = 20_000
 
+#: Families for which the Riccati equation of the plant says nothing.
+_OTHERS = ("linear_optimal", "one_step", "imm")
+
 _SOURCE = "Anderson & Moore 1979, sec. 4.4; python-control dare"
 
 
@@ -36,9 +39,12 @@ def claims(recursion: Recursion) -> tuple[Claim, ...]:
     ----------
     recursion : Recursion
         Stepped with every input at 1, default parameters and all rows present, from the prior of
-        the spec made positive definite. A filter that needs too many samples is left out.
+        the spec made positive definite. A filter that needs too many samples is left out, and so
+        are families whose covariance depends on the data or on unconditional moments.
     """
     spec = recursion.spec
+    if spec.filter.family in _OTHERS:
+        return ()
     hypotheses: tuple[tuple[float, ...] | None, ...] = spec.filter.hypotheses or (None,)
     found = [_stationary(spec, rates) for rates in hypotheses]
     known = [each for each in found if each is not None]

@@ -206,8 +206,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     double pivot_0;
     double inverse_0 = 0.0;
     double quadratic = 0.0;
+    double log_constant = 0.0;
     double determinant_0 = 1.0;
-    double log_two_pi = 0.0;
     double cross_1[2];
     double pivot_1;
     double inverse_1 = 0.0;
@@ -344,8 +344,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t51 = t48 * cross_0[1];
         const double t52 = self->predicted_covariance[2] - t51;
         quadratic = t40;
+        log_constant = 1.8378770664093453;
         determinant_0 = pivot_0;
-        log_two_pi = 1.8378770664093453;
         mean[0] = t42;
         mean[1] = t44;
         covariance[0] = t47;
@@ -375,8 +375,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t61 = t60 * inverse_1;
         const double t62 = t60 * t61;
         const double t63 = quadratic + t62;
-        const double t64 = determinant_0 * pivot_1;
-        const double t65 = log_two_pi + 1.8378770664093453;
+        const double t64 = log_constant + 1.8378770664093453;
+        const double t65 = determinant_0 * pivot_1;
         const double t66 = cross_1[0] * t61;
         const double t67 = mean[0] + t66;
         const double t68 = cross_1[1] * t61;
@@ -390,8 +390,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t76 = t73 * cross_1[1];
         const double t77 = covariance[2] - t76;
         quadratic = t63;
-        determinant_0 = t64;
-        log_two_pi = t65;
+        log_constant = t64;
+        determinant_0 = t65;
         mean[0] = t67;
         mean[1] = t69;
         covariance[0] = t72;
@@ -421,8 +421,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t86 = t85 * inverse_2;
         const double t87 = t85 * t86;
         const double t88 = quadratic + t87;
-        const double t89 = determinant_0 * pivot_2;
-        const double t90 = log_two_pi + 1.8378770664093453;
+        const double t89 = log_constant + 1.8378770664093453;
+        const double t90 = determinant_0 * pivot_2;
         const double t91 = cross_2[0] * t86;
         const double t92 = mean[0] + t91;
         const double t93 = cross_2[1] * t86;
@@ -436,8 +436,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t101 = t98 * cross_2[1];
         const double t102 = covariance[2] - t101;
         quadratic = t88;
-        determinant_0 = t89;
-        log_two_pi = t90;
+        log_constant = t89;
+        determinant_0 = t90;
         mean[0] = t92;
         mean[1] = t94;
         covariance[0] = t97;
@@ -467,7 +467,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t111 = t110 * inverse_3;
         const double t112 = t110 * t111;
         const double t113 = quadratic + t112;
-        const double t114 = log_two_pi + 1.8378770664093453;
+        const double t114 = log_constant + 1.8378770664093453;
         const double t115 = cross_3[0] * t111;
         const double t116 = mean[0] + t115;
         const double t117 = cross_3[1] * t111;
@@ -481,8 +481,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t125 = t122 * cross_3[1];
         const double t126 = covariance[2] - t125;
         quadratic = t113;
+        log_constant = t114;
         determinant_1 = pivot_3;
-        log_two_pi = t114;
         mean[0] = t116;
         mean[1] = t118;
         covariance[0] = t121;
@@ -506,8 +506,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t131 = t130 * inverse_4;
         const double t132 = t130 * t131;
         const double t133 = quadratic + t132;
-        const double t134 = determinant_1 * pivot_4;
-        const double t135 = log_two_pi + 1.8378770664093453;
+        const double t134 = log_constant + 1.8378770664093453;
+        const double t135 = determinant_1 * pivot_4;
         const double t136 = covariance[0] * t131;
         const double t137 = mean[0] + t136;
         const double t138 = covariance[1] * t131;
@@ -521,8 +521,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t146 = t143 * covariance[1];
         const double t147 = covariance[2] - t146;
         quadratic = t133;
-        determinant_1 = t134;
-        log_two_pi = t135;
+        log_constant = t134;
+        determinant_1 = t135;
         mean[0] = t137;
         mean[1] = t139;
         covariance[0] = t142;
@@ -546,8 +546,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t152 = t151 * inverse_5;
         const double t153 = t151 * t152;
         const double t154 = quadratic + t153;
-        const double t155 = determinant_1 * pivot_5;
-        const double t156 = log_two_pi + 1.8378770664093453;
+        const double t155 = log_constant + 1.8378770664093453;
+        const double t156 = determinant_1 * pivot_5;
         const double t157 = covariance[0] * t152;
         const double t158 = mean[0] + t157;
         const double t159 = covariance[1] * t152;
@@ -561,8 +561,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t167 = t164 * covariance[1];
         const double t168 = covariance[2] - t167;
         quadratic = t154;
-        determinant_1 = t155;
-        log_two_pi = t156;
+        log_constant = t155;
+        determinant_1 = t156;
         mean[0] = t158;
         mean[1] = t160;
         covariance[0] = t163;
@@ -576,7 +576,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
 
     /* results of the update */
     const double t169 = car_speed_log(determinant_0);
-    const double t170 = log_two_pi + t169;
+    const double t170 = log_constant + t169;
     const double t171 = car_speed_log(determinant_1);
     const double t172 = t170 + t171;
     const double t173 = quadratic + t172;

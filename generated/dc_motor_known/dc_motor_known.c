@@ -144,8 +144,8 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     double pivot_0;
     double inverse_0 = 0.0;
     double quadratic = 0.0;
+    double log_constant = 0.0;
     double determinant_0 = 1.0;
-    double log_two_pi = 0.0;
     double update_gain[2] = { 0.0 };
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
     {
@@ -195,8 +195,8 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
         const double t16 = t13 * self->predicted_covariance[2];
         const double t17 = self->predicted_covariance[2] - t16;
         quadratic = t5;
+        log_constant = 1.8378770664093453;
         determinant_0 = pivot_0;
-        log_two_pi = 1.8378770664093453;
         mean[0] = t7;
         mean[1] = t9;
         covariance[0] = t12;
@@ -212,7 +212,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
 
     /* results of the update */
     const double t18 = dc_motor_known_log(determinant_0);
-    const double t19 = log_two_pi + t18;
+    const double t19 = log_constant + t18;
     const double t20 = quadratic + t19;
     const double t21 = -0.5 * t20;
     next->filtered_state[0] = mean[0];

@@ -47,7 +47,7 @@ typedef enum
     DC_MOTOR_KNOWN_NULL_POINTER = -1, /**< a pointer argument is NULL */
     DC_MOTOR_KNOWN_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, or a rate outside [0, 1] */
+    DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or an indicator with another value */
     DC_MOTOR_KNOWN_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     DC_MOTOR_KNOWN_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this target */
 } dc_motor_known_status_t;
@@ -69,8 +69,8 @@ typedef struct
     double innovation_covariance[1]; /**< its covariance, of all rows, present or not (symmetric 1 x 1) */
     double nis; /**< normalised innovation squared over the rows present */
     double log_likelihood; /**< log density of the rows present given y[0..k-1] */
-    double gain[2]; /**< K: d x(k+1|k) / d y[k]; columns of missing rows are 0(2 x 1) */
-    double filtered_gain[2]; /**< Kf: d x(k|k) / d y[k]; columns of missing rows are 0(2 x 1) */
+    double gain[2]; /**< K: d x(k+1|k) / d y[k]; columns of missing rows are 0 (2 x 1) */
+    double filtered_gain[2]; /**< Kf: d x(k|k) / d y[k]; columns of missing rows are 0 (2 x 1) */
 } dc_motor_known_t;
 
 /** Start from the prior: the prediction for sample 0. Call it before anything else. */

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from models import assert_agree, distance, random_model, record, run, spec
+from models import assert_agree, distance, generated, random_model, record, run, spec
 from sensor_models import (
     EXACT,
     PROBLEMS,
@@ -19,8 +19,10 @@ from sensor_models import (
 )
 
 import fkgen
+from fkgen.backend.execute import Machine
 from fkgen.closed_form import LinearSystem, SensorLaw, batch_lmmse, gamma_delta
 from fkgen.errors import StepRefused
+from fkgen.symbolic.interface import Status
 
 PORTS = (
     "filtered_state",
@@ -122,8 +124,8 @@ def test_without_a_signal_nothing_is_learnt():
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        *(("gamma", v) for v in (0.5, -1.0, 2.0, 1.0 + 1e-6, 1e-6, -1e-6, 1e30, NAN, INF)),
-        *(("delta", v) for v in (0.0, 0.5, -1.0, 5.0, 9.9, 10.1, 100.0, NAN, INF, -INF)),
+        *(("gamma", v) for v in (0.5, -1.0, 2.0, 1.0 + 1e-6, 1e-6, -1e-6, 1e30)),
+        *(("delta", v) for v in (0.0, 0.5, -1.0, 5.0, 9.9, 10.1, 100.0, -1e30)),
     ],
 )
 def test_an_indicator_with_another_value_is_refused_and_nothing_changes(name, value, scalar):
@@ -142,8 +144,16 @@ def test_an_indicator_with_another_value_is_refused_and_nothing_changes(name, va
             assert found.step([0.1, 0.2], None, {"gamma": gamma, "delta": delta}).status == 0
 
 
+@pytest.mark.parametrize("value", [NAN, INF, -INF])
+@pytest.mark.parametrize("name", ["gamma", "delta"])
+def test_the_program_refuses_indicators_that_are_no_numbers_too(name, value):
+    machine = Machine(generated(genie(plane())).program)  # Python would not let them through
+    given = {"gamma": 1.0, "delta": 1.0} | {name: value}
+    assert machine.step([], [0.1, 0.2], given) is Status.PARAMETER_OUT_OF_RANGE
+
+
 @pytest.mark.parametrize("scalar", ["double", "float"])
-@pytest.mark.parametrize("factor", [0.1, 1.0 / 3.0, 1e-9, 1e12, 2.7])
+@pytest.mark.parametrize("factor", [1.0 / 3.0, 1e-9, 1e12])
 def test_every_factor_is_a_legal_delta_in_the_type_of_the_filter(factor, scalar):
     model = {"A": [[0.9]], "C": [[1.0]], "Q": [[1.0]], "R": [[1.0]], "x0": [0.0], "P0": [[1.0]]}
     plant = sensed(model, {"noise_factor": factor}, family="genie", code={"scalar": scalar})
