@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 
@@ -41,13 +42,13 @@ def jump_faults_of(spec: Spec) -> JumpFaults:
 def jump_modes_of(spec: Spec) -> JumpModes:
     """Lift the modes of a spec to CasADi; they share the symbols of the parameters."""
     base, faults = plant_of(spec), jump_faults_of(spec)
-    plants = [
-        replace(
-            base,
-            noise_free=mode.R.is_constant and is_singular(mode.R.values()),
-            **{x: lift(getattr(mode, x), base.parameters) for x in ("A", "B", "C", "D", "Q", "R")},
-        )
-        for mode in faults.modes
-    ]
+    plants = []
+    for mode in faults.modes:
+        lifted: dict[str, Any] = {
+            letter: lift(getattr(mode, letter), base.parameters)
+            for letter in ("A", "B", "C", "D", "Q", "R")
+        }
+        exact = mode.R.is_constant and is_singular(mode.R.values())
+        plants.append(replace(base, noise_free=exact, **lifted))
     offsets = [lift(mode.c, base.parameters) for mode in faults.modes]
     return JumpModes(base, tuple(plants), tuple(offsets))
