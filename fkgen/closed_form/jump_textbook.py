@@ -16,7 +16,6 @@ from fkgen.closed_form.gaussian import Array
 from fkgen.closed_form.jump import JumpSystem
 from fkgen.closed_form.jump_paths import JumpResult
 from fkgen.closed_form.loss_tests import LossTest
-from fkgen.spec import Filter
 
 
 def composite(system: JumpSystem) -> JumpSystem:
@@ -38,8 +37,8 @@ def composite(system: JumpSystem) -> JumpSystem:
         **twice,
         **signal,
         c=np.concatenate([system.c] * 2, axis=1),
-        transition=np.kron(system.arrival[::-1, ::-1], system.transition),
-        initial=np.kron([arrived, lost], system.initial),
+        transition=np.asarray(np.kron(system.arrival[::-1, ::-1], system.transition), float),
+        initial=np.asarray(np.kron([arrived, lost], system.initial), float),
     )
 
 
@@ -134,7 +133,6 @@ def textbook_jumps(
     y: Array,
     u: Array,
     *,
-    options: Filter,
     test: LossTest | None = None,
     gain: Array | None = None,
 ) -> JumpResult:
@@ -146,10 +144,9 @@ def textbook_jumps(
         The plant; its arrivals are independent from sample to sample (else see `composite`).
     y, u : (T, p), (T, q) ndarray
         Measurements, NaN = missing, and inputs.
-    options : Filter
-        When a lock-out starts the filter again.
     test : LossTest, optional
-        What it rejects is replaced by its prediction; what it accepts holds a signal.
+        What it rejects is replaced by its prediction; what it accepts holds a signal. Its options
+        say when a lock-out starts the filter again.
     gain : (M, p) ndarray, optional
         A constant gain; covariances are then of no meaning.
     """
@@ -166,7 +163,8 @@ def textbook_jumps(
         r = y[k] - L @ memory.z
         result.innovation[k], result.innovation_covariance[k] = r, S
         rows = np.flatnonzero(np.isfinite(y[k]))
-        restart = _judged(result, k, (y[k], r, S, split.R), rows, memory, test, options)
+        _look(result, k, rows)
+        restart = _judged(result, k, (y[k], split.R), memory, test)
         accepted = rows[:0] if result.fault_declared[k] else rows
         inverse = np.linalg.pinv(S[np.ix_(accepted, accepted)], rcond=1e-13, hermitian=True)
         K = X @ L[accepted].T @ inverse if gain is None else gain[:, accepted]
@@ -182,26 +180,30 @@ def textbook_jumps(
     return result
 
 
+def _look(result: JumpResult, k: int, rows: NDArray[np.intp]) -> None:
+    """Fill in how well the rows present fit their prediction."""
+    if rows.size:
+        r, S = result.innovation[k][rows], result.innovation_covariance[k][np.ix_(rows, rows)]
+        result.nis[k] = r @ np.linalg.pinv(S, rcond=1e-13, hermitian=True) @ r
+        determinant = np.linalg.slogdet(2.0 * np.pi * S)[1]
+        result.log_likelihood[k] = -0.5 * (result.nis[k] + determinant)
+
+
 def _judged(
     result: JumpResult,
     k: int,
-    sample: tuple[Array, Array, Array, Array],
-    rows: NDArray[np.intp],
+    sample: tuple[Array, Array],
     memory: _Memory,
     test: LossTest | None,
-    options: Filter,
 ) -> bool:
-    """Fill in what a sample says about itself and its test; return whether to start again."""
-    y, r, S, R = sample
-    chosen = np.ix_(rows, rows)
-    if rows.size:
-        inverse = np.linalg.pinv(S[chosen], rcond=1e-13, hermitian=True)
-        result.nis[k] = r[rows] @ inverse @ r[rows]
-        determinant = np.linalg.slogdet(2.0 * np.pi * S[chosen])[1]
-        result.log_likelihood[k] = -0.5 * (result.nis[k] + determinant)
+    """Test a sample, ``(y, R)``, and fill in the verdict; return whether to start again."""
+    y, R = sample
+    rows = np.flatnonzero(np.isfinite(y))
     restart = False
     if test is not None and rows.size:
-        found = test.judge(y[rows], r[rows], S[chosen], R[chosen])
+        options, chosen = test.options, np.ix_(rows, rows)
+        S = result.innovation_covariance[k][chosen]
+        found = test.judge(y[rows], result.innovation[k][rows], S, R[chosen])
         result.test_statistic[k], result.test_threshold[k] = found
         result.fault_declared[k] = found[0] > found[1]
         locked = options.reinitialise and memory.run >= options.lock_out
