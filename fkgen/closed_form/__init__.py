@@ -11,11 +11,15 @@ from fkgen.closed_form.enumeration import EnumerationResult, enumerate_modes
 from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
 from fkgen.closed_form.hypotheses import MultipleModelResult, batch_posterior, textbook_mme
 from fkgen.closed_form.identities import IDENTITIES, Identity
+from fkgen.closed_form.jump import JumpRecord, JumpSystem, simulate_jumps
+from fkgen.closed_form.jump_paths import JumpResult, enumerate_paths
+from fkgen.closed_form.jump_textbook import composite, textbook_jumps
 from fkgen.closed_form.linear_optimal import (
     LinearOptimalResult,
     linear_optimal,
     true_covariance,
 )
+from fkgen.closed_form.loss_tests import LossTest
 from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
 from fkgen.closed_form.riccati import (
     constant_input_noise,
@@ -51,8 +55,12 @@ __all__ = [
     "Identity",
     "InteractingResult",
     "Joint",
+    "JumpRecord",
+    "JumpResult",
+    "JumpSystem",
     "LinearOptimalResult",
     "LinearSystem",
+    "LossTest",
     "MultipleModelResult",
     "OneStepResult",
     "SensorLaw",
@@ -61,11 +69,13 @@ __all__ = [
     "batch_lmmse",
     "batch_posterior",
     "batch_uncertain",
+    "composite",
     "constant_input_noise",
     "draw_gamma",
     "draw_modes",
     "draw_record",
     "enumerate_modes",
+    "enumerate_paths",
     "gamma_delta",
     "informed",
     "is_lumpable",
@@ -77,10 +87,12 @@ __all__ = [
     "nominal_share",
     "satisfies_lemma_2",
     "simulate",
+    "simulate_jumps",
     "simulate_sensor",
     "stationary_prediction",
     "stationary_prediction_by_control",
     "textbook_imm",
+    "textbook_jumps",
     "textbook_mme",
     "textbook_one_step",
     "textbook_step",
