@@ -205,7 +205,7 @@ def _judged(
         S = result.innovation_covariance[k][chosen]
         found = test.judge(y[rows], result.innovation[k][rows], S, R[chosen])
         result.test_statistic[k], result.test_threshold[k] = found
-        result.fault_declared[k] = found[0] > found[1]
+        result.fault_declared[k], result.test_dof[k] = found[0] > found[1], rows.size
         locked = options.reinitialise and memory.run >= options.lock_out
         memory.run = 0 if locked else memory.run
         memory.run = memory.run + 1 if result.fault_declared[k] else 0

@@ -26,7 +26,10 @@ __all__ = ["PATHS", "TEXTBOOK"]
 MANY_PATHS = 1000
 
 #: What a detector alone shows.
-VERDICT = ("fault_declared", "test_statistic", "test_threshold", "consecutive_rejections")
+VERDICT = (
+    *("fault_declared", "test_statistic", "test_threshold", "test_dof"),
+    "consecutive_rejections",
+)
 
 
 def jump_system(spec: Spec, record: Record) -> JumpSystem:

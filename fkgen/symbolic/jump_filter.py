@@ -24,7 +24,7 @@ from fkgen.symbolic.jump_moments import Moments, moments_of, shared, total, unco
 from fkgen.symbolic.jump_prediction import predict_split, whole
 from fkgen.symbolic.jumping import Jumping, law_ports, measured, split_ports, split_start
 from fkgen.symbolic.linalg import congruence, sparse, unpack
-from fkgen.symbolic.loss_tests import LossTest, Verdict, loss_ports
+from fkgen.symbolic.loss_tests import LossTest, Verdict, loss_outcomes, loss_ports
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -56,6 +56,7 @@ def jump_filter(spec: Spec, source: str) -> Recursion:
         update=_update(split, symbols, form),
         predict=predict_split(split, symbols),
         notes=(f"covariance update: {form} form", *notes_of(split)),
+        outcomes=loss_outcomes(spec),
     )
 
 

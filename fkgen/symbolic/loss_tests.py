@@ -15,7 +15,7 @@ from scipy.special import gammainccinv
 from fkgen.spec import Filter, Spec
 from fkgen.symbolic.conditioning import Conditioned, condition
 from fkgen.symbolic.decorrelation import Measurement
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Outcome, Port, Role, Status
 from fkgen.symbolic.jump_moments import total
 from fkgen.symbolic.script import Script
 from fkgen.symbolic.weights import LOG_ZERO
@@ -70,6 +70,7 @@ def loss_ports(spec: Spec) -> tuple[Port, ...]:
         ),
         scalar("test_statistic", Role.OUTPUT, f"{_MEANING[detector]}{absent}"),
         scalar("test_threshold", Role.OUTPUT, f"{_BOUND[detector]}{absent}"),
+        scalar("test_dof", Role.OUTPUT, "rows of y that were tested"),
         scalar("consecutive_rejections", Role.STATE, "samples rejected in a row, up to k"),
     ]
     if detector == "energy" and window > 1:
@@ -81,6 +82,16 @@ def loss_ports(spec: Spec) -> tuple[Port, ...]:
         )
         ports += [past, scalar("energy_count", Role.STATE, "how many of them there are")]
     return tuple(ports)
+
+
+def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
+    """Statuses of rejected samples."""
+    if spec.filter.detector == "none":
+        return ()
+    return (
+        Outcome(Status.LOCKED_OUT, "consecutive_rejections", spec.filter.lock_out - HALF),
+        Outcome(Status.FAULT_DECLARED, "fault_declared", HALF),
+    )
 
 
 class LossTest:
@@ -106,10 +117,11 @@ class LossTest:
     def verdict(self, found: Conditioned, measurement: Measurement, noise: ca.SX) -> Verdict:
         """Judge a sample from its innovation, as ``measurement`` and the noise alone explain it."""
         results: dict[str, ca.SX] = {}
+        count = self._rows()
         with self.script.titled(f"test for a loss: {self.options.detector}"):
             match self.options.detector:
                 case "nis":
-                    statistic, threshold = found.nis, self._quantile()
+                    statistic, threshold = found.nis, self._quantile(count)
                 case "energy":
                     statistic, threshold, results = self._energy(found)
                 case _:
@@ -125,6 +137,7 @@ class LossTest:
             "fault_declared": declared,
             "test_statistic": statistic,
             "test_threshold": threshold,
+            "test_dof": count,
             "consecutive_rejections": rejections,
         }
         return Verdict(excess, rejections, results)
@@ -140,16 +153,20 @@ class LossTest:
             self.script.put({name: value})
         return symbol
 
-    def _quantile(self) -> ca.SX:
+    def _rows(self) -> ca.SX:
+        """How many rows are present."""
+        count = self.script.local("rows_present", 1, initial=0.0)
+        for i in range(self.spec.model.ny):
+            with self.script.when(i):
+                self.script.put({"rows_present": count + 1})
+        return count
+
+    def _quantile(self, count: ca.SX) -> ca.SX:
         """Chi-square quantile for as many rows as are present."""
-        p = self.spec.model.ny
+        p, script = self.spec.model.ny, self.script
         bounds = [2.0 * float(gammainccinv(HALF * m, self.options.alpha)) for m in range(1, p + 1)]
         if p == 1:
             return ca.SX(bounds[0])
-        script, count = self.script, self.script.local("rows_present", 1, initial=0.0)
-        for i in range(p):
-            with script.when(i):
-                script.put({"rows_present": count + 1})
         quantile = script.local("quantile", 1, initial=bounds[0])
         for m in range(2, p + 1):
             with script.when(None, count - (m - HALF)):
