@@ -13,7 +13,8 @@ from fkgen.closed_form.hypotheses import MultipleModelResult, batch_posterior, t
 from fkgen.closed_form.identities import IDENTITIES, Identity
 from fkgen.closed_form.jump import JumpRecord, JumpSystem, simulate_jumps
 from fkgen.closed_form.jump_paths import JumpResult, enumerate_paths
-from fkgen.closed_form.jump_textbook import composite, textbook_jumps
+from fkgen.closed_form.jump_stationary import stationary_jumps
+from fkgen.closed_form.jump_textbook import SteadyState, composite, textbook_jumps
 from fkgen.closed_form.linear_optimal import (
     LinearOptimalResult,
     linear_optimal,
@@ -64,6 +65,7 @@ __all__ = [
     "MultipleModelResult",
     "OneStepResult",
     "SensorLaw",
+    "SteadyState",
     "TextbookStep",
     "aggregate",
     "batch_lmmse",
@@ -89,6 +91,7 @@ __all__ = [
     "simulate",
     "simulate_jumps",
     "simulate_sensor",
+    "stationary_jumps",
     "stationary_prediction",
     "stationary_prediction_by_control",
     "textbook_imm",

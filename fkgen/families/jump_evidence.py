@@ -11,8 +11,10 @@ from fkgen.closed_form import (
     JumpResult,
     JumpSystem,
     LossTest,
+    SteadyState,
     composite,
     enumerate_paths,
+    stationary_jumps,
     textbook_jumps,
 )
 from fkgen.families.evidence import EXACT, RANK_DEFICIENT
@@ -102,14 +104,30 @@ PATHS = ClosedForm(
 )
 
 
+def unobserved_chain(spec: Spec) -> bool:
+    """Whether gamma is a Markov chain that the filter does not see."""
+    faults = spec.faults.jump
+    if faults is None or spec.filter.detector != "none" or faults.arrival != "unknown":
+        return False
+    return bool(faults.arrival_chain)
+
+
+def steady_state(spec: Spec, system: JumpSystem) -> SteadyState | None:
+    """Where the filter of a spec comes to rest; ``system`` is what it takes the plant for."""
+    chain = unobserved_chain(spec)
+    rate = float(system.arrival_initial[1])
+    return stationary_jumps(composite(system)) if chain else stationary_jumps(system, rate)
+
+
 def _textbook(spec: Spec, record: Record) -> Mapping[str, Array] | None:
-    if spec.filter.gain == "stationary":
-        return None
-    system, faults = jump_system(spec, record), spec.faults.jump
-    chain = faults is not None and faults.arrival_chain and spec.filter.detector == "none"
+    system, chain = jump_system(spec, record), unobserved_chain(spec)
+    steady = steady_state(spec, system) if spec.filter.gain == "stationary" else None
     if chain:
         system = composite(system)
-    result = textbook_jumps(system, record.y, record.u, test=loss_test(spec))
+    if spec.filter.gain == "stationary" and steady is None:
+        return None
+    test = loss_test(spec)
+    result = textbook_jumps(system, record.y, record.u, test=test, steady=steady)
     if chain:
         law = result.mode_law.reshape(len(record.y), 2, -1).sum(axis=1)
         result = replace(result, mode_law=law)

@@ -10,13 +10,16 @@ from fkgen.families.family import Family
 from fkgen.families.jump_evidence import PATHS, TEXTBOOK
 from fkgen.spec import Spec
 from fkgen.symbolic.jump_filter import jump_filter
+from fkgen.symbolic.jump_stationary import stationary_filter
 from fkgen.symbolic.recursion import Recursion
 
 SOURCE = "Costa 1994, sec. III; Costa, Fragoso & Marques 2005, sec. 5.4; Nahi 1969, eq. (13)"
 
 
 def build(spec: Spec) -> Recursion:
-    """Build the filter."""
+    """Build the filter with the gain of the spec."""
+    if spec.filter.gain == "stationary":
+        return stationary_filter(spec, SOURCE)
     return jump_filter(spec, SOURCE)
 
 

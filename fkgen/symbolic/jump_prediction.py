@@ -88,7 +88,7 @@ def predict_split(split: Jumping, symbols: dict[str, ca.SX]) -> Phase:
         ]
         second, first = later_moments(split, moved, noise)
         if split.restarts and not split.ones:
-            first = moved_means(split, plants, now.first)
+            first = moved_means(split, plants, now.first, now.law)
         results = {"predicted_mode_second_moment": ca.vertcat(*second)}
         if split.means:
             results["predicted_mode_first_moment"] = ca.vertcat(*first)
@@ -113,9 +113,11 @@ def predict_split(split: Jumping, symbols: dict[str, ca.SX]) -> Phase:
     return script.phase()
 
 
-def moved_means(split: Jumping, plants: tuple[Plant, ...], means: tuple[ca.SX, ...]) -> list[ca.SX]:
-    """E[x 1{mode}] one sample later, where nothing is added to the state."""
-    each = [plant.A @ mean for plant, mean in zip(plants, means, strict=True)]
+def moved_means(
+    split: Jumping, plants: tuple[Plant, ...], means: tuple[ca.SX, ...], law: ca.SX
+) -> list[ca.SX]:
+    """E[x 1{mode}] one sample later, without inputs."""
+    each = [plant.A @ means[i] + law[i] * plant.c for i, plant in enumerate(plants)]
     mixed = ca.SX(ca.DM(split.kernel)).T @ ca.horzcat(*each).T
     return [ca.densify(mixed[j, :].T) for j in range(split.modes)]
 
