@@ -7,10 +7,11 @@ alone.
 
 from fkgen.closed_form.batch import BatchResult, Joint, batch_lmmse, joint_distribution
 from fkgen.closed_form.draw import draw_record, informed
-from fkgen.closed_form.enumeration import EnumerationResult, enumerate_modes
+from fkgen.closed_form.enumeration import EnumerationResult, enumerate_jumps, enumerate_modes
 from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
 from fkgen.closed_form.hypotheses import MultipleModelResult, batch_posterior, textbook_mme
 from fkgen.closed_form.identities import IDENTITIES, Identity
+from fkgen.closed_form.interacting import InteractingResult, interacting, textbook_imm
 from fkgen.closed_form.linear_optimal import (
     LinearOptimalResult,
     linear_optimal,
@@ -32,12 +33,7 @@ from fkgen.closed_form.sensor import (
     nominal_share,
     simulate_sensor,
 )
-from fkgen.closed_form.switching import (
-    InteractingResult,
-    OneStepResult,
-    textbook_imm,
-    textbook_one_step,
-)
+from fkgen.closed_form.switching import OneStepResult, textbook_one_step
 from fkgen.closed_form.system import LinearSystem, draw_gamma, simulate
 from fkgen.closed_form.textbook import TextbookStep, log_likelihood, textbook_step
 from fkgen.closed_form.uncertain import batch_uncertain, joint_moments
@@ -65,9 +61,11 @@ __all__ = [
     "draw_gamma",
     "draw_modes",
     "draw_record",
+    "enumerate_jumps",
     "enumerate_modes",
     "gamma_delta",
     "informed",
+    "interacting",
     "is_lumpable",
     "joint_distribution",
     "joint_moments",

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 
 from fkgen.errors import InternalError
-from fkgen.spec import JumpFaults, Spec
+from fkgen.spec import JumpFaults, Matrix, Spec
 from fkgen.spec.covariance import is_singular
 from fkgen.symbolic.plant import Plant, lift, plant_of
 
@@ -40,15 +40,20 @@ def jump_faults_of(spec: Spec) -> JumpFaults:
 
 
 def jump_modes_of(spec: Spec) -> JumpModes:
-    """Lift the modes of a spec to CasADi; they share the symbols of the parameters."""
+    """Lift the modes of a spec to CasADi; they share the symbols of the parameters.
+
+    Matrices that modes have in common are the same object.
+    """
     base, faults = plant_of(spec), jump_faults_of(spec)
+    known: dict[tuple[str, Matrix], ca.SX] = {}
     plants = []
     for mode in faults.modes:
-        lifted: dict[str, Any] = {
-            letter: lift(getattr(mode, letter), base.parameters)
-            for letter in ("A", "B", "C", "D", "Q", "R")
-        }
+        lifted: dict[str, Any] = {}
+        for letter in ("A", "B", "C", "D", "Q", "R", "c"):
+            key = letter, getattr(mode, letter)
+            if key not in known:
+                known[key] = lift(key[1], base.parameters)
+            lifted[letter] = known[key]
         exact = mode.R.is_constant and is_singular(mode.R.values())
         plants.append(replace(base, noise_free=exact, **lifted))
-    offsets = [lift(mode.c, base.parameters) for mode in faults.modes]
-    return JumpModes(base, tuple(plants), tuple(offsets))
+    return JumpModes(base, tuple(plants), tuple(plant.c for plant in plants))
