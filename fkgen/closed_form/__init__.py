@@ -11,7 +11,14 @@ from fkgen.closed_form.enumeration import EnumerationResult, enumerate_jumps, en
 from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
 from fkgen.closed_form.hypotheses import MultipleModelResult, batch_posterior, textbook_mme
 from fkgen.closed_form.identities import IDENTITIES, Identity
-from fkgen.closed_form.interacting import InteractingResult, interacting, textbook_imm
+from fkgen.closed_form.interacting import (
+    InteractingResult,
+    Lumping,
+    interacting,
+    silent_lumped,
+    textbook_imm,
+)
+from fkgen.closed_form.jump import JumpSystem, simulate_jumps
 from fkgen.closed_form.linear_optimal import (
     LinearOptimalResult,
     linear_optimal,
@@ -31,6 +38,7 @@ from fkgen.closed_form.sensor import (
     is_lumpable,
     mode_plant,
     nominal_share,
+    sensed_modes,
     simulate_sensor,
 )
 from fkgen.closed_form.switching import OneStepResult, textbook_one_step
@@ -47,8 +55,10 @@ __all__ = [
     "Identity",
     "InteractingResult",
     "Joint",
+    "JumpSystem",
     "LinearOptimalResult",
     "LinearSystem",
+    "Lumping",
     "MultipleModelResult",
     "OneStepResult",
     "SensorLaw",
@@ -74,7 +84,10 @@ __all__ = [
     "mode_plant",
     "nominal_share",
     "satisfies_lemma_2",
+    "sensed_modes",
+    "silent_lumped",
     "simulate",
+    "simulate_jumps",
     "simulate_sensor",
     "stationary_prediction",
     "stationary_prediction_by_control",

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fkgen.closed_form.gaussian import Array
+from fkgen.closed_form.jump import JumpSystem, simulate_jumps
 from fkgen.closed_form.sensor import SensorLaw, gamma_delta, simulate_sensor
 from fkgen.closed_form.system import LinearSystem, simulate
 from fkgen.spec import SensorFaults, Spec
@@ -39,6 +40,8 @@ def draw_record(
         Those given, with the indicators of the faults for a family that is told them.
     """
     T, faults = len(u), spec.faults.sensor
+    if spec.faults.jump is not None:
+        return simulate_jumps(JumpSystem.from_spec(spec, T, parameters), u, rng).y, {**parameters}
     if faults is None:
         hypotheses = spec.filter.hypotheses
         rates = hypotheses[0] if hypotheses else None

@@ -139,13 +139,16 @@ def textbook_imm(
     -------
     InteractingResult
     """
-    conditions, u = sensed_modes(system, law), system.inputs(u)
-    if modes == 4:
-        return interacting(conditions, y, u)
+    lumping = silent_lumped(law) if modes == 3 else None
+    return interacting(sensed_modes(system, law), y, system.inputs(u), lumping)
+
+
+def silent_lumped(law: SensorLaw) -> Lumping:
+    """Three modes of a sensor: (1, 1), (1, C), and gamma = 0 with delta as if drawn anew."""
     kernel, initial = aggregate(law)
     shares = np.eye(3, 4)
     shares[2, 2:] = nominal_share(law), 1.0 - nominal_share(law)
-    return interacting(conditions, y, u, Lumping(shares=shares, kernel=kernel, initial=initial))
+    return Lumping(shares=shares, kernel=kernel, initial=initial)
 
 
 def _seen(

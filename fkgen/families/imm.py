@@ -1,7 +1,8 @@
-"""Interacting multiple models over the conditions of the sensor.
+"""Interacting multiple models over the conditions of a sensor, or over modes of the plant.
 
-Sigalov & Oshman, sec. IV (Blom & Bar-Shalom 1988): one estimate per mode; before each sample the
-estimates are mixed by what the chain says about the mode before, eqs. (17), (18).
+Blom & Bar-Shalom 1988; for sensors Sigalov & Oshman, sec. IV: one estimate per mode; before each
+sample the estimates are mixed by what the chain says about the mode before, eqs. (17), (18). The
+mode of sample k drives the step into x[k], and y[k].
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ from fkgen.symbolic.switching import Switching
 from fkgen.symbolic.switching_modes import mean_noise, move_alike
 from fkgen.symbolic.weights import TINY
 
+#: Timing of the modes where they move the state.
+JUMPING = "the mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k)"
+
 
 def build(spec: Spec) -> Recursion:
     """Build the filter: a correction per mode, Bayes' rule, mixing, a prediction per mode."""
@@ -44,14 +48,21 @@ def build(spec: Spec) -> Recursion:
     initial = filtering.start()
     initial |= {f"mode_{of}state": x0 * count for of in ("", "filtered_")}
     initial |= {f"mode_{of}covariance": packed * count for of in ("", "filtered_")}
+    jumps = spec.faults.jump is not None
     return Recursion(
         spec=spec,
-        source="Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)",
+        source="Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
+        if jumps
+        else "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)",
         ports=filtering.ports,
         initial=initial,
         update=_update(filtering, count),
         predict=_predict(filtering),
-        notes=(f"covariance update: {filtering.form} form", filtering.modes.note),
+        notes=(
+            f"covariance update: {filtering.form} form",
+            filtering.modes.note,
+            *((JUMPING,) if jumps else ()),
+        ),
     )
 
 
@@ -187,7 +198,7 @@ def _combined(
 
 FAMILY = Family(
     name="imm",
-    title="sensors that lose their signal or gain noise: interacting multiple models",
+    title="modes of the sensor or of the plant that last: interacting multiple models",
     build=build,
     closed_forms=(IMM, ENUMERATION),
     caveats=three_modes,

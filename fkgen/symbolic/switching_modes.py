@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from fkgen.errors import InternalError
-from fkgen.spec import JumpFaults, SensorFaults, Spec
+from fkgen.spec import JumpFaults, JumpMode, Matrix, Model, SensorFaults, Spec
 from fkgen.spec.lumping import merged
 from fkgen.symbolic.markov import Kernel
 from fkgen.symbolic.modes import jump_modes_of
@@ -96,17 +96,26 @@ def plants_of(spec: Spec) -> tuple[Plant, ...]:
 def modes_of(spec: Spec, plants: Sequence[Plant]) -> Modes:
     """The modes that a spec states, made of `plants_of` it or of the same with named entries."""
     if spec.faults.jump is not None:
-        return _jumping(plants, spec.faults.jump)
+        return _jumping(plants, spec.faults.jump, spec.model)
     if spec.faults.sensor is None:
         raise InternalError(f"{spec.filter.family} without modes")
     return _sensing(plants[0], spec.faults.sensor, spec.filter.modes)
 
 
-def _jumping(plants: Sequence[Plant], faults: JumpFaults) -> Modes:
+def _jumping(plants: Sequence[Plant], faults: JumpFaults, model: Model) -> Modes:
     """Every mode is a plant of its own."""
-    names = [f"faults.jump.modes[{i}]" for i in range(len(plants))]
-    variants = tuple((Variant(name, 1.0, each),) for name, each in zip(names, plants, strict=True))
+    variants = tuple(
+        (Variant(_title(mode, model), 1.0, plant),)
+        for mode, plant in zip(faults.modes, plants, strict=True)
+    )
     return Modes(variants, faults.transition, faults.initial, entangled=False)
+
+
+def _title(mode: JumpMode, model: Model) -> str:
+    """What tells a mode from the model."""
+    own = [letter for letter in "ABCDQR" if getattr(mode, letter) != getattr(model, letter)]
+    own += ["c"] if mode.c != Matrix.zeros(model.nx, 1) else []
+    return "with its own " + ", ".join(own) if own else "the model"
 
 
 def _sensing(plant: Plant, faults: SensorFaults, count: int) -> Modes:
