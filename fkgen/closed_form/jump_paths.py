@@ -229,7 +229,7 @@ def _arrival_moments(system: JumpSystem) -> tuple[Array, Array]:
 
 
 def _received(signal: Array, mean: Array, root: Array, noise: Array) -> tuple[Array, int]:
-    """Measurements gamma s + v: what varies in gamma times the signal is orthogonal to the signal."""
+    """Measurements gamma s + v: gamma less its mean, times s, is orthogonal to s."""
     T, p, width = signal.shape
     e = root.shape[1]
     y = np.zeros((T, p, width * (1 + e) + T * p))
