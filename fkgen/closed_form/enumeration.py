@@ -118,10 +118,8 @@ def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult
     Given a history the plant is linear and Gaussian, so its Kalman filter is exact, and the
     posterior is the mixture of the filters weighted with prior probability times evidence.
     """
+    _refuse_long(system)
     T, N = system.length, system.count
-    if N**T > MOST_HISTORIES:
-        longest = next(t for t in range(T, 0, -1) if N**t <= MOST_HISTORIES)
-        raise DataError("y", given=f"{T} samples", expected=f"at most {longest}")
     histories = _branches(0.0, system.initial, [(system.x0, system.P0)] * N)
     rows = []
     for k in range(T):
@@ -129,12 +127,12 @@ def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult
         expected = _expected(histories, plants, u[k])
         histories = [_filtered(h, plants[h.mode], y[k], u[k]) for h in histories]
         histories, log_likelihood = _normalised(histories)
-        row = _moments(histories, N)
+        now = _moments(histories, N)
         histories = _successors(system, k, u[k], histories)
         ahead = _moments(histories, N)
         rows.append(
-            {
-                **row,
+            now
+            | {
                 "predicted_state": ahead["filtered_state"],
                 "predicted_covariance": ahead["filtered_covariance"],
                 "innovation": y[k] - expected[0],
@@ -144,6 +142,13 @@ def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult
             }
         )
     return EnumerationResult(**{name: np.array([row[name] for row in rows]) for name in rows[0]})
+
+
+def _refuse_long(system: JumpSystem) -> None:
+    T, N = system.length, system.count
+    if N**T > MOST_HISTORIES:
+        longest = next(t for t in range(T, 0, -1) if N**t <= MOST_HISTORIES)
+        raise DataError("y", given=f"{T} samples", expected=f"at most {longest}")
 
 
 def _branches(log_weight: float, law: Array, moments: list[tuple[Array, Array]]) -> list[_History]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -181,7 +182,7 @@ def bound(script: Script, plant: Plant, letters: str) -> Plant:
 
 def bound_all(script: Script, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
     """The same for several plants; a matrix that is the same object in some is named once."""
-    named: dict[int, ca.SX] = {}
+    named: dict[int, Any] = {}
     for letter in letters:
         own = {id(matrix): matrix for matrix in (getattr(plant, letter) for plant in plants)}
         named |= zip(own, script.name_all(letter, [*own.values()]), strict=True)
