@@ -18,12 +18,16 @@ from fkgen.closed_form.interacting import (
     silent_lumped,
     textbook_imm,
 )
-from fkgen.closed_form.jump import JumpSystem, simulate_jumps
+from fkgen.closed_form.jump import JumpRecord, JumpSystem, simulate_jumps
+from fkgen.closed_form.jump_paths import JumpResult, enumerate_paths
+from fkgen.closed_form.jump_stationary import stationary_jumps
+from fkgen.closed_form.jump_textbook import SteadyState, composite, textbook_jumps
 from fkgen.closed_form.linear_optimal import (
     LinearOptimalResult,
     linear_optimal,
     true_covariance,
 )
+from fkgen.closed_form.loss_tests import LossTest
 from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
 from fkgen.closed_form.riccati import (
     constant_input_noise,
@@ -55,24 +59,30 @@ __all__ = [
     "Identity",
     "InteractingResult",
     "Joint",
+    "JumpRecord",
+    "JumpResult",
     "JumpSystem",
     "LinearOptimalResult",
     "LinearSystem",
+    "LossTest",
     "Lumping",
     "MultipleModelResult",
     "OneStepResult",
     "SensorLaw",
+    "SteadyState",
     "TextbookStep",
     "aggregate",
     "batch_lmmse",
     "batch_posterior",
     "batch_uncertain",
+    "composite",
     "constant_input_noise",
     "draw_gamma",
     "draw_modes",
     "draw_record",
     "enumerate_jumps",
     "enumerate_modes",
+    "enumerate_paths",
     "gamma_delta",
     "informed",
     "interacting",
@@ -89,9 +99,11 @@ __all__ = [
     "simulate",
     "simulate_jumps",
     "simulate_sensor",
+    "stationary_jumps",
     "stationary_prediction",
     "stationary_prediction_by_control",
     "textbook_imm",
+    "textbook_jumps",
     "textbook_mme",
     "textbook_one_step",
     "textbook_step",

@@ -41,7 +41,7 @@ def draw_record(
     """
     T, faults = len(u), spec.faults.sensor
     if spec.faults.jump is not None:
-        return simulate_jumps(JumpSystem.from_spec(spec, T, parameters), u, rng).y, {**parameters}
+        return _jump_record(spec, parameters, u, rng), {**parameters}
     if faults is None:
         hypotheses = spec.filter.hypotheses
         rates = hypotheses[0] if hypotheses else None
@@ -51,6 +51,16 @@ def draw_record(
     gamma, delta = gamma_delta(law, modes)
     told = {"gamma": gamma, "delta": delta} if spec.filter.family == "genie" else {}
     return y, {**parameters, **told}
+
+
+def _jump_record(
+    spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
+) -> Array:
+    """Measurements of a jumping plant; what was lost is NaN for a filter that knows it."""
+    record = simulate_jumps(JumpSystem.from_spec(spec, len(u), parameters), u, rng)
+    if spec.faults.jump is not None and spec.faults.jump.arrival == "known":
+        record.y[~record.arrived] = np.nan
+    return record.y
 
 
 def informed(

@@ -37,8 +37,9 @@ class JumpResult:
         Of the finite rows; 0 if there are none.
     mode_law : (T, N) ndarray
         Unconditional law of mode[k].
-    fault_declared, test_statistic, test_threshold, consecutive_rejections : (T,) ndarray
+    fault_declared, test_statistic, test_threshold, test_dof : (T,) ndarray
         Of the test for losses; zeros without one, and where there is no row.
+    consecutive_rejections : (T,) ndarray
     """
 
     filtered_state: Array
@@ -53,6 +54,7 @@ class JumpResult:
     fault_declared: Array
     test_statistic: Array
     test_threshold: Array
+    test_dof: Array
     consecutive_rejections: Array
 
     @classmethod
@@ -68,6 +70,7 @@ class JumpResult:
             innovation_covariance=np.empty((T, p, p)),
             mode_law=mode_law,
             consecutive_rejections=np.zeros(T),
+            test_dof=np.zeros(T),
             **{name: np.zeros(T) for name in scalars},
         )
 
@@ -118,7 +121,7 @@ def enumerate_paths(
             )
             fault = statistic > threshold
             result.test_statistic[k], result.test_threshold[k] = statistic, threshold
-            result.fault_declared[k] = fault
+            result.fault_declared[k], result.test_dof[k] = fault, rows.size
             if fault:
                 used[k] = np.nan
             if runs.restarts(fault=fault):

@@ -117,6 +117,47 @@ def diagonal_blocks(matrix: Array, N: int) -> Array:
     return blocks
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SteadyState:
+    """A filter whose covariances have come to rest.
+
+    Attributes
+    ----------
+    split : Split
+        The split plant with stationary moments.
+    covariance : (M, M) ndarray
+        Error covariance of z(k|k-1).
+    innovation_covariance : (p, p) ndarray
+    gain : (M, p) ndarray
+        From the innovation to the correction.
+    closed_loop_radius : float
+        Spectral radius of the error from sample to sample.
+    """
+
+    split: Split
+    covariance: Array
+    innovation_covariance: Array
+    gain: Array
+    closed_loop_radius: float
+
+    @property
+    def filtered(self) -> Array:
+        """Error covariance of z(k|k)."""
+        filtered: Array = self.covariance - self.gain @ self.innovation_covariance @ self.gain.T
+        return filtered
+
+    @property
+    def expected_squares(self) -> tuple[float, float]:
+        """E |r|^2 with a signal, J1, and without one, J0, of a filter that trusts a signal."""
+        predicted = self.split.L @ self.covariance @ self.split.L.T
+        J1 = float(np.trace(predicted + self.split.R))
+        return J1, float(np.trace(self.split.R + self.split.signal - predicted))
+
+    def at(self, split: Split) -> Split:
+        """The plant of a sample, with the stationary moments."""
+        return replace(self.split, F=split.F, L=split.L)
+
+
 @dataclass(slots=True)
 class _Memory:
     """What is carried from sample to sample."""
@@ -134,7 +175,7 @@ def textbook_jumps(
     u: Array,
     *,
     test: LossTest | None = None,
-    gain: Array | None = None,
+    steady: SteadyState | None = None,
 ) -> JumpResult:
     """Filter a record.
 
@@ -147,8 +188,8 @@ def textbook_jumps(
     test : LossTest, optional
         What it rejects is replaced by its prediction; what it accepts holds a signal. Its options
         say when a lock-out starts the filter again.
-    gain : (M, p) ndarray, optional
-        A constant gain; covariances are then of no meaning.
+    steady : SteadyState, optional
+        Constants in place of all covariances, from sample 0 on.
     """
     T, n, N, p = system.length, system.nx, system.count, system.ny
     rate, laws = float(system.arrival_initial[1]), system.mode_law()
@@ -160,6 +201,8 @@ def textbook_jumps(
         split = split_at(system, u, k, memory.moments, laws[k])
         L, X = rate * split.L, memory.X
         S = L @ X @ L.T + rate * (1.0 - rate) * split.signal + split.R
+        if steady is not None:
+            X, S, split = steady.covariance, steady.innovation_covariance, steady.at(split)
         r = y[k] - L @ memory.z
         result.innovation[k], result.innovation_covariance[k] = r, S
         rows = np.flatnonzero(np.isfinite(y[k]))
@@ -167,13 +210,15 @@ def textbook_jumps(
         restart = _judged(result, k, (y[k], split.R), memory, test)
         accepted = rows[:0] if result.fault_declared[k] else rows
         inverse = np.linalg.pinv(S[np.ix_(accepted, accepted)], rcond=1e-13, hermitian=True)
-        K = X @ L[accepted].T @ inverse if gain is None else gain[:, accepted]
+        K = X @ L[accepted].T @ inverse if steady is None else steady.gain[:, accepted]
         z, X = memory.z + K @ r[accepted], X - K @ L[accepted] @ X
         if restart:
             z = memory.q
             X = split.now - np.outer(z, z)
-        result.filtered_state[k], result.filtered_covariance[k] = E @ z, E @ X @ E.T
         memory.z, memory.X = split.F @ z, split.F @ X @ split.F.T + split.noise
+        if steady is not None:
+            X, memory.X = steady.filtered, steady.covariance
+        result.filtered_state[k], result.filtered_covariance[k] = E @ z, E @ X @ E.T
         memory.q, memory.moments = split.F @ memory.q, diagonal_blocks(split.moved, N)
         result.predicted_state[k] = E @ memory.z
         result.predicted_covariance[k] = E @ memory.X @ E.T
@@ -205,7 +250,7 @@ def _judged(
         S = result.innovation_covariance[k][chosen]
         found = test.judge(y[rows], result.innovation[k][rows], S, R[chosen])
         result.test_statistic[k], result.test_threshold[k] = found
-        result.fault_declared[k] = found[0] > found[1]
+        result.fault_declared[k], result.test_dof[k] = found[0] > found[1], rows.size
         locked = options.reinitialise and memory.run >= options.lock_out
         memory.run = 0 if locked else memory.run
         memory.run = memory.run + 1 if result.fault_declared[k] else 0
