@@ -76,6 +76,7 @@ def lower(recursion: sym.Recursion) -> CProgram:
             sample_time=model.sample_time,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
             ports=recursion.ports,
+            outcomes=recursion.outcomes,
             initial=tuple(sorted(recursion.initial.items())),
             update=_lower_phase(recursion, recursion.update),
             predict=_lower_phase(recursion, recursion.predict),

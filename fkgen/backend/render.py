@@ -106,7 +106,8 @@ def _context(program: CProgram) -> dict[str, object]:
         "signal_groups": _signal_groups(program),
         "cost": cost(program),
         "scalars": sum(port.size for port in program.ports),
-        "statuses": tuple(Status),
+        "statuses": program.statuses,
+        "positive": [c.status(status) for status in program.statuses if status.value >= 0],
         "null": Status.NULL_POINTER,
         "bad_input": Status.INPUT_NOT_FINITE,
         "mismatch": Status.SELFTEST_FAILED,
@@ -208,7 +209,7 @@ def _functions(c: Printer) -> list[_Function]:
     moved_next = f"{predict}({', '.join(['&next', *second, '&next'])})"
     any_row = " | ".join(f"present[{i}]" for i in range(c.words)) if c.words > 1 else "present"
     ok, skipped = c.status(Status.OK), c.status(Status.SKIPPED)
-    outcome = f"(({any_row}) != 0u) ? {ok} : {skipped}"
+    outcome = f"(({any_row}) != 0u) ? {c.outcome} : {skipped}"
     return [
         _Function("update", (correct,), True, False, _any_null(measured), outcome),  # noqa: FBT003
         _Function("predict", (moved,), False, False, _any_null(pointers), ok),  # noqa: FBT003
@@ -284,7 +285,7 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
             {"name": p.name, "shape": list(p.shape), "symmetric": p.symmetric, "meaning": p.meaning}
             for p in program.ports
         ],
-        "statuses": {status.name: status.value for status in Status},
+        "statuses": {status.name: status.value for status in program.statuses},
     }
 
 

@@ -7,15 +7,27 @@ alone.
 
 from fkgen.closed_form.batch import BatchResult, Joint, batch_lmmse, joint_distribution
 from fkgen.closed_form.draw import draw_record, informed
-from fkgen.closed_form.enumeration import EnumerationResult, enumerate_modes
+from fkgen.closed_form.enumeration import EnumerationResult, enumerate_jumps, enumerate_modes
 from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
 from fkgen.closed_form.hypotheses import MultipleModelResult, batch_posterior, textbook_mme
 from fkgen.closed_form.identities import IDENTITIES, Identity
+from fkgen.closed_form.interacting import (
+    InteractingResult,
+    Lumping,
+    interacting,
+    silent_lumped,
+    textbook_imm,
+)
+from fkgen.closed_form.jump import JumpRecord, JumpSystem, simulate_jumps
+from fkgen.closed_form.jump_paths import JumpResult, enumerate_paths
+from fkgen.closed_form.jump_stationary import stationary_jumps
+from fkgen.closed_form.jump_textbook import SteadyState, composite, textbook_jumps
 from fkgen.closed_form.linear_optimal import (
     LinearOptimalResult,
     linear_optimal,
     true_covariance,
 )
+from fkgen.closed_form.loss_tests import LossTest
 from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
 from fkgen.closed_form.riccati import (
     constant_input_noise,
@@ -30,14 +42,10 @@ from fkgen.closed_form.sensor import (
     is_lumpable,
     mode_plant,
     nominal_share,
+    sensed_modes,
     simulate_sensor,
 )
-from fkgen.closed_form.switching import (
-    InteractingResult,
-    OneStepResult,
-    textbook_imm,
-    textbook_one_step,
-)
+from fkgen.closed_form.switching import OneStepResult, textbook_one_step
 from fkgen.closed_form.system import LinearSystem, draw_gamma, simulate
 from fkgen.closed_form.textbook import TextbookStep, log_likelihood, textbook_step
 from fkgen.closed_form.uncertain import batch_uncertain, joint_moments
@@ -51,23 +59,33 @@ __all__ = [
     "Identity",
     "InteractingResult",
     "Joint",
+    "JumpRecord",
+    "JumpResult",
+    "JumpSystem",
     "LinearOptimalResult",
     "LinearSystem",
+    "LossTest",
+    "Lumping",
     "MultipleModelResult",
     "OneStepResult",
     "SensorLaw",
+    "SteadyState",
     "TextbookStep",
     "aggregate",
     "batch_lmmse",
     "batch_posterior",
     "batch_uncertain",
+    "composite",
     "constant_input_noise",
     "draw_gamma",
     "draw_modes",
     "draw_record",
+    "enumerate_jumps",
     "enumerate_modes",
+    "enumerate_paths",
     "gamma_delta",
     "informed",
+    "interacting",
     "is_lumpable",
     "joint_distribution",
     "joint_moments",
@@ -76,11 +94,16 @@ __all__ = [
     "mode_plant",
     "nominal_share",
     "satisfies_lemma_2",
+    "sensed_modes",
+    "silent_lumped",
     "simulate",
+    "simulate_jumps",
     "simulate_sensor",
+    "stationary_jumps",
     "stationary_prediction",
     "stationary_prediction_by_control",
     "textbook_imm",
+    "textbook_jumps",
     "textbook_mme",
     "textbook_one_step",
     "textbook_step",
