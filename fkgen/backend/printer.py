@@ -71,6 +71,15 @@ class Printer:
             text = np.format_float_positional(number, trim="0", unique=True)
         return text if self.real == "double" else text + "f"
 
+    @property
+    def outcome(self) -> str:
+        """Status of a sample with a row: that of the first outcome that applies."""
+        text = self.status(Status.OK)
+        for outcome in reversed(self.program.outcomes):
+            above = f"self->{outcome.port} > {self.literal(outcome.level)}"
+            text = f"(({above}) ? {self.status(outcome.status)} : {text})"
+        return text
+
     def word(self, value: int) -> str:
         """An integer constant as wide as the scalar type."""
         return f"UINT64_C({value:#x})" if self.real == "double" else f"UINT32_C({value:#x})"

@@ -17,6 +17,7 @@ from fkgen.symbolic.conditioning import Conditioned, condition
 from fkgen.symbolic.decorrelation import Measurement
 from fkgen.symbolic.interface import Outcome, Port, Role, Status
 from fkgen.symbolic.jump_moments import total
+from fkgen.symbolic.linalg import column
 from fkgen.symbolic.script import Script
 from fkgen.symbolic.weights import LOG_ZERO
 
@@ -133,6 +134,8 @@ class LossTest:
             with self.script.when(None, excess):
                 self.script.put({"declared": ca.SX(1)})
             rejections = self._count(excess)
+            if "energy_window" in results and self.options.reinitialise:
+                results = self._forgotten(results, ca.fmin(self.locked(rejections), excess))
         results |= {
             "fault_declared": declared,
             "test_statistic": statistic,
@@ -195,9 +198,17 @@ class LossTest:
         held = script.local("energies_held", window)
         script.put({"energies_held": ca.vertcat(past, count)})
         with script.when(None):
-            moved = ca.vertcat(energy, past[: window - 2], ca.fmin(count + 1, window - 1))
-            script.put({"energies_held": moved})
+            older = [past[i] for i in range(window - 2)]
+            script.put({"energies_held": column([energy, *older, ca.fmin(count + 1, window - 1)])})
         return mean, threshold, {"energy_window": held[:-1], "energy_count": held[-1]}
+
+    def _forgotten(self, results: dict[str, ca.SX], restarted: ca.SX) -> dict[str, ca.SX]:
+        """An empty window after a new start."""
+        held = self.script.local("energies_kept", self.options.window)
+        self.script.put({"energies_kept": ca.vertcat(*results.values())})
+        with self.script.when(None, restarted):
+            self.script.put({"energies_kept": ca.SX.zeros(self.options.window)})
+        return dict(zip(results, (held[:-1], held[-1]), strict=True))
 
     def _log_odds(self, found: Conditioned, measurement: Measurement, noise: ca.SX) -> ca.SX:
         """Log of the odds of a loss: both hypotheses are tested, noise alone and signal."""
