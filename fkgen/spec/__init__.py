@@ -12,6 +12,7 @@ from fkgen.spec.model import Model
 from fkgen.spec.reader import load
 from fkgen.spec.sensor_faults import Moments, SensorFaults
 from fkgen.spec.signals import Signal
+from fkgen.spec.soft_faults import SoftFaults
 
 __all__ = [
     "ActuatorFaults",
@@ -30,6 +31,7 @@ __all__ = [
     "Parameter",
     "SensorFaults",
     "Signal",
+    "SoftFaults",
     "Spec",
     "evaluate",
     "load",

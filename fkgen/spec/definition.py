@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from fkgen.spec.code_options import Code, read_code
 from fkgen.spec.covariance import is_singular
 from fkgen.spec.faults import Faults, read_faults
-from fkgen.spec.filter import Filter, filter_section, read_filter
+from fkgen.spec.filter import Filter, filter_section
+from fkgen.spec.filter_options import read_filter
 from fkgen.spec.jump_filter import check_jumps
 from fkgen.spec.linear_optimal import check_linear_filter
 from fkgen.spec.magnitude import check_magnitudes

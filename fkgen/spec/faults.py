@@ -11,6 +11,7 @@ from fkgen.spec.model import Model
 from fkgen.spec.place import Place
 from fkgen.spec.section import Section
 from fkgen.spec.sensor_faults import SensorFaults, read_sensor_faults
+from fkgen.spec.soft_faults import SoftFaults, read_soft_faults
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,15 +26,23 @@ class Faults:
         Sensors that lose their signal or gain noise, if any.
     jump : JumpFaults or None
         Modes between which the plant jumps, and samples that are lost, if any.
+    soft : SoftFaults or None
+        Sensors that drift slowly, if any.
     """
 
     actuator: ActuatorFaults | None = None
     sensor: SensorFaults | None = None
     jump: JumpFaults | None = None
+    soft: SoftFaults | None = None
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        sections = {"actuator": self.actuator, "sensor": self.sensor, "jump": self.jump}
+        sections = {
+            "actuator": self.actuator,
+            "sensor": self.sensor,
+            "jump": self.jump,
+            "soft": self.soft,
+        }
         return {name: faults.plain() for name, faults in sections.items() if faults is not None}
 
 
@@ -45,6 +54,7 @@ SECTIONS: dict[str, tuple[str, ...]] = {
     "imm": ("sensor", "jump"),
     "genie": ("sensor",),
     "mjls_lmmse": ("jump",),
+    **dict.fromkeys(("compression_full", "dfcf", "cpcf"), ("soft",)),
 }
 
 
@@ -72,7 +82,7 @@ def read_faults(
         If a section is missing, unknown or of no use to the family, or a rate or a law is
         impossible.
     """
-    section = Section(table, place, known=("actuator", "sensor", "jump"), later=("soft",))
+    section = Section(table, place, known=("actuator", "sensor", "jump", "soft"))
     own = SECTIONS.get(family, ())
     for kind in section.table:
         if kind not in own:
@@ -88,6 +98,8 @@ def read_faults(
         return Faults(sensor=read_sensor_faults(given, where, model.outputs, family))
     if kind == "jump":
         return Faults(jump=read_jump_faults(given, where, defaults, family=family, model=model))
+    if kind == "soft":
+        return Faults(soft=read_soft_faults(given, where, defaults, family, model))
     return Faults(read_actuator_faults(given, where, defaults, family=family, inputs=model.nu))
 
 

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
-from fkgen.spec.faults import SECTIONS, Faults
-from fkgen.spec.foreign import plain_list
-from fkgen.spec.jump_faults import JumpFaults
+from fkgen.spec.faults import SECTIONS
 from fkgen.spec.place import Place, show, suggestion
-from fkgen.spec.probability import as_distribution, as_probability
-from fkgen.spec.section import LATER, Section, as_list, as_number
+from fkgen.spec.section import Section
 
 Likelihood = Literal["mixture", "gaussian"]
 CovarianceReading = Literal["moment_matched", "weighted", "paper", "paper_nominal"]
 LinearForm = Literal["lemma2", "augmented"]
 Detector = Literal["none", "llr", "nis", "energy"]
 Gain = Literal["time_varying", "stationary"]
+Maintenance = Literal["optimal", "paper"]
 
 FAMILIES = ("kf", *SECTIONS)
-LATER_FAMILIES = ("compression_full", "dfcf", "cpcf")
-_LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
-_READINGS: tuple[CovarianceReading, ...] = ("moment_matched", "weighted", "paper", "paper_nominal")
-_FORMS: tuple[LinearForm, ...] = ("lemma2", "augmented")
-_DETECTORS: tuple[Detector, ...] = ("none", "llr", "nis", "energy")
-_GAINS: tuple[Gain, ...] = ("time_varying", "stationary")
+LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
+READINGS: tuple[CovarianceReading, ...] = ("moment_matched", "weighted", "paper", "paper_nominal")
+FORMS: tuple[LinearForm, ...] = ("lemma2", "augmented")
+DETECTORS: tuple[Detector, ...] = ("none", "llr", "nis", "energy")
+GAINS: tuple[Gain, ...] = ("time_varying", "stationary")
+MAINTENANCE: tuple[Maintenance, ...] = ("optimal", "paper")
 
 #: Which options a family has, besides ``family``.
 OPTIONS: dict[str, tuple[str, ...]] = {
@@ -37,14 +34,15 @@ OPTIONS: dict[str, tuple[str, ...]] = {
         *("detector", "alpha", "kappa", "window"),
         *("lock_out", "reinitialise", "gain"),
     ),
+    "compression_full": ("test", "reacquire"),
+    "dfcf": ("test", "reacquire"),
+    "cpcf": ("test", "reacquire", "maintenance"),
 }
-_OWNER = {key: family for family, keys in OPTIONS.items() for key in keys}
-_LATER_KEYS = ("maintenance",)
+_KEYS = tuple(dict.fromkeys(key for keys in OPTIONS.values() for key in keys))
 DEFAULT_FLOOR = 1e-6
-LONGEST_WINDOW = 100
 
 #: Options that only some detectors have.
-_OF_DETECTORS: dict[str, tuple[Detector, ...]] = {
+OF_DETECTORS: dict[str, tuple[Detector, ...]] = {
     "alpha": ("nis",),
     "kappa": ("energy",),
     "window": ("energy",),
@@ -92,6 +90,12 @@ class Filter:
         Whether a lock-out starts the filter again from the unconditional moments.
     gain : str
         ``mjls_lmmse``: ``"time_varying"`` or ``"stationary"``.
+    test : bool
+        Compression filters: False reports the statistic and rejects nothing.
+    reacquire : int or None
+        Compression filters: rejections in a row after which the host is inflated; None: never.
+    maintenance : str
+        ``cpcf``: ``"optimal"`` or ``"paper"`` (44).
     """
 
     family: str
@@ -109,13 +113,16 @@ class Filter:
     lock_out: int = 10
     reinitialise: bool = False
     gain: Gain = "time_varying"
+    test: bool = True
+    reacquire: int | None = None
+    maintenance: Maintenance = "optimal"
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"family": self.family}
         for key in OPTIONS.get(self.family, ()):
             value = getattr(self, key)
-            if key in _OF_DETECTORS and self.detector not in _OF_DETECTORS[key]:
+            if value is None or (key in OF_DETECTORS and self.detector not in OF_DETECTORS[key]):
                 continue
             table[key] = _listed(value) if isinstance(value, tuple) else value
         return table
@@ -133,161 +140,17 @@ def filter_section(table: object, place: Place) -> Section:
     SpecError
         If the family is missing or unknown, or a key is unknown or belongs to another family.
     """
-    section = Section(table, place, known=("family", *_OWNER), later=_LATER_KEYS)
+    section = Section(table, place, known=("family", *_KEYS))
     expected = f"one of {', '.join(FAMILIES)}"
     family = section.require("family", expected)
     where = place.entry("family")
-    if isinstance(family, str) and family in LATER_FAMILIES:
-        raise where.error(show(family), f"{expected}; {family} {LATER}")
     if not isinstance(family, str) or family not in FAMILIES:
-        hint = suggestion(family, FAMILIES + LATER_FAMILIES) if isinstance(family, str) else ""
+        hint = suggestion(family, FAMILIES) if isinstance(family, str) else ""
         raise where.error(show(family), expected + hint)
-    for key, owner in _OWNER.items():
-        if family != owner and key in section:
-            raise place.entry(key).error(
-                f"{key} for the family {family}", f"{key} only for the family {owner}"
-            )
+    for key in _KEYS:
+        owners = [name for name, keys in OPTIONS.items() if key in keys]
+        if family not in owners and key in section:
+            able = f"the family {owners[0]}" if len(owners) == 1 else ", ".join(owners)
+            given = f"{key} for the family {family}"
+            raise place.entry(key).error(given, f"{key} only for {able}")
     return section
-
-
-def read_filter(section: Section, faults: Faults, inputs: int) -> Filter:
-    """Return the filter that a section describes.
-
-    Parameters
-    ----------
-    section : Section
-        From `filter_section`.
-    faults : Faults
-        The dependence of actuator faults says how long a hypothesis is.
-    inputs : int
-        Number of inputs, q.
-
-    Raises
-    ------
-    SpecError
-        If a hypothesis, the prior, the floor or an option of a detector is impossible.
-    """
-    family = str(section.table["family"])
-    if family == "mjls_lmmse":
-        return _read_detection(section)
-    if family != "mme":
-        return Filter(
-            family,
-            covariance=section.choice("covariance", _READINGS, "moment_matched"),
-            modes=_modes(section) if faults.jump is None else _jump_modes(section, faults.jump),
-            form=section.choice("form", _FORMS, "lemma2"),
-        )
-    common = faults.actuator is None or faults.actuator.dependence == "common"
-    hypotheses = _hypotheses(section, 1 if common else inputs)
-    return Filter(
-        family,
-        hypotheses=hypotheses,
-        prior=_prior(section, len(hypotheses)),
-        weight_floor=_floor(section, len(hypotheses)),
-        likelihood=section.choice("likelihood", _LIKELIHOODS, "mixture"),
-    )
-
-
-def _hypotheses(section: Section, length: int) -> tuple[tuple[float, ...], ...]:
-    place = section.place.entry("hypotheses")
-    each = "a rate in [0, 1]" if length == 1 else f"a rate in [0, 1] or a list of {length}"
-    expected = f"a list of hypotheses, each {each}"
-    entries = as_list(section.require("hypotheses", expected), place, expected)
-    if not entries:
-        raise place.error("an empty list", "at least one hypothesis")
-    return tuple(
-        _hypothesis(entry, place.item(index), length) for index, entry in enumerate(entries)
-    )
-
-
-def _hypothesis(entry: object, place: Place, length: int) -> tuple[float, ...]:
-    rates = plain_list(entry, place)
-    if not isinstance(rates, list):
-        return (as_probability(entry, place),) * length
-    if len(rates) != length:
-        reason = "the faults are common" if length == 1 else "one per input"
-        raise place.error(f"{len(rates)} rates", f"{length}: {reason}")
-    return tuple(as_probability(rate, place.item(index)) for index, rate in enumerate(rates))
-
-
-def _prior(section: Section, count: int) -> tuple[float, ...]:
-    if "prior" not in section:
-        return (1.0 / count,) * count
-    place = section.place.entry("prior")
-    return as_distribution(section.table["prior"], place, count, "one per hypothesis")
-
-
-def _modes(section: Section) -> int:
-    place = section.place.entry("modes")
-    expected = "4, or 3: the modes without signal are one, with the mixture of their likelihoods"
-    number = as_number(section.table.get("modes", 4), place, expected)
-    if number not in {3.0, 4.0}:
-        raise place.error(show(number), expected)
-    return int(number)
-
-
-def _jump_modes(section: Section, faults: JumpFaults) -> int:
-    """The number of modes of the plant; it may be repeated here."""
-    place, count = section.place.entry("modes"), len(faults.modes)
-    expected = f"{count}, the number of faults.jump.modes, or no such key"
-    if as_number(section.table.get("modes", count), place, expected) != count:
-        raise place.error(show(section.table["modes"]), expected)
-    return count
-
-
-def _floor(section: Section, count: int) -> float:
-    if "weight_floor" not in section:
-        return DEFAULT_FLOOR
-    place = section.place.entry("weight_floor")
-    expected = f"a number in [0, 1/{count}): {count} hypotheses share the probability 1"
-    floor = as_number(section.table["weight_floor"], place, expected)
-    if not 0.0 <= floor < 1.0 / count:
-        raise place.error(show(floor), expected)
-    return floor
-
-
-def _read_detection(section: Section) -> Filter:
-    """Options of ``mjls_lmmse``; ``detector = true`` is the one that is recommended."""
-    if isinstance(section.table.get("detector"), bool):
-        section.table["detector"] = "llr" if section.table["detector"] else "none"
-    detector = section.choice("detector", _DETECTORS, "none")
-    for key, owners in _OF_DETECTORS.items():
-        if key in section and detector not in owners and key != "alpha":
-            raise section.place.entry(key).error(
-                f"{key} with detector = '{detector}'", f"{key} only with {' or '.join(owners)}"
-            )
-    return Filter(
-        "mjls_lmmse",
-        detector=detector,
-        alpha=_positive(section, "alpha", 0.01, below=1.0),
-        kappa=_positive(section, "kappa", 1.0),
-        window=_count(section, "window", 1, LONGEST_WINDOW),
-        lock_out=_count(section, "lock_out", 10, 10**6),
-        reinitialise=_flag(section, "reinitialise"),
-        gain=section.choice("gain", _GAINS, "time_varying"),
-    )
-
-
-def _positive(section: Section, key: str, default: float, below: float = math.inf) -> float:
-    place = section.place.entry(key)
-    expected = "a positive number" if below == math.inf else f"a number in (0, {below:g})"
-    number = as_number(section.table.get(key, default), place, expected)
-    if not 0.0 < number < below:
-        raise place.error(show(number), expected)
-    return number
-
-
-def _count(section: Section, key: str, default: int, largest: int) -> int:
-    place = section.place.entry(key)
-    expected = f"a number of samples, a whole number in 1..{largest}"
-    number = as_number(section.table.get(key, default), place, expected)
-    if number != int(number) or not 1 <= number <= largest:
-        raise place.error(show(section.table[key]), expected)
-    return int(number)
-
-
-def _flag(section: Section, key: str) -> bool:
-    value = section.table.get(key, False)
-    if not isinstance(value, bool):
-        raise section.place.entry(key).error(show(value), "true or false")
-    return value

@@ -22,6 +22,7 @@ class Measurement:
 
     ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out,
     as the pseudo-inverse does. ``pivots_per_log`` pivots may be multiplied before their logarithm.
+    ``at`` says which rows of y these are.
     """
 
     C: ca.SX
@@ -29,6 +30,7 @@ class Measurement:
     R: ca.SX
     y: ca.SX
     rows: tuple[str, ...]
+    at: tuple[int, ...]
     rank_tolerance: float | None
     pivots_per_log: int
 
@@ -69,10 +71,10 @@ def decorrelate(
             continue
         pivot, coupling = R[j, j], {i: R[i, j] for i in later}
         positive = None if tolerance is None else pivot - tolerance * measurement.R[j, j]
-        revision = _Revision(script, j, positive)
+        revision = _Revision(script, measurement.at[j], positive)
         with script.titled(f"noise of {measurement.rows[j]} out of the rows below"):
             if tolerance is None:
-                with script.when(j):
+                with script.when(measurement.at[j]):
                     script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
             for i in later:
                 name = f"{tag}_{j}_{i}"

@@ -30,6 +30,7 @@ class Fold:
 
     script: Script
     rows: list[Row]
+    at: tuple[int, ...]
     tag: str
     form: Form
     variance: ca.SX | None
@@ -64,7 +65,7 @@ class Fold:
             self.weight.append(ca.SX(0))
             self.factor.append(ca.SX.zeros(coupling.numel()))
         else:
-            with script.when(i, self._significant(i, pivot)):
+            with script.when(self.at[i], self._significant(i, pivot)):
                 self._update(i, (cross, coupling, pivot, innovation))
         self.coupling.append(coupling)
         self.pivot.append(pivot)
