@@ -17,6 +17,11 @@ from fkgen.closed_form.linear_optimal import (
     true_covariance,
 )
 from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
+from fkgen.closed_form.partial_compression import (
+    PartialCompression,
+    PartialCompressionResult,
+    partial_compression,
+)
 from fkgen.closed_form.riccati import (
     constant_input_noise,
     stationary_prediction,
@@ -55,6 +60,8 @@ __all__ = [
     "LinearSystem",
     "MultipleModelResult",
     "OneStepResult",
+    "PartialCompression",
+    "PartialCompressionResult",
     "SensorLaw",
     "TextbookStep",
     "aggregate",
@@ -75,6 +82,7 @@ __all__ = [
     "log_likelihood",
     "mode_plant",
     "nominal_share",
+    "partial_compression",
     "satisfies_lemma_2",
     "simulate",
     "simulate_sensor",
