@@ -11,6 +11,7 @@ from fkgen.spec.model import Model
 from fkgen.spec.reader import load
 from fkgen.spec.sensor_faults import Moments, SensorFaults
 from fkgen.spec.signals import Signal
+from fkgen.spec.soft_faults import SoftFaults
 
 __all__ = [
     "ActuatorFaults",
@@ -27,6 +28,7 @@ __all__ = [
     "Parameter",
     "SensorFaults",
     "Signal",
+    "SoftFaults",
     "Spec",
     "evaluate",
     "load",

@@ -10,6 +10,7 @@ from fkgen.spec.model import Model
 from fkgen.spec.place import Place
 from fkgen.spec.section import Section
 from fkgen.spec.sensor_faults import SensorFaults, read_sensor_faults
+from fkgen.spec.soft_faults import SoftFaults, read_soft_faults
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,14 +23,17 @@ class Faults:
         Intermittent actuator faults, if any.
     sensor : SensorFaults or None
         Sensors that lose their signal or gain noise, if any.
+    soft : SoftFaults or None
+        Sensors that drift slowly, if any.
     """
 
     actuator: ActuatorFaults | None = None
     sensor: SensorFaults | None = None
+    soft: SoftFaults | None = None
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        sections = {"actuator": self.actuator, "sensor": self.sensor}
+        sections = {"actuator": self.actuator, "sensor": self.sensor, "soft": self.soft}
         return {name: faults.plain() for name, faults in sections.items() if faults is not None}
 
 
@@ -37,6 +41,7 @@ class Faults:
 SECTIONS = {
     **dict.fromkeys(("mkf", "mme"), "actuator"),
     **dict.fromkeys(("linear_optimal", "one_step", "imm", "genie"), "sensor"),
+    **dict.fromkeys(("compression_full", "dfcf", "cpcf"), "soft"),
 }
 
 
@@ -64,7 +69,7 @@ def read_faults(
         If a section is missing, unknown or of no use to the family, or a rate or a law is
         impossible.
     """
-    section = Section(table, place, known=("actuator", "sensor"), later=("jump", "soft"))
+    section = Section(table, place, known=("actuator", "sensor", "soft"), later=("jump",))
     own = SECTIONS.get(family)
     for kind in section.table:
         if kind != own:
@@ -82,4 +87,6 @@ def read_faults(
     given = section.table.get(own, {})
     if own == "sensor":
         return Faults(sensor=read_sensor_faults(given, where, model.outputs, family))
+    if own == "soft":
+        return Faults(soft=read_soft_faults(given, where, defaults, family, model))
     return Faults(read_actuator_faults(given, where, defaults, family=family, inputs=model.nu))

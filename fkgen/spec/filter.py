@@ -15,12 +15,14 @@ from fkgen.spec.section import LATER, Section, as_list, as_number
 Likelihood = Literal["mixture", "gaussian"]
 CovarianceReading = Literal["moment_matched", "weighted", "paper", "paper_nominal"]
 LinearForm = Literal["lemma2", "augmented"]
+Maintenance = Literal["optimal", "paper"]
 
 FAMILIES = ("kf", *SECTIONS)
-LATER_FAMILIES = ("mjls_lmmse", "compression_full", "dfcf", "cpcf")
+LATER_FAMILIES = ("mjls_lmmse",)
 _LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
 _READINGS: tuple[CovarianceReading, ...] = ("moment_matched", "weighted", "paper", "paper_nominal")
 _FORMS: tuple[LinearForm, ...] = ("lemma2", "augmented")
+_MAINTENANCE: tuple[Maintenance, ...] = ("optimal", "paper")
 
 #: Which options a family has, besides ``family``.
 OPTIONS: dict[str, tuple[str, ...]] = {
@@ -28,10 +30,16 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "one_step": ("covariance",),
     "imm": ("modes",),
     "linear_optimal": ("form",),
+    "compression_full": ("test", "reacquire"),
+    "dfcf": ("test", "reacquire"),
+    "cpcf": ("test", "reacquire", "maintenance"),
 }
-_OWNER = {key: family for family, keys in OPTIONS.items() for key in keys}
-_LATER_KEYS = ("detector", "alpha", "maintenance")
+_KEYS = tuple(dict.fromkeys(key for keys in OPTIONS.values() for key in keys))
+_LATER_KEYS = ("detector", "alpha")
 DEFAULT_FLOOR = 1e-6
+
+#: A float counts exactly up to 2^24.
+MOST_REJECTIONS = 10_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +66,12 @@ class Filter:
         ``imm``: 4, or 3 (without signal, both noise levels are one mode).
     form : str
         ``linear_optimal``: ``"lemma2"`` (23) or ``"augmented"``.
+    test : bool
+        Compression filters: False reports the statistic and rejects nothing.
+    reacquire : int or None
+        Compression filters: rejections in a row after which the host is inflated; None: never.
+    maintenance : str
+        ``cpcf``: ``"optimal"`` or ``"paper"`` (44).
     """
 
     family: str
@@ -68,13 +82,17 @@ class Filter:
     covariance: CovarianceReading = "moment_matched"
     modes: int = 4
     form: LinearForm = "lemma2"
+    test: bool = True
+    reacquire: int | None = None
+    maintenance: Maintenance = "optimal"
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"family": self.family}
         for key in OPTIONS.get(self.family, ()):
             value = getattr(self, key)
-            table[key] = _listed(value) if isinstance(value, tuple) else value
+            if value is not None:
+                table[key] = _listed(value) if isinstance(value, tuple) else value
         return table
 
 
@@ -90,7 +108,7 @@ def filter_section(table: object, place: Place) -> Section:
     SpecError
         If the family is missing or unknown, or a key is unknown or belongs to another family.
     """
-    section = Section(table, place, known=("family", *_OWNER), later=_LATER_KEYS)
+    section = Section(table, place, known=("family", *_KEYS), later=_LATER_KEYS)
     expected = f"one of {', '.join(FAMILIES)}"
     family = section.require("family", expected)
     where = place.entry("family")
@@ -99,11 +117,11 @@ def filter_section(table: object, place: Place) -> Section:
     if not isinstance(family, str) or family not in FAMILIES:
         hint = suggestion(family, FAMILIES + LATER_FAMILIES) if isinstance(family, str) else ""
         raise where.error(show(family), expected + hint)
-    for key, owner in _OWNER.items():
-        if family != owner and key in section:
-            raise place.entry(key).error(
-                f"{key} for the family {family}", f"{key} only for the family {owner}"
-            )
+    for key in _KEYS:
+        owners = [name for name, keys in OPTIONS.items() if key in keys]
+        if family not in owners and key in section:
+            owner = f"the family {owners[0]}" if len(owners) == 1 else ", ".join(owners)
+            raise place.entry(key).error(f"{key} for the family {family}", f"{key} only for {owner}")
     return section
 
 
@@ -131,6 +149,9 @@ def read_filter(section: Section, actuator: ActuatorFaults | None, inputs: int) 
             covariance=section.choice("covariance", _READINGS, "moment_matched"),
             modes=_modes(section),
             form=section.choice("form", _FORMS, "lemma2"),
+            test=section.flag("test", default=True),
+            reacquire=_reacquire(section),
+            maintenance=section.choice("maintenance", _MAINTENANCE, "optimal"),
         )
     common = actuator is None or actuator.dependence == "common"
     hypotheses = _hypotheses(section, 1 if common else inputs)
@@ -178,6 +199,19 @@ def _modes(section: Section) -> int:
     number = as_number(section.table.get("modes", 4), place, expected)
     if number not in {3.0, 4.0}:
         raise place.error(show(number), expected)
+    return int(number)
+
+
+def _reacquire(section: Section) -> int | None:
+    if "reacquire" not in section:
+        return None
+    place = section.place.entry("reacquire")
+    expected = "a whole number of rejections in a row, at least 1; leave it out for never"
+    number = as_number(section.table["reacquire"], place, expected)
+    if number != int(number) or not 1 <= number <= MOST_REJECTIONS:
+        raise place.error(show(number), expected)
+    if not section.flag("test", default=True):
+        raise place.error("reacquire with test = false", "a test: without it nothing is rejected")
     return int(number)
 
 

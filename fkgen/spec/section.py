@@ -68,6 +68,13 @@ class Section:
         hint = suggestion(given, choices) if isinstance(given, str) else ""
         raise self.place.entry(key).error(show(given), f"one of {', '.join(choices)}{hint}")
 
+    def flag(self, key: str, *, default: bool) -> bool:
+        """Return the truth value that was given, or the default."""
+        given = self.table.get(key, default)
+        if not isinstance(given, bool):
+            raise self.place.entry(key).error(describe(given), "true or false")
+        return given
+
 
 def as_table(value: object, place: Place, expected: str) -> dict[str, object]:
     """Return a copy of a mapping whose keys are text."""

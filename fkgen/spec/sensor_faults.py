@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 
 from fkgen.spec.chain import stationary_law
-from fkgen.spec.place import Place, show, suggestion
+from fkgen.spec.place import Place, show
 from fkgen.spec.probability import Distribution, as_distribution, as_probability, as_transition
 from fkgen.spec.section import Section, as_list, as_number
-from fkgen.spec.signals import Signal
+from fkgen.spec.signals import Signal, read_row
 
 Problem = Literal[1, 2, 3, 4, "moments"]
 
@@ -150,23 +150,11 @@ def _rows(section: Section, outputs: Sequence[Signal]) -> tuple[int, ...]:
     entries = as_list(section.table["rows"], place, expected)
     if not entries:
         raise place.error("an empty list", f"{expected}; leave the key out if all rows can fail")
-    rows = [_row(entry, place.item(i), names) for i, entry in enumerate(entries)]
+    rows = [read_row(entry, place.item(i), names) for i, entry in enumerate(entries)]
     for i, row in enumerate(rows):
         if row in rows[:i]:
             raise place.item(i).error(f"row {row} a second time", "every row once")
     return tuple(sorted(rows))
-
-
-def _row(entry: object, place: Place, names: list[str]) -> int:
-    expected = f"a row of y, 0..{len(names) - 1}, or its name ({', '.join(names)})"
-    if isinstance(entry, str):
-        if entry not in names:
-            raise place.error(show(entry), expected + suggestion(entry, names))
-        return names.index(entry)
-    number = as_number(entry, place, expected)
-    if number != int(number) or not 0 <= number < len(names):
-        raise place.error(show(entry), expected)
-    return int(number)
 
 
 def _problem(section: Section, family: str) -> Problem:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fkgen.spec.naming import check_distinct, read_name
-from fkgen.spec.place import Place, show
-from fkgen.spec.section import Section, as_list, as_text
+from fkgen.spec.place import Place, show, suggestion
+from fkgen.spec.section import Section, as_list, as_number, as_text
 
 MAX_UNIT = 40
 
@@ -64,3 +64,16 @@ def _signal(entry: object, place: Place) -> Signal:
             show(unit), f"at most {MAX_UNIT} printable characters that can stand in a C comment"
         )
     return Signal(name, unit)
+
+
+def read_row(entry: object, place: Place, names: list[str]) -> int:
+    """Return the index of a row of y that is given by number or by name."""
+    expected = f"a row of y, 0..{len(names) - 1}, or its name ({', '.join(names)})"
+    if isinstance(entry, str):
+        if entry not in names:
+            raise place.error(show(entry), expected + suggestion(entry, names))
+        return names.index(entry)
+    number = as_number(entry, place, expected)
+    if number != int(number) or not 0 <= number < len(names):
+        raise place.error(show(entry), expected)
+    return int(number)
