@@ -87,7 +87,7 @@ def condition(
         symbols=symbols,
     )
     for i in range(p):
-        with script.titled(f"row {i} of y, {measurement.rows[i]}"):
+        with script.titled(f"row {measurement.at[i]} of y, {measurement.rows[i]}"):
             fold.take(i)
     return Conditioned(
         mean=fold.mean,
@@ -123,7 +123,7 @@ def _innovations(script: Script, mean: ca.SX, measurement: Measurement, tag: str
             name = f"innovation{tag}_{i}"
             symbol = script.local(name, 1, initial=0.0)
             predicted = ca.mtimes(measurement.C[i, :], mean)
-            with script.when(i):
+            with script.when(measurement.at[i]):
                 script.put({name: measurement.y[i] - predicted - measurement.offset[i]})
             result.append(symbol)
     return result

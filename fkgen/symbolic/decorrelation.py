@@ -7,7 +7,7 @@ skipped, which is the elimination of the R that is left without it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
@@ -22,6 +22,7 @@ class Measurement:
 
     ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out,
     as the pseudo-inverse does. ``pivots_per_log`` pivots may be multiplied before their logarithm.
+    ``at`` are the rows of the filter's y that these rows are.
     """
 
     C: ca.SX
@@ -31,6 +32,20 @@ class Measurement:
     rows: tuple[str, ...]
     rank_tolerance: float | None
     pivots_per_log: int
+    at: tuple[int, ...]
+
+    def only(self, rows: tuple[int, ...]) -> Measurement:
+        """Some of the rows, as if there were no others."""
+        which = list(rows)
+        return replace(
+            self,
+            C=self.C[which, :],
+            offset=self.offset[which],
+            R=self.R[which, which],
+            y=self.y[which],
+            rows=tuple(self.rows[i] for i in which),
+            at=tuple(self.at[i] for i in which),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +60,15 @@ class Row:
         Its innovation with respect to the prior, and the variance of its noise.
     of_y : (p, 1) SX
         The combination of the rows of y that it is.
+    at : int
+        The row of the filter's y that has to be there.
     """
 
     c: ca.SX
     innovation: ca.SX
     variance: ca.SX
     of_y: ca.SX
+    at: int
 
 
 def decorrelate(
@@ -69,10 +87,10 @@ def decorrelate(
             continue
         pivot, coupling = R[j, j], {i: R[i, j] for i in later}
         positive = None if tolerance is None else pivot - tolerance * measurement.R[j, j]
-        revision = _Revision(script, j, positive)
+        revision = _Revision(script, measurement.at[j], positive)
         with script.titled(f"noise of {measurement.rows[j]} out of the rows below"):
             if tolerance is None:
-                with script.when(j):
+                with script.when(measurement.at[j]):
                     script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
             for i in later:
                 name = f"{tag}_{j}_{i}"
@@ -86,7 +104,7 @@ def decorrelate(
                     )
     if tolerance is not None:
         R = {key: v if v.is_constant() else ca.fmax(v, 0) for key, v in R.items()}
-    return [Row(C[i], e[i], R[i, i], of_y[i]) for i in range(p)]
+    return [Row(C[i], e[i], R[i, i], of_y[i], measurement.at[i]) for i in range(p)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,6 +133,7 @@ def measurement_of(
         rows=plant.rows,
         rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
         pivots_per_log=PIVOTS_PER_LOG[scalar],
+        at=tuple(range(plant.ny)),
     )
 
 

@@ -64,7 +64,7 @@ class Fold:
             self.weight.append(ca.SX(0))
             self.factor.append(ca.SX.zeros(coupling.numel()))
         else:
-            with script.when(i, self._significant(i, pivot)):
+            with script.when(row.at, self._significant(i, pivot)):
                 self._update(i, (cross, coupling, pivot, innovation))
         self.coupling.append(coupling)
         self.pivot.append(pivot)
