@@ -77,6 +77,8 @@ class Machine:
         state = {name: list(values) for name, values in self.ports.items()}
         with np.errstate(all="ignore"):
             for phase in self.program.phases:
+                if phase.unless is not None and state[phase.unless][0] > 0:
+                    continue
                 status = _Run(self, memory, present, state).phase(phase)
                 if status is not Status.OK:
                     return status

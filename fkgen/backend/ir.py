@@ -158,12 +158,16 @@ class Local:
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """One function: what it declares, what it does, which arguments it needs."""
+    """One function: what it declares, what it does, which arguments it needs.
+
+    It is not called while the port ``unless``, if there is one, is positive.
+    """
 
     locals: tuple[Local, ...]
     body: tuple[Statement, ...]
     reads_input: bool
     reads_parameters: bool
+    unless: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,12 +188,15 @@ class Vectors:
         One row per sample; NaN in y where a row is missing.
     expected : mapping as tuple of (port name, values)
         Values of every stored scalar after the last sample, and of ``filtered_state`` after each.
+    start : mapping as tuple of (port name, value)
+        Scalars that are set before the first sample.
     """
 
     u: tuple[tuple[float, ...], ...]
     y: tuple[tuple[float, ...], ...]
     trace: tuple[tuple[float, ...], ...]
     final: tuple[tuple[str, tuple[float, ...]], ...]
+    start: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,31 +218,48 @@ class CProgram:
     initial: tuple[tuple[str, tuple[float, ...]], ...]
     update: Phase
     predict: Phase
+    closing: Phase | None = None
 
     @property
-    def phases(self) -> tuple[Phase, Phase]:
-        """Update and predict, in this order."""
-        return self.update, self.predict
+    def phases(self) -> tuple[Phase, ...]:
+        """Update, closing (if there is one) and predict, in this order."""
+        closing = () if self.closing is None else (self.closing,)
+        return self.update, *closing, self.predict
 
     @property
     def functions(self) -> frozenset[Operator]:
         """Elementary functions that the program needs."""
-        return frozenset(op for op in self.operations if op.is_function)
+        return frozenset(op for op in self.operations + self.closing_operations if op.is_function)
 
     @property
     def operations(self) -> Counter[Operator]:
-        """Operations of one step with every row present."""
-        return Counter(
-            node.operator
-            for phase in self.phases
-            for node in walk(phase.body)
-            if isinstance(node, Operate)
-        )
+        """Operations of one step with every row present, the closing left out."""
+        return _operations(self.update, self.predict)
+
+    @property
+    def closing_operations(self) -> Counter[Operator]:
+        """Operations of the closing."""
+        return _operations() if self.closing is None else _operations(self.closing)
 
     @property
     def flops(self) -> int:
         """Additions, multiplications and the like of one step; calls are counted apart."""
-        return sum(n for operator, n in self.operations.items() if not operator.is_function)
+        return _flops(self.operations)
+
+    @property
+    def closing_flops(self) -> int:
+        """The same of the closing."""
+        return _flops(self.closing_operations)
+
+
+def _operations(*phases: Phase) -> Counter[Operator]:
+    return Counter(
+        node.operator for phase in phases for node in walk(phase.body) if isinstance(node, Operate)
+    )
+
+
+def _flops(operations: Counter[Operator]) -> int:
+    return sum(n for operator, n in operations.items() if not operator.is_function)
 
 
 def walk(body: tuple[Statement, ...]) -> Iterator[Statement]:

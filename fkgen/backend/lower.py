@@ -79,6 +79,7 @@ def lower(recursion: sym.Recursion) -> CProgram:
             initial=tuple(sorted(recursion.initial.items())),
             update=_lower_phase(recursion, recursion.update),
             predict=_lower_phase(recursion, recursion.predict),
+            closing=_lower_phase(recursion, recursion.closing) if recursion.closing else None,
             **signals,
         )
     )
@@ -97,6 +98,7 @@ def _lower_phase(recursion: sym.Recursion, phase: sym.Phase) -> Phase:
         body=body,
         reads_input=any(e.space is Space.INPUT and e.name == "u" for e in read),
         reads_parameters=any(e.space is Space.PARAMETER for e in read),
+        unless=phase.unless,
     )
 
 
@@ -114,7 +116,9 @@ class _Group:
         body = tuple(self.statements)
         if self.value is not None:
             body = (*self.before, IfPositive(self.value, body))
-        return body if self.condition is None else (IfPresent(self.condition.row, body),)
+        if self.condition is None or not self.condition.present:
+            return body
+        return (IfPresent(self.condition.row, body),)
 
 
 @dataclass(slots=True)

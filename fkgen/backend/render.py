@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import jinja2
 
 from fkgen.backend.elementary import FORMATS
-from fkgen.backend.ir import CProgram, Operator, Phase
+from fkgen.backend.functions import (
+    INLINED,
+    argument_doc,
+    functions_of,
+    phases_of,
+    signature,
+    step_call,
+    valid_argument,
+)
+from fkgen.backend.ir import CProgram, Operator
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
 from fkgen.backend.vectors import self_test_vectors
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
-
-#: Operations per step up to which update and predict are compiled into step: a copy of the instance
-#: between them costs more than the code.
-INLINED = 2500
 
 
 @cache
@@ -48,7 +52,7 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         f"{name}_selftest_main.c": _text("selftest_main.c.j2", context),
         "CMakeLists.txt": _text("CMakeLists.txt.j2", context),
     }
-    record = _text("record.c.j2", context | {"call": _step_call(program, record=True)})
+    record = _text("record.c.j2", context | {"call": step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
     return Source(program=program, files=complete, record=record, claims=claims)
 
@@ -58,24 +62,6 @@ def _text(template: str, context: dict[str, object]) -> str:
     lines = [line.rstrip() for line in text.splitlines()]
     kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
     return "\n".join(kept).rstrip() + "\n"
-
-
-@dataclass(frozen=True, slots=True)
-class _PhaseText:
-    verb: str
-    comment: str
-    arguments: str
-    program: Phase
-
-
-@dataclass(frozen=True, slots=True)
-class _Function:
-    name: str
-    calls: tuple[str, ...]
-    reads_y: bool
-    complete: bool
-    null: str
-    result: str
 
 
 def _context(program: CProgram) -> dict[str, object]:
@@ -113,19 +99,21 @@ def _context(program: CProgram) -> dict[str, object]:
         "shape": _shape_text,
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
-        "valid_argument": _valid(c),
-        "phases": _phases(c),
+        "valid_argument": valid_argument(c),
+        "phases": phases_of(c),
         "inlined": program.flops <= INLINED,
-        "functions": _functions(c),
+        "functions": functions_of(c),
         "signature": lambda name: signature(c, name),
-        "argument_doc": _argument_doc(c),
+        "argument_doc": argument_doc(c),
         "inputs": [_numbers(c, row) for row in vectors.u],
         "measured": [_numbers(c, row) for row in vectors.y],
         "trace": [_numbers(c, row) for row in vectors.trace],
         "final": [(name, _numbers(c, values)) for name, values in vectors.final],
+        "start": vectors.start,
         "masks": [_mask(c, row) for row in vectors.y],
         "sizes": {port.name: len(port.shape) for port in program.ports},
-        "call": _step_call(program, record=False),
+        "given": lambda port, at: _given(c, port, at),
+        "call": step_call(program, record=False),
     }
 
 
@@ -140,97 +128,8 @@ def cost(program: CProgram) -> str:
     calls = {op: n for op, n in program.operations.items() if op.is_function}
     text = [f"{program.flops} floating-point operations"]
     text += [f"{n} {op.value}" for op, n in sorted(calls.items(), key=lambda item: item[0].value)]
-    return " and ".join(text)
-
-
-def signature(c: Printer, name: str) -> str:
-    """Prototype of one of the three functions that run a filter."""
-    return f"{c.name}_status_t {c.name}_{name}({', '.join(_arguments(c, name))})"
-
-
-def _arguments(c: Printer, name: str) -> list[str]:
-    arguments = [f"{c.name}_t *self"]
-    if c.program.parameters:
-        arguments.append(f"const {c.name}_params_t *params")
-    if c.program.inputs:
-        arguments.append(f"const {c.real} u[{len(c.program.inputs)}]")
-    if name != "predict":
-        arguments += [f"const {c.real} y[{len(c.program.outputs)}]", _valid(c)]
-    return arguments
-
-
-def _valid(c: Printer) -> str:
-    return "uint32_t valid" if c.words == 1 else f"const uint32_t valid[{c.words}]"
-
-
-def _argument_doc(c: Printer) -> str:
-    lines = []
-    if c.program.parameters:
-        lines.append(" *  @param params  run-time parameters of this sample")
-    if c.program.inputs:
-        lines.append(" *  @param u       inputs of this sample, finite")
-    lines.append(" *  @param y       measurements; NaN = missing, an infinity is refused")
-    lines.append(
-        " *  @param valid   bit i set: y[i] was measured; a row without its bit is not read"
-    )
-    return "\n".join(lines)
-
-
-def _phases(c: Printer) -> list[_PhaseText]:
-    result = []
-    words = {"update": ("correct", "Condition on y[k]"), "predict": ("propagate", "Move to k + 1")}
-    for name, phase in zip(words, c.program.phases, strict=True):
-        arguments = [f"const {c.name}_t *self"]
-        if phase.reads_parameters:
-            arguments.append(f"const {c.name}_params_t *params")
-        if phase.reads_input:
-            arguments.append(f"const {c.real} *u")
-        if name == "update":
-            present = "uint32_t present" if c.words == 1 else "const uint32_t *present"
-            arguments += [f"const {c.real} *y", present]
-        arguments.append(f"{c.name}_t *next")
-        result.append(_PhaseText(*words[name], ", ".join(arguments), phase))
-    return result
-
-
-def _functions(c: Printer) -> list[_Function]:
-    update, predict = (f"{c.name}_{text.verb}" for text in _phases(c))
-    common = [
-        [(phase.reads_parameters, "params"), (phase.reads_input, "u")] for phase in c.program.phases
-    ]
-    first, second = ([word for used, word in words if used] for words in common)
-    pointers = ["self"]
-    pointers += ["params"] if c.program.parameters else []
-    pointers += ["u"] if c.program.inputs else []
-    measured = [*pointers, "y", *(["valid"] if c.words > 1 else [])]
-    correct = f"{update}({', '.join(['self', *first, 'y', 'present', '&next'])})"
-    moved = f"{predict}({', '.join(['self', *second, '&next'])})"
-    moved_next = f"{predict}({', '.join(['&next', *second, '&next'])})"
-    any_row = " | ".join(f"present[{i}]" for i in range(c.words)) if c.words > 1 else "present"
-    ok, skipped = c.status(Status.OK), c.status(Status.SKIPPED)
-    outcome = f"(({any_row}) != 0u) ? {ok} : {skipped}"
-    return [
-        _Function("update", (correct,), True, False, _any_null(measured), outcome),  # noqa: FBT003
-        _Function("predict", (moved,), False, False, _any_null(pointers), ok),  # noqa: FBT003
-        _Function("step", (correct, moved_next), True, True, _any_null(measured), outcome),  # noqa: FBT003
-    ]
-
-
-def _any_null(pointers: list[str]) -> str:
-    tests = [f"{pointer} == NULL" for pointer in pointers]
-    return tests[0] if len(tests) == 1 else " || ".join(f"({test})" for test in tests)
-
-
-def _step_call(program: CProgram, *, record: bool) -> str:
-    p, q = len(program.outputs), len(program.inputs)
-    arguments = ["self" if record else "&filter"]
-    if program.parameters:
-        arguments.append("&now" if record else "&params")
-    if q:
-        arguments.append(f"u + k * {q}" if record else "input[k]")
-    if record:
-        return ", ".join([*arguments, f"y + k * {p}", "valid"])
-    return ", ".join([*arguments, "measurement[k]", "valid[k]"])
+    closing = f"; at the end of a window {program.closing_flops} more" if program.closing else ""
+    return " and ".join(text) + closing
 
 
 def _numbers(c: Printer, values: tuple[float, ...]) -> list[str]:
@@ -260,6 +159,13 @@ def _signal_groups(program: CProgram) -> list[tuple[str, str, tuple[object, ...]
     return [group for group in groups if group[2]]
 
 
+def _given(c: Printer, port: Port, at: str) -> str:
+    """NaN where the port says nothing, in front of its value."""
+    if not port.given:
+        return ""
+    return f"!(self->{port.given}{at} > {c.literal(0.0)}) ? ({c.real})NAN : "
+
+
 def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
     return {
         "name": program.name,
@@ -271,6 +177,7 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
         "equations": program.source,
         "proved": list(claims),
         "flops": program.flops,
+        **({"closing_flops": program.closing_flops} if program.closing else {}),
         "calls": {
             op.value: n
             for op, n in sorted(program.operations.items(), key=_operator_name)

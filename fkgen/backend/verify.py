@@ -27,8 +27,8 @@ def verify(program: CProgram) -> CProgram:
     ------
     InternalError
         If a temporary is read before it is assigned or is assigned twice, if a result is written
-        under a condition, twice or never, or if the prediction reads what the update does not
-        write.
+        under a condition, twice or never, or if the prediction or the closing reads what the
+        update does not write.
     """
     written: set[tuple[str, int | None]] = set()
     for phase in program.phases:
@@ -37,13 +37,10 @@ def verify(program: CProgram) -> CProgram:
     if written != expected:
         raise InternalError(f"{program.name}: results never written: {sorted(expected - written)}")
     updated = {n.target.name for n in program.update.body if isinstance(n, Assign)}
-    for name in {
-        element.name for element in _reads(program.predict) if element.space is Space.SELF
-    }:
-        if name not in updated:
-            raise InternalError(
-                f"{program.name}: the prediction reads {name}, which no update writes"
-            )
+    for later in program.phases[1:]:
+        what = "the prediction" if later is program.predict else "the closing"
+        for name in {e.name for e in _reads(later) if e.space is Space.SELF} - updated:
+            raise InternalError(f"{program.name}: {what} reads {name}, which no update writes")
     return program
 
 

@@ -120,8 +120,9 @@ def filter_section(table: object, place: Place) -> Section:
     for key in _KEYS:
         owners = [name for name, keys in OPTIONS.items() if key in keys]
         if family not in owners and key in section:
-            owner = f"the family {owners[0]}" if len(owners) == 1 else ", ".join(owners)
-            raise place.entry(key).error(f"{key} for the family {family}", f"{key} only for {owner}")
+            able = f"the family {owners[0]}" if len(owners) == 1 else ", ".join(owners)
+            given = f"{key} for the family {family}"
+            raise place.entry(key).error(given, f"{key} only for {able}")
     return section
 
 

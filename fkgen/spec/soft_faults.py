@@ -126,23 +126,29 @@ def _groups(
             else f"each of the {2 ** len(entries) - 1} sets of accepted groups needs a filter"
         )
         raise place.error(f"{len(entries)} groups", f"at most {most}: {reason}")
-    groups: list[Rows] = []
+    taken = dict.fromkeys(host, "a row of the host")
+    groups = []
     for i, entry in enumerate(entries):
-        group = _rows(entry, place.item(i), "a list of rows of y", outputs)
-        if not group:
-            raise place.item(i).error("an empty group", "at least one row of y")
-        for row in group:
-            if row in host:
-                raise place.item(i).error(f"row {row}, a row of the host", "rows that it leaves")
-            if any(row in other for other in groups):
-                raise place.item(i).error(f"row {row}, in another group too", "every row once")
-        groups.append(group)
+        groups.append(_group(entry, place.item(i), taken, outputs))
+        taken |= dict.fromkeys(groups[-1], "in another group too")
     for row in others:
-        if not any(row in group for group in groups):
+        if row not in taken:
             raise place.error(
                 f"groups without row {row} ({outputs[row].name})", "every row in host or a group"
             )
     return tuple(groups)
+
+
+def _group(
+    entry: object, place: Place, taken: Mapping[int, str], outputs: Sequence[Signal]
+) -> Rows:
+    group = _rows(entry, place, "a list of rows of y", outputs)
+    if not group:
+        raise place.error("an empty group", "at least one row of y")
+    for row in group:
+        if row in taken:
+            raise place.error(f"row {row}, {taken[row]}", "every row once, in host or in a group")
+    return group
 
 
 def _rows(given: object, place: Place, expected: str, outputs: Sequence[Signal]) -> Rows:
@@ -177,7 +183,7 @@ def _check_noise(
     faults: SoftFaults, model: Model, place: Place, defaults: Mapping[str, float], family: str
 ) -> None:
     """Refuse noise that two groups share: Lee & Lee, (27), have a block-diagonal r."""
-    label = {row: -1 for row in faults.host}
+    label = dict.fromkeys(faults.host, -1)
     label |= {row: at for at, group in enumerate(faults.groups) for row in group}
     where = Place(place.file).entry("model").entry("R")
     for point in [defaults] if model.R.is_constant else nearby(defaults):
@@ -189,7 +195,7 @@ def _check_noise(
             for j in range(i):
                 if label[i] != label[j] and R[i, j] != 0.0:
                     raise where.error(
-                        f"entry [{i}][{j}] = {float(R[i, j]):.6g} between rows of different filters",
+                        f"entry [{i}][{j}] = {float(R[i, j]):.6g} for rows of different filters",
                         "0: noise that host and compression filter (or two groups) share would be"
                         " counted twice; put such rows into one group",
                     )

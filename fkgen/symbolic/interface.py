@@ -62,6 +62,8 @@ class Port:
         For the header.
     per_row : bool
         One entry per row of y, NaN in Python where the row is missing.
+    given : str
+        A port of the same shape: where it is 0, this one says nothing and is NaN in Python.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Port:
     unit: str = ""
     symmetric: bool = False
     per_row: bool = False
+    given: str = ""
 
     @property
     def size(self) -> int:

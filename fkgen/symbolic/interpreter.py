@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fkgen.symbolic.interface import Kind
 from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.ports import PARAMETER
-from fkgen.symbolic.recursion import Block, Recursion
+from fkgen.symbolic.recursion import Block, Condition, Recursion
 
 Array = NDArray[np.float64]
 
@@ -51,6 +51,8 @@ class Interpreter:
         values |= {PARAMETER + name: np.array([value]) for name, value in parameters.items()}
         values |= {"y": y, "u": u}
         for phase, blocks in zip(self.recursion.phases, self._phases, strict=True):
+            if phase.unless is not None and values[phase.unless][0] > 0.0:
+                continue
             local = {v.name: np.full(v.size, v.initial or 0.0) for v in phase.variables}
             values |= local
             if not all(_evaluate(each, values) for each in blocks):
@@ -73,6 +75,8 @@ class Interpreter:
             self.step(y[k], u[k], {name: float(value[k]) for name, value in parameters.items()})
             for port in ports:
                 value: Any = unpacked(port, self.values[port.name])
+                if port.given:
+                    value = np.where(self.values[port.given].reshape(port.shape) > 0, value, np.nan)
                 rows[port.name].append(
                     np.where(np.isnan(y[k]), np.nan, value) if port.per_row else value
                 )
@@ -91,8 +95,7 @@ def _evaluate(ready: _Ready, values: dict[str, Array]) -> bool:
     block = ready.block
     arguments = [values[name] for name in block.reads]
     if block.when is not None:
-        present = ~np.isnan(values["y"])
-        if not (present.any() if block.when.row is None else present[block.when.row]):
+        if not _present(block.when, values["y"]):
             return True
         if ready.threshold is not None and not float(ready.threshold.call(arguments)[0]) > 0.0:
             return True
@@ -102,6 +105,12 @@ def _evaluate(ready: _Ready, values: dict[str, Array]) -> bool:
             return False
     values |= dict(zip(block.assign, arrays, strict=False))
     return True
+
+
+def _present(when: Condition, y: Array) -> bool:
+    """Whether the rows that a block waits for are there."""
+    here = ~np.isnan(y)
+    return not when.present or bool(here.any() if when.row is None else here[when.row])
 
 
 def _holds(kind: Kind, values: Array) -> bool:

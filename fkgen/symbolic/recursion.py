@@ -1,8 +1,9 @@
-"""A recursion as a frozen value: ports, two phases of blocks, guards. What families build.
+"""A recursion as a frozen value: ports, phases of blocks, guards. What families build.
 
 A block assigns whole variables, all at once, from the values that the variables have when the block
-begins. A conditional block runs only when its row of ``y`` is present. That is all the control flow
-there is, so a block is one CasADi function, and a phase is straight-line C with a few branches.
+begins. A conditional block runs only when its row of ``y`` is present, or a value positive. That is
+all the control flow there is inside a phase, so a block is one CasADi function, and a phase is
+straight-line C with a few branches. Work that most samples do without is a phase of its own.
 """
 
 from __future__ import annotations
@@ -27,10 +28,14 @@ class Guard:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """When a block runs: a row of y (any, if None) is present and a pivot is significant."""
+    """When a block runs: a row of y (any, if None) is present and a value is positive.
+
+    With ``present`` false, whatever rows are present.
+    """
 
     row: int | None
     positive: ca.SX | None = None
+    present: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +72,20 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """Blocks in order, and the locals that they use."""
+    """Blocks in order, and the locals that they use.
+
+    With ``unless`` the phase is left out while the port of this name, a scalar, is positive.
+    """
 
     blocks: tuple[Block, ...]
     variables: tuple[Variable, ...]
     symbols: Mapping[str, ca.SX]
+    unless: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recursion:
-    """One filter for one spec, as two phases over named ports.
+    """One filter for one spec, as phases over named ports.
 
     Attributes
     ----------
@@ -90,6 +99,8 @@ class Recursion:
         Stored (packed) start values of ports; the others start at zero.
     update, predict : Phase
         ``step`` is update, then predict.
+    closing : Phase or None
+        The last part of an update, for the samples at which something comes to an end.
     notes : tuple of str
         Decisions that the header repeats, such as the form of the covariance update.
     """
@@ -100,12 +111,14 @@ class Recursion:
     initial: Mapping[str, tuple[float, ...]]
     update: Phase
     predict: Phase
+    closing: Phase | None = None
     notes: tuple[str, ...] = field(default=())
 
     @property
-    def phases(self) -> tuple[Phase, Phase]:
-        """Update and predict, in this order."""
-        return self.update, self.predict
+    def phases(self) -> tuple[Phase, ...]:
+        """Update, closing (if there is one) and predict, in this order."""
+        closing = () if self.closing is None else (self.closing,)
+        return self.update, *closing, self.predict
 
     def port(self, name: str) -> Port:
         """Return the port of this name; KeyError if there is none."""

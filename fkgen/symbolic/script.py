@@ -45,6 +45,13 @@ class Script:
         yield
         self._condition = None
 
+    @contextmanager
+    def where(self, positive: ca.SX) -> Iterator[None]:
+        """Blocks written inside run only if ``positive`` is, whatever rows are present."""
+        self._condition = Condition(None, positive, present=False)
+        yield
+        self._condition = None
+
     def local(self, name: str, size: int, initial: float | None = None) -> ca.SX:
         """Declare a variable of this phase and return its symbol."""
         if name in self._symbols:
@@ -92,7 +99,7 @@ class Script:
         if undecided:
             self.put({}, [Guard(column(undecided), kind, status)])
 
-    def phase(self) -> Phase:
+    def phase(self, *, unless: str | None = None) -> Phase:
         """Freeze what was written, without assignments to locals that nothing reads."""
         local = {variable.name for variable in self._variables}
         live: set[str] = set()
@@ -109,4 +116,4 @@ class Script:
             live |= reads
         variables = tuple(v for v in self._variables if v.name in live)
         symbols = {k: v for k, v in self._symbols.items() if k not in local or k in live}
-        return Phase(tuple(reversed(blocks)), variables, symbols)
+        return Phase(tuple(reversed(blocks)), variables, symbols, unless)

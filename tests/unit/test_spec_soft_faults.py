@@ -41,7 +41,12 @@ def faults_of(table: dict[str, Any]):
 
 def test_all_rows_that_are_not_the_hosts_are_one_group_unless_groups_say_otherwise():
     found = faults_of(DFCF)
-    assert (found.host, found.groups, found.window, found.false_alarm) == ((0,), ((1, 2),), 150, 0.05)
+    assert (found.host, found.groups, found.window, found.false_alarm) == (
+        (0,),
+        ((1, 2),),
+        150,
+        0.05,
+    )
     assert found.compressed == (1, 2)
     assert faults_of(soft("dfcf", groups=[[2], [1]])).groups == ((2,), (1,))
 
@@ -128,7 +133,7 @@ CASES: list[Case] = [
     (DFCF, {G: [1, 2]}, f"{G}[0]", "the int 1", "a list of rows of y"),
     (DFCF, {G: [[1, 2], []]}, f"{G}[1]", "an empty group", "at least one row"),
     (DFCF, {G: [[1], [2, 3]]}, f"{G}[1][1]", "3", "a row of y, 0..2"),
-    (DFCF, {G: [[0, 1], [2]]}, f"{G}[0]", "row 0, a row of the host", "rows that it leaves"),
+    (DFCF, {G: [[0, 1], [2]]}, f"{G}[0]", "row 0, a row of the host", "every row once"),
     (DFCF, {G: [[1], [2, 1]]}, f"{G}[1]", "row 1, in another group too", "every row once"),
     (DFCF, {G: [[1]]}, G, "groups without row 2 (beacon)", "every row in host or a group"),
     (DFCF, {G: [[1]] * 5}, G, "5 groups", "at most 4: each of the 31 sets of accepted groups"),
