@@ -22,7 +22,7 @@ class Measurement:
 
     ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out,
     as the pseudo-inverse does. ``pivots_per_log`` pivots may be multiplied before their logarithm.
-    ``at`` are the rows of the filter's y that these rows are.
+    ``at`` says which rows of y these are.
     """
 
     C: ca.SX
@@ -30,9 +30,9 @@ class Measurement:
     R: ca.SX
     y: ca.SX
     rows: tuple[str, ...]
+    at: tuple[int, ...]
     rank_tolerance: float | None
     pivots_per_log: int
-    at: tuple[int, ...]
 
     def only(self, rows: tuple[int, ...]) -> Measurement:
         """Some of the rows, as if there were no others."""
@@ -60,15 +60,12 @@ class Row:
         Its innovation with respect to the prior, and the variance of its noise.
     of_y : (p, 1) SX
         The combination of the rows of y that it is.
-    at : int
-        The row of the filter's y that has to be there.
     """
 
     c: ca.SX
     innovation: ca.SX
     variance: ca.SX
     of_y: ca.SX
-    at: int
 
 
 def decorrelate(
@@ -104,7 +101,7 @@ def decorrelate(
                     )
     if tolerance is not None:
         R = {key: v if v.is_constant() else ca.fmax(v, 0) for key, v in R.items()}
-    return [Row(C[i], e[i], R[i, i], of_y[i], measurement.at[i]) for i in range(p)]
+    return [Row(C[i], e[i], R[i, i], of_y[i]) for i in range(p)]
 
 
 @dataclass(frozen=True, slots=True)
