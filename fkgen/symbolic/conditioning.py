@@ -59,11 +59,16 @@ def condition(
     tag: str = "",
     form: Form,
     with_gain: bool = False,
+    innovation: list[ca.SX] | None = None,
 ) -> Conditioned:
-    """Write the blocks that condition ``prior``, mean and covariance, on ``measurement``."""
+    """Write the blocks that condition ``prior``, mean and covariance, on ``measurement``.
+
+    An ``innovation`` that is there already, zero where its row is missing, is not computed again.
+    """
     mean, covariance = prior
     p, m = measurement.C.shape
-    innovation = _innovations(script, mean, measurement, tag)
+    if innovation is None:
+        innovation = innovations(script, mean, measurement, tag)
     variance = _variance(script, covariance, measurement, tag)
     rows = decorrelate(script, measurement, innovation, tag)
     packed = pack(covariance)
@@ -75,6 +80,7 @@ def condition(
     fold = Fold(
         script=script,
         rows=rows,
+        at=measurement.at,
         tag=tag,
         form=form,
         variance=variance,
@@ -116,7 +122,8 @@ def _variance(
     return script.let(f"variance{tag}", S)
 
 
-def _innovations(script: Script, mean: ca.SX, measurement: Measurement, tag: str) -> list[ca.SX]:
+def innovations(script: Script, mean: ca.SX, measurement: Measurement, tag: str) -> list[ca.SX]:
+    """Each row of y minus its prediction; zero where the row is missing."""
     result = []
     with script.titled("innovation, row by row"):
         for i in range(measurement.C.shape[0]):

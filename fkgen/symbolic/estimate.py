@@ -131,9 +131,9 @@ def measurement_of(
         R=R,
         y=y,
         rows=plant.rows,
+        at=tuple(range(plant.ny)),
         rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
         pivots_per_log=PIVOTS_PER_LOG[scalar],
-        at=tuple(range(plant.ny)),
     )
 
 

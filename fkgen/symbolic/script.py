@@ -62,6 +62,10 @@ class Script:
         self._variables.append(Variable(name, size, initial))
         return symbol
 
+    def symbol(self, name: str) -> ca.SX:
+        """The symbol of a variable or port that is declared."""
+        return self._symbols[name]
+
     def put(self, assign: Mapping[str, ca.SX], guards: Sequence[Guard] = ()) -> None:
         """Append a block: all assignments happen at once."""
         dense = {name: ca.densify(value) for name, value in assign.items()}

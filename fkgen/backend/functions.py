@@ -1,0 +1,154 @@
+"""The functions of a C program: prototypes, which phases they call, with which arguments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fkgen.backend.ir import CProgram, Phase
+from fkgen.backend.printer import Printer
+from fkgen.symbolic.interface import Status
+
+#: Operations per step up to which update and predict are compiled into step: a copy of the instance
+#: between them costs more than the code.
+INLINED = 2500
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseText:
+    """One phase as a static function."""
+
+    verb: str
+    comment: str
+    arguments: str
+    program: Phase
+    inlined: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """Call of a phase, under a condition if ``when`` holds one."""
+
+    text: str
+    when: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """One of the functions that run a filter: what it calls and what it returns."""
+
+    name: str
+    calls: tuple[Call, ...]
+    reads_y: bool
+    complete: bool
+    null: str
+    result: str
+
+
+def signature(c: Printer, name: str) -> str:
+    """Prototype of one of the three functions that run a filter."""
+    return f"{c.name}_status_t {c.name}_{name}({', '.join(_arguments(c, name))})"
+
+
+def _arguments(c: Printer, name: str) -> list[str]:
+    arguments = [f"{c.name}_t *self"]
+    if c.program.parameters:
+        arguments.append(f"const {c.name}_params_t *params")
+    if c.program.inputs:
+        arguments.append(f"const {c.real} u[{len(c.program.inputs)}]")
+    if name != "predict":
+        arguments += [f"const {c.real} y[{len(c.program.outputs)}]", valid_argument(c)]
+    return arguments
+
+
+def valid_argument(c: Printer) -> str:
+    """The bits that say which rows of y were measured."""
+    return "uint32_t valid" if c.words == 1 else f"const uint32_t valid[{c.words}]"
+
+
+def argument_doc(c: Printer) -> str:
+    """Lines of the header about the arguments of an update."""
+    lines = []
+    if c.program.parameters:
+        lines.append(" *  @param params  run-time parameters of this sample")
+    if c.program.inputs:
+        lines.append(" *  @param u       inputs of this sample, finite")
+    lines.append(" *  @param y       measurements; NaN = missing, an infinity is refused")
+    lines.append(
+        " *  @param valid   bit i set: y[i] was measured; a row without its bit is not read"
+    )
+    return "\n".join(lines)
+
+
+def phases_of(c: Printer) -> list[PhaseText]:
+    """The phases as static functions; what few samples need is never inlined."""
+    result, program = [], c.program
+    small = program.flops <= INLINED
+    for words, phase, inlined in (
+        (("correct", "Condition on y[k]"), program.update, small),
+        (("close_window", "At the end of a window"), program.closing, False),
+        (("propagate", "Move to k + 1"), program.predict, small),
+    ):
+        if phase is None:
+            continue
+        arguments = [f"const {c.name}_t *self"]
+        if phase.reads_parameters:
+            arguments.append(f"const {c.name}_params_t *params")
+        if phase.reads_input:
+            arguments.append(f"const {c.real} *u")
+        if phase is program.update:
+            present = "uint32_t present" if c.words == 1 else "const uint32_t *present"
+            arguments += [f"const {c.real} *y", present]
+        arguments.append(f"{c.name}_t *next")
+        result.append(PhaseText(*words, ", ".join(arguments), phase, inlined))
+    return result
+
+
+def functions_of(c: Printer) -> list[Function]:
+    """Update, predict and step."""
+    program = c.program
+    pointers = ["self"]
+    pointers += ["params"] if program.parameters else []
+    pointers += ["u"] if program.inputs else []
+    measured = [*pointers, "y", *(["valid"] if c.words > 1 else [])]
+    correct = [_call(c, "correct", program.update, "self")]
+    if program.closing is not None:
+        when = f"!(next.{program.closing.unless} > {c.literal(0.0)})"
+        correct.append(Call(_call(c, "close_window", program.closing, "&next").text, when))
+    moved = _call(c, "propagate", program.predict, "self")
+    moved_next = _call(c, "propagate", program.predict, "&next")
+    any_row = " | ".join(f"present[{i}]" for i in range(c.words)) if c.words > 1 else "present"
+    ok, skipped = c.status(Status.OK), c.status(Status.SKIPPED)
+    outcome = f"(({any_row}) != 0u) ? {ok} : {skipped}"
+    step = (*correct, moved_next)
+    return [
+        Function("update", tuple(correct), True, False, _any_null(measured), outcome),  # noqa: FBT003
+        Function("predict", (moved,), False, False, _any_null(pointers), ok),  # noqa: FBT003
+        Function("step", step, True, True, _any_null(measured), outcome),  # noqa: FBT003
+    ]
+
+
+def _call(c: Printer, verb: str, phase: Phase, source: str) -> Call:
+    """Call of one phase, which reads ``source`` and writes ``next``."""
+    arguments = [source]
+    arguments += ["params"] if phase.reads_parameters else []
+    arguments += ["u"] if phase.reads_input else []
+    arguments += ["y", "present"] if phase is c.program.update else []
+    return Call(f"{c.name}_{verb}({', '.join([*arguments, '&next'])})")
+
+
+def _any_null(pointers: list[str]) -> str:
+    tests = [f"{pointer} == NULL" for pointer in pointers]
+    return tests[0] if len(tests) == 1 else " || ".join(f"({test})" for test in tests)
+
+
+def step_call(program: CProgram, *, record: bool) -> str:
+    """Arguments of a call of step inside the record runner or the self-test."""
+    p, q = len(program.outputs), len(program.inputs)
+    arguments = ["self" if record else "&filter"]
+    if program.parameters:
+        arguments.append("&now" if record else "&params")
+    if q:
+        arguments.append(f"u + k * {q}" if record else "input[k]")
+    if record:
+        return ", ".join([*arguments, f"y + k * {p}", "valid"])
+    return ", ".join([*arguments, "measurement[k]", "valid[k]"])
