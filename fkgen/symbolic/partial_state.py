@@ -12,10 +12,12 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from fkgen.spec import Spec
+from fkgen.spec import SoftFaults, Spec
 from fkgen.spec.partial_state import measured_states
 from fkgen.symbolic.linalg import pack, sparse, unpack
+from fkgen.symbolic.linear_filter import by_rows, from_rows
 from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.sequential import Form
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +41,15 @@ class Compressed:
     def joint(self, covariance: ca.SX) -> ca.SX:
         """Covariance (n + m, n + m) of (e, V); ``covariance`` is that of e, packed."""
         m, n = self.cross.shape
-        return ca.blockcat(
-            unpack(covariance, n), self.cross.T, self.cross, unpack(self.noise, m)
-        )
+        return ca.blockcat(unpack(covariance, n), self.cross.T, self.cross, unpack(self.noise, m))
+
+    def ports(self, prefix: str = "") -> dict[str, ca.SX]:
+        """What the ports (or variables) of this prefix hold of it."""
+        return {
+            f"{prefix}compressed_measurement": self.measurement,
+            f"{prefix}compressed_noise": self.noise,
+            f"{prefix}compressed_cross_covariance": by_rows(self.cross),
+        }
 
 
 def parts(joint: ca.SX, n: int) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -124,3 +132,34 @@ def partial_state(spec: Spec, plant: Plant, rows: tuple[int, ...]) -> PartialSta
 def lifted(values: np.ndarray) -> ca.SX:
     """A constant matrix whose zeros are structural."""
     return sparse(ca.SX(ca.DM(np.asarray(values, float))))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartialFilter:
+    """What the phases are written from."""
+
+    spec: Spec
+    faults: SoftFaults
+    plant: Plant
+    symbols: dict[str, ca.SX]
+    form: Form
+    partial: PartialState
+
+    @property
+    def active(self) -> ca.SX:
+        """1 if there was a Z before this sample, else 0."""
+        return self.symbols["predicted_collecting"]
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """The compression group."""
+        return self.faults.compressed
+
+    def compressed(self, prefix: str = "") -> Compressed:
+        """Z, R and S as ports hold them."""
+        symbols, m = self.symbols, len(self.rows)
+        return Compressed(
+            symbols[f"{prefix}compressed_measurement"],
+            symbols[f"{prefix}compressed_noise"],
+            from_rows(symbols[f"{prefix}compressed_cross_covariance"], m),
+        )
