@@ -154,6 +154,9 @@ def _prior(recursion: Recursion, record: Record) -> Mapping[str, Array]:
 
 def _start(instance: Interpreter, values: Mapping[str, Array]) -> None:
     for name, value in values.items():
+        if value.ndim == 0:
+            instance.values[name] = np.array([value])
+            continue
         n = value.shape[-1]
         packed = np.stack([value[..., i, j] for i, j in triangle(n)], axis=-1)
         instance.values[name] = packed.ravel()
