@@ -14,8 +14,11 @@ from typing import Literal
 
 import numpy as np
 
-from fkgen.closed_form.gaussian import RANK_TOLERANCE, Array, log_density, square_root, whiten
+from fkgen.closed_form.gaussian import Array, log_density, square_root, whiten
 from fkgen.closed_form.system import LinearSystem
+
+#: A row of Z whose variance is a smaller share of those of e^1 and V says nothing: Z = e^1 + V.
+NEGLIGIBLE = 1e-11
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -247,7 +250,7 @@ class _Run:
         if not self.design.is_end(k) or not self.alive:
             return {**none}
         size = np.linalg.norm(np.hstack([self.V, self.e[: self.Z.size]]), axis=1)
-        seen = whiten(self.coefficients, negligible=RANK_TOLERANCE * size)
+        seen = whiten(self.coefficients, negligible=np.sqrt(NEGLIGIBLE) * size)
         correction = self.e @ seen.directions @ (seen.weights @ self.Z)
         statistic, rejected = float(np.sum((seen.weights @ self.Z) ** 2)), False
         if self.design.false_alarm is not None and seen.rank:
