@@ -37,7 +37,7 @@ def test_all_ports_are_those_of_errors_in_primitive_noises(shape, maintenance):
 
 
 def test_windows_are_accepted_and_rejected_and_the_host_is_inflated_after_so_many():
-    model, parameters, host = dense(7, 3, 2, 1)
+    model, _, host = dense(7, 3, 2, 1)
     declared = 0.0
     for seed in range(4):
         filtering = cpcf(model, host=host, window=3, false_alarm=0.7, reacquire=2)
