@@ -6,6 +6,12 @@ alone.
 """
 
 from fkgen.closed_form.batch import BatchResult, Joint, batch_lmmse, joint_distribution
+from fkgen.closed_form.compression import (
+    CompressionResult,
+    Policy,
+    accepted_rows,
+    batch_compression,
+)
 from fkgen.closed_form.draw import draw_record, informed
 from fkgen.closed_form.enumeration import EnumerationResult, enumerate_modes
 from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
@@ -51,6 +57,7 @@ __all__ = [
     "IDENTITIES",
     "LINEAR_IDENTITIES",
     "BatchResult",
+    "CompressionResult",
     "EnumerationResult",
     "FaultMoments",
     "Identity",
@@ -62,9 +69,12 @@ __all__ = [
     "OneStepResult",
     "PartialCompression",
     "PartialCompressionResult",
+    "Policy",
     "SensorLaw",
     "TextbookStep",
+    "accepted_rows",
     "aggregate",
+    "batch_compression",
     "batch_lmmse",
     "batch_posterior",
     "batch_uncertain",

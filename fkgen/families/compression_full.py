@@ -7,6 +7,7 @@ only propagates (Kerr 1980). It is ``dfcf`` without rows of the host; given some
 from __future__ import annotations
 
 from fkgen.families.family import Family
+from fkgen.families.soft_evidence import ACCEPTED, REJECTED, WINDOWS
 from fkgen.spec import Spec
 from fkgen.symbolic.compression import compression_filter
 from fkgen.symbolic.recursion import Recursion
@@ -22,5 +23,5 @@ FAMILY = Family(
     name="compression_full",
     title="sensors that all drift slowly: compression filter beside a host that only propagates",
     build=build,
-    closed_forms=(),
+    closed_forms=(WINDOWS, REJECTED, ACCEPTED),
 )

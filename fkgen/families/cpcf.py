@@ -8,7 +8,7 @@ some information lost.
 from __future__ import annotations
 
 from fkgen.families.family import Family
-from fkgen.families.partial_evidence import HOST_ALONE, PRIMITIVE_NOISES
+from fkgen.families.partial_evidence import CONTRADICTED, HOST_ALONE, PRIMITIVE_NOISES
 from fkgen.spec import Spec
 from fkgen.symbolic.partial_compression import partial_compression_filter
 from fkgen.symbolic.recursion import Recursion
@@ -24,5 +24,5 @@ FAMILY = Family(
     name="cpcf",
     title="sensors that drift slowly, at less cost: host filter and partial compression filter",
     build=build,
-    closed_forms=(PRIMITIVE_NOISES, HOST_ALONE),
+    closed_forms=(PRIMITIVE_NOISES, CONTRADICTED, HOST_ALONE),
 )

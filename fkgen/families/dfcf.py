@@ -8,6 +8,7 @@ rejects them.
 from __future__ import annotations
 
 from fkgen.families.family import Family
+from fkgen.families.soft_evidence import ACCEPTED, REJECTED, WINDOWS
 from fkgen.spec import Spec
 from fkgen.symbolic.compression import compression_filter
 from fkgen.symbolic.recursion import Recursion
@@ -23,5 +24,5 @@ FAMILY = Family(
     name="dfcf",
     title="sensors that drift slowly: host filter and compression filter",
     build=build,
-    closed_forms=(),
+    closed_forms=(WINDOWS, REJECTED, ACCEPTED),
 )

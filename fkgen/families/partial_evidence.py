@@ -14,10 +14,13 @@ from fkgen.families.family import Array, ClosedForm, Record
 from fkgen.spec import SoftFaults, Spec
 from fkgen.spec.partial_state import similarity
 
-__all__ = ["HOST_ALONE", "PRIMITIVE_NOISES"]
+__all__ = ["CONTRADICTED", "HOST_ALONE", "PRIMITIVE_NOISES"]
 
 #: Sample of a short record at which its first window ends, if the window of the spec is longer.
 FIRST_END = 4
+
+#: By so many standard deviations the host is wrong where what waits has to be rejected.
+OFF = 30.0
 
 
 def _soft(spec: Spec) -> SoftFaults:
@@ -31,7 +34,7 @@ def _first_end(spec: Spec) -> int:
 
 
 def _countdown(spec: Spec, _: Record) -> Mapping[str, Array]:
-    return {"predicted_window_left": np.array(float(_first_end(spec)))}
+    return {"predicted_window_left": np.array([float(_first_end(spec))])}
 
 
 def design_of(spec: Spec, first: int) -> PartialCompression:
@@ -48,8 +51,10 @@ def design_of(spec: Spec, first: int) -> PartialCompression:
     )
 
 
-def _primitive(spec: Spec, record: Record) -> Mapping[str, Array]:
+def _primitive(spec: Spec, record: Record, start: Array | None = None) -> Mapping[str, Array]:
     system = system_of(spec, record)
+    if start is not None:
+        system = dataclasses.replace(system, x0=start)
     result = partial_compression(system, design_of(spec, _first_end(spec)), record.y, record.u)
     ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
     if has_exact_rows(spec):  # a density on a subspace depends on the coordinates chosen there
@@ -63,6 +68,29 @@ PRIMITIVE_NOISES = ClosedForm(
     tolerance=digits_at_stake,
     expected=_primitive,
     start=_countdown,
+)
+
+
+def _off(spec: Spec, record: Record) -> Array:
+    """A start that the rows of y contradict."""
+    x0 = spec.model.x0.values().ravel()
+    return np.asarray(x0 + OFF * np.sqrt(np.diag(record.P0)))
+
+
+def _countdown_and_off(spec: Spec, record: Record) -> Mapping[str, Array]:
+    return {**_countdown(spec, record), "predicted_state": _off(spec, record)}
+
+
+def _contradicted(spec: Spec, record: Record) -> Mapping[str, Array]:
+    return _primitive(spec, record, _off(spec, record))
+
+
+CONTRADICTED = ClosedForm(
+    claim="the same where the rows contradict the host, and are rejected if they are tested",
+    source="Lee & Lee, (50), (51)",
+    tolerance=digits_at_stake,
+    expected=_contradicted,
+    start=_countdown_and_off,
 )
 
 

@@ -147,6 +147,7 @@ def _start_of(recursion: Recursion) -> Claim:
 def _prior(recursion: Recursion, record: Record) -> Mapping[str, Array]:
     """The record's prior covariance, in every port that starts as the spec's."""
     stacked = {"mode_covariance", "mode_filtered_covariance", "riccati_covariance"}
+    stacked |= {"predicted_compression_covariance", "compression_covariance"}
     names = {"predicted_covariance", "filtered_covariance"} | stacked
     ports = [port for port in recursion.ports if port.name in names]
     return {port.name: np.broadcast_to(record.P0, port.shape) for port in ports}
@@ -154,8 +155,8 @@ def _prior(recursion: Recursion, record: Record) -> Mapping[str, Array]:
 
 def _start(instance: Interpreter, values: Mapping[str, Array]) -> None:
     for name, value in values.items():
-        if value.ndim == 0:
-            instance.values[name] = np.array([value])
+        if not instance.recursion.port(name).symmetric:
+            instance.values[name] = value.ravel()
             continue
         n = value.shape[-1]
         packed = np.stack([value[..., i, j] for i, j in triangle(n)], axis=-1)
