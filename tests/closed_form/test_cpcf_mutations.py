@@ -233,7 +233,7 @@ def test_mistake_a_silent_start_with_the_other_sign(monkeypatch):
         return replace(found, cross=-found.cross)
 
     monkeypatch.setattr(partial_update, "_silent", wrong)
-    assert error() > 1e-3
+    assert error() > 1e-6
 
 
 # -------------------------------------------------------------------------------- similarity
