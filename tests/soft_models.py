@@ -68,8 +68,8 @@ def varying(seed, n, p, host, T, *, singular=False):
     return model, defaults, values
 
 
-def thinned(rng, T, p, *, host, missing=0.4):
-    """A random record with rows missing: none at the start of the compressed rows now and then."""
+def thinned(rng, T, p, host, *, missing=0.4):
+    """A random record with rows missing, and now and then no compressed row for a while."""
     y = 2.0 * rng.standard_normal((T, p))
     y[rng.random((T, p)) < missing] = np.nan
     if rng.random() < 0.3:
@@ -87,19 +87,19 @@ def expected(spec, y, u=None, params=None, *, first=None):
         reacquire=options.reacquire,
     )
     result = batch_compression(system_of(spec, len(y), params), law, policy, y, u)
-    ports = {field.name: getattr(result, field.name) for field in fields(result)}
-    if len(law.groups) == 1:
-        for name in ("test_statistic", "test_dof", "fault_declared", "compression_deviation"):
-            ports[name] = ports[name][:, 0]
-        ports["compression_covariance"] = ports["compression_covariance"][:, 0]
-    return ports
+    return {field.name: getattr(result, field.name) for field in fields(result)}
 
 
-def is_decided(spec, y, u=None, params=None):
-    """Whether no direction of D = P - P* is so faint that its rank is a matter of rounding."""
-    import dataclasses
-
-    quiet = dataclasses.replace(spec, filter=dataclasses.replace(spec.filter, test=False))
-    ports = expected(quiet, y, u, params)
-    host = ports["filtered_covariance"]
-    return host is not None
+def case(seed, *, singular=False, **options):
+    """A random spec with a random record: (spec, y, u, params); every other one varies in time."""
+    n, p, host, window = random_shape(seed)
+    rng = np.random.default_rng(seed + 10_000)
+    T = 3 * window + 2
+    if seed % 2:
+        model, defaults, params = varying(seed, n, p, host, T, singular=singular)
+    else:
+        model, defaults, params = random_model(seed, n, p, 1, direct=True), {}, {}
+        if singular:
+            model["A"] = (np.array(model["A"]) @ np.diag(np.arange(n) > 0)).tolist()
+    spec = soft(model, host=host, window=window, parameters=defaults, **options)
+    return spec, thinned(rng, T, p, host), rng.standard_normal((T, 1)), params

@@ -35,6 +35,11 @@ from fkgen.closed_form.linear_optimal import (
 )
 from fkgen.closed_form.loss_tests import LossTest
 from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
+from fkgen.closed_form.partial_compression import (
+    PartialCompression,
+    PartialCompressionResult,
+    partial_compression,
+)
 from fkgen.closed_form.riccati import (
     constant_input_noise,
     stationary_prediction,
@@ -75,6 +80,8 @@ __all__ = [
     "Lumping",
     "MultipleModelResult",
     "OneStepResult",
+    "PartialCompression",
+    "PartialCompressionResult",
     "Policy",
     "SensorLaw",
     "SteadyState",
@@ -103,6 +110,7 @@ __all__ = [
     "log_likelihood",
     "mode_plant",
     "nominal_share",
+    "partial_compression",
     "satisfies_lemma_2",
     "sensed_modes",
     "silent_lumped",

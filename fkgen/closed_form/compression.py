@@ -41,6 +41,9 @@ class CompressionResult:
         Of the rows of the host.
     test_statistic, test_dof, fault_declared : (T, g) ndarray
         NaN, 0 and 0 where no test is made.
+    faintest : (T, g) ndarray
+        Smallest share of a variance of the host that the compressed rows remove along a direction
+        that counts; NaN where no test is made. The statistic divides by it.
     """
 
     filtered_state: Array
@@ -56,6 +59,7 @@ class CompressionResult:
     test_statistic: Array
     test_dof: Array
     fault_declared: Array
+    faintest: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,12 +167,12 @@ def _empty(system: LinearSystem, soft: SoftFaults) -> CompressionResult:
         "filtered_covariance": (n, n), "predicted_covariance": (n, n),
         "compression_covariance": (s, n, n), "innovation": (p,), "innovation_covariance": (p, p),
         "nis": (), "log_likelihood": (), "test_statistic": (g,), "test_dof": (g,),
-        "fault_declared": (g,),
+        "fault_declared": (g,), "faintest": (g,),
     }  # fmt: skip
     result = CompressionResult(
         **{f.name: np.zeros((T, *shapes[f.name])) for f in fields(CompressionResult)}
     )
-    result.test_statistic[:] = np.nan
+    result.test_statistic[:] = result.faintest[:] = np.nan
     return result
 
 
@@ -231,8 +235,9 @@ class _Window:
         for g, group in enumerate(self.soft.groups):
             if not np.isfinite(self.y[:, list(group)]).any():
                 continue
-            statistic, dof = quadratic_form(self.part, self.soft.host, group, (self.y, self.u))
-            result.test_dof[end, g] = dof
+            record = self.y, self.u
+            statistic, dof, faintest = quadratic_form(self.part, self.soft.host, group, record)
+            result.test_dof[end, g], result.faintest[end, g] = dof, faintest
             result.test_statistic[end, g] = statistic if dof else np.nan
             fault = policy.test and dof > 0 and statistic > chi2.isf(self.soft.false_alarm, dof)
             result.fault_declared[end, g] = float(fault)
@@ -242,8 +247,10 @@ class _Window:
 
 def quadratic_form(
     part: LinearSystem, host_rows: Sequence[int], group: Sequence[int], record: tuple[Array, Array]
-) -> tuple[float, int]:
+) -> tuple[float, int, float]:
     """The statistic (x* - x)' (P - P*)^+ (x* - x) at the last sample of a window, and its rank.
+
+    The third number is the smallest share of a variance of P that P - P* removes and that counts.
 
     With r = what the compressed rows are beyond the projection on the host's, whitened to c, and
     x* - x = M c, the statistic is the square of the projection of c on the rows of M.
@@ -263,5 +270,6 @@ def quadratic_form(
     known = deviation > 0.0
     M = (state @ beyond.directions)[known] / deviation[known][:, None]
     _, singular, right = np.linalg.svd(M, full_matrices=False)
-    kept = right[singular**2 > NEGLIGIBLE]
-    return float(np.sum((kept @ c) ** 2)), len(kept)
+    counts = singular**2 > NEGLIGIBLE
+    faintest = float(np.min(singular[counts] ** 2)) if counts.any() else np.nan
+    return float(np.sum((right[counts] @ c) ** 2)), int(counts.sum()), faintest

@@ -20,6 +20,7 @@ NAMES = (
     "mjls_lmmse",
     "compression_full",
     "dfcf",
+    "cpcf",
 )
 
 

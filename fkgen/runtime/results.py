@@ -76,7 +76,8 @@ class Snapshot:
         offset = 0
         for port in self._layout.ports:
             if port.name == name:
-                return unpacked(port, np.frombuffer(self._bytes, dtype, port.size, offset))
+                value = unpacked(port, np.frombuffer(self._bytes, dtype, port.size, offset))
+                return np.where(self[port.given] > 0, value, np.nan) if port.given else value
             offset += port.size * dtype.itemsize
         names = [port.name for port in self._layout.ports]
         raise DataError("port", given=repr(name), expected=record.choice(name, names))

@@ -33,14 +33,21 @@ from fkgen.symbolic.estimate import (
     update_form,
 )
 from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, unpack
+from fkgen.symbolic.linalg import column, congruence, pack, unpack
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
 from fkgen.symbolic.sequential import Form
-from fkgen.symbolic.window import COUNTDOWN, collect, count_down, window_ports, window_start
+from fkgen.symbolic.window import (
+    COUNTDOWN,
+    collect,
+    count_down,
+    reacquired,
+    window_ports,
+    window_start,
+)
 
 Groups = tuple[int, ...]
 
@@ -251,7 +258,8 @@ def _closing(design: _Design) -> Phase:
                 agreed += flag if g in subset else -flag
             with script.where(agreed):
                 script.put({"closed_state": host["state"] + d, "closed_covariance": P})
-    results = _reacquired(design, script, accepted, rejected)
+    limit, last = design.spec.filter.reacquire, design.filters()[-1][0]
+    results = reacquired(script, limit, (accepted, rejected), (last, "closed_covariance"))
     with script.titled("results of the window"):
         count = len(design.subsets)
         script.put(
@@ -301,29 +309,3 @@ def _verdict(
             with script.where(test.value - test.looked_up):
                 script.put({names[0]: ca.SX(0), names[1]: ca.SX(1)})
     return accepted, rejected
-
-
-def _reacquired(
-    design: _Design, script: Script, accepted: list[ca.SX], rejected: list[ca.SX]
-) -> dict[str, ca.SX]:
-    """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
-
-    With the whole of the compressed rows in d, the next test compares with a host that is vague
-    just where the two disagreed: d' (D + d d')^+ d < 1.
-    """
-    limit = design.spec.filter.reacquire
-    if limit is None:
-        return {}
-    with script.titled("rejections in a row"):
-        count = script.local("rejections_now", 1)
-        script.put({"rejections_now": design.symbols["rejections"]})
-        with script.where(sum(rejected, start=ca.SX(-0.5))):
-            script.put({"rejections_now": count + 1})
-        with script.where(sum(accepted, start=ca.SX(-0.5))):
-            script.put({"rejections_now": ca.SX(0)})
-        with script.where(count - (limit - 0.5)):
-            d = design.filters()[-1][0]
-            covariance = script.symbol("closed_covariance")
-            script.put({"closed_covariance": covariance + outer_lower(d, d)})
-            script.put({"rejections_now": ca.SX(0)})
-    return {"rejections": count}
