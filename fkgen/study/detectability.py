@@ -1,0 +1,177 @@
+"""How small a bias a filter at rest can still find, and by which test."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fkgen.errors import DataError
+from fkgen.runtime.record import choice, numbers
+from fkgen.spec import Matrix, Spec
+from fkgen.study.figures import Figures
+from fkgen.study.power import probability, required_noncentrality
+from fkgen.study.profiles import step
+from fkgen.study.question import ask
+from fkgen.study.response import LINEAR, linear_response
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Detectability:
+    """The least constant bias along one direction that a test finds with a given power.
+
+    Biases are multiples of the direction: for a unit vector, in units of that row of y. Infinite
+    where a test never sees the fault.
+
+    Attributes
+    ----------
+    direction : (p,) ndarray
+    window : int
+        Samples w from the onset on.
+    false_alarm, power : float
+    nis : float
+        By the NIS of the first faulty sample, chi-square with p degrees of freedom.
+    windowed_nis : float
+        By the sum of the NIS over the window, p w degrees of freedom.
+    glr : float
+        By the likelihood ratio for a bias of this direction and onset, one degree of freedom.
+    information : (w,) ndarray
+        Noncentrality of each sample per unit of the bias squared; at first that of the onset.
+    plateau : float
+        What it tends to: what remains when the estimate has taken the bias in.
+    """
+
+    direction: Array
+    window: int
+    false_alarm: float
+    power: float
+    nis: float
+    windowed_nis: float
+    glr: float
+    information: Array
+    plateau: float
+
+
+def detectability(
+    spec: Spec,
+    direction: ArrayLike | str,
+    false_alarm: float = 1e-3,
+    power: float = 0.9,
+    window: int = 50,
+    *,
+    u: ArrayLike | None = None,
+) -> Detectability:
+    """Say how large a constant bias of y has to be to be found.
+
+    The filter is at rest when the bias begins; parameters have their defaults, every row is
+    present.
+
+    Parameters
+    ----------
+    spec : Spec
+        A ``kf``, ``mkf`` or ``genie``.
+    direction : (p,) array_like or str
+        Direction of the bias in y, or the name of the row that has it.
+    false_alarm, power : float
+        Probability of an alarm without and with the bias, per test.
+    window : int
+        Samples that the windowed tests look at.
+    u : (q,) array_like, optional
+        Constant inputs, on which the gain of ``mkf`` depends; zero if left out.
+
+    Returns
+    -------
+    Detectability
+
+    Raises
+    ------
+    DataError
+        If an argument does not fit, or the filter is not linear or does not come to rest.
+
+    References
+    ----------
+    Willsky & Jones 1976, sec. III (generalised likelihood ratio); docs/fault-effects.md.
+    """
+    d = _direction(spec, direction)
+    probability("false_alarm", false_alarm)
+    probability("power", power)
+    if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
+        raise DataError("window", given=repr(window), expected="a number of samples, at least 1")
+    rested, driven = _at_rest(spec, u)
+    p, w = spec.model.ny, int(window)
+    record = np.tile(driven, (w, 1)) if driven.size else None
+    asked = ask(rested, (step(w, 0, d), None), "both", w, params=None, u=record, y=None)
+    information = linear_response(asked).noncentrality
+
+    def least(degrees: int, share: float) -> float:
+        needed = required_noncentrality(degrees, false_alarm, power)
+        return math.sqrt(needed / share) if share > 0.0 else math.inf
+
+    total = float(information.sum())
+    return Detectability(
+        direction=d,
+        window=w,
+        false_alarm=float(false_alarm),
+        power=float(power),
+        nis=least(p, float(information[0])),
+        windowed_nis=least(p * w, total),
+        glr=least(1, total),
+        information=information,
+        plateau=_plateau(spec, driven, d),
+    )
+
+
+def _direction(spec: Spec, direction: ArrayLike | str) -> Array:
+    names = [signal.name for signal in spec.model.outputs]
+    if isinstance(direction, str):
+        if direction not in names:
+            expected = choice(direction, names)
+            raise DataError("direction", given=repr(direction), expected=expected)
+        return np.eye(len(names))[names.index(direction)]
+    d = np.atleast_1d(np.asarray(numbers("direction", direction, np.float64), dtype=float))
+    if d.shape != (len(names),):
+        expected = f"shape ({len(names)},), one number per row of y, or the name of a row"
+        raise DataError("direction", given=f"shape {d.shape}", expected=expected)
+    if not np.isfinite(d).all() or not d.any():
+        raise DataError("direction", given=str(d), expected="finite numbers, not all of them zero")
+    return d
+
+
+def _at_rest(spec: Spec, u: ArrayLike | None) -> tuple[Spec, Array]:
+    """The spec with its stationary covariance as the prior, and the inputs."""
+    family, q = spec.filter.family, spec.model.nu
+    if family not in LINEAR:
+        given = f"the family {family}"
+        expected = f"one of {', '.join(LINEAR)}: the NIS of a filter that is not linear in y, or"
+        expected += " whose y is a mixture, is not chi-square; simulate it"
+        raise DataError("detectability", given=given, expected=expected)
+    driven = np.zeros(q)
+    if u is not None:
+        driven = np.asarray(numbers("u", u, np.float64), dtype=float).reshape(-1)
+        if driven.shape != (q,):
+            raise DataError("u", given=f"shape {driven.shape}", expected=f"shape ({q},)")
+    rest = Figures(spec).rest_at(driven)
+    if rest is None:
+        given = "a filter that does not come to rest"
+        expected = "a stabilising solution of the Riccati equation; see fkgen.check"
+        raise DataError("detectability", given=given, expected=expected)
+    return replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted))), driven
+
+
+def _plateau(spec: Spec, driven: Array, d: Array) -> float:
+    """Noncentrality of a bias that has lasted for ever: the innovation (I - C A (I - M)^-1 K) d.
+
+    Song & Hu 2019, (12) for i -> infinity.
+    """
+    figures = Figures(spec)
+    rest = figures.rest_at(driven)
+    if rest is None:
+        return math.nan
+    innovation = d - figures.C @ np.linalg.solve(
+        np.eye(len(figures.A)) - figures.A + rest.gain @ figures.C, rest.gain @ d
+    )
+    return float(innovation @ np.linalg.pinv(rest.innovation, hermitian=True) @ innovation)
