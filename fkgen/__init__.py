@@ -23,13 +23,13 @@ from fkgen.errors import (
 from fkgen.version import __version__
 
 if TYPE_CHECKING:
+    from fkgen import profiles
     from fkgen.backend.source import Source
     from fkgen.pipeline import build, compile, generate, validate
     from fkgen.proof import Claim, Validated
     from fkgen.runtime.compiled import CompiledFilter
     from fkgen.runtime.results import Run, Snapshot
     from fkgen.spec import Spec, load
-    from fkgen.study import profiles
     from fkgen.study.check import Finding, Report, check
     from fkgen.study.detectability import Detectability, detectability
     from fkgen.study.fault_effect import FaultEffect, fault_effect
@@ -58,7 +58,7 @@ _HOMES = {
 }
 
 #: Modules that are public as they are.
-_MODULES = {"profiles": "fkgen.study.profiles"}
+_MODULES = {"profiles": "fkgen.profiles"}
 
 __all__ = [
     "Claim",
