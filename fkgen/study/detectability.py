@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.errors import DataError
 from fkgen.runtime.record import choice, numbers
 from fkgen.spec import Matrix, Spec
-from fkgen.study.figures import Figures
+from fkgen.study.figures import Figures, Rest
 from fkgen.study.power import probability, required_noncentrality
 from fkgen.study.profiles import step
 from fkgen.study.question import ask
 from fkgen.study.response import LINEAR, linear_response
+from fkgen.study.visibility import lasting_innovation
 
 Array = NDArray[np.float64]
 
@@ -101,7 +102,9 @@ def detectability(
     probability("power", power)
     if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
         raise DataError("window", given=repr(window), expected="a number of samples, at least 1")
-    rested, driven = _at_rest(spec, u)
+    figures, driven = Figures(spec), _inputs(spec, u)
+    rest = _rest(figures, driven)
+    rested = replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted)))
     p, w = spec.model.ny, int(window)
     record = np.tile(driven, (w, 1)) if driven.size else None
     asked = ask(rested, (step(w, 0, d), None), "both", w, params=None, u=record, y=None)
@@ -112,6 +115,7 @@ def detectability(
         return math.sqrt(needed / share) if share > 0.0 else math.inf
 
     total = float(information.sum())
+    left = lasting_innovation(figures, rest, d)
     return Detectability(
         direction=d,
         window=w,
@@ -121,7 +125,7 @@ def detectability(
         windowed_nis=least(p * w, total),
         glr=least(1, total),
         information=information,
-        plateau=_plateau(spec, driven, d),
+        plateau=float(left @ np.linalg.pinv(rest.innovation, hermitian=True) @ left),
     )
 
 
@@ -141,37 +145,28 @@ def _direction(spec: Spec, direction: ArrayLike | str) -> Array:
     return d
 
 
-def _at_rest(spec: Spec, u: ArrayLike | None) -> tuple[Spec, Array]:
-    """The spec with its stationary covariance as the prior, and the inputs."""
-    family, q = spec.filter.family, spec.model.nu
+def _inputs(spec: Spec, u: ArrayLike | None) -> Array:
+    """Constant inputs, (q,)."""
+    q = spec.model.nu
+    if u is None:
+        return np.zeros(q)
+    driven = np.asarray(numbers("u", u, np.float64), dtype=float).reshape(-1)
+    if driven.shape != (q,) or not np.isfinite(driven).all():
+        raise DataError("u", given=str(driven), expected=f"{q} finite numbers, one per input")
+    return driven
+
+
+def _rest(figures: Figures, driven: Array) -> Rest:
+    """The filter at rest."""
+    family = figures.spec.filter.family
     if family not in LINEAR:
         given = f"the family {family}"
         expected = f"one of {', '.join(LINEAR)}: the NIS of a filter that is not linear in y, or"
         expected += " whose y is a mixture, is not chi-square; simulate it"
         raise DataError("detectability", given=given, expected=expected)
-    driven = np.zeros(q)
-    if u is not None:
-        driven = np.asarray(numbers("u", u, np.float64), dtype=float).reshape(-1)
-        if driven.shape != (q,):
-            raise DataError("u", given=f"shape {driven.shape}", expected=f"shape ({q},)")
-    rest = Figures(spec).rest_at(driven)
+    rest = figures.rest_at(driven)
     if rest is None:
         given = "a filter that does not come to rest"
         expected = "a stabilising solution of the Riccati equation; see fkgen.check"
         raise DataError("detectability", given=given, expected=expected)
-    return replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted))), driven
-
-
-def _plateau(spec: Spec, driven: Array, d: Array) -> float:
-    """Noncentrality of a bias that has lasted for ever: the innovation (I - C A (I - M)^-1 K) d.
-
-    Song & Hu 2019, (12) for i -> infinity.
-    """
-    figures = Figures(spec)
-    rest = figures.rest_at(driven)
-    if rest is None:
-        return math.nan
-    innovation = d - figures.C @ np.linalg.solve(
-        np.eye(len(figures.A)) - figures.A + rest.gain @ figures.C, rest.gain @ d
-    )
-    return float(innovation @ np.linalg.pinv(rest.innovation, hermitian=True) @ innovation)
+    return rest
