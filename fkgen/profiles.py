@@ -1,4 +1,4 @@
-"""Profiles of faults over a record, for `fkgen.fault_effect`: pulse, step, ramp, drift, from_csv."""
+"""Profiles of faults for `fkgen.fault_effect`: pulse, step, ramp, drift, from_csv."""
 
 from fkgen.study.profiles import drift, from_csv, pulse, ramp, step
 

@@ -74,7 +74,9 @@ def difference(spec, faults, mode, params, u, missing):
     """Two runs of the compiled filter with one noise record: (state, error, innovation) change."""
     sensor, anomaly = faults
     T = len(u)
-    full = {name: np.broadcast_to(value, (T,)) for name, value in {**spec.defaults, **params}.items()}
+    full = {
+        name: np.broadcast_to(value, (T,)) for name, value in {**spec.defaults, **params}.items()
+    }
     reached = u if mode == "filter" else u + anomaly
     told = u if mode == "plant" else u + anomaly
     records = []

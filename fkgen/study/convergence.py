@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fkgen.study.figures import Figures
+from fkgen.study.figures import Figures, listed
 from fkgen.study.findings import Finding, Part
 from fkgen.study.response import LINEAR
 from fkgen.study.size import used_parameters
@@ -42,25 +42,32 @@ def condition(figures: Figures) -> Part:
             "Kalman filter without faults"
         )
         return Part((Finding("error_decay_unknown", "note", message),), values)
-    moving = [p.name for p in spec.parameters if p.name in used_parameters(spec)]
-    if moving and spec.filter.family != "genie":
-        return Part((_only_e("the model changes with its parameters"),), values)
-    if spec.filter.family == "genie":
-        return Part((_only_e("signals may be lost"),), values)
-    constant = " while u is constant" if figures.has_faults else ""
-    message = (
-        f"the effect of a fault dies away{constant}: M[k] tends to M with rho(M) = "
-        f"{rest.radius:.9g} < 1 (condition c); ||M|| = {values['closed_loop_norm']:.4g}"
+    decays = (
+        f"the effect of a fault dies away: M[k] tends to M with rho(M) = {rest.radius:.9g} < 1 "
+        "(condition c)"
     )
-    if values["closed_loop_norm"] >= 1.0:
-        message += ", so it may grow at first"
-    return Part((Finding("error_decay", "note", message, rest.radius),), values)
+    if (norm := values["closed_loop_norm"]) >= 1.0:
+        decays += f", after it may have grown at first: ||M|| = {norm:.4g}"
+    if reason := _varying(figures):
+        return Part((_only_e(f"{decays}, as long as nothing varies; but {reason}"),), values)
+    return Part((Finding("error_decay", "note", decays, rest.radius),), values)
+
+
+def _varying(figures: Figures) -> str:
+    """What makes gains vary for ever, if anything does."""
+    spec = figures.spec
+    if spec.filter.family == "genie":
+        return "signals may be lost"
+    moving = [p.name for p in spec.parameters if p.name in used_parameters(spec)]
+    if moving:
+        return f"the model changes with {listed(moving)}"
+    return "the gain changes with u" if figures.has_faults else ""
 
 
 def _only_e(reason: str) -> Finding:
     message = (
-        f"{reason}: of the effect of a fault it is only certain that, measured by P(k|k), it never "
-        "grows (condition e); that every rho(M[k]) < 1 would prove nothing more"
+        f"{reason}: then it is only certain that the effect, measured by P(k|k), never grows once "
+        "the fault is over (condition e); that every rho(M[k]) < 1 would prove nothing more"
     )
-    remedy = "look at it with fault-effect, over the parameters and inputs that occur"
+    remedy = "see fault-effect, over parameters and inputs that occur"
     return Finding("error_decay_unproved", "note", message, None, remedy)

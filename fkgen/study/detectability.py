@@ -1,4 +1,10 @@
-"""How small a bias a filter at rest can still find, and by which test."""
+"""How small a bias a filter at rest can still find, and by which test.
+
+References
+----------
+Willsky & Jones 1976, *A generalized likelihood ratio approach to the detection and estimation of
+jumps in linear systems*, sec. III.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.errors import DataError
 from fkgen.runtime.record import choice, numbers
 from fkgen.spec import Matrix, Spec
+from fkgen.study.demands import probability, whole
 from fkgen.study.figures import Figures, Rest
-from fkgen.study.power import probability, required_noncentrality
+from fkgen.study.power import required_noncentrality
 from fkgen.study.profiles import step
 from fkgen.study.question import ask
 from fkgen.study.response import LINEAR, linear_response
@@ -66,10 +73,9 @@ def detectability(
     *,
     u: ArrayLike | None = None,
 ) -> Detectability:
-    """Say how large a constant bias of y has to be to be found.
+    """Say how large a constant bias of y has to be to be found by a filter at rest.
 
-    The filter is at rest when the bias begins; parameters have their defaults, every row is
-    present.
+    Parameters have their defaults, every row is present.
 
     Parameters
     ----------
@@ -84,49 +90,47 @@ def detectability(
     u : (q,) array_like, optional
         Constant inputs, on which the gain of ``mkf`` depends; zero if left out.
 
-    Returns
-    -------
-    Detectability
-
     Raises
     ------
     DataError
         If an argument does not fit, or the filter is not linear or does not come to rest.
-
-    References
-    ----------
-    Willsky & Jones 1976, sec. III (generalised likelihood ratio); docs/fault-effects.md.
     """
     d = _direction(spec, direction)
-    probability("false_alarm", false_alarm)
-    probability("power", power)
-    if isinstance(window, bool) or not isinstance(window, int | np.integer) or window < 1:
-        raise DataError("window", given=repr(window), expected="a number of samples, at least 1")
-    figures, driven = Figures(spec), _inputs(spec, u)
-    rest = _rest(figures, driven)
-    rested = replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted)))
-    p, w = spec.model.ny, int(window)
-    record = np.tile(driven, (w, 1)) if driven.size else None
-    asked = ask(rested, (step(w, 0, d), None), "both", w, params=None, u=record, y=None)
-    information = linear_response(asked).noncentrality
-
-    def least(degrees: int, share: float) -> float:
-        needed = required_noncentrality(degrees, false_alarm, power)
-        return math.sqrt(needed / share) if share > 0.0 else math.inf
-
-    total = float(information.sum())
-    left = lasting_innovation(figures, rest, d)
+    w = whole("window", window, least=1, expected="a number of samples, at least 1")
+    rates = probability("false_alarm", false_alarm), probability("power", power)
+    information, plateau = _information(spec, step(w, 0, d), d, u)
+    total, p = float(information.sum()), spec.model.ny
     return Detectability(
         direction=d,
         window=w,
-        false_alarm=float(false_alarm),
-        power=float(power),
-        nis=least(p, float(information[0])),
-        windowed_nis=least(p * w, total),
-        glr=least(1, total),
+        false_alarm=rates[0],
+        power=rates[1],
+        nis=_least(p, float(information[0]), rates),
+        windowed_nis=_least(p * w, total, rates),
+        glr=_least(1, total, rates),
         information=information,
-        plateau=float(left @ np.linalg.pinv(rest.innovation, hermitian=True) @ left),
+        plateau=plateau,
     )
+
+
+def _least(degrees: int, share: float, rates: tuple[float, float]) -> float:
+    """The bias at which the noncentrality is what a test needs; ``share`` is that of a unit."""
+    needed = required_noncentrality(degrees, *rates)
+    return math.sqrt(needed / share) if share > 0.0 else math.inf
+
+
+def _information(
+    spec: Spec, bias: Array, d: Array, inputs: ArrayLike | None
+) -> tuple[Array, float]:
+    """Noncentrality of every sample of a bias that begins at rest, and what it tends to."""
+    figures, driven = Figures(spec), _inputs(spec, inputs)
+    rest = _rest(figures, driven)
+    rested = replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted)))
+    u = np.tile(driven, (len(bias), 1)) if driven.size else None
+    asked = ask(rested, (bias, None), "both", None, params=None, u=u, y=None)
+    left = lasting_innovation(figures, rest, d)
+    plateau = float(left @ np.linalg.pinv(rest.innovation, hermitian=True) @ left)
+    return linear_response(asked).noncentrality, plateau
 
 
 def _direction(spec: Spec, direction: ArrayLike | str) -> Array:
@@ -135,7 +139,7 @@ def _direction(spec: Spec, direction: ArrayLike | str) -> Array:
         if direction not in names:
             expected = choice(direction, names)
             raise DataError("direction", given=repr(direction), expected=expected)
-        return np.eye(len(names))[names.index(direction)]
+        return np.asarray(np.eye(len(names))[names.index(direction)])
     d = np.atleast_1d(np.asarray(numbers("direction", direction, np.float64), dtype=float))
     if d.shape != (len(names),):
         expected = f"shape ({len(names)},), one number per row of y, or the name of a row"

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError
-from fkgen.study.power import detection_power, probability
+from fkgen.study.demands import probability
+from fkgen.study.power import detection_power
 
 Array = NDArray[np.float64]
 

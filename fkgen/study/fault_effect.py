@@ -1,4 +1,10 @@
-"""What a fault does to the estimate, for how long, and whether the innovation shows it."""
+"""What a fault does to the estimate, for how long, and whether the innovation shows it.
+
+References
+----------
+Song & Hu 2019, *Effect of Faults on Kalman Filter of State Vectors in Linear Systems*, eqs.
+(6)-(26), with the errata of docs/fault-effects.md.
+"""
 
 from __future__ import annotations
 
@@ -30,46 +36,32 @@ def fault_effect(
 ) -> FaultEffect:
     """Say what a fault changes in the estimate, the error and the innovation.
 
-    For ``kf``, ``mkf`` and ``genie`` the answer is the recursion of the filter itself, driven by
-    the fault and started at zero, in compiled C. For ``linear_optimal`` and sensor faults it is the
-    difference of two runs, which is the same for every record. For all others runs are simulated
-    in pairs, with and without the fault and with the same noise; ``kind`` says which it was.
+    ``kf``, ``mkf``, ``genie``: by the recursion of the filter, driven by the fault and started at
+    zero, in C. ``linear_optimal`` with sensor faults: by two runs, whose difference no record
+    changes. Others: by simulated pairs with the same noise. ``kind`` of the result says which.
 
     Parameters
     ----------
     spec : Spec
-        Plant and filter.
-    sensor : (T, p) array_like, optional
-        What is added to y; see `fkgen.profiles`.
-    input : (T, q) array_like, optional
-        What is added to u.
+    sensor, input : (T, p), (T, q) array_like, optional
+        What is added to y, and to u; see `fkgen.profiles`.
     mode : str
-        Who gets the input anomaly: ``"both"`` plant and filter, ``"plant"`` (an actuator fault) or
-        ``"filter"`` (a wrong readback of the command).
+        Who gets the input anomaly: ``"both"``, ``"plant"`` (actuator fault), ``"filter"``.
     steps : int, optional
-        T; only to be checked against the profile.
-    params : mapping of str to float or (T,) array_like, optional
-        Run-time parameters; those left out keep their defaults.
+        T, to be checked against the profile.
+    params : mapping, optional
+        Run-time parameters, numbers or (T,).
     u : (T, q) array_like, optional
-        The inputs without the fault. Needed where the gain depends on them (``mkf``, ``mme``).
+        Inputs without the fault; needed where the gain depends on them (``mkf``, ``mme``).
     y : (T, p) array_like, optional
         A record of which only the missing entries (NaN) matter.
-    runs, seed : int, optional
-        Pairs of simulated runs, and where their random numbers start.
-
-    Returns
-    -------
-    FaultEffect
+    runs, seed : int
+        Of the simulated pairs.
 
     Raises
     ------
     DataError
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
-
-    References
-    ----------
-    Song & Hu 2019, *Effect of Faults on Kalman Filter of State Vectors in Linear Systems*, eqs.
-    (6)-(26), with the errata of docs/fault-effects.md.
     """
     question = ask(spec, (sensor, input), mode, steps, params=params, u=u, y=y)
     if spec.filter.family in LINEAR:

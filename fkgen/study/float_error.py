@@ -11,7 +11,7 @@ from fkgen.backend.lower import lower
 from fkgen.families import family
 from fkgen.spec import Code
 from fkgen.study.figures import Array, Figures, Rest
-from fkgen.study.findings import Finding, Part
+from fkgen.study.findings import Finding, Part, Severity
 from fkgen.study.response import LINEAR
 from fkgen.study.rounding import Bounded, one_step
 from fkgen.study.subspaces import ON_THE_CIRCLE
@@ -51,15 +51,15 @@ def float_suitability(figures: Figures) -> Part:
     size = f"{bound[worst]:.2g} {unit}".rstrip()
     text = (
         f"float rounds {names[worst]} by at most {size}, {share[worst]:.2g} of its sd at rest, "
-        f"while it is within {usual_range(figures)[worst]:.3g}"
+        f"for states of the usual range (here up to {usual_range(figures)[worst]:.3g})"
     )
     if share[worst] <= _SMALL:
         return Part((Finding("float_suitable", "note", text, float(share[worst])),), values)
     if not np.isfinite(share[worst]):
         text = f"no bound on what float rounds in {names[worst]}: no digits are certain"
-    severity = "warning" if figures.is_float else "note"
-    remedy = 'scalar = "double", states of smaller range (an offset from a reference), or other'
-    remedy += " units" if figures.is_float else " units, before float is chosen"
+    severity: Severity = "warning" if figures.is_float else "note"
+    remedy = "states of a smaller range, such as offsets from a reference"
+    remedy = f'scalar = "double", or {remedy}' if figures.is_float else f"for float: {remedy}"
     finding = Finding("float_rounding", severity, text, float(share[worst]), remedy)
     return Part((finding,), values)
 

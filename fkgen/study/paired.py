@@ -18,6 +18,7 @@ from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
 from fkgen.spec import Code, Spec
 from fkgen.spec.faults import SECTIONS
+from fkgen.study.demands import whole
 from fkgen.study.effect import FaultEffect, Kind
 from fkgen.study.question import Question
 
@@ -43,8 +44,7 @@ def paired_response(question: Question, runs: int, seed: int) -> FaultEffect:
     DataError
         If the filter refuses a sample, or the plant of the family cannot be driven here.
     """
-    if isinstance(runs, bool) or not isinstance(runs, int) or runs < 2:
-        raise DataError("runs", given=repr(runs), expected="a number of pairs, at least 2")
+    whole("runs", runs, least=2, expected="a number of pairs, at least 2")
     built = _built(question.spec)
     reached = question.mode != "filter" and bool(question.anomaly.any())
     streams = [np.random.SeedSequence((seed, m)) for m in range(runs)]

@@ -2,31 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError
+from fkgen.study.demands import probability
 
 Array = NDArray[np.float64]
-
-
-def probability(name: str, value: float) -> float:
-    """A probability strictly between 0 and 1.
-
-    Raises
-    ------
-    DataError
-        If it is none.
-    """
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not 0.0 < number < 1.0:
-        raise DataError(name, given=repr(value), expected="a probability in (0, 1), such as 0.001")
-    return number
 
 
 def required_noncentrality(degrees: int, false_alarm: float, power: float) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
+from fkgen.study.demands import whole
 from fkgen.study.table import read_columns
 
 __all__ = ["drift", "from_csv", "pulse", "ramp", "step"]
@@ -99,8 +100,7 @@ def ramp(
     DataError
         If the samples are not in the record, or an amplitude is not finite.
     """
-    if not isinstance(length, int | np.integer) or length < 1:
-        raise DataError("length", given=repr(length), expected="a number of samples, at least 1")
+    whole("length", length, least=1, expected="a number of samples, at least 1")
     rise = np.minimum(np.arange(1, _count(steps) + 1) / length, 1.0)
     return _shaped(rise, start, amplitude, stop)
 
@@ -155,20 +155,16 @@ def from_csv(path: str | os.PathLike[str], columns: Sequence[str]) -> Array:
 
 
 def _count(steps: int) -> int:
-    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
-        raise DataError("steps", given=repr(steps), expected="a number of samples, at least 1")
-    return int(steps)
+    return whole("steps", steps, least=1, expected="a number of samples, at least 1")
 
 
 def _shaped(shape: Array, start: int, amplitude: ArrayLike, stop: int | None) -> Array:
     """Put the first values of a shape from ``start`` on, times the amplitude."""
     steps = len(shape)
-    if not isinstance(start, int | np.integer) or not 0 <= start < steps:
-        raise DataError("start", given=repr(start), expected=f"a sample from 0 to {steps - 1}")
-    last = steps if stop is None else stop
-    if not isinstance(last, int | np.integer) or last <= start:
-        expected = f"a sample after start = {start}, or None: the fault stays"
-        raise DataError("stop", given=repr(stop), expected=expected)
+    in_record = f"a sample from 0 to {steps - 1}"
+    first = whole("start", start, least=0, most=steps - 1, expected=in_record)
+    later = f"a sample after start = {start}, or None: the fault stays"
+    last = steps if stop is None else whole("stop", stop, least=first + 1, expected=later)
     try:
         size = np.atleast_1d(np.asarray(amplitude, dtype=float))
     except (TypeError, ValueError):
@@ -177,6 +173,6 @@ def _shaped(shape: Array, start: int, amplitude: ArrayLike, stop: int | None) ->
         expected = "finite numbers, one per row of y or per input"
         raise DataError("amplitude", given=repr(amplitude), expected=expected)
     result = np.zeros((steps, size.size))
-    last = min(int(last), steps)
-    result[start:last] = shape[: last - start, np.newaxis] * size
+    last = min(last, steps)
+    result[first:last] = shape[: last - first, np.newaxis] * size
     return result

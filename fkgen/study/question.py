@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, cast, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,19 +70,7 @@ def ask(
     u: ArrayLike | None,
     y: ArrayLike | None,
 ) -> Question:
-    """Check and complete what a user asks.
-
-    Parameters
-    ----------
-    spec : Spec
-    faults : pair of (T, p) and (T, q) array_like or None
-        What is added to y and to u.
-    mode : str
-        One of `MODES`.
-    steps : int or None
-        T, if it is to be checked.
-    params, u, y
-        As for `fkgen.fault_effect`.
+    """Check and complete what a user asks; ``faults`` is added to y and to u.
 
     Raises
     ------
@@ -111,7 +99,7 @@ def ask(
         spec=spec,
         sensor=_finite("sensor", sensor, model.outputs, T),
         anomaly=_finite("input", anomaly, model.inputs, T),
-        mode=cast("Mode", mode),
+        mode=mode,
         u=_inputs(spec, u, T),
         params=parameters,
         missing=np.isnan(record),

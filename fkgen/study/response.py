@@ -74,7 +74,7 @@ def linear_response(question: Question) -> FaultEffect:
     # only the plant (+) or only the filter (-) has got.
     y = np.where(question.missing, np.nan, -question.sensor)
     own = _run(built, y, _SIGN[question.mode] * anomaly, companion)
-    error = own.filtered_state[:, :n]
+    error = np.asarray(own.filtered_state[:, :n], dtype=float)
     plant = np.zeros_like(error)
     if question.mode != "filter" and anomaly.any():  # nothing is measured: the plant, left alone
         plant = _run(built, np.full_like(y, np.nan), anomaly, companion).filtered_state[:, :n]
@@ -85,9 +85,9 @@ def linear_response(question: Question) -> FaultEffect:
     )
     return FaultEffect(
         state_deviation=plant - error,
-        error_deviation=error + 0.0,
-        innovation_deviation=0.0 - own.innovation,
-        noncentrality=own.nis,
+        error_deviation=error + 0.0,  # no -0.0
+        innovation_deviation=np.asarray(0.0 - own.innovation, dtype=float),
+        noncentrality=np.asarray(own.nis, dtype=float),
         state_sd=np.sqrt(np.maximum(variance, 0.0)),
         degrees=np.sum(~question.missing, axis=1),
         kind="mean" if random else "exact",

@@ -64,7 +64,8 @@ def sensors(figures: Figures) -> Part:
             message = (
                 f"a lasting bias of {signal.name} cannot be seen: the estimate takes all of it in, "
                 f"and only its first samples show in the innovation (from {least:.3g} "
-                f"{signal.unit}".rstrip() + " on, GLR of one sample)"
+                f"{signal.unit}".rstrip()
+                + " on, GLR of one sample)"
             )
             remedy = "a second sensor of the same, if that matters"
             findings.append(Finding("unseen_bias", "note", message, share, remedy))

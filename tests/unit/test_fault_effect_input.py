@@ -114,7 +114,10 @@ def test_a_mixture_has_no_power_of_a_chi_square_test():
         (lambda: fkgen.detectability(A, "y0", 1e-3, 1.0), "power: given 1.0"),
         (lambda: fkgen.detectability(A, "y0", 0.5, 0.4), "more than false_alarm = 0.5"),
         (lambda: fkgen.detectability(A, "y0", window=0), "window: given 0"),
-        (lambda: fkgen.detectability(A, "y0", u=[1.0, 2.0]), "u: given .*; expected 1 finite numbers"),
+        (
+            lambda: fkgen.detectability(A, "y0", u=[1.0, 2.0]),
+            "u: given .*; expected 1 finite numbers",
+        ),
         (lambda: fkgen.detectability(motor("mme"), "y0"), "the family mme; .* simulate it"),
     ],
 )
