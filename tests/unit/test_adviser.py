@@ -86,9 +86,10 @@ def test_constant_data_that_come_to_rest_are_condition_c():
 
 def test_without_rest_or_with_inputs_that_may_fail_only_e_is_left():
     asleep = random_model(1, 2, 1) | {"A": [[1.0, 0.0], [0.0, 0.5]], "Q": [[0.0, 0.0], [0.0, 1.0]]}
-    assert "does not come to rest" in finding(
-        fkgen.check(spec(asleep)), "error_decay_unproved"
-    ).message
+    assert (
+        "does not come to rest"
+        in finding(fkgen.check(spec(asleep)), "error_decay_unproved").message
+    )
     failing = fkgen.check(spec(random_model(2, 2, 1, 1), family="mkf", actuator=common(0.5)))
     assert "the gain changes with u" in finding(failing, "error_decay_unproved").message
     assert "error_decay_unknown" in codes(fkgen.check(motor("mme")))
