@@ -80,9 +80,9 @@ def linear_response(question: Question) -> FaultEffect:
         plant = _run(built, np.full_like(y, np.nan), anomaly, companion).filtered_state[:, :n]
     variance = np.diagonal(own.filtered_covariance, axis1=1, axis2=2)[:, :n]
     random = spec.faults.actuator is not None and anomaly.any()
-    sensed = spec.faults.actuator is not None and any(
-        entry != Number(0.0) for row in spec.model.D.rows for entry in row
-    )
+    entries = [entry for row in spec.model.D.rows for entry in row]
+    seen = question.told.any() and any(entry != Number(0.0) for entry in entries)
+    mixture = spec.faults.actuator is not None and seen  # y shows which commands were lost
     return FaultEffect(
         state_deviation=plant - error,
         error_deviation=error + 0.0,  # no -0.0
@@ -92,7 +92,7 @@ def linear_response(question: Question) -> FaultEffect:
         degrees=np.sum(~question.missing, axis=1),
         kind="mean" if random else "exact",
         standard_error=np.zeros_like(error),
-        gaussian=not sensed,
+        gaussian=not mixture,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -113,3 +114,10 @@ def test_the_gain_as_printed_is_of_no_use(example):
         assert found.gain > 1e3
         assert found.eigenvalue < 0.0
         assert found.radius > 1.0
+
+
+def test_the_page_quotes_its_tables():
+    page, tables = ((EXAMPLE / name).read_text("utf-8") for name in ("README.md", "tables.md"))
+    quoted = re.findall(r"\d+\.\d{3,}", page)
+    assert len(quoted) > 50
+    assert [number for number in quoted if number not in tables] == []
