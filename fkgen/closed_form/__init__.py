@@ -40,6 +40,7 @@ from fkgen.closed_form.partial_compression import (
     PartialCompressionResult,
     partial_compression,
 )
+from fkgen.closed_form.propagation import Gains, after_pulse, after_step, gains, within_step
 from fkgen.closed_form.riccati import (
     constant_input_noise,
     stationary_prediction,
@@ -68,6 +69,7 @@ __all__ = [
     "CompressionResult",
     "EnumerationResult",
     "FaultMoments",
+    "Gains",
     "Identity",
     "InteractingResult",
     "Joint",
@@ -87,6 +89,8 @@ __all__ = [
     "SteadyState",
     "TextbookStep",
     "accepted_rows",
+    "after_pulse",
+    "after_step",
     "aggregate",
     "batch_compression",
     "batch_lmmse",
@@ -100,6 +104,7 @@ __all__ = [
     "enumerate_jumps",
     "enumerate_modes",
     "enumerate_paths",
+    "gains",
     "gamma_delta",
     "informed",
     "interacting",
@@ -126,4 +131,5 @@ __all__ = [
     "textbook_one_step",
     "textbook_step",
     "true_covariance",
+    "within_step",
 ]
