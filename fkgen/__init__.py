@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from fkgen.runtime.results import Run, Snapshot
     from fkgen.spec import Spec, load
     from fkgen.study.check import Finding, Report, check
+    from fkgen.study.simulation import Simulation, simulate
 
 #: Where the lazily loaded names live.
 _HOMES = {
@@ -42,6 +43,8 @@ _HOMES = {
     "check": "fkgen.study.check",
     "Report": "fkgen.study.check",
     "Finding": "fkgen.study.check",
+    "simulate": "fkgen.study.simulation",
+    "Simulation": "fkgen.study.simulation",
     "Claim": "fkgen.proof",
     "Validated": "fkgen.proof",
     "Source": "fkgen.backend.source",
@@ -61,6 +64,7 @@ __all__ = [
     "OutputError",
     "Report",
     "Run",
+    "Simulation",
     "Snapshot",
     "Source",
     "Spec",
@@ -75,6 +79,7 @@ __all__ = [
     "compile",
     "generate",
     "load",
+    "simulate",
     "validate",
 ]
 

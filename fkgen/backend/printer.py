@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import singledispatchmethod
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from fkgen.backend.ir import (
     Assign,
     Copy,
-    CProgram,
     Element,
     Heading,
     IfPositive,
@@ -20,6 +19,8 @@ from fkgen.backend.ir import (
     Operate,
     Operator,
     Require,
+    Scalar,
+    Signal,
     Space,
     Statement,
     Temp,
@@ -31,16 +32,35 @@ _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV:
 _WORD_BITS = 32
 
 
-class Printer:
+class Printable(Protocol):
+    """What the printer has to know about a program."""
+
+    @property
+    def name(self) -> str:
+        """Prefix of its symbols."""
+
+    @property
+    def scalar(self) -> Scalar:
+        """Type of its numbers."""
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Rows of y."""
+
+
+Program = TypeVar("Program", bound=Printable)
+
+
+class Printer(Generic[Program]):
     """Print the nodes of one program.
 
     Parameters
     ----------
-    program : CProgram
+    program : Printable
         Gives names their prefix and literals their type.
     """
 
-    def __init__(self, program: CProgram) -> None:
+    def __init__(self, program: Program) -> None:
         self.program = program
         self.name = program.name
         self.real = program.scalar

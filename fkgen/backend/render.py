@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 
-import jinja2
-
-from fkgen.backend.elementary import FORMATS
 from fkgen.backend.ir import CProgram, Operator, Phase
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
+from fkgen.backend.templates import elementary_context, filled
 from fkgen.backend.vectors import self_test_vectors
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
@@ -22,42 +18,20 @@ from fkgen.version import API_VERSION, __version__
 INLINED = 2500
 
 
-@cache
-def environment() -> jinja2.Environment:
-    """Templates from the wheel, or from the source tree."""
-    here = Path(__file__).resolve().parents[1]
-    folders = [here / "templates", here.parent / "templates"]
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folders),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # noqa: S701 - C, not HTML
-    )
-
-
 def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     """Print a program. ``claims`` are what was proved about it, for the manifest."""
     context = _context(program)
     name = program.name
     files = {
-        f"{name}.h": _text("header.h.j2", context),
-        f"{name}.c": _text("source.c.j2", context),
-        f"{name}_selftest.c": _text("selftest.c.j2", context),
-        f"{name}_selftest_main.c": _text("selftest_main.c.j2", context),
-        "CMakeLists.txt": _text("CMakeLists.txt.j2", context),
+        f"{name}.h": filled("header.h.j2", context),
+        f"{name}.c": filled("source.c.j2", context),
+        f"{name}_selftest.c": filled("selftest.c.j2", context),
+        f"{name}_selftest_main.c": filled("selftest_main.c.j2", context),
+        "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
-    record = _text("record.c.j2", context | {"call": _step_call(program, record=True)})
+    record = filled("record.c.j2", context | {"call": _step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
     return Source(program=program, files=complete, record=record, claims=claims)
-
-
-def _text(template: str, context: dict[str, object]) -> str:
-    text = environment().get_template(template).render(context)
-    lines = [line.rstrip() for line in text.splitlines()]
-    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
-    return "\n".join(kept).rstrip() + "\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,24 +55,9 @@ class _Function:
 def _context(program: CProgram) -> dict[str, object]:
     c = Printer(program)
     vectors = self_test_vectors(program)
-    needs = {op.value: op in program.functions for op in Operator if op.is_function}
-    needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
-    needs["scale"] = needs["exp"]
-    needs["sqrt"] = needs["sqrt"] or needs["atan2"]
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
-    return {
-        "c": c,
+    return elementary_context(c, program.functions) | {
         "program": program,
-        "name": c.name,
-        "upper": c.upper,
-        "real": c.real,
-        "word": "uint64_t" if c.real == "double" else "uint32_t",
-        "f": FORMATS[program.scalar],
-        "needs": needs,
-        "needs_elementary": bool(program.functions),
-        "root2": math.sqrt(2.0),
-        "ln2": math.log(2.0),
-        "pi": math.pi,
         "version": __version__,
         "api": API_VERSION,
         "title": _title(program),
@@ -143,12 +102,12 @@ def cost(program: CProgram) -> str:
     return " and ".join(text)
 
 
-def signature(c: Printer, name: str) -> str:
+def signature(c: Printer[CProgram], name: str) -> str:
     """Prototype of one of the three functions that run a filter."""
     return f"{c.name}_status_t {c.name}_{name}({', '.join(_arguments(c, name))})"
 
 
-def _arguments(c: Printer, name: str) -> list[str]:
+def _arguments(c: Printer[CProgram], name: str) -> list[str]:
     arguments = [f"{c.name}_t *self"]
     if c.program.parameters:
         arguments.append(f"const {c.name}_params_t *params")
@@ -159,11 +118,11 @@ def _arguments(c: Printer, name: str) -> list[str]:
     return arguments
 
 
-def _valid(c: Printer) -> str:
+def _valid(c: Printer[CProgram]) -> str:
     return "uint32_t valid" if c.words == 1 else f"const uint32_t valid[{c.words}]"
 
 
-def _argument_doc(c: Printer) -> str:
+def _argument_doc(c: Printer[CProgram]) -> str:
     lines = []
     if c.program.parameters:
         lines.append(" *  @param params  run-time parameters of this sample")
@@ -176,7 +135,7 @@ def _argument_doc(c: Printer) -> str:
     return "\n".join(lines)
 
 
-def _phases(c: Printer) -> list[_PhaseText]:
+def _phases(c: Printer[CProgram]) -> list[_PhaseText]:
     result = []
     words = {"update": ("correct", "Condition on y[k]"), "predict": ("propagate", "Move to k + 1")}
     for name, phase in zip(words, c.program.phases, strict=True):
@@ -193,7 +152,7 @@ def _phases(c: Printer) -> list[_PhaseText]:
     return result
 
 
-def _functions(c: Printer) -> list[_Function]:
+def _functions(c: Printer[CProgram]) -> list[_Function]:
     update, predict = (f"{c.name}_{text.verb}" for text in _phases(c))
     common = [
         [(phase.reads_parameters, "params"), (phase.reads_input, "u")] for phase in c.program.phases
@@ -233,11 +192,11 @@ def _step_call(program: CProgram, *, record: bool) -> str:
     return ", ".join([*arguments, "measurement[k]", "valid[k]"])
 
 
-def _numbers(c: Printer, values: tuple[float, ...]) -> list[str]:
+def _numbers(c: Printer[CProgram], values: tuple[float, ...]) -> list[str]:
     return [c.literal(0.0 if math.isnan(value) else value) for value in values]
 
 
-def _mask(c: Printer, row: tuple[float, ...]) -> str:
+def _mask(c: Printer[CProgram], row: tuple[float, ...]) -> str:
     bits = sum(1 << i for i, value in enumerate(row) if not math.isnan(value))
     words = [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
     return words[0] if c.words == 1 else "{ " + ", ".join(words) + " }"
