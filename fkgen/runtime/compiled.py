@@ -33,10 +33,12 @@ class CompiledFilter:
         Names of everything that a run can return.
     claims : tuple of str
         What was proved before the code was generated.
+    folder : Path
+        Where the generated files lie beside the library.
     """
 
     def __init__(self, layout: Layout, library: Path) -> None:
-        self.layout = layout
+        self.layout, self.folder = layout, library.parent
         self.name, self.family, self.scalar = layout.name, layout.family, layout.scalar
         self.ports = tuple(port.name for port in layout.ports)
         self.claims = layout.claims

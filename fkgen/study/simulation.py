@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import index
 
@@ -58,6 +58,8 @@ class Simulation:
         Measurements.
     u : (T, q) or (M, T, q) ndarray
         Inputs as commanded, which is what a filter is told.
+    driving : (T, q) or (M, T, q) ndarray
+        The same with the fault of the inputs, before gamma.
     params : mapping of str to (1,) or (T,) ndarray
         Run-time parameters.
     trials : Trials
@@ -67,6 +69,7 @@ class Simulation:
     request: _Request
     y: Array
     u: Array
+    driving: Array = field(repr=False)
     params: Mapping[str, Array] = field(repr=False)
     trials: Trials = field(repr=False)
 
@@ -122,13 +125,13 @@ def simulate(
     params: Mapping[str, ArrayLike] | None = None,
     sensor: ArrayLike | None = None,
     input: ArrayLike | None = None,  # noqa: A002 - the field's word, as in `fault_effect`
+    present: ArrayLike | None = None,
     first: int = 0,
     progress: bool = False,
 ) -> Simulation:
     """Draw M trials of T samples of the plant of a spec, with its noise and its faults, in C.
 
-    A number depends on the seed, the trial, the sample and what it is for, and on nothing else: the
-    same trial is the same whatever the number of trials, samples or cores, bit for bit.
+    A trial is the same whatever the number of trials, samples or cores, bit for bit.
 
     Parameters
     ----------
@@ -142,14 +145,15 @@ def simulate(
         Run-time parameters; those left out keep their defaults.
     sensor, input : (T, p) or (M, T, p), (T, q) or (M, T, q) array_like
         Soft faults: added to y, and to what the plant gets as u and the filter is not told.
+    present : (T, p) or (M, T, p) array_like of bool
+        Which rows of y are measured (default: all); the others are NaN.
     progress : bool
         Show how far it is, on stderr.
 
     Raises
     ------
     SpecError, DataError
-        If the spec does not say how its faults come about, a number or shape does not fit, or
-        the state of an unstable plant overflows.
+        If faults have no law, a number or shape does not fit, or an unstable plant overflows.
     """
     request = _Request(spec, runs, steps, seed, first)
     told = inputs_of(spec, u, request.runs, request.steps)
@@ -157,8 +161,10 @@ def simulate(
     given = _parameters(spec, params, request.steps)
     with progressing("simulate", request.runs, shown=progress) as advance:
         trials = _drawn(request, driving, tuple(given.values()), advance)
-    y = added("sensor", trials.measurement, sensor, trials.measurement.shape)
-    return Simulation(request, y=y, u=told, params=given, trials=trials)
+    measured = _measured(trials.measurement, present)
+    y = added("sensor", measured, sensor, measured.shape)
+    trials = replace(trials, measurement=measured)
+    return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
 
 
 def whole(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int = 1) -> int:
@@ -222,6 +228,18 @@ def added(what: str, signal: Array, profile: ArrayLike | None, shape: tuple[int,
     if not np.isfinite(extra).all():
         raise DataError(what, given="NaN or an infinity", expected="finite numbers; 0 is no fault")
     return np.ascontiguousarray(signal + extra, np.float64)
+
+
+def _measured(y: Array, present: ArrayLike | None) -> Array:
+    """Measurements without the rows that are not there."""
+    if present is None:
+        return y
+    mask, shapes = np.asarray(present), (y.shape[1:], y.shape)
+    if mask.dtype != np.bool_ or mask.shape not in shapes:
+        given = f"shape {mask.shape} of {mask.dtype.name}"
+        expected = f"booleans of shape {shapes[0]} or {shapes[1]}"
+        raise DataError("present", given=given, expected=expected)
+    return np.where(mask, y, np.nan)
 
 
 def _parameters(spec: Spec, given: Mapping[str, ArrayLike] | None, steps: int) -> dict[str, Array]:
