@@ -17,6 +17,7 @@ from fkgen.closed_form.linear_optimal import (
     true_covariance,
 )
 from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
+from fkgen.closed_form.propagation import Gains, after_pulse, after_step, gains, within_step
 from fkgen.closed_form.riccati import (
     constant_input_noise,
     stationary_prediction,
@@ -48,6 +49,7 @@ __all__ = [
     "BatchResult",
     "EnumerationResult",
     "FaultMoments",
+    "Gains",
     "Identity",
     "InteractingResult",
     "Joint",
@@ -57,6 +59,8 @@ __all__ = [
     "OneStepResult",
     "SensorLaw",
     "TextbookStep",
+    "after_pulse",
+    "after_step",
     "aggregate",
     "batch_lmmse",
     "batch_posterior",
@@ -66,6 +70,7 @@ __all__ = [
     "draw_modes",
     "draw_record",
     "enumerate_modes",
+    "gains",
     "gamma_delta",
     "informed",
     "is_lumpable",
@@ -85,4 +90,5 @@ __all__ = [
     "textbook_one_step",
     "textbook_step",
     "true_covariance",
+    "within_step",
 ]

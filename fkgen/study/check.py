@@ -7,7 +7,16 @@ y present.
 from __future__ import annotations
 
 from fkgen.spec import Spec
-from fkgen.study import dynamics, faults, noise, sensor, size
+from fkgen.study import (
+    convergence,
+    dynamics,
+    faults,
+    float_error,
+    noise,
+    sensor,
+    size,
+    visibility,
+)
 from fkgen.study.figures import Figures
 from fkgen.study.findings import Finding, Report, combined
 
@@ -19,10 +28,15 @@ _EXAMINATIONS = (
     dynamics.excitation,
     dynamics.silence,
     dynamics.rest,
+    convergence.condition,
+    visibility.states,
+    visibility.sensors,
+    visibility.inputs,
     noise.innovation,
     noise.conditioning,
     noise.rounding,
     noise.number_range,
+    float_error.float_suitability,
     faults.known_rate,
     faults.hypotheses,
     faults.identification,
@@ -52,7 +66,9 @@ def check(spec: Spec) -> Report:
     References
     ----------
     Anderson & Moore 1979, *Optimal Filtering*, sec. 4.4 and app. C: detectability, stabilisability
-    and the Riccati equation. Strandt, Schneider & Yaz, eqs. (12), (15) and (22), for faults.
+    and the Riccati equation. Strandt, Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song &
+    Hu 2019 for their effect, with the conditions of docs/fault-effects.md. Higham 2002, sec. 3.3:
+    running error analysis.
     """
     figures = Figures(spec)
     return combined([examine(figures) for examine in _EXAMINATIONS])

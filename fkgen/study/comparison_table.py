@@ -1,16 +1,14 @@
-"""The table of a comparison as texts: one row per filter, the genie first."""
+"""The table of a comparison as texts: a column per filter, the genie first."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fkgen.study.verdict import Comparison, Row
-
-_STATES = 4  # columns of states; the rest are in the JSON text
+from fkgen.study.verdict import Comparison
 
 
 def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
-    """Head and rows.
+    """Head and rows; what no filter has is left out.
 
     Parameters
     ----------
@@ -20,34 +18,39 @@ def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
     -------
     head : list of str
     rows : list of list of str
+        The quantity, then a text per filter.
     """
-    states = list(comparison.genie.rmse)[:_STATES]
-    targets = list(dict.fromkeys(key for row in comparison.rows for key in row.footprint.flash))
-    declared = any(str(row.false_alarms) != "-" for row in comparison.rows)
-    head = ["filter", "MSE / genie", *(f"rmse {state}" for state in states), "NEES", "NIS"]
-    head += ["detected", "delay", "false alarms"] if declared else []
-    head += ["flops", "calls", "state, B", *(f"{target}, B" for target in targets), "Pareto"]
-    rows = [
-        _cells(row, states, targets, declared=declared)
-        for row in (comparison.genie, *comparison.rows)
+    filters = (comparison.genie, *comparison.rows)
+    targets = dict.fromkeys(key for row in filters for key in row.footprint.flash)
+    rows: list[list[object]] = [
+        ["MSE / that of the genie", *(row.relative for row in filters)],
+        *([f"rmse {name}", *(row.rmse[name] for row in filters)] for name in filters[0].rmse),
+        ["NEES / states", *(row.nees for row in filters)],
+        ["NIS / rows of y", *(row.nis for row in filters)],
+        ["faults found", *(row.detected for row in filters)],
+        ["delay, samples", *(row.delay for row in filters)],
+        ["false alarms", *(row.false_alarms for row in filters)],
+        ["flops of a step", *(row.footprint.operations for row in filters)],
+        ["calls of log, exp, ..", *(row.footprint.calls for row in filters)],
+        ["state, bytes", *(row.footprint.state for row in filters)],
+        *(
+            [f"code {key}, bytes", *(r.footprint.flash.get(key, "-") for r in filters)]
+            for key in targets
+        ),
+        ["nothing cheaper is as good", *("yes" if row.pareto else "" for row in filters)],
     ]
-    return head, rows
-
-
-def _cells(row: Row, states: Sequence[str], targets: Sequence[str], *, declared: bool) -> list[str]:
-    cells = [row.label, str(row.relative), *(str(row.rmse[state]) for state in states)]
-    cells += [str(row.nees), str(row.nis)]
-    cells += [str(row.detected), str(row.delay), str(row.false_alarms)] if declared else []
-    cost = row.footprint
-    cells += [str(cost.operations), str(cost.calls), str(cost.state)]
-    cells += [str(cost.flash.get(target, "-")) for target in targets]
-    return [*cells, "yes" if row.pareto else ""]
+    texts = [[str(cell) for cell in row] for row in rows]
+    return ["", *(row.label for row in filters)], [row for row in texts if set(row[1:]) != {"-"}]
 
 
 def markdown(comparison: Comparison) -> str:
     """The same table for a page, with the recommendation and the notes below it."""
     head, rows = table_of(comparison)
     rule = ["---", *("---:" for _ in head[1:])]
-    lines = [f"| {' | '.join(cells)} |" for cells in (head, rule, *rows)]
+    lines = [_line(cells) for cells in (head, rule, *rows)]
     notes = [f"- {note}" for note in comparison.notes]
     return "\n".join([*lines, "", comparison.recommendation, "", *notes]) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"

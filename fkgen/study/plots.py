@@ -108,7 +108,8 @@ def _time_label(spec: Spec, table: Table) -> str:
     return table.time_name or "sample"
 
 
-def _label(signal: Signal) -> str:
+def axis_label(signal: Signal) -> str:
+    """Name and unit of a signal, for an axis."""
     name = signal.name.replace("_", " ")
     return f"{name} ({signal.unit})" if signal.unit else name
 
@@ -122,7 +123,7 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int, signal: Signal) -> None:
         sheet.time, mean - band, mean + band, color=_BLUE, alpha=_BAND, lw=0, label=label
     )
     axis.plot(sheet.time, mean, color=_BLUE, lw=1.2, label="filtered")
-    axis.set_ylabel(_label(signal), fontsize=9)
+    axis.set_ylabel(axis_label(signal), fontsize=9)
     axis.set_ylim(*_limits(mean, band))
     if i == 0:
         axis.set_title(_title(sheet), loc="left", fontsize=10)

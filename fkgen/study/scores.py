@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 #: Ports that scores need, as far as a filter has them.
 PORTS = ("filtered_state", "filtered_covariance", "nis", "mode_probability", "fault_declared")
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
-_ROUNDED = 64.0
+_ROUNDED = 512.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

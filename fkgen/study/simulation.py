@@ -139,8 +139,8 @@ def simulate(
         Its filter plays no part, but where ``mme`` states no rate each trial has a hypothesis.
     runs, steps, seed, first : int
         M, T, in [0, 2**64), and the number of the first trial.
-    u : number, (T, q) or (M, T, q) array_like
-        Inputs as commanded, if the model has any; a number is for all of them.
+    u : number, (q,), (T, q) or (M, T, q) array_like
+        Inputs as commanded, if the model has any.
     params : mapping of str to float or (T,) array_like
         Run-time parameters; those left out keep their defaults.
     sensor, input : (T, p) or (M, T, p), (T, q) or (M, T, q) array_like
@@ -203,12 +203,12 @@ def inputs_of(spec: Spec, u: ArrayLike | None, runs: int, steps: int) -> Array:
     if not q:
         raise DataError("u", given="inputs", expected="none: the model has no B")
     array = np.asarray(record.numbers("u", u, np.float64))
-    if array.size == 1 and array.ndim < 2:
-        array = np.full((steps, q), array.item())
+    if (array.ndim < 2 and array.size == 1) or (array.ndim == 1 and array.size == q > 1):
+        array = np.array(np.broadcast_to(array, (steps, q)))
     if array.ndim == 1 and q == 1:
         array = array[:, np.newaxis]
     if array.shape not in ((steps, q), (runs, steps, q)):
-        expected = f"a number, shape ({steps}, {q}) or ({runs}, {steps}, {q})"
+        expected = f"a number, shape ({q},), ({steps}, {q}) or ({runs}, {steps}, {q})"
         raise DataError("u", given=f"shape {array.shape}", expected=expected)
     if not np.isfinite(array).all():
         raise DataError("u", given="NaN or an infinity", expected="finite numbers")
