@@ -91,7 +91,14 @@ class Machine:
                 if status is not Status.OK:
                     return status
         self.ports = state
-        return Status.OK if any(present) else Status.SKIPPED
+        return self._outcome() if any(present) else Status.SKIPPED
+
+    def _outcome(self) -> Status:
+        """The status of a sample that was used, or rejected by a test."""
+        for outcome in self.program.outcomes:
+            if self.ports[outcome.port][0] > outcome.level:
+                return outcome.status
+        return Status.OK
 
 
 class _Run:

@@ -77,6 +77,7 @@ def lower(recursion: sym.Recursion) -> CProgram:
             sample_time=model.sample_time,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
             ports=recursion.ports,
+            outcomes=recursion.outcomes,
             initial=tuple(sorted(recursion.initial.items())),
             update=lower_phase(recursion.ports, recursion.update),
             predict=lower_phase(recursion.ports, recursion.predict),

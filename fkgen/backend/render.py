@@ -65,7 +65,8 @@ def _context(program: CProgram) -> dict[str, object]:
         "signal_groups": _signal_groups(program),
         "cost": cost(program),
         "scalars": sum(port.size for port in program.ports),
-        "statuses": tuple(Status),
+        "statuses": program.statuses,
+        "positive": [c.status(status) for status in program.statuses if status.value >= 0],
         "null": Status.NULL_POINTER,
         "bad_input": Status.INPUT_NOT_FINITE,
         "mismatch": Status.SELFTEST_FAILED,
@@ -167,12 +168,22 @@ def _functions(c: Printer[CProgram]) -> list[_Function]:
     moved_next = f"{predict}({', '.join(['&next', *second, '&next'])})"
     any_row = " | ".join(f"present[{i}]" for i in range(c.words)) if c.words > 1 else "present"
     ok, skipped = c.status(Status.OK), c.status(Status.SKIPPED)
-    outcome = f"(({any_row}) != 0u) ? {ok} : {skipped}"
+    used = _used(c, ok)
+    outcome = f"(({any_row}) != 0u) ? {used} : {skipped}"
     return [
         _Function("update", (correct,), True, False, _any_null(measured), outcome),  # noqa: FBT003
         _Function("predict", (moved,), False, False, _any_null(pointers), ok),  # noqa: FBT003
         _Function("step", (correct, moved_next), True, True, _any_null(measured), outcome),  # noqa: FBT003
     ]
+
+
+def _used(c: Printer, ok: str) -> str:
+    """Status of a sample with a row: that of the first outcome that applies."""
+    used = ok
+    for outcome in reversed(c.program.outcomes):
+        above = f"self->{outcome.port} > {c.literal(outcome.level)}"
+        used = f"(({above}) ? {c.status(outcome.status)} : {used})"
+    return used
 
 
 def _any_null(pointers: list[str]) -> str:
@@ -243,7 +254,7 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
             {"name": p.name, "shape": list(p.shape), "symmetric": p.symmetric, "meaning": p.meaning}
             for p in program.ports
         ],
-        "statuses": {status.name: status.value for status in Status},
+        "statuses": {status.name: status.value for status in program.statuses},
     }
 
 

@@ -11,11 +11,16 @@ from fkgen.closed_form.enumeration import EnumerationResult, enumerate_modes
 from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
 from fkgen.closed_form.hypotheses import MultipleModelResult, batch_posterior, textbook_mme
 from fkgen.closed_form.identities import IDENTITIES, Identity
+from fkgen.closed_form.jump import JumpRecord, JumpSystem, simulate_jumps
+from fkgen.closed_form.jump_paths import JumpResult, enumerate_paths
+from fkgen.closed_form.jump_stationary import stationary_jumps
+from fkgen.closed_form.jump_textbook import SteadyState, composite, textbook_jumps
 from fkgen.closed_form.linear_optimal import (
     LinearOptimalResult,
     linear_optimal,
     true_covariance,
 )
+from fkgen.closed_form.loss_tests import LossTest
 from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
 from fkgen.closed_form.propagation import Gains, after_pulse, after_step, gains, within_step
 from fkgen.closed_form.riccati import (
@@ -53,11 +58,16 @@ __all__ = [
     "Identity",
     "InteractingResult",
     "Joint",
+    "JumpRecord",
+    "JumpResult",
+    "JumpSystem",
     "LinearOptimalResult",
     "LinearSystem",
+    "LossTest",
     "MultipleModelResult",
     "OneStepResult",
     "SensorLaw",
+    "SteadyState",
     "TextbookStep",
     "after_pulse",
     "after_step",
@@ -65,11 +75,13 @@ __all__ = [
     "batch_lmmse",
     "batch_posterior",
     "batch_uncertain",
+    "composite",
     "constant_input_noise",
     "draw_gamma",
     "draw_modes",
     "draw_record",
     "enumerate_modes",
+    "enumerate_paths",
     "gains",
     "gamma_delta",
     "informed",
@@ -82,10 +94,13 @@ __all__ = [
     "nominal_share",
     "satisfies_lemma_2",
     "simulate",
+    "simulate_jumps",
     "simulate_sensor",
+    "stationary_jumps",
     "stationary_prediction",
     "stationary_prediction_by_control",
     "textbook_imm",
+    "textbook_jumps",
     "textbook_mme",
     "textbook_one_step",
     "textbook_step",

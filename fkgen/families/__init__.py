@@ -9,7 +9,7 @@ from fkgen.errors import InternalError
 from fkgen.families.family import Family
 
 #: Names in the order of ``fkgen families``.
-NAMES = ("kf", "mkf", "mme", "linear_optimal", "one_step", "imm", "genie")
+NAMES = ("kf", "mkf", "mme", "linear_optimal", "one_step", "imm", "genie", "mjls_lmmse")
 
 
 @cache

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
-from fkgen.spec.actuator_faults import ActuatorFaults
-from fkgen.spec.faults import SECTIONS
+from fkgen.spec.faults import SECTIONS, Faults
 from fkgen.spec.foreign import plain_list
+from fkgen.spec.jump_faults import JumpFaults
 from fkgen.spec.place import Place, show, suggestion
 from fkgen.spec.probability import as_distribution, as_probability
 from fkgen.spec.section import LATER, Section, as_list, as_number
@@ -15,12 +16,16 @@ from fkgen.spec.section import LATER, Section, as_list, as_number
 Likelihood = Literal["mixture", "gaussian"]
 CovarianceReading = Literal["moment_matched", "weighted", "paper", "paper_nominal"]
 LinearForm = Literal["lemma2", "augmented"]
+Detector = Literal["none", "llr", "nis", "energy"]
+Gain = Literal["time_varying", "stationary"]
 
 FAMILIES = ("kf", *SECTIONS)
-LATER_FAMILIES = ("mjls_lmmse", "compression_full", "dfcf", "cpcf")
+LATER_FAMILIES = ("compression_full", "dfcf", "cpcf")
 _LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
 _READINGS: tuple[CovarianceReading, ...] = ("moment_matched", "weighted", "paper", "paper_nominal")
 _FORMS: tuple[LinearForm, ...] = ("lemma2", "augmented")
+_DETECTORS: tuple[Detector, ...] = ("none", "llr", "nis", "energy")
+_GAINS: tuple[Gain, ...] = ("time_varying", "stationary")
 
 #: Which options a family has, besides ``family``.
 OPTIONS: dict[str, tuple[str, ...]] = {
@@ -28,10 +33,24 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "one_step": ("covariance",),
     "imm": ("modes",),
     "linear_optimal": ("form",),
+    "mjls_lmmse": (
+        *("detector", "alpha", "kappa", "window"),
+        *("lock_out", "reinitialise", "gain"),
+    ),
 }
 _OWNER = {key: family for family, keys in OPTIONS.items() for key in keys}
-_LATER_KEYS = ("detector", "alpha", "maintenance")
+_LATER_KEYS = ("maintenance",)
 DEFAULT_FLOOR = 1e-6
+LONGEST_WINDOW = 100
+
+#: Options that only some detectors have.
+_OF_DETECTORS: dict[str, tuple[Detector, ...]] = {
+    "alpha": ("nis",),
+    "kappa": ("energy",),
+    "window": ("energy",),
+    "lock_out": ("llr", "nis", "energy"),
+    "reinitialise": ("llr", "nis", "energy"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +74,24 @@ class Filter:
         ``one_step``: how (7) is read; ``"moment_matched"``, ``"weighted"``, ``"paper"`` or
         ``"paper_nominal"``.
     modes : int
-        ``imm``: 4, or 3 (without signal, both noise levels are one mode).
+        ``imm``: of sensor faults 4, or 3 (without signal, both noise levels are one mode); of jump
+        faults as many as the plant has.
     form : str
         ``linear_optimal``: ``"lemma2"`` (23) or ``"augmented"``.
+    detector : str
+        ``mjls_lmmse``: the test whether a sample was lost; ``"none"``, ``"llr"``, ``"nis"`` or
+        ``"energy"``.
+    alpha : float
+        Of ``"nis"``: its rate of false alarms, in (0, 1).
+    kappa, window : float and int
+        Of ``"energy"``: a loss is declared when the mean of |r|^2 over the last ``window`` samples
+        exceeds ``kappa`` times its expectation.
+    lock_out : int
+        With a detector: from this many rejections in a row on, the status says so.
+    reinitialise : bool
+        Whether a lock-out starts the filter again from the unconditional moments.
+    gain : str
+        ``mjls_lmmse``: ``"time_varying"`` or ``"stationary"``.
     """
 
     family: str
@@ -68,12 +102,21 @@ class Filter:
     covariance: CovarianceReading = "moment_matched"
     modes: int = 4
     form: LinearForm = "lemma2"
+    detector: Detector = "none"
+    alpha: float = 0.01
+    kappa: float = 1.0
+    window: int = 1
+    lock_out: int = 10
+    reinitialise: bool = False
+    gain: Gain = "time_varying"
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"family": self.family}
         for key in OPTIONS.get(self.family, ()):
             value = getattr(self, key)
+            if key in _OF_DETECTORS and self.detector not in _OF_DETECTORS[key]:
+                continue
             table[key] = _listed(value) if isinstance(value, tuple) else value
         return table
 
@@ -107,32 +150,34 @@ def filter_section(table: object, place: Place) -> Section:
     return section
 
 
-def read_filter(section: Section, actuator: ActuatorFaults | None, inputs: int) -> Filter:
+def read_filter(section: Section, faults: Faults, inputs: int) -> Filter:
     """Return the filter that a section describes.
 
     Parameters
     ----------
     section : Section
         From `filter_section`.
-    actuator : ActuatorFaults or None
-        The faults; their dependence says how long a hypothesis is.
+    faults : Faults
+        The dependence of actuator faults says how long a hypothesis is.
     inputs : int
         Number of inputs, q.
 
     Raises
     ------
     SpecError
-        If a hypothesis, the prior or the floor is impossible.
+        If a hypothesis, the prior, the floor or an option of a detector is impossible.
     """
     family = str(section.table["family"])
+    if family == "mjls_lmmse":
+        return _read_detection(section)
     if family != "mme":
         return Filter(
             family,
             covariance=section.choice("covariance", _READINGS, "moment_matched"),
-            modes=_modes(section),
+            modes=_modes(section) if faults.jump is None else _jump_modes(section, faults.jump),
             form=section.choice("form", _FORMS, "lemma2"),
         )
-    common = actuator is None or actuator.dependence == "common"
+    common = faults.actuator is None or faults.actuator.dependence == "common"
     hypotheses = _hypotheses(section, 1 if common else inputs)
     return Filter(
         family,
@@ -181,6 +226,15 @@ def _modes(section: Section) -> int:
     return int(number)
 
 
+def _jump_modes(section: Section, faults: JumpFaults) -> int:
+    """The number of modes of the plant; it may be repeated here."""
+    place, count = section.place.entry("modes"), len(faults.modes)
+    expected = f"{count}, the number of faults.jump.modes, or no such key"
+    if as_number(section.table.get("modes", count), place, expected) != count:
+        raise place.error(show(section.table["modes"]), expected)
+    return count
+
+
 def _floor(section: Section, count: int) -> float:
     if "weight_floor" not in section:
         return DEFAULT_FLOOR
@@ -190,3 +244,50 @@ def _floor(section: Section, count: int) -> float:
     if not 0.0 <= floor < 1.0 / count:
         raise place.error(show(floor), expected)
     return floor
+
+
+def _read_detection(section: Section) -> Filter:
+    """Options of ``mjls_lmmse``; ``detector = true`` is the one that is recommended."""
+    if isinstance(section.table.get("detector"), bool):
+        section.table["detector"] = "llr" if section.table["detector"] else "none"
+    detector = section.choice("detector", _DETECTORS, "none")
+    for key, owners in _OF_DETECTORS.items():
+        if key in section and detector not in owners and key != "alpha":
+            raise section.place.entry(key).error(
+                f"{key} with detector = '{detector}'", f"{key} only with {' or '.join(owners)}"
+            )
+    return Filter(
+        "mjls_lmmse",
+        detector=detector,
+        alpha=_positive(section, "alpha", 0.01, below=1.0),
+        kappa=_positive(section, "kappa", 1.0),
+        window=_count(section, "window", 1, LONGEST_WINDOW),
+        lock_out=_count(section, "lock_out", 10, 10**6),
+        reinitialise=_flag(section, "reinitialise"),
+        gain=section.choice("gain", _GAINS, "time_varying"),
+    )
+
+
+def _positive(section: Section, key: str, default: float, below: float = math.inf) -> float:
+    place = section.place.entry(key)
+    expected = "a positive number" if below == math.inf else f"a number in (0, {below:g})"
+    number = as_number(section.table.get(key, default), place, expected)
+    if not 0.0 < number < below:
+        raise place.error(show(number), expected)
+    return number
+
+
+def _count(section: Section, key: str, default: int, largest: int) -> int:
+    place = section.place.entry(key)
+    expected = f"a number of samples, a whole number in 1..{largest}"
+    number = as_number(section.table.get(key, default), place, expected)
+    if number != int(number) or not 1 <= number <= largest:
+        raise place.error(show(section.table[key]), expected)
+    return int(number)
+
+
+def _flag(section: Section, key: str) -> bool:
+    value = section.table.get(key, False)
+    if not isinstance(value, bool):
+        raise section.place.entry(key).error(show(value), "true or false")
+    return value

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from fkgen.spec import Spec
-from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.interface import Kind, Outcome, Port, Status
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +92,8 @@ class Recursion:
         ``step`` is update, then predict.
     notes : tuple of str
         Decisions that the header repeats, such as the form of the covariance update.
+    outcomes : tuple of Outcome
+        Statuses in place of ``OK``, the first that applies.
     """
 
     spec: Spec
@@ -101,6 +103,7 @@ class Recursion:
     update: Phase
     predict: Phase
     notes: tuple[str, ...] = field(default=())
+    outcomes: tuple[Outcome, ...] = field(default=())
 
     @property
     def phases(self) -> tuple[Phase, Phase]:
