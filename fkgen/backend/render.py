@@ -177,7 +177,7 @@ def _functions(c: Printer[CProgram]) -> list[_Function]:
     ]
 
 
-def _used(c: Printer, ok: str) -> str:
+def _used(c: Printer[CProgram], ok: str) -> str:
     """Status of a sample with a row: that of the first outcome that applies."""
     used = ok
     for outcome in reversed(c.program.outcomes):

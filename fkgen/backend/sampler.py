@@ -140,7 +140,8 @@ def render_sampler(program: SamplerProgram) -> SamplerSource:
         "sizes": program.sizes,
         "parameters": [name for name, _ in program.parameters],
         "coins": conditions.coins,
-        "conditions": len(conditions.initial),
+        "modes": conditions.modes,
+        "lost": conditions.lost,
         "hypotheses": len(conditions.prior),
     }
     return SamplerSource(

@@ -34,6 +34,8 @@ class Trials:
         Of the chain; empty without one.
     coin : (M, T, c) ndarray of uint8
     hypothesis : (M,) ndarray of uint8
+    modes, lost : (K,) ndarray of uint8
+        The mode of each condition, and whether the sample is lost in it; empty without.
     """
 
     state: Array
@@ -41,10 +43,26 @@ class Trials:
     condition: Codes
     coin: Codes
     hypothesis: Codes
+    modes: Codes
+    lost: Codes
+
+    @property
+    def written(self) -> tuple[Array, Array, Codes, Codes, Codes]:
+        """What C fills."""
+        return self.state, self.measurement, self.condition, self.coin, self.hypothesis
 
     def part(self, start: int, stop: int) -> Trials:
         """Trials ``start`` to ``stop - 1``, in the same memory."""
-        return Trials(*(getattr(self, name)[start:stop] for name in Trials.__slots__))
+        part = slice(start, stop)
+        return Trials(
+            self.state[part],
+            self.measurement[part],
+            self.condition[part],
+            self.coin[part],
+            self.hypothesis[part],
+            self.modes,
+            self.lost,
+        )
 
 
 class Overflow(Exception):
@@ -69,8 +87,8 @@ class CompiledSampler:
         self.name: str = facts["name"]
         self.parameters: tuple[str, ...] = tuple(facts["parameters"])
         self.nx, self.nu, self.ny = facts["sizes"]
-        self._coins, self._conditions = facts["coins"], facts["conditions"]
-        self._hypotheses = facts["hypotheses"]
+        self._coins, self._hypotheses = facts["coins"], facts["hypotheses"]
+        self._modes, self._lost = (np.array(facts[key], np.uint8) for key in ("modes", "lost"))
         library = ctypes.CDLL(str(entry / cache.LIBRARY))
         self._sample = library[f"{self.name}_sample"]
         integers = [ctypes.c_uint64, ctypes.c_uint32, ctypes.c_int64, ctypes.c_int64]
@@ -84,13 +102,15 @@ class CompiledSampler:
 
     def empty(self, runs: int, steps: int) -> Trials:
         """Room for trials."""
-        chain = (runs, steps) if self._conditions else (0, 0)
+        chain = (runs, steps) if self._modes.size else (0, 0)
         return Trials(
             np.empty((runs, steps, self.nx)),
             np.empty((runs, steps, self.ny)),
             np.empty(chain, np.uint8),
             np.empty((runs, steps, self._coins), np.uint8),
             np.empty(runs if self._hypotheses else 0, np.uint8),
+            self._modes,
+            self._lost,
         )
 
     def draw(
@@ -120,7 +140,6 @@ class CompiledSampler:
         pointers = (ctypes.c_void_p * max(1, len(parameters)))(*[p.ctypes.data for p in parameters])
         strides = np.array([int(p.size > 1) for p in parameters] or [0], np.int64)
         where = ctypes.c_int64(0)
-        arrays = (room.state, room.measurement, room.condition, room.coin, room.hypothesis)
         status = self._sample(
             seed,
             first,
@@ -130,7 +149,7 @@ class CompiledSampler:
             strides.ctypes.data,
             u.ctypes.data,
             steps * self.nu if u.ndim == 3 else 0,
-            *[array.ctypes.data for array in arrays],
+            *[array.ctypes.data for array in room.written],
             ctypes.byref(where),
         )
         if status < 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fkgen.study.verdict import Comparison
+from fkgen.study.verdict import Comparison, Row
 
 
 def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
@@ -21,7 +21,6 @@ def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
         The quantity, then a text per filter.
     """
     filters = (comparison.genie, *comparison.rows)
-    targets = dict.fromkeys(key for row in filters for key in row.footprint.flash)
     rows: list[list[object]] = [
         ["MSE / that of the genie", *(row.relative for row in filters)],
         *([f"rmse {name}", *(row.rmse[name] for row in filters)] for name in filters[0].rmse),
@@ -33,14 +32,20 @@ def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
         ["flops of a step", *(row.footprint.operations for row in filters)],
         ["calls of log, exp, ..", *(row.footprint.calls for row in filters)],
         ["state, bytes", *(row.footprint.state for row in filters)],
-        *(
-            [f"code {key}, bytes", *(r.footprint.flash.get(key, "-") for r in filters)]
-            for key in targets
-        ),
+        *_code(filters),
         ["nothing cheaper is as good", *("yes" if row.pareto else "" for row in filters)],
     ]
     texts = [[str(cell) for cell in row] for row in rows]
     return ["", *(row.label for row in filters)], [row for row in texts if set(row[1:]) != {"-"}]
+
+
+def _code(filters: Sequence[Row]) -> list[list[object]]:
+    """Bytes of code, a row per target."""
+    targets = dict.fromkeys(key for row in filters for key in row.footprint.flash)
+    return [
+        [f"code {key}, bytes", *(row.footprint.flash.get(key, "-") for row in filters)]
+        for key in targets
+    ]
 
 
 def markdown(comparison: Comparison) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError, UserError
 from fkgen.spec import Spec
 from fkgen.spec.faults import SECTIONS
+from fkgen.study.informed import indicators, informed
 from fkgen.study.simulation import Simulation
 
 Array = NDArray[np.floating]
@@ -68,7 +69,7 @@ def contenders_of(specs: Sequence[Spec], families: Sequence[str]) -> tuple[Conte
 def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Every family that the faults of a spec fit, and a sentence for each that does not take it."""
     own = fault_section(spec)
-    able = [name for name, section in SECTIONS.items() if section == own and name != "genie"]
+    able = [name for name, sections in SECTIONS.items() if own in sections and name != "genie"]
     found, left_out = [], []
     for name in (*able, "kf"):
         try:
@@ -93,7 +94,7 @@ def derived(truth: Spec, text: str) -> Spec:
     """
     family, *options = text.split(":")
     own = fault_section(truth)
-    fitting = ["kf", *(name for name, section in SECTIONS.items() if section == own and own)]
+    fitting = ["kf", *(name for name, sections in SECTIONS.items() if own in sections)]
     if family not in fitting:
         about = f"{own} faults" if own else "a plant without faults"
         raise DataError(
@@ -152,8 +153,11 @@ def genie_of(truth: Spec) -> Contender:
     """The yardstick: a filter that is told every fault.
 
     For sensor faults the family ``genie``; for actuator faults a Kalman filter that is told what
-    reaches the plant; without faults the Kalman filter itself.
+    reaches the plant; for jumps one that is told modes and losses; without faults the Kalman filter
+    itself.
     """
+    if truth.faults.jump is not None:
+        return Contender("genie", informed(truth, truth.faults.jump))
     return Contender("genie", derived(truth, "genie" if fault_section(truth) == "sensor" else "kf"))
 
 
@@ -175,10 +179,22 @@ def told(simulation: Simulation, spec: Spec, *, everything: bool) -> Told:
     }
     if not everything:
         return Told(simulation.y, driven, params)
-    gamma, delta = simulation.gamma, simulation.delta
+    clean, gamma, delta = simulation.trials.measurement, simulation.gamma, simulation.delta
+    if simulation.spec.faults.jump is not None:
+        return _told_of_jumps(simulation, params)
     if gamma is not None and delta is not None:
         params |= {"gamma": gamma, "delta": delta}
     if driven is not None:
         driven = simulation.driving
         driven = driven if gamma is None or delta is not None else gamma * driven
-    return Told(simulation.trials.measurement, driven, params)
+    return Told(clean, driven, params)
+
+
+def _told_of_jumps(simulation: Simulation, params: dict[str, Array]) -> Told:
+    """Indicators of the modes, lost samples as missing, and the input that adds offsets."""
+    y, arrival = simulation.trials.measurement, simulation.arrival
+    if arrival is not None:
+        y = np.where(arrival[..., None], y, np.nan)
+    driving = simulation.driving
+    one = np.ones((*driving.shape[:-1], 1))
+    return Told(y, np.concatenate([driving, one], axis=-1), params | indicators(simulation))

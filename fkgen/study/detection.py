@@ -41,11 +41,14 @@ class Detection:
 def faulty(simulation: Simulation) -> Flags | None:
     """(M, T): samples whose measurement is struck by a fault; None if that is not for a detector.
 
-    Actuators that fail at random act on the state: no sample is good or bad by itself.
+    Actuators that fail at random and modes of the plant act on the state: no sample is good or bad
+    by itself.
     """
-    if simulation.mode is not None:
+    if simulation.delta is not None:
         return np.asarray(simulation.mode != 0)
-    if simulation.gamma is not None:
+    if simulation.arrival is not None:
+        return ~simulation.arrival
+    if simulation.gamma is not None or simulation.mode is not None:
         return None
     clean = simulation.trials.measurement
     return np.asarray(((simulation.y != clean) & np.isfinite(clean)).any(axis=2))

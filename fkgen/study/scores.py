@@ -12,6 +12,7 @@ from fkgen.runtime.results import Run
 from fkgen.study.contenders import Told
 from fkgen.study.detection import Detection, declared, detection, faulty
 from fkgen.study.simulation import Simulation
+from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,7 @@ def score(
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
     error = (simulation.state - run["filtered_state"])[:, skip:].astype(np.float64)
     covariance = run["filtered_covariance"][:, skip:]
-    runs, rows = len(error), np.isfinite(simulation.y).sum(axis=2)
+    runs, rows = len(error), np.isfinite(given.y).sum(axis=2)
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
     nis = _nis(run, rows, skip)
     counts = np.full((5, runs), np.nan)
@@ -96,11 +97,12 @@ def score(
 
 
 def _nis(run: Run, rows: NDArray[np.int64], skip: int) -> Array:
-    """Sum over samples, per row that was there."""
+    """Sum over samples that were used, per row that was there."""
     if "nis" not in run.ports:
         return np.full(len(rows), np.nan)
-    total = run["nis"][:, skip:].sum(axis=1, dtype=np.float64)
-    count = rows[:, skip:].sum(axis=1)
+    used = (run.status == Status.OK.value)[:, skip:]
+    total = (run["nis"][:, skip:] * used).sum(axis=1, dtype=np.float64)
+    count = (rows[:, skip:] * used).sum(axis=1)
     return np.asarray(np.divide(total, count, out=np.full(len(rows), np.nan), where=count > 0))
 
 

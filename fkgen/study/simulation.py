@@ -85,17 +85,18 @@ class Simulation:
 
     @cached_property
     def mode(self) -> NDArray[np.uint8] | None:
-        """(M, T): sensor mode 0 to 3 as (gamma, delta) = (1, 1) (1, C) (0, 1) (0, C), if any."""
-        if self.spec.faults.sensor is None:
-            return None
-        return np.array([0, 1, 2, 3, 2, 3], np.uint8)[self.trials.condition]
+        """(M, T): the sensor's, 0 to 3 as (1, 1) (1, C) (0, 1) (0, C), or the plant's, if any."""
+        modes = self.trials.modes
+        return modes[self.trials.condition] if modes.size else None
 
     @cached_property
     def gamma(self) -> Array | None:
         """Whether it works: (M, T, q) per input, or (M, T) for the sensor; None without faults."""
         if self.spec.faults.actuator is not None:
             return self.trials.coin.astype(np.float64)
-        return None if self.mode is None else np.array([1.0, 1.0, 0.0, 0.0])[self.mode]
+        if self.mode is None or self.spec.faults.sensor is None:
+            return None
+        return np.array([1.0, 1.0, 0.0, 0.0])[self.mode]
 
     @cached_property
     def delta(self) -> Array | None:
@@ -104,6 +105,12 @@ class Simulation:
             return None
         factor = self.spec.faults.sensor.noise_factor
         return np.array([1.0, factor, 1.0, factor])[self.mode]
+
+    @cached_property
+    def arrival(self) -> NDArray[np.bool_] | None:
+        """(M, T): whether the sample holds a signal, where samples of a jumping plant get lost."""
+        lost = self.trials.lost
+        return np.logical_not(lost[self.trials.condition]) if lost.size else None
 
     @property
     def hypothesis(self) -> NDArray[np.uint8] | None:
@@ -161,7 +168,7 @@ def simulate(
     given = _parameters(spec, params, request.steps)
     with progressing("simulate", request.runs, shown=progress) as advance:
         trials = _drawn(request, driving, tuple(given.values()), advance)
-    measured = _measured(trials.measurement, present)
+    measured = _measured(spec, trials, present)
     y = added("sensor", measured, sensor, measured.shape)
     trials = replace(trials, measurement=measured)
     return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
@@ -230,8 +237,11 @@ def added(what: str, signal: Array, profile: ArrayLike | None, shape: tuple[int,
     return np.ascontiguousarray(signal + extra, np.float64)
 
 
-def _measured(y: Array, present: ArrayLike | None) -> Array:
-    """Measurements without the rows that are not there."""
+def _measured(spec: Spec, trials: Trials, present: ArrayLike | None) -> Array:
+    """Measurements; NaN in rows that are not there, and in samples that are known to be lost."""
+    y = trials.measurement
+    if spec.faults.jump is not None and spec.faults.jump.arrival == "known" and trials.lost.size:
+        y[trials.lost[trials.condition] > 0] = np.nan
     if present is None:
         return y
     mask, shapes = np.asarray(present), (y.shape[1:], y.shape)

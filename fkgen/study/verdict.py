@@ -269,6 +269,7 @@ def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[st
     genie = {
         "sensor": "is told gamma and delta of every sample",
         "actuator": "is a Kalman filter that is told what reaches the plant",
+        "jump": "is a Kalman filter that is told the mode of every sample, and what was lost",
     }.get(
         fault_section(truth),
         "is the Kalman filter of the plant, told of no soft fault but free of them",

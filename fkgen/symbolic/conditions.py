@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import casadi as ca
+import numpy as np
 
-from fkgen.spec import ActuatorFaults, Moments, SensorFaults, Spec
+from fkgen.spec import ActuatorFaults, JumpFaults, Moments, SensorFaults, Spec
+from fkgen.spec.chain import stationary_law
 from fkgen.spec.patterns import pattern_law
 from fkgen.spec.place import Place
 from fkgen.symbolic.actuation import rates_of
@@ -54,8 +57,12 @@ class Conditions:
         The numbers that each of its conditions hands to the plant.
     modes : tuple of int
         The mode that each condition belongs to: several may if their past matters.
+    lost : tuple of int
+        For each condition whether the sample is lost, where packets may be; empty otherwise.
+    plants : int
+        Number N of plants: the first N indicators say which of them moves. 0 if there is one.
     rows : tuple of int
-        Rows of y that the indicators (gamma, root of delta) strike.
+        Rows of y whose signal is times the next indicator, and their noise times the one after.
     """
 
     coins: int = 0
@@ -65,6 +72,8 @@ class Conditions:
     kernel: tuple[tuple[float, ...], ...] = ()
     indicators: tuple[tuple[float, ...], ...] = ()
     modes: tuple[int, ...] = ()
+    lost: tuple[int, ...] = ()
+    plants: int = 0
     rows: tuple[int, ...] = ()
 
     def driven(self, u: ca.SX, coin: ca.SX) -> ca.SX:
@@ -75,8 +84,14 @@ class Conditions:
         """Signal and noise deviation of every row of y, over those of the model."""
         signal, deviation = ca.SX.ones(outputs), ca.SX.ones(outputs)
         for row in self.rows:
-            signal[row], deviation[row] = indicator[0], indicator[1]
+            signal[row], deviation[row] = indicator[self.plants], indicator[self.plants + 1]
         return signal, deviation
+
+    def moving(self, values: Sequence[ca.SX], indicator: ca.SX) -> ca.SX:
+        """A matrix of the plant that moves, from those of all of them."""
+        if len(values) == 1 or all(values[0] is value for value in values):
+            return values[0]
+        return ca.SX(sum(indicator[i] * value for i, value in enumerate(values)))
 
 
 def conditions_of(spec: Spec) -> Conditions:
@@ -92,6 +107,8 @@ def conditions_of(spec: Spec) -> Conditions:
         return _of_actuators(spec, spec.faults.actuator)
     if spec.faults.sensor is not None:
         return _of_sensors(spec, spec.faults.sensor)
+    if spec.faults.jump is not None:
+        return _of_jumps(spec, spec.faults.jump)
     return Conditions()
 
 
@@ -107,6 +124,31 @@ def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:
         case "covariance":
             draws = (Draw(everyone, tuple(product((1, 0), repeat=q))),)
     return Conditions(coins=q, draws=draws, prior=prior)
+
+
+def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
+    """Pairs of a mode and a state of the channel, (lost, arrived), which are independent."""
+    count = len(faults.modes)
+    channel = np.array(faults.arrival_chain)
+    if faults.arrival_rate is not None:
+        channel = np.array([[1.0 - faults.arrival_rate, faults.arrival_rate]] * 2)
+    if not channel.size:
+        channel = np.array([[0.0, 1.0]] * 2)
+    law = stationary_law(channel)
+    start = channel[0] if law is None else law
+    return Conditions(
+        initial=tuple(np.kron(faults.initial, start).tolist()),
+        kernel=tuple(map(tuple, np.kron(faults.transition, channel).tolist())),
+        indicators=tuple(
+            (*(float(i == j) for j in range(count)), arrived, 1.0)
+            for i in range(count)
+            for arrived in (0.0, 1.0)
+        ),
+        modes=tuple(i for i in range(count) for _ in range(2)),
+        lost=(1, 0) * count if faults.has_channel else (),
+        plants=count,
+        rows=tuple(range(spec.model.ny)),
+    )
 
 
 def _of_sensors(spec: Spec, faults: SensorFaults) -> Conditions:

@@ -17,6 +17,7 @@ from fkgen.spec import Spec
 from fkgen.symbolic.conditions import Conditions, conditions_of, demanded, probabilities_of
 from fkgen.symbolic.interface import Kind, Port, Role, Status
 from fkgen.symbolic.linalg import column, sparse
+from fkgen.symbolic.modes import jump_modes_of
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.symbolic.recursion import Phase
@@ -66,7 +67,8 @@ def sampling_of(spec: Spec) -> Sampling:
     SpecError
         If the spec leaves open how its faults come about.
     """
-    plant, conditions = plant_of(spec), conditions_of(spec)
+    plant, plants, offsets = _plants(spec)
+    conditions = conditions_of(spec)
     symbols = _symbols(spec, plant, conditions)
     thresholds, law = _law(spec, plant, conditions, symbols)
     return Sampling(
@@ -75,9 +77,18 @@ def sampling_of(spec: Spec) -> Sampling:
         ports=_ports(spec, thresholds),
         start=_start(spec, symbols),
         law=law,
-        measure=_measure(plant, conditions, symbols),
-        move=_move(plant, conditions, symbols),
+        measure=_measure(plants, conditions, symbols),
+        move=_move(plants, offsets, conditions, symbols),
     )
+
+
+def _plants(spec: Spec) -> tuple[Plant, tuple[Plant, ...], tuple[ca.SX, ...]]:
+    """The plant of the model, those between which it jumps, and what they add to the state."""
+    if spec.faults.jump is None:
+        plant = plant_of(spec)
+        return plant, (plant,), (ca.SX(plant.nx, 1),)
+    modes = jump_modes_of(spec)
+    return modes.base, modes.plants, modes.offsets
 
 
 def _ports(spec: Spec, thresholds: int) -> tuple[Port, ...]:
@@ -135,26 +146,47 @@ def _law(
     return len(thresholds), script.phase()
 
 
-def _measure(plant: Plant, conditions: Conditions, symbols: Mapping[str, ca.SX]) -> Phase:
-    script = Script(symbols)
+def _measure(
+    plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX]
+) -> Phase:
+    script, indicator = Script(symbols), symbols["indicator"]
     u = conditions.driven(symbols["u"], symbols["coin"])
-    signal, deviation = conditions.sensors(plant.ny, symbols["indicator"])
-    _demand_variances(script, plant.R)
-    y = signal * (plant.C @ symbols["x"] + plant.D @ u)
-    y += deviation * (lower_root(plant.R) @ symbols["v"])
+    signal, deviation = conditions.sensors(plants[0].ny, indicator)
+    for plant in plants:
+        _demand_variances(script, plant.R)
+    C = conditions.moving([plant.C for plant in plants], indicator)
+    D = conditions.moving([plant.D for plant in plants], indicator)
+    root = conditions.moving(_roots([plant.R for plant in plants]), indicator)
+    y = signal * (C @ symbols["x"] + D @ u) + deviation * (root @ symbols["v"])
     script.put({"measurement": y})
     script.demand(Kind.FINITE, _entries(symbols["measurement"]), Status.RESULT_NOT_FINITE)
     return script.phase()
 
 
-def _move(plant: Plant, conditions: Conditions, symbols: Mapping[str, ca.SX]) -> Phase:
-    script = Script(symbols)
+def _move(
+    plants: tuple[Plant, ...],
+    offsets: tuple[ca.SX, ...],
+    conditions: Conditions,
+    symbols: Mapping[str, ca.SX],
+) -> Phase:
+    script, indicator = Script(symbols), symbols["indicator"]
     u = conditions.driven(symbols["u"], symbols["coin"])
-    _demand_variances(script, plant.Q)
-    x = plant.A @ symbols["x"] + plant.B @ u + lower_root(plant.Q) @ symbols["w"]
-    script.put({"state": x})
+    for plant in plants:
+        _demand_variances(script, plant.Q)
+    A = conditions.moving([plant.A for plant in plants], indicator)
+    B = conditions.moving([plant.B for plant in plants], indicator)
+    root = conditions.moving(_roots([plant.Q for plant in plants]), indicator)
+    x = A @ symbols["x"] + B @ u + root @ symbols["w"]
+    script.put({"state": x + conditions.moving(offsets, indicator)})
     script.demand(Kind.FINITE, _entries(symbols["state"]), Status.RESULT_NOT_FINITE)
     return script.phase()
+
+
+def _roots(covariances: list[ca.SX]) -> list[ca.SX]:
+    """One root for each; what is the same matrix has the same root."""
+    if all(covariance is covariances[0] for covariance in covariances):
+        return [lower_root(covariances[0])]
+    return [lower_root(covariance) for covariance in covariances]
 
 
 def _demand_variances(script: Script, covariance: ca.SX) -> None:
