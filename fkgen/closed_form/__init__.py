@@ -7,10 +7,17 @@ alone.
 
 from fkgen.closed_form.batch import BatchResult, Joint, batch_lmmse, joint_distribution
 from fkgen.closed_form.draw import draw_record, informed
-from fkgen.closed_form.enumeration import EnumerationResult, enumerate_modes
+from fkgen.closed_form.enumeration import EnumerationResult, enumerate_jumps, enumerate_modes
 from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
 from fkgen.closed_form.hypotheses import MultipleModelResult, batch_posterior, textbook_mme
 from fkgen.closed_form.identities import IDENTITIES, Identity
+from fkgen.closed_form.interacting import (
+    InteractingResult,
+    Lumping,
+    interacting,
+    silent_lumped,
+    textbook_imm,
+)
 from fkgen.closed_form.jump import JumpRecord, JumpSystem, simulate_jumps
 from fkgen.closed_form.jump_paths import JumpResult, enumerate_paths
 from fkgen.closed_form.jump_stationary import stationary_jumps
@@ -36,14 +43,10 @@ from fkgen.closed_form.sensor import (
     is_lumpable,
     mode_plant,
     nominal_share,
+    sensed_modes,
     simulate_sensor,
 )
-from fkgen.closed_form.switching import (
-    InteractingResult,
-    OneStepResult,
-    textbook_imm,
-    textbook_one_step,
-)
+from fkgen.closed_form.switching import OneStepResult, textbook_one_step
 from fkgen.closed_form.system import LinearSystem, draw_gamma, simulate
 from fkgen.closed_form.textbook import TextbookStep, log_likelihood, textbook_step
 from fkgen.closed_form.uncertain import batch_uncertain, joint_moments
@@ -64,6 +67,7 @@ __all__ = [
     "LinearOptimalResult",
     "LinearSystem",
     "LossTest",
+    "Lumping",
     "MultipleModelResult",
     "OneStepResult",
     "SensorLaw",
@@ -80,11 +84,13 @@ __all__ = [
     "draw_gamma",
     "draw_modes",
     "draw_record",
+    "enumerate_jumps",
     "enumerate_modes",
     "enumerate_paths",
     "gains",
     "gamma_delta",
     "informed",
+    "interacting",
     "is_lumpable",
     "joint_distribution",
     "joint_moments",
@@ -93,6 +99,8 @@ __all__ = [
     "mode_plant",
     "nominal_share",
     "satisfies_lemma_2",
+    "sensed_modes",
+    "silent_lumped",
     "simulate",
     "simulate_jumps",
     "simulate_sensor",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -181,16 +182,13 @@ def bound(script: Script, plant: Plant, letters: str) -> Plant:
 
 def bound_all(script: Script, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
     """The same for several plants; a matrix that is the same object in some is named once."""
-    named: dict[int, ca.SX] = {}
-    for at, plant in enumerate(plants):
-        for letter in letters:
-            matrix = getattr(plant, letter)
-            if id(matrix) in named:
-                continue
-            entries = script.name_entries(f"{letter}_m{at}" if at else letter, matrix)
-            named[id(matrix)] = entries
-            if letter in {"Q", "R"}:
-                diagonal = [entries[i, i] for i in range(entries.shape[0])]
+    named: dict[int, Any] = {}
+    for letter in letters:
+        own = {id(matrix): matrix for matrix in (getattr(plant, letter) for plant in plants)}
+        named |= zip(own, script.name_all(letter, [*own.values()]), strict=True)
+        if letter in {"Q", "R"}:
+            for matrix in (named[key] for key in own):
+                diagonal = [matrix[i, i] for i in range(matrix.shape[0])]
                 variances = [value for value in diagonal if not is_zero(value)]
                 script.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
     return tuple(
