@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError, UserError
 from fkgen.spec import Spec
 from fkgen.spec.faults import SECTIONS
-from fkgen.study.informed import indicators, informed
+from fkgen.study.informed import indicators, informed, with_losses_as_modes
 from fkgen.study.simulation import Simulation
 
 Array = NDArray[np.floating]
@@ -86,6 +86,7 @@ def derived(truth: Spec, text: str) -> Spec:
 
     Options of the family are those of the truth if it is of the same family, unless stated. ``kf``
     is for the same plant with its faults left out: it takes every sensor and actuator to be good.
+    For ``imm`` samples that may be lost are modes of their own.
 
     Raises
     ------
@@ -105,6 +106,8 @@ def derived(truth: Spec, text: str) -> Spec:
     table["filter"] = (dict(table["filter"]) if same else {"family": family}) | _options(options)
     if family == "kf":
         table["faults"] = {}
+    if family == "imm" and truth.faults.jump is not None:
+        table["faults"] = {"jump": with_losses_as_modes(truth.faults.jump)}
     if family == "genie":
         sensor = table["faults"]["sensor"]
         table["faults"] = {"sensor": {key: sensor[key] for key in ("noise_factor", "rows")}}
@@ -121,6 +124,11 @@ def derived(truth: Spec, text: str) -> Spec:
             expected="faults.actuator.success_rate in the spec",
         )
     return Spec.from_dict(table, file=truth.file)
+
+
+def healthy_modes(truth: Spec) -> int:
+    """How many of the first modes of a filter stand for samples without fault."""
+    return 1 if truth.faults.jump is None else len(truth.faults.jump.modes)
 
 
 def _options(texts: Sequence[str]) -> dict[str, object]:

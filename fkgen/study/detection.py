@@ -54,7 +54,7 @@ def faulty(simulation: Simulation) -> Flags | None:
     return np.asarray(((simulation.y != clean) & np.isfinite(clean)).any(axis=2))
 
 
-def declared(run: Run, limits: Array) -> Flags | None:
+def declared(run: Run, limits: Array, healthy: int) -> Flags | None:
     """(M, T): samples that a filter declares faulty: by its modes, or by a test of its innovation.
 
     Parameters
@@ -63,11 +63,13 @@ def declared(run: Run, limits: Array) -> Flags | None:
         With ``mode_probability`` of a sensor, or ``nis``.
     limits : (M, T) ndarray
         Of the NIS.
+    healthy : int
+        The first so many modes are those without fault.
     """
     if "fault_declared" in run.ports:
         return np.asarray(run["fault_declared"] > 0.0)
     if "mode_probability" in run.ports:
-        return np.asarray(run["mode_probability"][..., 0] < DECIDED)
+        return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < DECIDED)
     return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
 
 

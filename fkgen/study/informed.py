@@ -1,4 +1,4 @@
-"""The filter that is told the mode of a jumping plant: a Kalman filter with parameters for it."""
+"""Filters for jumping plants that others derive: told the mode, or with losses as modes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.spec import JumpFaults, Spec
+from fkgen.spec.chain import stationary_law
 from fkgen.study.simulation import Simulation
 
 #: Parameter that is 1 in a mode and 0 in the others.
@@ -61,3 +62,34 @@ def indicators(simulation: Simulation) -> dict[str, NDArray[np.float64]]:
     if jump is None or mode is None:
         return {}
     return {INDICATOR.format(i): (mode == i).astype(float) for i in range(len(jump.modes))}
+
+
+def with_losses_as_modes(faults: JumpFaults) -> dict[str, object]:
+    """The section of the same plant for a family without a channel.
+
+    Every mode comes twice, first all with a signal, then all without: C = 0, D = 0. Samples that
+    are known to be lost are missing, and need no modes.
+
+    Parameters
+    ----------
+    faults : JumpFaults
+    """
+    table = faults.plain()
+    stated = {key: table[key] for key in ("transition", "initial", "modes")}
+    channel = faults.channel
+    if faults.arrival != "unknown" or channel is None:
+        return stated
+    modes: Any = stated["modes"]
+    lost = [mode | {key: _zeros(mode[key]) for key in ("C", "D") if key in mode} for mode in modes]
+    arrived_first = channel[::-1, ::-1]
+    law = stationary_law(arrived_first)
+    start = arrived_first[0] if law is None else law
+    return {
+        "transition": np.kron(arrived_first, faults.transition).tolist(),
+        "initial": np.kron(start, faults.initial).tolist(),
+        "modes": [*modes, *lost],
+    }
+
+
+def _zeros(matrix: list[list[object]]) -> list[list[float]]:
+    return [[0.0] * len(row) for row in matrix]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
-from fkgen.study.contenders import Told
+from fkgen.study.contenders import Told, healthy_modes
 from fkgen.study.detection import Detection, declared, detection, faulty
 from fkgen.study.simulation import Simulation
 from fkgen.symbolic.interface import Status
@@ -88,7 +88,8 @@ def score(
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
     nis = _nis(run, rows, skip)
     counts = np.full((5, runs), np.nan)
-    faults, alarms = faulty(simulation), declared(run, limits[rows])
+    faults = faulty(simulation)
+    alarms = declared(run, limits[rows], healthy_modes(simulation.spec))
     if faults is not None and alarms is not None:
         found = detection(faults, alarms, skip)
         counts = np.array([getattr(found, name) for name in Detection.__slots__])

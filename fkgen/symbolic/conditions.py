@@ -129,11 +129,7 @@ def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:
 def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
     """Pairs of a mode and a state of the channel, (lost, arrived), which are independent."""
     count = len(faults.modes)
-    channel = np.array(faults.arrival_chain)
-    if faults.arrival_rate is not None:
-        channel = np.array([[1.0 - faults.arrival_rate, faults.arrival_rate]] * 2)
-    if not channel.size:
-        channel = np.array([[0.0, 1.0]] * 2)
+    channel = np.array([[0.0, 1.0]] * 2) if faults.channel is None else faults.channel
     law = stationary_law(channel)
     start = channel[0] if law is None else law
     return Conditions(

@@ -17,8 +17,8 @@ from fkgen.cli import main
 from fkgen.study.detection import detection
 from fkgen.study.estimates import Estimate, mean, ratio
 from fkgen.study.footprint import Footprint
+from fkgen.study.recommendation import Standing, beaten, recommended
 from fkgen.study.scores import normalised
-from fkgen.study.verdict import _beaten, _recommended, _Standing
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 EXAMPLE_1 = EXAMPLES / "sensor_faults" / "example1.toml"
@@ -48,7 +48,7 @@ def test_errors_over_the_genie_are_those_of_the_paper_s_example(found, label):
     assert row.relative.error < 0.01
 
 
-def test_the_filters_are_ordered_and_one_is_recommended(found):
+def test_the_filters_are_ordered_and_one_isrecommended(found):
     order = [row.label for row in found.rows]
     assert order == ["imm", "one_step", "linear_optimal:form=augmented", "linear_optimal", "kf"]
     assert found.genie.relative == Estimate(1.0, 0.0)
@@ -142,7 +142,7 @@ def test_ratios_have_the_error_of_the_delta_method():
 
 def standing(label, value, cost, noise):
     print_ = Footprint(operations=cost, calls=0, state=8, flash={})
-    return _Standing(label, print_, value, noise)
+    return Standing(label, print_, value, noise)
 
 
 def test_what_is_not_decided_is_no_tie():
@@ -153,13 +153,13 @@ def test_what_is_not_decided_is_no_tie():
     fine = standing("fine", 1.0, 100, np.zeros(100))
     cheap = standing("cheap", 1.001, 50, calm)
     rough = standing("wild", 30.0, 10, wild)
-    assert _recommended([fine, cheap, rough], nees)[0] == "cheap"
-    assert _recommended([fine, rough], nees)[0] == "fine"
-    assert "more trials" in _recommended([fine, rough], nees)[1]
-    assert _beaten(fine, [fine, cheap])
-    assert not _beaten(cheap, [fine, cheap, rough])
+    assert recommended([fine, cheap, rough], nees)[0] == "cheap"
+    assert recommended([fine, rough], nees)[0] == "fine"
+    assert "more trials" in recommended([fine, rough], nees)[1]
+    assert beaten(fine, [fine, cheap])
+    assert not beaten(cheap, [fine, cheap, rough])
     wrong = {"cheap": Estimate(1.5, 0.01), "fine": Estimate(1.0, 0.01)}
-    assert "is too small (NEES 1.50" in _recommended([fine, cheap], wrong)[1]
+    assert "is too small (NEES 1.50" in recommended([fine, cheap], wrong)[1]
 
 
 def test_the_same_comparison_gives_the_same_numbers(monkeypatch):
