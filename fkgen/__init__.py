@@ -31,8 +31,11 @@ if TYPE_CHECKING:
     from fkgen.runtime.results import Run, Snapshot
     from fkgen.spec import Spec, load
     from fkgen.study.check import Finding, Report, check
+    from fkgen.study.comparison import compare
     from fkgen.study.detectability import Detectability, detectability
     from fkgen.study.fault_effect import FaultEffect, fault_effect
+    from fkgen.study.simulation import Simulation, simulate
+    from fkgen.study.verdict import Comparison
 
 #: Where the lazily loaded names live.
 _HOMES = {
@@ -45,6 +48,10 @@ _HOMES = {
     "check": "fkgen.study.check",
     "Report": "fkgen.study.check",
     "Finding": "fkgen.study.check",
+    "simulate": "fkgen.study.simulation",
+    "Simulation": "fkgen.study.simulation",
+    "compare": "fkgen.study.comparison",
+    "Comparison": "fkgen.study.verdict",
     "fault_effect": "fkgen.study.fault_effect",
     "FaultEffect": "fkgen.study.fault_effect",
     "detectability": "fkgen.study.detectability",
@@ -62,6 +69,7 @@ _MODULES = {"profiles": "fkgen.profiles"}
 
 __all__ = [
     "Claim",
+    "Comparison",
     "CompiledFilter",
     "CompilerError",
     "DataError",
@@ -73,6 +81,7 @@ __all__ = [
     "OutputError",
     "Report",
     "Run",
+    "Simulation",
     "Snapshot",
     "Source",
     "Spec",
@@ -84,12 +93,14 @@ __all__ = [
     "__version__",
     "build",
     "check",
+    "compare",
     "compile",
     "detectability",
     "fault_effect",
     "generate",
     "load",
     "profiles",
+    "simulate",
     "validate",
 ]
 

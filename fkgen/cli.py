@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import click
 
-from fkgen import cli_faults
+from fkgen import cli_faults, cli_trials
 from fkgen.console import console as _console
 from fkgen.console import print_table as _print_table
 from fkgen.errors import FkgenError, InternalError
@@ -73,6 +73,7 @@ def main() -> None:
     fkgen generate motor.toml        C code
     fkgen run motor.toml record.csv  filter a record
     fkgen fault-effect motor.toml    what a fault does to the estimate
+    fkgen compare motor.toml         which family to take
     """  # noqa: D301 - \b is for click
 
 
@@ -222,6 +223,8 @@ def demo(output: Path) -> None:
 
 main.add_command(cli_faults.fault_effect)
 main.add_command(cli_faults.detectability)
+main.add_command(cli_trials.simulate)
+main.add_command(cli_trials.compare)
 
 
 if __name__ == "__main__":

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from functools import singledispatchmethod
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from fkgen.backend.ir import (
     Assign,
     Copy,
-    CProgram,
     Element,
     Heading,
     IfPositive,
@@ -20,6 +19,8 @@ from fkgen.backend.ir import (
     Operate,
     Operator,
     Require,
+    Scalar,
+    Signal,
     Space,
     Statement,
     Temp,
@@ -31,16 +32,35 @@ _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV:
 _WORD_BITS = 32
 
 
-class Printer:
+class Printable(Protocol):
+    """What the printer has to know about a program."""
+
+    @property
+    def name(self) -> str:
+        """Prefix of its symbols."""
+
+    @property
+    def scalar(self) -> Scalar:
+        """Type of its numbers."""
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Rows of y."""
+
+
+Program = TypeVar("Program", bound=Printable)
+
+
+class Printer(Generic[Program]):
     """Print the nodes of one program.
 
     Parameters
     ----------
-    program : CProgram
+    program : Printable
         Gives names their prefix and literals their type.
     """
 
-    def __init__(self, program: CProgram) -> None:
+    def __init__(self, program: Program) -> None:
         self.program = program
         self.name = program.name
         self.real = program.scalar
@@ -57,6 +77,20 @@ class Printer:
         return "DBL_MIN" if self.real == "double" else "FLT_MIN"
 
     @property
+    def words(self) -> int:
+        """32-bit words that one bit per row of y needs."""
+        return (len(self.program.outputs) + _WORD_BITS - 1) // _WORD_BITS
+
+    def literal(self, value: float) -> str:
+        """A constant that reads back as the same bits."""
+        number: Any = float(value) if self.real == "double" else np.float32(value)
+        if not np.isfinite(number):
+            raise InternalError(f"{self.name}: constant {value} is not finite as {self.real}")
+        text = np.format_float_scientific(number, trim="0", unique=True)
+        if 1e-4 <= abs(number) < 1e16 or number == 0.0:
+            text = np.format_float_positional(number, trim="0", unique=True)
+        return text if self.real == "double" else text + "f"
+
     def words(self) -> int:
         """32-bit words that one bit per row of y needs."""
         return (len(self.program.outputs) + _WORD_BITS - 1) // _WORD_BITS

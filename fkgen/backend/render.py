@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
-from pathlib import Path
 
-import jinja2
-
-from fkgen.backend.elementary import FORMATS
 from fkgen.backend.functions import (
     INLINED,
     argument_doc,
@@ -21,24 +16,10 @@ from fkgen.backend.functions import (
 from fkgen.backend.ir import CProgram, Operator
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
+from fkgen.backend.templates import elementary_context, filled
 from fkgen.backend.vectors import self_test_vectors
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
-
-
-@cache
-def environment() -> jinja2.Environment:
-    """Templates from the wheel, or from the source tree."""
-    here = Path(__file__).resolve().parents[1]
-    folders = [here / "templates", here.parent / "templates"]
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folders),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # noqa: S701 - C, not HTML
-    )
 
 
 def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
@@ -46,45 +27,23 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     context = _context(program)
     name = program.name
     files = {
-        f"{name}.h": _text("header.h.j2", context),
-        f"{name}.c": _text("source.c.j2", context),
-        f"{name}_selftest.c": _text("selftest.c.j2", context),
-        f"{name}_selftest_main.c": _text("selftest_main.c.j2", context),
-        "CMakeLists.txt": _text("CMakeLists.txt.j2", context),
+        f"{name}.h": filled("header.h.j2", context),
+        f"{name}.c": filled("source.c.j2", context),
+        f"{name}_selftest.c": filled("selftest.c.j2", context),
+        f"{name}_selftest_main.c": filled("selftest_main.c.j2", context),
+        "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
-    record = _text("record.c.j2", context | {"call": step_call(program, record=True)})
+    record = filled("record.c.j2", context | {"call": step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
     return Source(program=program, files=complete, record=record, claims=claims)
-
-
-def _text(template: str, context: dict[str, object]) -> str:
-    text = environment().get_template(template).render(context)
-    lines = [line.rstrip() for line in text.splitlines()]
-    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
-    return "\n".join(kept).rstrip() + "\n"
 
 
 def _context(program: CProgram) -> dict[str, object]:
     c = Printer(program)
     vectors = self_test_vectors(program)
-    needs = {op.value: op in program.functions for op in Operator if op.is_function}
-    needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
-    needs["scale"] = needs["exp"]
-    needs["sqrt"] = needs["sqrt"] or needs["atan2"]
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
-    return {
-        "c": c,
+    return elementary_context(c, program.functions) | {
         "program": program,
-        "name": c.name,
-        "upper": c.upper,
-        "real": c.real,
-        "word": "uint64_t" if c.real == "double" else "uint32_t",
-        "f": FORMATS[program.scalar],
-        "needs": needs,
-        "needs_elementary": bool(program.functions),
-        "root2": math.sqrt(2.0),
-        "ln2": math.log(2.0),
-        "pi": math.pi,
         "version": __version__,
         "api": API_VERSION,
         "title": _title(program),
@@ -133,11 +92,11 @@ def cost(program: CProgram) -> str:
     return " and ".join(text) + closing
 
 
-def _numbers(c: Printer, values: tuple[float, ...]) -> list[str]:
+def _numbers(c: Printer[CProgram], values: tuple[float, ...]) -> list[str]:
     return [c.literal(0.0 if math.isnan(value) else value) for value in values]
 
 
-def _mask(c: Printer, row: tuple[float, ...]) -> str:
+def _mask(c: Printer[CProgram], row: tuple[float, ...]) -> str:
     bits = sum(1 << i for i, value in enumerate(row) if not math.isnan(value))
     words = [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
     return words[0] if c.words == 1 else "{ " + ", ".join(words) + " }"

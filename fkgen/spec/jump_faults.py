@@ -9,6 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fkgen.spec.chain import stationary_law
 from fkgen.spec.covariance import checked_covariance
 from fkgen.spec.matrix import Matrix
@@ -111,6 +114,13 @@ class JumpFaults:
         if self.arrival_chain:
             table["arrival_chain"] = [list(row) for row in self.arrival_chain]
         return table
+
+    @property
+    def channel(self) -> NDArray[np.float64] | None:
+        """Transition probabilities of the channel, (lost, arrived); None if nothing is said."""
+        if self.arrival_rate is not None:
+            return np.array([[1.0 - self.arrival_rate, self.arrival_rate]] * 2)
+        return np.array(self.arrival_chain) if self.arrival_chain else None
 
     @property
     def has_channel(self) -> bool:

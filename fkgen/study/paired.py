@@ -101,7 +101,7 @@ def _measured(question: Question, u: Array, stream: np.random.SeedSequence) -> A
 def _moved(question: Question, anomaly: Array, stream: np.random.SeedSequence) -> Array:
     """What an input anomaly changes in the state, (T, n): the same commands are lost as in y."""
     spec, T = question.spec, question.samples
-    if SECTIONS.get(spec.filter.family) not in {"actuator", "sensor"}:
+    if spec.faults.jump is not None or spec.filter.family not in SECTIONS:
         given = f"an input fault under the family {spec.filter.family}"
         raise DataError("input", given=given, expected="faults of sensors: its plant jumps itself")
     params = {name: np.asarray(value, dtype=float) for name, value in question.params.items()}
