@@ -91,29 +91,6 @@ class Printer(Generic[Program]):
             text = np.format_float_positional(number, trim="0", unique=True)
         return text if self.real == "double" else text + "f"
 
-    def words(self) -> int:
-        """32-bit words that one bit per row of y needs."""
-        return (len(self.program.outputs) + _WORD_BITS - 1) // _WORD_BITS
-
-    def literal(self, value: float) -> str:
-        """A constant that reads back as the same bits."""
-        number: Any = float(value) if self.real == "double" else np.float32(value)
-        if not np.isfinite(number):
-            raise InternalError(f"{self.name}: constant {value} is not finite as {self.real}")
-        text = np.format_float_scientific(number, trim="0", unique=True)
-        if 1e-4 <= abs(number) < 1e16 or number == 0.0:
-            text = np.format_float_positional(number, trim="0", unique=True)
-        return text if self.real == "double" else text + "f"
-
-    @property
-    def outcome(self) -> str:
-        """Status of a sample with a row: that of the first outcome that applies."""
-        text = self.status(Status.OK)
-        for outcome in reversed(self.program.outcomes):
-            above = f"self->{outcome.port} > {self.literal(outcome.level)}"
-            text = f"(({above}) ? {self.status(outcome.status)} : {text})"
-        return text
-
     def word(self, value: int) -> str:
         """An integer constant as wide as the scalar type."""
         return f"UINT64_C({value:#x})" if self.real == "double" else f"UINT32_C({value:#x})"

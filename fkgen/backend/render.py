@@ -119,7 +119,7 @@ def _signal_groups(program: CProgram) -> list[tuple[str, str, tuple[object, ...]
     return [group for group in groups if group[2]]
 
 
-def _given(c: Printer, port: Port, at: str) -> str:
+def _given(c: Printer[CProgram], port: Port, at: str) -> str:
     """NaN where the port says nothing, in front of its value."""
     if not port.given:
         return ""

@@ -184,6 +184,7 @@ def _update(split: Jumping, symbols: dict[str, ca.SX], at_rest: Stationary) -> P
         R=sparse(ca.SX(ca.DM(at_rest.innovation))),
         y=symbols["y"],
         rows=split.base.rows,
+        at=tuple(range(split.base.ny)),
         rank_tolerance=RANK_TOLERANCE[scalar] if is_singular(at_rest.innovation) else None,
         pivots_per_log=PIVOTS_PER_LOG[scalar],
     )

@@ -7,7 +7,7 @@ a row is no test. Rejections in a row are counted.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 from scipy.special import gammainccinv
@@ -218,15 +218,8 @@ class LossTest:
             return ca.SX(-log_zero)
         if rate == 1.0:
             return ca.SX(log_zero)
-        alone = Measurement(
-            C=ca.SX(measurement.C.shape[0], 1),
-            offset=ca.SX(measurement.C.shape[0], 1),
-            R=noise,
-            y=measurement.y,
-            rows=measurement.rows,
-            rank_tolerance=None,
-            pivots_per_log=measurement.pivots_per_log,
-        )
+        none = ca.SX(measurement.C.shape[0], 1)
+        alone = replace(measurement, C=none, offset=none, R=noise, rank_tolerance=None)
         nothing = (ca.SX(1, 1), ca.SX(1, 1))
         lost = condition(self.script, nothing, alone, tag="_lost", form="short")
         prior = math.log1p(-rate) - math.log(rate)
