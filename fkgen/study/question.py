@@ -107,7 +107,7 @@ def ask(
     model = spec.model
     if anomaly is not None and not model.nu:
         raise DataError("input", given="a profile", expected="none: the model has no B")
-    T = len(np.atleast_1d(np.asarray(sensor if anomaly is None else anomaly)))
+    T = _length(sensor if anomaly is None else anomaly)
     if steps is not None and steps != T:
         raise DataError("steps", given=repr(steps), expected=f"{T}, the length of the profile")
     record = _finite("y", y, model.outputs, T, may_miss=True)
@@ -120,6 +120,18 @@ def ask(
         params=_parameters(spec, params or {}, T),
         missing=np.isnan(record),
     )
+
+
+def _length(profile: ArrayLike | None) -> int:
+    """Number of samples of a profile, at least one."""
+    try:
+        length = len(np.atleast_1d(np.asarray(profile)))
+    except ValueError:
+        given = "rows of different lengths"
+        raise DataError("the fault", given=given, expected="a matrix, one row per sample") from None
+    if not length:
+        raise DataError("the fault", given="a profile without samples", expected="at least one")
+    return length
 
 
 def _parameters(

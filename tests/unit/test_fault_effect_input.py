@@ -61,6 +61,8 @@ GOOD = step(20, 3, [1.0, 0.0])
     ("call", "match"),
     [
         (lambda: fkgen.fault_effect(A), "the fault: given nothing"),
+        (lambda: fkgen.fault_effect(A, np.zeros((0, 2))), "a profile without samples"),
+        (lambda: fkgen.fault_effect(A, [[1.0, 2.0], [3.0]]), "rows of different lengths"),
         (lambda: fkgen.fault_effect(A, np.zeros((20, 3))), r"sensor: given shape \(20, 3\)"),
         (lambda: fkgen.fault_effect(A, np.zeros(20)), r"sensor: given shape \(20,\)"),
         (lambda: fkgen.fault_effect(A, GOOD, steps=21), "steps: given 21; expected 20"),
