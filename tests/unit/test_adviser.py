@@ -141,6 +141,21 @@ def test_a_bias_that_an_integrator_takes_in_is_named():
     assert "unseen_bias" not in codes(fkgen.check(paper("A")))
 
 
+def test_sensors_that_err_together_are_named_with_their_ratio():
+    twice = random_model(4, 2, 2) | {
+        "A": [[1.0, 1.0], [0.0, 0.9]],
+        "C": [[1.0, 0.0], [1000.0, 0.0]],
+        "R": [[1.0, 0.0], [0.0, 4e6]],
+    }
+    report = fkgen.check(spec(twice))
+    assert "unseen_bias" not in codes(report)
+    assert report.values["unseen_bias_directions"] == 1
+    assert "y0 and y1 together (in the ratio 1 : 1e+03)" in finding(report, "unseen_biases").message
+    effect = fkgen.fault_effect(spec(twice), np.tile([1.0, 1000.0], (400, 1)))
+    assert effect.noncentrality[-1] < 1e-12
+    assert fkgen.check(paper("A")).values["unseen_bias_directions"] == 0
+
+
 def test_an_input_that_reaches_no_measurement_is_named():
     model = random_model(5, 2, 1, 1) | {"A": [[0.5, 0.0], [0.1, 0.5]], "C": [[1.0, 0.0]]}
     hidden = model | {"B": [[0.0], [1.0]]}

@@ -104,6 +104,12 @@ def test_input_faults_under_mkf_and_simulated_pairs_say_what_they_are(call):
     assert "The NIS changes most at sample" in pairs
 
 
+def test_an_anomaly_that_the_filter_is_told_makes_no_error_and_says_so(call):
+    text = call("fault-effect", "kf.toml", "--input", "acceleration", "--steps", "20").stdout
+    assert "The estimate moves as the state does, by up to position" in text
+    assert "no test sees it" in text
+
+
 def test_a_picture_is_drawn_and_not_over_another(call, folder):
     result = call("fault-effect", "kf.toml", *STEP, "--plot", "a.png")
     assert "a.png: written" in result.stderr
