@@ -88,8 +88,7 @@ def textbook_one_step(
     """
     u = system.inputs(u)
     priors: list[Gaussian] = [(system.x0, system.P0)] * 4
-    log_held = log(law.initial)
-    rows = []
+    log_held, rows = log(law.initial), []
     for k in range(len(y)):
         modes = [
             matched(mode_plant(system, law, k, mode), priors[mode], y[k], u[k]) for mode in range(4)
@@ -103,9 +102,8 @@ def textbook_one_step(
             priors = [ahead] * 4
         else:
             errors = _paper_covariances(system, law, k, [P for _, P in priors], y[k])
-            if covariance == "paper_nominal":
-                errors = [errors[0]] * 2
-            priors = [(ahead[0], errors[mode % 2]) for mode in range(4)]  # delta is 1, C, 1, C
+            which = (0, 0, 0, 0) if covariance == "paper_nominal" else (0, 1, 0, 1)  # delta
+            priors = [(ahead[0], errors[delta]) for delta in which]
         log_held = step_law(log_posterior, law.kernel)
         rows.append({**row, **estimates(estimate, ahead, log_posterior, log_held)})
     return OneStepResult(**stacked(rows))
