@@ -237,8 +237,7 @@ def true_covariance(
         If the actuators fail.
     """
     require_sensor_faults_only(system, FaultMoments.from_law(law, system.length))
-    T, n, (F1, F2) = system.length, system.nx, gains
-    u = system.inputs(u)
+    T, n, (F1, F2), u = system.length, system.nx, gains, system.inputs(u)
     shift = np.zeros((T, n)) if offset is None else offset
     by_mode = law.initial[:, None, None] * _start(system)
     error = np.hstack([np.eye(n), -np.eye(n), np.zeros((n, 1))])
