@@ -17,8 +17,8 @@ from fkgen.study.figures import Figures, listed
 from fkgen.study.findings import Finding, Part
 from fkgen.study.subspaces import numerical_rank
 
-#: Radii from here on take hundreds of samples to forget where the moments started.
-NEARLY_UNSTABLE = 0.99
+#: Radii from here on take a thousand samples to forget where the moments started.
+NEARLY_UNSTABLE = 0.999
 
 #: Signals closer to zero than this many deviations of the noise cannot be told from a loss.
 VISIBLE = 2.0
