@@ -7,7 +7,7 @@ y present.
 from __future__ import annotations
 
 from fkgen.spec import Spec
-from fkgen.study import dynamics, faults, noise, sensor, size
+from fkgen.study import dynamics, faults, jumps, noise, sensor, size
 from fkgen.study.figures import Figures
 from fkgen.study.findings import Finding, Report, combined
 
@@ -35,6 +35,19 @@ _EXAMINATIONS = (
     size.cost,
 )
 
+#: Where every mode has matrices of its own, those of the model say little.
+_OF_JUMPS = (
+    jumps.chain,
+    jumps.radius,
+    jumps.rest,
+    jumps.innovation,
+    jumps.visibility,
+    jumps.detector,
+    sensor.caveats,
+    size.parameters,
+    size.cost,
+)
+
 
 def check(spec: Spec) -> Report:
     """Examine the model of a spec; nothing is built or written.
@@ -52,7 +65,9 @@ def check(spec: Spec) -> Report:
     References
     ----------
     Anderson & Moore 1979, *Optimal Filtering*, sec. 4.4 and app. C: detectability, stabilisability
-    and the Riccati equation. Strandt, Schneider & Yaz, eqs. (12), (15) and (22), for faults.
+    and the Riccati equation. Costa, Fragoso & Marques 2005, ch. 3, for jumping plants. Strandt,
+    Schneider & Yaz, eqs. (12), (15) and (22), for faults.
     """
     figures = Figures(spec)
-    return combined([examine(figures) for examine in _EXAMINATIONS])
+    examinations = _EXAMINATIONS if spec.faults.jump is None else _OF_JUMPS
+    return combined([examine(figures) for examine in examinations])

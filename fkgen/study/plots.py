@@ -214,7 +214,9 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
 
 
 def _is_mixture(spec: Spec) -> bool:
-    """Whether y may be under several sensor conditions that the filter is not told."""
+    """Whether y may be under several modes that the filter is not told."""
+    if spec.faults.jump is not None:
+        return True
     return spec.faults.sensor is not None and spec.filter.family != "genie"
 
 
@@ -233,6 +235,8 @@ def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
 
 def _mode_names(spec: Spec, count: int) -> list[str]:
     """What a mode stands for: success rates of the inputs, or a condition of the sensors."""
+    if spec.faults.jump is not None:
+        return [f"mode {i}" for i in range(count)]
     if spec.faults.sensor is None:
         rates = [", ".join(f"{rate:g}" for rate in each) for each in spec.filter.hypotheses]
         return [f"rate {each}" for each in rates]
