@@ -20,6 +20,7 @@ BLUE, ORANGE, GREY, RED, GREEN, LIGHT = (
 )
 COLOURS = {"imm": BLUE, "kf": ORANGE}
 TWO_SIGMA = 5.99  # 95 % of a chi-square variable with two degrees of freedom
+SAILS_FROM = 3150.0  # s: before that ship A lies at its berth for most of the time
 AROUND = 60.0  # s shown before and after a stretch
 
 
@@ -77,7 +78,7 @@ def modes(axis: Axes, ship: Record, imm: fkgen.Run) -> None:
     for start, end in REMOVED:
         axis.axvspan(start, end, color=RED, alpha=0.15, lw=0)
     axis.set_ylim(0.0, 1.0)
-    axis.margins(x=0.0)
+    axis.set_xlim(SAILS_FROM, ship.t[-1])
     axis.set_xlabel("time (s); red: taken out")
     axis.set_ylabel("mode probability")
     axis.legend(loc="lower left", ncols=3, framealpha=0.9)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 HERE = Path(__file__).resolve().parent
 COLUMNS = ("t_s", "dt", "report_east", "report_north", "report_speed_east", "report_speed_north")
 LONGEST = 5.0  # s between two instants
-REMOVED = ((1290.0, 1350.0), (2290.0, 2350.0), (3765.0, 3825.0))  # s, of track A
+REMOVED = ((3270.0, 3330.0), (3800.0, 3860.0), (4260.0, 4320.0))  # s, of track A
 Floats = NDArray[np.floating[Any]]
 
 

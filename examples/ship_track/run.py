@@ -20,12 +20,13 @@ from prepare import HERE, Floats, Record, record, stretches
 import fkgen
 
 LENGTHS = (20.0, 60.0, 120.0)  # s, of the stretches that are taken out
-PERIOD, OFFSETS = 200.0, (0.0, 50.0, 100.0, 150.0)  # s, from one stretch to the next
+SAILING = 2.0  # m/s: slower ships are taken to lie at a berth
+PERIOD, OFFSETS = 200.0, tuple(25.0 * i for i in range(8))  # s, from one stretch to the next
 LOST, SEEDS = 0.05, range(10)
-KF_NOISES, KF_NOISE = (0.02, 0.05, 0.1, 0.2), 0.1  # m2/s3, of the kf
-TURNS = (0.5, 1.0, 2.0, 3.0)  # degrees per second
-IMM, KF, LINEAR = "imm", "kf", "mjls_lmmse"
-TOLD, LLR, NIS, MODE = "kf, told", "mjls_lmmse, llr", "mjls_lmmse, nis", "imm, loss as a mode"
+KF_NOISES, KF_NOISE = (0.05, 0.1, 0.2), 0.1  # m2/s3, of the kf
+TRACKS = ("A", "B", "C")
+IMM, KF, LINEAR = "imm", f"kf, {KF_NOISE:g} m2/s3", "mjls_lmmse"
+TOLD, LLR, NIS, MODE = f"{KF}, told", "mjls_lmmse, llr", "mjls_lmmse, nis", "imm, loss as a mode"
 Rows = list[Sequence[str]]
 
 
@@ -58,7 +59,7 @@ def plain_filter(noise: float) -> dict[str, Any]:
     table = content()
     del table["faults"]
     for row in table["model"]["Q"]:
-        row[:] = [str(entry).replace("0.005", str(noise)) if entry else entry for entry in row]
+        row[:] = [str(entry).replace("0.02*", f"{noise}*") if entry else entry for entry in row]
     table["filter"] = {"family": "kf"}
     return table
 
@@ -113,11 +114,19 @@ class Misses:
         return -self.nees - 0.5 * determinant
 
 
+def sails(ship: Record) -> NDArray[np.bool_]:
+    """Instants with a report of a ship under way."""
+    return np.hypot(ship.y[:, 2], ship.y[:, 3]) > SAILING
+
+
 def removals(ship: Record, length: float) -> Iterator[NDArray[np.bool_]]:
-    """Stretches of one length all over a track, in four arrangements; none in the first minute."""
+    """Stretches of one length, in eight arrangements, that begin while the ship sails."""
+    moves = ship.t[ship.reported], sails(ship)[ship.reported]
     for offset in OFFSETS:
         starts = np.arange(60.0 + offset, ship.t[-1] - length, PERIOD)
-        yield stretches(ship.t, tuple((start, start + length) for start in starts))
+        before = np.searchsorted(moves[0], starts) - 1
+        chosen = starts[(before >= 0) & moves[1][before]]
+        yield stretches(ship.t, tuple((start, start + length) for start in chosen))
 
 
 def misses(spec: fkgen.Spec, ship: Record, length: float) -> Misses:
@@ -148,6 +157,23 @@ def stretch_table(specs: dict[str, fkgen.Spec]) -> Rows:
             errors = f"{rms(found.error):.1f}", f"{rms(found.error[found.last]):.1f}"
             fit = f"{found.nees.mean():.2f}", f"{found.log_density.mean():.2f}"
             rows.append([f"{length:.0f} s", name, *errors, *fit])
+    return rows
+
+
+def both_table(specs: dict[str, fkgen.Spec]) -> Rows:
+    """Log densities of the next report and of those of a removed minute, and the NEES of these."""
+    rows: Rows = [["filter"]]
+    for track in TRACKS:
+        rows[0] = [*rows[0], f"{track}: next report", "a minute", "NEES"]
+    kalman = {f"kf, {q:g} m2/s3": fkgen.Spec.from_dict(plain_filter(q)) for q in KF_NOISES}
+    for name, spec in {IMM: specs[IMM], **kalman, LINEAR: specs[LINEAR]}.items():
+        row = [name]
+        for track in TRACKS:
+            ship = record(track)
+            found, next_one = misses(spec, ship, 60.0), run(spec, ship).log_likelihood
+            densities = next_one[sails(ship)].mean(), found.log_density.mean()
+            row += [*(f"{each:.2f}" for each in densities), f"{found.nees.mean():.2f}"]
+        rows.append(row)
     return rows
 
 
@@ -209,28 +235,6 @@ def gap_table(specs: dict[str, fkgen.Spec]) -> Rows:
     return rows
 
 
-def likelihood_table(specs: dict[str, fkgen.Spec]) -> Rows:
-    """Log-likelihoods of whole tracks: the numbers of the filters were chosen on B and C."""
-    tracks = "ABCDE"
-    rows: Rows = [["filter", *tracks, "B and C"]]
-    for noise in KF_NOISES:
-        spec = fkgen.Spec.from_dict(plain_filter(noise))
-        rows.append([f"kf, {noise:g} m2/s3", *_likelihoods(spec, tracks, {})])
-    for rate in TURNS:
-        turn = {"turn": np.deg2rad(rate)}
-        rows.append([f"imm, {rate:g} deg/s", *_likelihoods(specs[IMM], tracks, turn)])
-    return rows
-
-
-def _likelihoods(spec: fkgen.Spec, tracks: str, more: dict[str, float]) -> list[str]:
-    found = {}
-    for track in tracks:
-        ship = record(track)
-        out = fkgen.build(spec).run(ship.y, params={"dt": ship.dt, **more}, keep=["log_likelihood"])
-        found[track] = float(out.log_likelihood.sum())
-    return [f"{value:.0f}" for value in (*found.values(), found["B"] + found["C"])]
-
-
 def markdown(tables: dict[str, Rows]) -> str:
     """Lay the tables out."""
     lines = []
@@ -252,17 +256,17 @@ def main() -> None:
     """Print the tables, draw the figure."""
     specs = filters()
     tables = {
+        "The next report, and a minute without reports": both_table(specs),
         "Stretches of track A that are taken out": stretch_table(specs),
         "Reports of track A that hold nothing": fault_table(specs),
         "The longest gaps": gap_table(specs),
-        "Log-likelihood": likelihood_table(specs),
     }
     text = markdown(tables)
     print(text)
     (HERE / "tables.md").write_text("# Three filters for five ships\n\n" + text, encoding="utf-8")
     ship = record("A")
     kept = ship.without(stretches(ship.t))
-    results = {name: run(specs[name], kept) for name in (IMM, KF)}
+    results = {"imm": run(specs[IMM], kept), "kf": run(specs[KF], kept)}
     draw(ship, results).savefig(HERE / "ship_track.png", dpi=110, metadata={"Software": None})
     page = (HERE / "README.md").read_text(encoding="utf-8")
     if wrong := unsupported(page, text):
