@@ -146,6 +146,17 @@ def test_coordinates_of_the_state_are_of_no_account():
     assert distance(b.mode_probability, a.mode_probability) < EXACT
 
 
+def test_a_mode_that_never_comes_does_no_harm():
+    """Its own estimate would grow by 5 in every sample, unseen, and overflow after 220."""
+    model = random_model(66, 1, 1)
+    never = {"A": [[5.0]], "C": [[0.0]]}
+    jumps = jumping(model, [{}, never], transition=np.eye(2), initial=[1.0, 0.0])
+    y, u = seen(jumps, 400, missing=0.1)
+    result = run(jumps, y, u)
+    assert_agree(result, run(spec(model), y, u), KALMAN, 1e-12)
+    assert np.isfinite(result.mode_covariance).all()
+
+
 def leaving(model, modes, law, start):
     """A plant whose mode drives the step that leaves its sample: pairs (mode before, mode)."""
     N = len(modes)
