@@ -54,7 +54,7 @@ def test_rest_is_where_the_filter_comes_to(plant, options):
                 port = "filtered_covariance" if name else "predicted_covariance"
                 expected = last[port][-1, i, j]
                 found = values[f"stationary_{name}covariance[{i}][{j}]"]
-                assert found == pytest.approx(expected, rel=1e-7)
+                assert found == pytest.approx(expected, rel=1e-6)  # 0.94^400, and sums
 
 
 def test_a_plant_that_is_not_mean_square_stable():
