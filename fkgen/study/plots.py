@@ -17,6 +17,7 @@ from fkgen.spec import Signal, Spec
 from fkgen.study.columns import deviation
 from fkgen.study.files import refuse_format
 from fkgen.study.table import Table
+from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]
 
@@ -154,8 +155,9 @@ def _by_unit(outputs: tuple[Signal, ...]) -> dict[str, list[int]]:
 
 
 def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> None:
-    """Innovations of some rows; a start from nothing does not set the scale."""
-    values = sheet.run["innovation"]
+    """Innovations of some rows; rejected samples are left out, a start sets no scale."""
+    values = sheet.run["innovation"].copy()
+    values[np.isin(sheet.run.status, [status.value for status in VERDICTS])] = np.nan
     for at, i in enumerate(rows):
         shown = np.isfinite(values[:, i])
         name = sheet.spec.model.outputs[i].name.replace("_", " ")
