@@ -157,6 +157,19 @@ def test_a_mode_that_never_comes_does_no_harm():
     assert np.isfinite(result.mode_covariance).all()
 
 
+@pytest.mark.parametrize("letter", ["Q", "R"])
+def test_a_variance_below_zero_in_any_mode_is_refused(letter):
+    jumps = jumping(
+        random_model(67, 1, 1),
+        [{}, {letter: [["s"]]}, {letter: [["s + 1"]]}],
+        parameters={"s": 1.0},
+    )
+    y, u = seen(jumps, 6)
+    s = np.array([1.0, 2.0, -0.5, 0.5, -2.0, 1.0])
+    result = run(jumps, y, u, {"s": s})
+    np.testing.assert_array_equal(result.status < 0, s < 0.0)
+
+
 def leaving(model, modes, law, start):
     """A plant whose mode drives the step that leaves its sample: pairs (mode before, mode)."""
     N = len(modes)
