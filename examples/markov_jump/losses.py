@@ -136,6 +136,7 @@ TRUTH, KNOWN, BLIND, NAHI = (
     "linear, rate only",
 )
 LLR, IMM_TRUTH, IMM = "llr", "imm, no losses at all", "imm, loss as a mode"
+IMM_PAIRS = "imm over pairs, no losses at all"
 DETECTORS: Mapping[str, Table] = {
     LLR: {"detector": "llr"},
     "nis, alpha .01": {"detector": "nis", "alpha": 0.01},
@@ -159,13 +160,14 @@ def filters(study: Study) -> dict[str, fkgen.Spec]:
         NAHI: _spec(study, lmmse, channel),
         BLIND: _spec(study, lmmse, {}),
         IMM_TRUTH: _spec(study, {"family": "imm"}, {}),
+        IMM_PAIRS: _of_pairs(study),
         IMM: _with_loss_as_mode(study),
     }
 
 
 def seen(name: str, records: Records) -> Floats:
     """What a filter gets of the records."""
-    if name in {TRUTH, IMM_TRUTH}:
+    if name in {TRUTH, IMM_TRUTH, IMM_PAIRS}:
         return records.whole
     if name == KNOWN:
         return np.where(records.lost[..., None], np.nan, records.measured)
@@ -174,6 +176,10 @@ def seen(name: str, records: Records) -> Floats:
 
 def _spec(study: Study, options: Table, channel: Table) -> fkgen.Spec:
     jump = {**copy.deepcopy(study.plant["jump"]), **channel}
+    return _over(study, jump, options)
+
+
+def _over(study: Study, jump: Table, options: Table) -> fkgen.Spec:
     table = {"name": "filter", "model": study.plant["model"], "filter": options}
     return fkgen.Spec.from_dict({**table, "faults": {"jump": jump}})
 
@@ -186,5 +192,23 @@ def _with_loss_as_mode(study: Study) -> fkgen.Spec:
     chance = np.array([p, 1.0 - p])
     jump["transition"] = np.kron(np.outer([1.0, 1.0], chance), jump["transition"]).tolist()
     jump["initial"] = np.kron(chance, jump["initial"]).tolist()
-    table = {"name": "filter", "model": study.plant["model"], "filter": {"family": "imm"}}
-    return fkgen.Spec.from_dict({**table, "faults": {"jump": jump}})
+    return _over(study, jump, {"family": "imm"})
+
+
+def _of_pairs(study: Study) -> fkgen.Spec:
+    """A mode per pair (mode before, mode), because imm takes the step into a sample for its mode's.
+
+    The step is that of the first, the measurement that of the second.
+    """
+    jump = study.plant["jump"]
+    modes, law, N = jump["modes"], np.array(jump["transition"]), len(jump["modes"])
+    pairs = [
+        {key: value for key, value in before.items() if key in {"A", "Q", "c"}}
+        | {key: value for key, value in now.items() if key in {"C", "R"}}
+        for before in modes
+        for now in modes
+    ]
+    transition = np.einsum("jk,jl->jkl", np.eye(N), law).reshape(N, N * N)
+    initial = np.kron(np.eye(N)[0], jump["initial"])
+    own = {"modes": pairs, "transition": np.tile(transition, (N, 1)), "initial": initial}
+    return _over(study, {**own, "transition": own["transition"].tolist()}, {"family": "imm"})

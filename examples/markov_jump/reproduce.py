@@ -11,6 +11,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import losses
 import numpy as np
@@ -26,15 +27,13 @@ BINS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, np.inf)
 ORDER = (losses.TRUTH, losses.KNOWN, losses.LLR, losses.NAHI, losses.BLIND)
 """From the smallest to the largest error, in the studies with losses that are spread."""
 
-HEADING = (
-    "# Losses in numbers",
-    "",
-    "Written by `reproduce.py`: {runs} runs of {samples} samples of each study, filtered in C, seed"
-    " {seed}.",
-    "RMS: of the first state of x(k|k), over all samples and runs, +- one standard error; states: the"
-    " root of the mean variance that the filter states. False: share of the good samples declared"
-    " lost; found: share of the lost ones.",
-)
+HEADING = """# Losses in numbers
+
+Written by `reproduce.py`: {runs} runs of {samples} samples of each study, filtered in C, seed
+{seed}. RMS: of the first state of x(k|k), over all samples and runs, +- one standard error; stated:
+the root of the mean variance that the filter states. False: share of the good samples declared
+lost; found: share of the lost ones.
+"""
 Rows = list[Sequence[str]]
 
 
@@ -86,25 +85,18 @@ def rates(result: Result, lost: Floats) -> tuple[float, float]:
     return float(result.declared[~lost].mean()), float(result.declared[lost].mean())
 
 
-def main_table(
-    found: Mapping[Study, Mapping[str, Result]], records: Mapping[Study, Records]
-) -> Rows:
+def main_table(results: Mapping[str, Result], records: Records) -> Rows:
     """Errors, and what the detectors do."""
-    rows: Rows = [["filter"]]
-    for study in found:
-        rows[0] = [*rows[0], study.title, "states", "false / found"]
-    for name in next(iter(found.values())):
-        row = [name]
-        for study, results in found.items():
-            each = results[name]
-            row += [f"{each.rms:.4f} +- {each.error:.4f}", f"{np.sqrt(each.stated):.4f}"]
-            shares = rates(each, records[study].lost) if each.declared.size else ()
-            row.append(" / ".join(f"{share:.4f}" for share in shares))
-        rows.append(row)
+    rows: Rows = [["filter", "RMS", "stated", "false", "found"]]
+    for name, each in results.items():
+        shares = rates(each, records.lost) if each.declared.size else ()
+        decided = [f"{share:.4f}" for share in shares] or ["", ""]
+        error = f"{each.rms:.4f} +- {each.error:.4f}"
+        rows.append([name, error, f"{np.sqrt(each.stated):.4f}", *decided])
     return rows
 
 
-def lock_table(study: Study, results: Mapping[str, Result]) -> Rows:
+def lock_table(results: Mapping[str, Result]) -> Rows:
     """False alarms before the outage, where no sample has been lost yet."""
     rows: Rows = [["detector", "declared, no sample lost so far", "mean length of a row of them"]]
     for name in LOCKED:
@@ -142,7 +134,7 @@ def visible_table(study: Study, records: Records) -> Rows:
     sizes = np.abs(out.predicted_state[:, :-1, 0]) / np.sqrt(out.mode_law[:, 1:] @ R)
     lost, declared = records.lost[:, 1:], out.fault_declared[:, 1:] > 0.5
     rows: Rows = [["predicted signal over noise", "losses", "found"]]
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         chosen = lost & (sizes >= low) & (sizes < high)
         title = f"{low:.0f} to {high:.0f}" if np.isfinite(high) else f"above {low:.0f}"
         rows.append([title, str(chosen.sum()), f"{declared[chosen].mean():.4f}"])
@@ -152,7 +144,7 @@ def visible_table(study: Study, records: Records) -> Rows:
 def violations(study: Study, results: Mapping[str, Result]) -> list[str]:
     """Say which ordering does not hold, run by run."""
     found = []
-    for smaller, larger in zip(ORDER[:-1], ORDER[1:], strict=True):
+    for smaller, larger in pairwise(ORDER):
         d = results[larger].squares - results[smaller].squares
         if not d.any():  # every loss is found: the same filter
             continue
@@ -164,7 +156,7 @@ def violations(study: Study, results: Mapping[str, Result]) -> list[str]:
 
 def markdown(tables: Mapping[str, Rows], runs: int) -> str:
     """Lay the tables out."""
-    lines = [each.format(runs=runs, samples=losses.SAMPLES, seed=SEED) for each in HEADING]
+    lines = [HEADING.format(runs=runs, samples=losses.SAMPLES, seed=SEED).rstrip()]
     for title, (head, *body) in tables.items():
         lines += ["", f"## {title}", ""]
         rule = ["---", *["---:"] * (len(head) - 1)]
@@ -184,18 +176,13 @@ def examine(runs: int) -> tuple[dict[str, Rows], list[str]]:
         study: {name: run(name, spec, seen) for name, spec in losses.filters(study).items()}
         for study, seen in records.items()
     }
-    spread, outage, _ = STUDIES
-    tables = {
-        "Errors and decisions": main_table(found, records),
-        "Locked out: before the outage": lock_table(outage, found[outage]),
-        "The same tests on innovations that they do not influence": open_table(
-            spread, records[spread]
-        ),
+    spread, outage, far = STUDIES
+    tables = {study.title: main_table(found[study], records[study]) for study in STUDIES} | {
+        "Locked out: before the outage": lock_table(found[outage]),
+        "Tests whose verdicts do not come back": open_table(spread, records[spread]),
         "Which losses can be seen": visible_table(spread, records[spread]),
     }
-    return tables, [
-        text for study in (STUDIES[0], STUDIES[2]) for text in violations(study, found[study])
-    ]
+    return tables, [text for study in (spread, far) for text in violations(study, found[study])]
 
 
 def main() -> None:

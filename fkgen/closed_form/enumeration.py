@@ -99,8 +99,8 @@ def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult
     Parameters
     ----------
     system : JumpSystem
-        The plant over T samples with at most 4096 histories; R positive definite. Mode k + 1 drives the step
-        from x[k] to x[k+1], with the matrices of sample k, and y[k+1].
+        The plant over T samples with at most 4096 histories; R positive definite. Mode k + 1 drives
+        the step from x[k] to x[k+1], with the matrices of sample k, and y[k+1].
     y, u : (T, p), (T, q) ndarray
         Measurements, NaN = missing; known inputs.
 

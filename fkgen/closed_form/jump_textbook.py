@@ -174,6 +174,12 @@ class _Memory:
     moments: Array
     run: int = 0
 
+    @classmethod
+    def of(cls, system: JumpSystem) -> _Memory:
+        """Before sample 0."""
+        start, blocks = start_of(system)
+        return cls(start, block_diagonal(blocks) - np.outer(start, start), start, blocks)
+
 
 def textbook_jumps(
     system: JumpSystem,
@@ -199,8 +205,7 @@ def textbook_jumps(
     """
     T, n, N, p = system.length, system.nx, system.count, system.ny
     rate, laws = float(system.arrival_initial[1]), system.mode_law()
-    start, blocks = start_of(system)
-    memory = _Memory(start, block_diagonal(blocks) - np.outer(start, start), start, blocks)
+    memory = _Memory.of(system)
     result = JumpResult.blank(T, n, p, laws)
     E = np.tile(np.eye(n, n + 1), N)
     for k in range(T):

@@ -33,7 +33,7 @@ from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
 from fkgen.symbolic.switching import Switching
-from fkgen.symbolic.switching_modes import mean_noise, move_alike
+from fkgen.symbolic.switching_modes import Modes, mean_noise, move_alike
 from fkgen.symbolic.weights import TINY
 
 #: Timing of the modes where they move the state.
@@ -121,7 +121,7 @@ def _predict(filtering: Switching) -> Phase:
         now = (symbols["mode_probability"], symbols["log_weight"])
         law = advance(script, modes.kernel, now, spec.code.scalar, mixing=True)
     with script.titled("mixing and prediction of every mode"):
-        moved = _moved(script, filtering, modes.motions, law)
+        moved = _moved(script, filtering, modes, law)
     with script.titled("combined prediction"):
         combined = _combined(script, filtering, modes.motions, moved, law.probability)
         states, covariances = zip(*(moved.each[at] for at in moved.which), strict=True)
@@ -147,11 +147,9 @@ class _Moved:
     which: list[int]
 
 
-def _moved(
-    script: Script, filtering: Switching, motions: tuple[Plant, ...], law: Prediction
-) -> _Moved:
+def _moved(script: Script, filtering: Switching, modes: Modes, law: Prediction) -> _Moved:
     """Mixed by (17), (18), then moved as the mode does; what is the same is computed once."""
-    symbols = filtering.symbols
+    symbols, motions = filtering.symbols, modes.motions
     mixer = Mixer(
         script,
         "mixed",
@@ -161,7 +159,8 @@ def _moved(
     mixed: dict[int, tuple[ca.SX, ca.SX]] = {}
     known: dict[tuple[int, int], int] = {}
     result = _Moved([], [])
-    for group, plant in zip(law.group, motions, strict=True):
+    for j in modes.predicted_as:
+        group, plant = law.group[j], motions[j]
         weights = law.mixing[group]
         if weights is symbols["mode_probability"]:  # nothing is learnt about the mode before
             mixed[group] = (symbols["filtered_state"], symbols["filtered_covariance"])

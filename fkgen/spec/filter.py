@@ -40,6 +40,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
 }
 _KEYS = tuple(dict.fromkeys(key for keys in OPTIONS.values() for key in keys))
 DEFAULT_FLOOR = 1e-6
+DEFAULT_ALPHA = 0.01
 
 #: Options that only some detectors have.
 OF_DETECTORS: dict[str, tuple[Detector, ...]] = {
@@ -107,7 +108,7 @@ class Filter:
     modes: int = 4
     form: LinearForm = "lemma2"
     detector: Detector = "none"
-    alpha: float = 0.01
+    alpha: float = DEFAULT_ALPHA
     kappa: float = 1.0
     window: int = 1
     lock_out: int = 10

@@ -6,6 +6,7 @@ import math
 
 from fkgen.spec.faults import Faults
 from fkgen.spec.filter import (
+    DEFAULT_ALPHA,
     DEFAULT_FLOOR,
     DETECTORS,
     FORMS,
@@ -151,7 +152,7 @@ def _read_detection(section: Section) -> Filter:
     return Filter(
         "mjls_lmmse",
         detector=detector,
-        alpha=_positive(section, "alpha", 0.01, below=1.0),
+        alpha=_positive(section, "alpha", DEFAULT_ALPHA, below=1.0),
         kappa=_positive(section, "kappa", 1.0),
         window=_count(section, "window", 1, LONGEST_WINDOW),
         lock_out=_count(section, "lock_out", 10, 10**6),

@@ -77,7 +77,7 @@ def predict_split(split: Jumping, symbols: dict[str, ca.SX]) -> Phase:
     """The phase ``predict`` of a gain that follows the moments."""
     script, n = Script(symbols), split.base.nx
     u = symbols["u"]
-    plants = bound_all(script, split.plants, "ABQ")
+    plants = bound_all(script, split.plants, "ABQc")
     now = moments_of(split, symbols, "")
     with script.titled("second moments, mode by mode"):
         moved = moved_moments(script, split, plants, now, u)

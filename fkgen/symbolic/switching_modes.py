@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
 
 from fkgen.errors import InternalError
 from fkgen.spec import JumpFaults, JumpMode, Matrix, Model, SensorFaults, Spec
+from fkgen.spec.chain import visited
 from fkgen.spec.lumping import merged
 from fkgen.symbolic.markov import Kernel
 from fkgen.symbolic.modes import jump_modes_of
@@ -57,6 +59,16 @@ class Modes:
         """What the modes are, in their order."""
         names = [" or ".join(each.title for each in mode) for mode in self.variants]
         return "modes: " + "; ".join(f"{i} = {name}" for i, name in enumerate(names))
+
+    @property
+    def predicted_as(self) -> tuple[int, ...]:
+        """Per mode the mode whose prediction it takes: its own.
+
+        A mode that can never come takes that of the first that can, so that nothing grows unseen.
+        """
+        possible = visited(self.kernel, self.initial)
+        first = int(np.argmax(possible))
+        return tuple(j if seen else first for j, seen in enumerate(possible))
 
     @property
     def motions(self) -> tuple[Plant, ...]:

@@ -146,6 +146,30 @@ def test_coordinates_of_the_state_are_of_no_account():
     assert distance(b.mode_probability, a.mode_probability) < EXACT
 
 
+def test_a_mode_that_never_comes_does_no_harm():
+    """Its own estimate would grow by 5 in every sample, unseen, and overflow after 220."""
+    model = random_model(66, 1, 1)
+    never = {"A": [[5.0]], "C": [[0.0]]}
+    jumps = jumping(model, [{}, never], transition=np.eye(2), initial=[1.0, 0.0])
+    y, u = seen(jumps, 400, missing=0.1)
+    result = run(jumps, y, u)
+    assert_agree(result, run(spec(model), y, u), KALMAN, 1e-12)
+    assert np.isfinite(result.mode_covariance).all()
+
+
+@pytest.mark.parametrize("letter", ["Q", "R"])
+def test_a_variance_below_zero_in_any_mode_is_refused(letter):
+    jumps = jumping(
+        random_model(67, 1, 1),
+        [{}, {letter: [["s"]]}, {letter: [["s + 1"]]}],
+        parameters={"s": 1.0},
+    )
+    y, u = seen(jumps, 6)
+    s = np.array([1.0, 2.0, -0.5, 0.5, -2.0, 1.0])
+    result = run(jumps, y, u, {"s": s})
+    np.testing.assert_array_equal(result.status < 0, s < 0.0)
+
+
 def leaving(model, modes, law, start):
     """A plant whose mode drives the step that leaves its sample: pairs (mode before, mode)."""
     N = len(modes)

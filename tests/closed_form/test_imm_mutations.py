@@ -25,9 +25,9 @@ def test_what_is_not_mutated_passes(name):
     assert len(proved(recursion(plant(name))).claims) == 3
 
 
-def moved_before_mixing(script, filtering, motions, law):
+def moved_before_mixing(script, filtering, modes, law):
     """The step from x[k] to x[k+1] is that of mode k."""
-    symbols = filtering.symbols
+    symbols, motions = filtering.symbols, modes.motions
     parts = imm._parts(filtering, "mode_filtered_", len(motions))
     left = []
     for i, (part, each) in enumerate(zip(parts, motions, strict=True)):
