@@ -27,15 +27,16 @@ def refusals(mutant):
     return "; ".join(caught.value.failed)
 
 
-def rewritten(whole, prefix, change):
-    """Change what the update assigns to variables with this prefix.
+def rewritten(whole, prefix, change, *, phase="update"):
+    """Change what a phase assigns to variables with this prefix.
 
     ``change(name, value, symbols)`` gives the new value.
     """
-    symbols = whole.update.symbols
+    written = getattr(whole, phase)
+    symbols = written.symbols
     owner = {e.element_hash(): n for n, s in symbols.items() for e in ca.symvar(s)}
     blocks, found = [], False
-    for block in whole.update.blocks:
+    for block in written.blocks:
         assign = dict(block.assign)
         for name, value in block.assign.items():
             if name.startswith(prefix):
@@ -44,7 +45,7 @@ def rewritten(whole, prefix, change):
         reads = tuple(sorted({*block.reads, *more}))
         blocks.append(replace(block, assign=assign, reads=reads))
     assert found
-    return replace(whole, update=replace(whole.update, blocks=tuple(blocks)))
+    return replace(whole, **{phase: replace(written, blocks=tuple(blocks))})
 
 
 def read_instead(whole, prefix, old, new):
