@@ -308,8 +308,8 @@ def _reacquired(
 ) -> dict[str, ca.SX]:
     """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
 
-    With the whole of the compressed rows in d, the next test compares with a host that is vague
-    just where the two disagreed: d' (D + d d')^+ d < 1.
+    d is what it would have been corrected by. It is so again after every further rejection, until
+    something passes: the vaguer the host, the more of its error is in d.
     """
     limit = design.spec.filter.reacquire
     if limit is None:
@@ -325,5 +325,4 @@ def _reacquired(
             d = design.filters()[-1][0]
             covariance = script.symbol("closed_covariance")
             script.put({"closed_covariance": covariance + outer_lower(d, d)})
-            script.put({"rejections_now": ca.SX(0)})
     return {"rejections": count}
