@@ -103,8 +103,8 @@ def reacquired(
 ) -> dict[str, ca.SX]:
     """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
 
-    With the whole of the compressed rows in d, the next test compares with a host that is vague
-    just where the two disagreed: d' (D + d d')^+ d < 1.
+    d is what it would have been corrected by. It is so again after every further rejection, until
+    something passes: the vaguer the host, the more of its error is in d.
 
     Parameters
     ----------
@@ -129,5 +129,4 @@ def reacquired(
             script.put({"rejections_now": ca.SX(0)})
         with script.where(count - (limit - 0.5)):
             script.put({name: script.symbol(name) + outer_lower(d, d)})
-            script.put({"rejections_now": ca.SX(0)})
     return {"rejections": count}
