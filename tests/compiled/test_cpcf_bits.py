@@ -136,13 +136,23 @@ def test_a_refused_sample_changes_nothing(k):
         np.testing.assert_array_equal(compiled.state(port), values)
 
 
-def test_a_phi_of_zero_is_refused_and_the_next_sample_goes_on():
+def test_a_phi_of_zero_cannot_begin_and_says_nothing_later():
+    """Windows end at samples 3 and 6: sample 4 would begin, sample 5 adds nothing."""
     filtering = wide()
     y, u, params = record(filtering, 8, missing=0.0)
-    params["scale"][5] = 0.0
-    found = run(filtering, y, u, params)
-    assert found.refused.tolist() == [False] * 5 + [True] + [False] * 2
-    np.testing.assert_array_equal(found.filtered_state[5], found.filtered_state[4])
+    without = y.copy()
+    without[5, list(filtering.faults.soft.compressed)] = np.nan
+    for k, refused in ((4, True), (5, False)):
+        scale = params["scale"].copy()
+        scale[k] = 0.0
+        found = run(filtering, y, u, {**params, "scale": scale})
+        assert found.refused.tolist() == [refused and j == k for j in range(8)]
+        if refused:
+            np.testing.assert_array_equal(found.filtered_state[4], found.filtered_state[3])
+            continue
+        silent = run(filtering, without, u, {**params, "scale": scale})
+        for port in ("filtered_state", "compressed_measurement", "compressed_noise"):
+            np.testing.assert_allclose(found[port][5], silent[port][5], rtol=1e-12)
 
 
 def test_in_float_the_simulation_comes_out_to_five_digits():
