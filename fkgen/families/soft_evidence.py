@@ -27,6 +27,10 @@ OFF = 30.0
 FAINT = 1e3
 
 
+#: Share of a variance below which rounding of the scalar may be all that there is.
+NEGLIGIBLE = {"double": 1e-11, "float": 1e-4}
+
+
 def _law(spec: Spec) -> SoftFaults:
     soft = spec.faults.soft
     if soft is None:
@@ -46,7 +50,12 @@ def _off(spec: Spec, record: Record) -> Array:
 
 def _windows(spec: Spec, record: Record, start: Array | None = None) -> Mapping[str, Array]:
     options = spec.filter
-    policy = Policy(first=FIRST, test=options.test, reacquire=options.reacquire)
+    policy = Policy(
+        first=FIRST,
+        test=options.test,
+        reacquire=options.reacquire,
+        negligible=NEGLIGIBLE[spec.code.scalar],
+    )
     law, system = _law(spec), system_of(spec, record)
     if start is not None:
         system = replace(system, x0=start)

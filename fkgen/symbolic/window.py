@@ -26,7 +26,9 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
         ("collecting", each, f"1 where the compression filter{of} holds a measurement"),
     ]
     if spec.filter.reacquire is not None:
-        counters.append(("rejections", (), "ends of windows in a row at which all was rejected"))
+        counters.append(
+            ("rejections", (), "window ends in a row at which all that was tested was rejected")
+        )
     return (
         Port(
             name="test_statistic",

@@ -22,7 +22,7 @@ COVARIANCES = (
     "mode_covariance",
     "mode_filtered_covariance",
 )
-KINDS = ("kf_correlated", "mkf_independent", "mkf_sensed", "mme", "mme_independent")
+KINDS = ("kf_correlated", "mkf_independent", "mkf_sensed", "mme", "mme_independent", "dfcf")
 
 #: Examples are the same in every run; a failure is found again.
 some = settings(
