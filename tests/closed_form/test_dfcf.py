@@ -14,7 +14,6 @@ from soft_models import DELTA, PAPER, TIGHT, assert_ports, case, expected, soft,
 import fkgen
 from fkgen.closed_form import accepted_rows, batch_lmmse
 
-
 SEEDS = range(100)
 
 
