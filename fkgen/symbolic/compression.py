@@ -44,6 +44,7 @@ from fkgen.symbolic.window import (
     COUNTDOWN,
     collect,
     count_down,
+    of_the_host,
     reacquired,
     window_ports,
     window_start,
@@ -84,7 +85,7 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
     subsets = tuple(s for size in range(1, count + 1) for s in combinations(range(count), size))
     ports = (
         *state_ports(spec),
-        *_of_the_host(innovation_ports(spec)),
+        *of_the_host(innovation_ports(spec)),
         *_ports(plant.nx, len(subsets)),
         *window_ports(spec, soft),
     )
@@ -113,15 +114,6 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
         predict=_predict(design),
         notes=(f"covariance update: {design.form} form",),
     )
-
-
-def _of_the_host(ports: tuple[Port, ...]) -> tuple[Port, ...]:
-    """The ports of the innovation: normalised square and density are those of its own rows."""
-    own = {
-        "nis": "normalised innovation squared over the rows of the host that are present",
-        "log_likelihood": "log density of the rows of the host that are present",
-    }
-    return tuple(replace(port, meaning=own.get(port.name, port.meaning)) for port in ports)
 
 
 def _ports(n: int, count: int) -> tuple[Port, ...]:

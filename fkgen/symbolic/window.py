@@ -6,6 +6,8 @@ recursion; a countdown port tells when it is due.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from fkgen.spec import SoftFaults, Spec
@@ -55,6 +57,15 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
             for n, s, _ in counters
         ),
     )
+
+
+def of_the_host(ports: tuple[Port, ...]) -> tuple[Port, ...]:
+    """The ports of the innovation: normalised square and density are those of its own rows."""
+    own = {
+        "nis": "normalised innovation squared over the rows of the host that are present",
+        "log_likelihood": "log density of the rows of the host that are present",
+    }
+    return tuple(replace(port, meaning=own.get(port.name, port.meaning)) for port in ports)
 
 
 def window_start(soft: SoftFaults) -> dict[str, tuple[float, ...]]:

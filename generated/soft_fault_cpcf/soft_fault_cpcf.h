@@ -61,8 +61,8 @@ typedef struct
     double filtered_covariance[3]; /**< P(k|k): its error covariance (symmetric 2 x 2) */
     double innovation[2]; /**< y[k] minus its prediction; 0 where the row is missing */
     double innovation_covariance[3]; /**< its covariance, of all rows, present or not (symmetric 2 x 2) */
-    double nis; /**< normalised innovation squared over the rows present */
-    double log_likelihood; /**< log density of the rows present given y[0..k-1] */
+    double nis; /**< normalised innovation squared over the rows of the host that are present */
+    double log_likelihood; /**< log density of the rows of the host that are present */
     double test_statistic; /**< zeta: chi-square distributed without fault; 0 where no test is made */
     double test_dof; /**< its degrees of freedom; 0 where no test is made */
     double fault_declared; /**< 1 where the compression filter is rejected */

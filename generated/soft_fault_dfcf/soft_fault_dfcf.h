@@ -60,8 +60,8 @@ typedef struct
     double filtered_covariance[3]; /**< P(k|k): its error covariance (symmetric 2 x 2) */
     double innovation[2]; /**< y[k] minus its prediction; 0 where the row is missing */
     double innovation_covariance[3]; /**< its covariance, of all rows, present or not (symmetric 2 x 2) */
-    double nis; /**< normalised innovation squared over the rows present */
-    double log_likelihood; /**< log density of the rows present given y[0..k-1] */
+    double nis; /**< normalised innovation squared over the rows of the host that are present */
+    double log_likelihood; /**< log density of the rows of the host that are present */
     double compression_deviation[2]; /**< estimate of x[k] with the compressed rows minus that of the host */
     double compression_covariance[3]; /**< error covariance of the estimate with the compressed rows (symmetric 2 x 2) */
     double predicted_compression_deviation[2]; /**< estimate of x[k+1] with the compressed rows minus that of the host */
