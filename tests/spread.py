@@ -55,6 +55,10 @@ def specs(scalar="double"):
         "dfcf_joseph": soft(TWO_ALONE, window=3, reacquire=1, code=code | {"update": "joseph"}),
         "dfcf_groups": soft(THREE_ALONE, window=3, groups=[[2], [1]], reacquire=2, code=code),
         "compression_full": soft(TWO, family="compression_full", host=[], window=3, code=code),
+        "cpcf": soft(TWO_ALONE, family="cpcf", host=[1], window=2, code=code),
+        "cpcf_paper": soft(
+            THREE_ALONE, family="cpcf", window=3, maintenance="paper", reacquire=1, code=code
+        ),
         "mkf": motor("mkf", code=code),
         "mkf_certain": motor("mkf", actuator=common(1.0), code=code),
         "mkf_sensed": motor("mkf", SENSED, code=code),

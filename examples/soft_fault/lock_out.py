@@ -1,4 +1,4 @@
-"""What a host that starts far off costs, and what ``filter.reacquire`` mends: docs/families/dfcf.md.
+"""What a host that starts far off costs, and what ``filter.reacquire`` mends: see dfcf.md.
 
 The plant of Lee & Lee without any fault, started with a standard deviation of 10 m and 1 m/s. A
 compression filter that is rejected in the first window leaves the host as wrong as it was.

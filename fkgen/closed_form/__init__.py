@@ -24,6 +24,11 @@ from fkgen.closed_form.linear_optimal import (
     true_covariance,
 )
 from fkgen.closed_form.orthogonality import LINEAR_IDENTITIES
+from fkgen.closed_form.partial_compression import (
+    PartialCompression,
+    PartialCompressionResult,
+    partial_compression,
+)
 from fkgen.closed_form.printed_compression import PrintedCompression
 from fkgen.closed_form.riccati import (
     constant_input_noise,
@@ -65,6 +70,8 @@ __all__ = [
     "LinearSystem",
     "MultipleModelResult",
     "OneStepResult",
+    "PartialCompression",
+    "PartialCompressionResult",
     "Policy",
     "PrintedCompression",
     "SensorLaw",
@@ -89,6 +96,7 @@ __all__ = [
     "log_likelihood",
     "mode_plant",
     "nominal_share",
+    "partial_compression",
     "satisfies_lemma_2",
     "simulate",
     "simulate_sensor",

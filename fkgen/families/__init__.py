@@ -19,6 +19,7 @@ NAMES = (
     "genie",
     "compression_full",
     "dfcf",
+    "cpcf",
 )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from fkgen.spec.covariance import is_singular, nearby
 from fkgen.spec.model import Model
+from fkgen.spec.partial_state import check_partial_state
 from fkgen.spec.place import Place, show
 from fkgen.spec.section import Section, as_list, as_number
 from fkgen.spec.signals import Signal, read_row
@@ -77,14 +78,16 @@ def read_soft_faults(
     Raises
     ------
     SpecError
-        If a key is missing or unknown, a group is empty, rows are out of range or named twice, or
-        the noises of two groups are correlated.
+        If a key is missing or unknown, a group is empty, rows are out of range or named twice, the
+        noises of two groups are correlated, or the group of ``cpcf`` is not phi [I 0] T x.
     """
     section = Section(table, place, known=("host", "window", "false_alarm", "groups"))
     host = _host(section, family, model.outputs)
     groups = _groups(section, host, family, model.outputs)
     faults = SoftFaults(host, groups, _window(section), _false_alarm(section))
     _check_noise(faults, model, place, defaults, family)
+    if family == "cpcf":
+        check_partial_state(model, faults.compressed, Place(place.file).entry("model"), defaults)
     return faults
 
 

@@ -72,11 +72,9 @@ def condition(
     variance = _variance(script, covariance, measurement, tag)
     rows = decorrelate(script, measurement, innovation, tag)
     packed = pack(covariance)
-    symbols = {
-        f"mean{tag}": script.local(f"mean{tag}", m),
-        f"covariance{tag}": script.local(f"covariance{tag}", packed.numel()),
-    }
-    script.put({f"mean{tag}": mean, f"covariance{tag}": packed})
+    start = {f"mean{tag}": mean, f"covariance{tag}": packed}
+    symbols = {name: script.local(name, value.numel()) for name, value in start.items()}
+    script.put(start)
     fold = Fold(
         script=script,
         rows=rows,

@@ -7,7 +7,7 @@ skipped, which is the elimination of the R that is left without it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
@@ -33,6 +33,19 @@ class Measurement:
     at: tuple[int, ...]
     rank_tolerance: float | None
     pivots_per_log: int
+
+    def only(self, rows: tuple[int, ...]) -> Measurement:
+        """Some of the rows, as if there were no others."""
+        which = list(rows)
+        return replace(
+            self,
+            C=self.C[which, :],
+            offset=self.offset[which],
+            R=self.R[which, which],
+            y=self.y[which],
+            rows=tuple(self.rows[i] for i in which),
+            at=tuple(self.at[i] for i in which),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Literal
 
 import casadi as ca
 
+from fkgen.errors import InternalError
 from fkgen.symbolic.decorrelation import Row
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column, is_zero, outer_lower, unpack
@@ -25,7 +27,8 @@ class Fold:
 
     With S = L E L' over the rows present, ``coupling`` holds L E and ``factor`` holds L below the
     diagonal, by columns; both give back S without a second product with P. They are empty if S is
-    there already (``variance``): then innovations are corrected through the mean.
+    there already (``variance``): then innovations are corrected through the mean. ``at`` are the
+    rows of y that have to be there, empty if these rows are no rows of y.
     """
 
     script: Script
@@ -65,7 +68,7 @@ class Fold:
             self.weight.append(ca.SX(0))
             self.factor.append(ca.SX.zeros(coupling.numel()))
         else:
-            with script.when(self.at[i], self._significant(i, pivot)):
+            with self._given(i, self._significant(i, pivot)):
                 self._update(i, (cross, coupling, pivot, innovation))
         self.coupling.append(coupling)
         self.pivot.append(pivot)
@@ -79,6 +82,14 @@ class Fold:
         for j in range(i):
             innovation = innovation - self.coupling[j][i - j - 1] * self.weight[j]
         return innovation
+
+    def _given(self, i: int, significant: ca.SX | None) -> AbstractContextManager[None]:
+        """Where row i is there and says something."""
+        if self.at:
+            return self.script.when(self.at[i], significant)
+        if significant is None:
+            raise InternalError("a row that is always there needs a rank decision")
+        return self.script.where(significant)
 
     def _significant(self, i: int, pivot: ca.SX) -> ca.SX | None:
         """Positive when row i is no combination of the rows before it; None if that cannot be."""

@@ -6,10 +6,13 @@ recursion; a countdown port tells when it is due.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from fkgen.spec import SoftFaults, Spec
 from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.linalg import outer_lower
 from fkgen.symbolic.script import Script
 
 #: Positive while no window ends; the closing phase runs at zero.
@@ -56,6 +59,15 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
     )
 
 
+def of_the_host(ports: tuple[Port, ...]) -> tuple[Port, ...]:
+    """The ports of the innovation: normalised square and density are those of its own rows."""
+    own = {
+        "nis": "normalised innovation squared over the rows of the host that are present",
+        "log_likelihood": "log density of the rows of the host that are present",
+    }
+    return tuple(replace(port, meaning=own.get(port.name, port.meaning)) for port in ports)
+
+
 def window_start(soft: SoftFaults) -> dict[str, tuple[float, ...]]:
     """Start values: sample 0 ends no window."""
     return {f"predicted_{COUNTDOWN}": (float(soft.window),)}
@@ -94,3 +106,40 @@ def count_down(script: Script, symbols: dict[str, ca.SX], soft: SoftFaults) -> d
             script.put({"left": ca.SX(soft.window - 1)})
     carried = [name for name in ("collecting", "rejections") if name in symbols]
     return {f"predicted_{COUNTDOWN}": left} | {f"predicted_{n}": symbols[n] for n in carried}
+
+
+def reacquired(
+    script: Script,
+    limit: int | None,
+    verdicts: tuple[list[ca.SX], list[ca.SX]],
+    host: tuple[ca.SX, str],
+) -> dict[str, ca.SX]:
+    """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
+
+    d is what it would have been corrected by. It is so again after every further rejection, until
+    something passes: the vaguer the host, the more of its error is in d.
+
+    Parameters
+    ----------
+    script : Script
+        Of the closing phase.
+    limit : int or None
+        ``filter.reacquire``.
+    verdicts : (list of SX, list of SX)
+        1 where a group is accepted; 1 where it is rejected.
+    host : (SX, str)
+        d, and the local that holds P, packed.
+    """
+    if limit is None:
+        return {}
+    (accepted, rejected), (d, name) = verdicts, host
+    with script.titled("rejections in a row"):
+        count = script.local("rejections_now", 1)
+        script.put({"rejections_now": script.symbol("rejections")})
+        with script.where(sum(rejected, start=ca.SX(-0.5))):
+            script.put({"rejections_now": count + 1})
+        with script.where(sum(accepted, start=ca.SX(-0.5))):
+            script.put({"rejections_now": ca.SX(0)})
+        with script.where(count - (limit - 0.5)):
+            script.put({name: script.symbol(name) + outer_lower(d, d)})
+    return {"rejections": count}

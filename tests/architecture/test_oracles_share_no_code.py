@@ -135,7 +135,7 @@ def test_the_source_of_a_recursion_names_equations_or_sections(name):
     broken = {"problem": 1, "gamma_rate": 0.9}
     model = {"sensor": broken} if SECTIONS.get(name) == "sensor" else {}
     if SECTIONS.get(name) == "soft":
-        model = {"soft": {"host": [0], "window": 5}, "model": SENSED}
+        model = {"soft": {"host": [1], "window": 5}, "model": SENSED}
     recursion = family(name).build(motor(name, **model))
     assert re.search(r"\b(eqs?\.|sec\.) ?\(?\d", recursion.source)
     assert all(re.search(r"\w", form.source) for form in family(name).closed_forms)
