@@ -63,10 +63,9 @@ def condition(
 ) -> Conditioned:
     """Write the blocks that condition ``prior``, mean and covariance, on ``measurement``.
 
-    An ``innovation`` that is there already, zero where its row is missing, is not computed again.
+    An ``innovation`` that is there already is zero where its row is missing.
     """
-    mean, covariance = prior
-    p, m = measurement.C.shape
+    (mean, covariance), (p, m) = prior, measurement.C.shape
     if innovation is None:
         innovation = innovations(script, mean, measurement, tag)
     variance = _variance(script, covariance, measurement, tag)
