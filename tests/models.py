@@ -45,7 +45,7 @@ PARAMETERS = {"dt": 0.1, "angle": 0.7}
 
 def table(model, *, family="kf", name="plant", **sections):
     """A spec as a nested dict; sections and filter options by keyword."""
-    faults = {key: sections.pop(key) for key in ("actuator", "sensor") if key in sections}
+    faults = {key: sections.pop(key) for key in ("actuator", "sensor", "soft") if key in sections}
     result = {
         "name": name,
         "model": deepcopy(model),

@@ -32,11 +32,11 @@ def rewritten(whole, prefix, change, *, phase="update"):
 
     ``change(name, value, symbols)`` gives the new value.
     """
-    mutated = getattr(whole, phase)
-    symbols = mutated.symbols
+    written = getattr(whole, phase)
+    symbols = written.symbols
     owner = {e.element_hash(): n for n, s in symbols.items() for e in ca.symvar(s)}
     blocks, found = [], False
-    for block in mutated.blocks:
+    for block in written.blocks:
         assign = dict(block.assign)
         for name, value in block.assign.items():
             if name.startswith(prefix):
@@ -45,7 +45,7 @@ def rewritten(whole, prefix, change, *, phase="update"):
         reads = tuple(sorted({*block.reads, *more}))
         blocks.append(replace(block, assign=assign, reads=reads))
     assert found
-    return replace(whole, **{phase: replace(mutated, blocks=tuple(blocks))})
+    return replace(whole, **{phase: replace(written, blocks=tuple(blocks))})
 
 
 def read_instead(whole, prefix, old, new):

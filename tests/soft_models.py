@@ -21,6 +21,12 @@ PAPER = {
     "P0": [[1.0, 0.0], [0.0, 0.01]],
 }
 
+#: Rounding of double precision on well-conditioned plants.
+TIGHT = 1e-11
+
+#: P and P* carry some roundings each, and zeta divides by the faintest direction of P - P*.
+ROUNDED = 1e-14
+
 
 def soft(model, *, family="dfcf", host=(0,), window=4, **sections):
     """A spec with soft faults; ``groups``, ``false_alarm`` and filter options by keyword."""
@@ -103,3 +109,22 @@ def case(seed, *, singular=False, **options):
             model["A"] = (np.array(model["A"]) @ np.diag(np.arange(n) > 0)).tolist()
     spec = soft(model, host=host, window=window, parameters=defaults, **options)
     return spec, thinned(rng, T, p, host), rng.standard_normal((T, 1)), params
+
+
+def assert_ports(found, ports, tolerance=TIGHT):
+    """Every port of the joint distribution agrees; the statistic as far as it is determined."""
+    for name, value in ports.items():
+        if name == "faintest":
+            continue
+        actual = np.asarray(found[name], float).reshape(value.shape)
+        if name == "test_statistic":
+            np.testing.assert_array_equal(np.isnan(actual), np.isnan(value))
+            tested = ~np.isnan(value)
+            allowed = np.maximum(tolerance, ROUNDED / ports["faintest"][tested])
+            error = np.abs(actual - value)[tested]
+            assert np.all(error <= allowed * (1.0 + value[tested]))
+        elif name in {"test_dof", "fault_declared"}:
+            np.testing.assert_array_equal(actual, value, err_msg=name)
+        else:
+            scale = max(1.0, float(np.nanmax(np.abs(value))))
+            np.testing.assert_allclose(actual, value, rtol=0, atol=tolerance * scale, err_msg=name)

@@ -15,8 +15,11 @@ from models import (
     record,
     spec,
 )
+from soft_models import soft
 
 TWO = random_model(71, 3, 2, 2, direct=True, correlated=True)
+TWO_ALONE = random_model(74, 3, 2, 2, direct=True)
+THREE_ALONE = random_model(75, 2, 3, 2)
 EXACT = SENSED | {"R": [[5e-6, 0.0], [0.0, 0.0]]}
 #: 33 rows of y, two words of valid bits; few of them see a state, which keeps the code short.
 WIDE = random_model(72, 2, 33)
@@ -48,6 +51,14 @@ def specs(scalar="double"):
         "kf_arithmetic": spec(CONSTANT_RATE_OF_X, family="kf", parameters=arithmetic, code=code),
         "kf_exact": spec(EXACT, family="kf", code=code),
         "kf_wide": spec(WIDE, family="kf", code=code),
+        "dfcf": soft(TWO_ALONE, host=[1], window=2, code=code),
+        "dfcf_joseph": soft(TWO_ALONE, window=3, reacquire=1, code=code | {"update": "joseph"}),
+        "dfcf_groups": soft(THREE_ALONE, window=3, groups=[[2], [1]], reacquire=2, code=code),
+        "compression_full": soft(TWO, family="compression_full", host=[], window=3, code=code),
+        "cpcf": soft(TWO_ALONE, family="cpcf", host=[1], window=2, code=code),
+        "cpcf_paper": soft(
+            THREE_ALONE, family="cpcf", window=3, maintenance="paper", reacquire=1, code=code
+        ),
         "mkf": motor("mkf", code=code),
         "mkf_certain": motor("mkf", actuator=common(1.0), code=code),
         "mkf_sensed": motor("mkf", SENSED, code=code),

@@ -20,7 +20,7 @@ def draw(outcomes: Mapping[str, Outcome]) -> Figure:
     (fault, kf), (dfcf, cpcf) = figure.subplots(2, 2, sharex=True)
     seconds = np.arange(sim.END + 1)
     fault.plot(seconds, sim.fault()[:: sim.EVERY], color="black", lw=1.4, label="injected fault")
-    fault.set_title("fault of the position, m", loc="left", fontsize="medium")
+    fault.set_title("injected fault (line), m, and share rejected", loc="left", fontsize="medium")
     rejections(fault.twinx(), outcomes)
     lines(kf, outcomes[sim.KF_TEST], "kf that tests every position", highest=8.0)
     kf.plot(
@@ -49,6 +49,7 @@ def rejections(axis: Axes, outcomes: Mapping[str, Outcome]) -> None:
     made = outcomes[sim.KF_TEST].declared[:, 1:].reshape(-1, sim.END // sim.WINDOW, sim.WINDOW)
     each = made.mean(axis=(0, 2))
     axis.plot(ends, each, "-", color=WITHOUT, lw=1.4, label="kf: positions rejected")
+    axis.set_ylabel("share rejected")
     axis.set_ylim(0.0, 1.05)
     axis.legend(frameon=False, loc="upper left")
 

@@ -73,3 +73,22 @@ def by_window(at: int = 900) -> Mapping[int, dict[str, float]]:
             found = fkgen.build(spec).run(record(), keep=("filtered_covariance",))
             result[seconds][care] = float(found.filtered_covariance[5 * at, 0, 0])
     return result
+
+
+def counter_example() -> dict[str, float]:
+    """A random walk, two samples: compressed, the last one alone, and both in a Kalman filter."""
+    one = [[1.0]]
+    walk = {"A": one, "C": one, "Q": [[100.0]], "R": [[1000.0]], "x0": [0.0], "P0": one}
+    table = {"name": "walk", "model": walk, "filter": {"family": "kf"}}
+    faults = {"soft": {"host": [], "window": 1}}
+    kalman = fkgen.build(fkgen.Spec.from_dict(table))
+    partial = fkgen.Spec.from_dict(table | {"faults": faults, "filter": {"family": "cpcf"}})
+    compressed = fkgen.build(partial).run(np.zeros(2))
+    last = kalman.run(np.array([np.nan, 0.0]))
+    both = kalman.run(np.zeros(2))
+    return {
+        "R of the compressed measurement": float(compressed.compressed_noise[1, 0, 0]),
+        "P, host with the compressed measurement": float(compressed.filtered_covariance[1, 0, 0]),
+        "P, host with the last raw measurement": float(last.filtered_covariance[1, 0, 0]),
+        "P, Kalman filter with both": float(both.filtered_covariance[1, 0, 0]),
+    }

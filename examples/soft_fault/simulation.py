@@ -2,7 +2,8 @@
 
 References
 ----------
-H. K. Lee, J. G. Lee, compression filters, equations (48) to (51).
+H. K. Lee, J. G. Lee, "Fault-Tolerant Compression Filters by Time-Propagated Measurement Fusion",
+equations (48) to (51).
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from fkgen.closed_form.compression import (
     accepted_rows,
     batch_compression,
 )
+from fkgen.closed_form.compression_identities import COMPRESSION_IDENTITIES
 from fkgen.closed_form.draw import draw_record, informed
 from fkgen.closed_form.enumeration import EnumerationResult, enumerate_jumps, enumerate_modes
 from fkgen.closed_form.fault_moments import FaultMoments, satisfies_lemma_2
@@ -40,6 +41,7 @@ from fkgen.closed_form.partial_compression import (
     PartialCompressionResult,
     partial_compression,
 )
+from fkgen.closed_form.printed_compression import PrintedCompression
 from fkgen.closed_form.propagation import Gains, after_pulse, after_step, gains, within_step
 from fkgen.closed_form.riccati import (
     constant_input_noise,
@@ -63,6 +65,7 @@ from fkgen.closed_form.textbook import TextbookStep, log_likelihood, textbook_st
 from fkgen.closed_form.uncertain import batch_uncertain, joint_moments
 
 __all__ = [
+    "COMPRESSION_IDENTITIES",
     "IDENTITIES",
     "LINEAR_IDENTITIES",
     "BatchResult",
@@ -85,6 +88,7 @@ __all__ = [
     "PartialCompression",
     "PartialCompressionResult",
     "Policy",
+    "PrintedCompression",
     "SensorLaw",
     "SteadyState",
     "TextbookStep",

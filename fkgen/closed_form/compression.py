@@ -20,9 +20,6 @@ from fkgen.closed_form.gaussian import RANK_TOLERANCE, Array, whiten
 from fkgen.closed_form.system import LinearSystem
 from fkgen.spec import SoftFaults
 
-#: A direction in which the compressed rows remove less of the variance of the host is none.
-NEGLIGIBLE = 1e-11
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CompressionResult:
@@ -73,12 +70,16 @@ class Policy:
     test : bool
         Whether anything is rejected.
     reacquire : int or None
-        Windows of rejections alone, in a row, after which the host is inflated.
+        Windows of rejections alone, in a row, from which on the host is inflated.
+    negligible : float
+        A component of the state counts if the compressed rows remove more than this share of the
+        host's variance of it, given those that count already; the largest share comes first.
     """
 
     first: int
     test: bool = True
     reacquire: int | None = None
+    negligible: float = 1e-11
 
 
 def subsets(soft: SoftFaults) -> list[tuple[int, ...]]:
@@ -217,13 +218,33 @@ class _Window:
             P = result.compression_covariance[end, at].copy()
         rejections = 0 if accepted else rejections + (1 if rejected else 0)
         if policy.reacquire is not None and rejections >= policy.reacquire:
-            P, rejections = P + np.outer(d, d), 0
+            P = P + np.outer(d, d)
         result.filtered_state[end], result.filtered_covariance[end] = x, P
         result.predicted_state[end] = part.A[-1] @ x + part.B[-1] @ self.u[-1]
         result.predicted_covariance[end] = part.A[-1] @ P @ part.A[-1].T + part.Q[-1]
         result.compression_deviation[end] = 0.0
         result.compression_covariance[end] = P
         return rejections
+
+    def news(self, group: Sequence[int]) -> tuple[Array, Array]:
+        """What the rows of a group say beyond the host's, whitened: c; and M in x* - x = M c.
+
+        Rows of M are in units of the host's standard deviations at the end of the window.
+        """
+        joint = joint_distribution(self.part, self.u)
+        seen = np.isfinite(only(self.y, self.soft.host))
+        new = np.isfinite(only(self.y, group))
+        host = whiten(joint.measurement_root[seen])
+        coordinates = host.weights @ (self.y - joint.measurement_mean)[seen]
+        whole = joint.measurement_root[new]
+        residual = (self.y - joint.measurement_mean)[new] - whole @ (host.directions @ coordinates)
+        dust = RANK_TOLERANCE * np.linalg.norm(whole, axis=1)
+        beyond = whiten(host.unexplained(whole), negligible=dust)
+        state = host.unexplained(joint.state_root[self.part.length - 1])
+        deviation = np.linalg.norm(state, axis=1)
+        known = deviation > 0.0
+        M = (state @ beyond.directions)[known] / deviation[known][:, None]
+        return beyond.weights @ residual, M
 
     def _verdicts(
         self, result: CompressionResult, policy: Policy, end: int
@@ -235,8 +256,8 @@ class _Window:
         for g, group in enumerate(self.soft.groups):
             if not np.isfinite(self.y[:, list(group)]).any():
                 continue
-            record = self.y, self.u
-            statistic, dof, faintest = quadratic_form(self.part, self.soft.host, group, record)
+            c, M = self.news(group)
+            statistic, dof, faintest = quadratic_form(c, M, policy.negligible)
             result.test_dof[end, g], result.faintest[end, g] = dof, faintest
             result.test_statistic[end, g] = statistic if dof else np.nan
             fault = policy.test and dof > 0 and statistic > chi2.isf(self.soft.false_alarm, dof)
@@ -245,31 +266,18 @@ class _Window:
         return tuple(accepted), tuple(rejected)
 
 
-def quadratic_form(
-    part: LinearSystem, host_rows: Sequence[int], group: Sequence[int], record: tuple[Array, Array]
-) -> tuple[float, int, float]:
-    """The statistic (x* - x)' (P - P*)^+ (x* - x) at the last sample of a window, and its rank.
+def quadratic_form(c: Array, M: Array, negligible: float) -> tuple[float, int, float]:
+    """The statistic d' (M M')^+ d for d = M c, the rank of M M', and the smallest pivot.
 
-    The third number is the smallest share of a variance of P that P - P* removes and that counts.
-
-    With r = what the compressed rows are beyond the projection on the host's, whitened to c, and
-    x* - x = M c, the statistic is the square of the projection of c on the rows of M.
+    Rows of M are chosen by LAPACK's elimination with diagonal pivoting; the statistic is the square
+    of the projection of c on them.
     """
-    y, u = record
-    joint = joint_distribution(part, u)
-    seen, new = np.isfinite(only(y, host_rows)), np.isfinite(only(y, group))
-    host = whiten(joint.measurement_root[seen])
-    coordinates = host.weights @ (y - joint.measurement_mean)[seen]
-    whole = joint.measurement_root[new]
-    root = host.unexplained(whole)
-    residual = (y - joint.measurement_mean)[new] - whole @ (host.directions @ coordinates)
-    beyond = whiten(root, negligible=RANK_TOLERANCE * np.linalg.norm(whole, axis=1))
-    c = beyond.weights @ residual
-    state = host.unexplained(joint.state_root[part.length - 1])
-    deviation = np.linalg.norm(state, axis=1)
-    known = deviation > 0.0
-    M = (state @ beyond.directions)[known] / deviation[known][:, None]
-    _, singular, right = np.linalg.svd(M, full_matrices=False)
-    counts = singular**2 > NEGLIGIBLE
-    faintest = float(np.min(singular[counts] ** 2)) if counts.any() else np.nan
-    return float(np.sum((right[counts] @ c) ** 2)), int(counts.sum()), faintest
+    from scipy.linalg.lapack import dpstrf  # noqa: PLC0415 - slow to import
+
+    if not M.size:
+        return 0.0, 0, np.nan
+    factor, order, rank, _ = dpstrf(M @ M.T, tol=negligible, lower=1)
+    if not rank:
+        return 0.0, 0, np.nan
+    basis, _ = np.linalg.qr(M[order[:rank] - 1].T)
+    return float(np.sum((basis.T @ c) ** 2)), int(rank), float(factor[rank - 1, rank - 1] ** 2)

@@ -41,7 +41,7 @@ class PartialCompression:
         After a host update with gain K, ``"paper"`` takes h K z off Z, (44); ``"optimal"`` takes
         off all of Z that is correlated with the innovation z.
     reacquire : int or None
-        Rejections in a row after which the host is inflated by what it rejected.
+        Rejections in a row from which on the host is inflated by what it rejects.
     """
 
     host: tuple[int, ...]
@@ -258,9 +258,8 @@ class _Run:
         if not rejected:
             self.e, self.x = seen.unexplained(self.e), self.x + correction
         self.rejections = self.rejections + 1 if rejected else 0
-        if self.rejections == self.design.reacquire:
+        if self.design.reacquire is not None and self.rejections >= self.design.reacquire:
             self.e[:, self.slot(k + 1) - 1] += correction
-            self.rejections = 0
         self.alive, self.Z = False, np.zeros_like(self.Z)
         self.coefficients = np.zeros_like(self.coefficients)
         if not seen.rank:

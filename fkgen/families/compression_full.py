@@ -6,6 +6,7 @@ only propagates (Kerr 1980). It is ``dfcf`` without rows of the host; given some
 
 from __future__ import annotations
 
+from fkgen.closed_form import COMPRESSION_IDENTITIES
 from fkgen.families.family import Family
 from fkgen.families.soft_evidence import ACCEPTED, REJECTED, WINDOWS
 from fkgen.spec import Spec
@@ -24,4 +25,5 @@ FAMILY = Family(
     title="sensors that all drift slowly: compression filter beside a host that only propagates",
     build=build,
     closed_forms=(WINDOWS, REJECTED, ACCEPTED),
+    theorems=COMPRESSION_IDENTITIES,
 )

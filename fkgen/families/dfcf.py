@@ -7,6 +7,7 @@ rejects them.
 
 from __future__ import annotations
 
+from fkgen.closed_form import COMPRESSION_IDENTITIES
 from fkgen.families.family import Family
 from fkgen.families.soft_evidence import ACCEPTED, REJECTED, WINDOWS
 from fkgen.spec import Spec
@@ -25,4 +26,5 @@ FAMILY = Family(
     title="sensors that drift slowly: host filter and compression filter",
     build=build,
     closed_forms=(WINDOWS, REJECTED, ACCEPTED),
+    theorems=COMPRESSION_IDENTITIES,
 )

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from fkgen.closed_form import PartialCompression, batch_lmmse, partial_compression
-from fkgen.errors import InternalError
 from fkgen.families.evidence import digits_at_stake, has_exact_rows, system_of
 from fkgen.families.family import Array, ClosedForm, Record
-from fkgen.spec import SoftFaults, Spec
+from fkgen.families.soft_evidence import contradiction, soft_faults_of
+from fkgen.spec import Spec
 from fkgen.spec.partial_state import similarity
 
 __all__ = ["CONTRADICTED", "HOST_ALONE", "PRIMITIVE_NOISES"]
@@ -19,18 +19,9 @@ __all__ = ["CONTRADICTED", "HOST_ALONE", "PRIMITIVE_NOISES"]
 #: Sample of a short record at which its first window ends, if the window of the spec is longer.
 FIRST_END = 4
 
-#: By so many standard deviations the host is wrong where what waits has to be rejected.
-OFF = 30.0
-
-
-def _soft(spec: Spec) -> SoftFaults:
-    if spec.faults.soft is None:
-        raise InternalError(f"{spec.filter.family} without soft faults")
-    return spec.faults.soft
-
 
 def _first_end(spec: Spec) -> int:
-    return min(_soft(spec).window, FIRST_END)
+    return min(soft_faults_of(spec).window, FIRST_END)
 
 
 def _countdown(spec: Spec, _: Record) -> Mapping[str, Array]:
@@ -39,7 +30,7 @@ def _countdown(spec: Spec, _: Record) -> Mapping[str, Array]:
 
 def design_of(spec: Spec, first: int) -> PartialCompression:
     """What the spec says about host and compression filter, with a first window of its own."""
-    soft, options = _soft(spec), spec.filter
+    soft, options = soft_faults_of(spec), spec.filter
     return PartialCompression(
         host=soft.host,
         T=similarity(spec.model.C.values(spec.defaults)[list(soft.compressed)]),
@@ -71,18 +62,12 @@ PRIMITIVE_NOISES = ClosedForm(
 )
 
 
-def _off(spec: Spec, record: Record) -> Array:
-    """A start that the rows of y contradict."""
-    x0 = spec.model.x0.values().ravel()
-    return np.asarray(x0 + OFF * np.sqrt(np.diag(record.P0)))
-
-
 def _countdown_and_off(spec: Spec, record: Record) -> Mapping[str, Array]:
-    return {**_countdown(spec, record), "predicted_state": _off(spec, record)}
+    return {**_countdown(spec, record), "predicted_state": contradiction(spec, record)}
 
 
 def _contradicted(spec: Spec, record: Record) -> Mapping[str, Array]:
-    return _primitive(spec, record, _off(spec, record))
+    return _primitive(spec, record, contradiction(spec, record))
 
 
 CONTRADICTED = ClosedForm(
@@ -96,7 +81,7 @@ CONTRADICTED = ClosedForm(
 
 def _host(spec: Spec, record: Record) -> Mapping[str, Array]:
     """The samples before the first window ends."""
-    samples, others = _first_end(spec), list(_soft(spec).compressed)
+    samples, others = _first_end(spec), list(soft_faults_of(spec).compressed)
     y = record.y[:samples].copy()
     y[:, others] = np.nan
     result = batch_lmmse(system_of(spec, record).first(samples), y, record.u[:samples])

@@ -27,7 +27,12 @@ OFF = 30.0
 FAINT = 1e3
 
 
-def _law(spec: Spec) -> SoftFaults:
+#: Share of a variance below which rounding of the scalar may be all that there is.
+NEGLIGIBLE = {"double": 1e-11, "float": 1e-4}
+
+
+def soft_faults_of(spec: Spec) -> SoftFaults:
+    """The soft faults that a family of compression filters must have."""
     soft = spec.faults.soft
     if soft is None:
         raise InternalError("a compression filter without soft faults")
@@ -38,7 +43,7 @@ def _soon(_: Spec, __: Record) -> Mapping[str, Array]:
     return {"predicted_window_left": np.array([float(FIRST)])}
 
 
-def _off(spec: Spec, record: Record) -> Array:
+def contradiction(spec: Spec, record: Record) -> Array:
     """A start that the rows of y contradict."""
     x0 = spec.model.x0.values().ravel()
     return np.asarray(x0 + OFF * np.sqrt(np.diag(record.P0)))
@@ -46,8 +51,13 @@ def _off(spec: Spec, record: Record) -> Array:
 
 def _windows(spec: Spec, record: Record, start: Array | None = None) -> Mapping[str, Array]:
     options = spec.filter
-    policy = Policy(first=FIRST, test=options.test, reacquire=options.reacquire)
-    law, system = _law(spec), system_of(spec, record)
+    policy = Policy(
+        first=FIRST,
+        test=options.test,
+        reacquire=options.reacquire,
+        negligible=NEGLIGIBLE[spec.code.scalar],
+    )
+    law, system = soft_faults_of(spec), system_of(spec, record)
     if start is not None:
         system = replace(system, x0=start)
     result = batch_compression(system, law, policy, record.y, record.u)
@@ -75,11 +85,11 @@ WINDOWS = ClosedForm(
 
 
 def _soon_and_off(spec: Spec, record: Record) -> Mapping[str, Array]:
-    return {**_soon(spec, record), "predicted_state": _off(spec, record)}
+    return {**_soon(spec, record), "predicted_state": contradiction(spec, record)}
 
 
 def _rejected(spec: Spec, record: Record) -> Mapping[str, Array]:
-    return _windows(spec, record, _off(spec, record))
+    return _windows(spec, record, contradiction(spec, record))
 
 
 REJECTED = ClosedForm(
@@ -96,7 +106,7 @@ def _accepted(spec: Spec, record: Record) -> Mapping[str, Array] | None:
     windows = _windows(spec, record)
     if np.any(windows["fault_declared"]):
         return None
-    law, system, T = _law(spec), system_of(spec, record), len(record.y)
+    law, system, T = soft_faults_of(spec), system_of(spec, record), len(record.y)
     ends = list(range(FIRST, T, law.window))
     names = ("filtered_state", "filtered_covariance", "predicted_state", "predicted_covariance")
     pieces: list[Mapping[str, Array]] = []

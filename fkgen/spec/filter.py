@@ -94,7 +94,7 @@ class Filter:
     test : bool
         Compression filters: False reports the statistic and rejects nothing.
     reacquire : int or None
-        Compression filters: rejections in a row after which the host is inflated; None: never.
+        Compression filters: rejections in a row from which on the host is inflated; None: never.
     maintenance : str
         ``cpcf``: ``"optimal"`` or ``"paper"`` (44).
     """

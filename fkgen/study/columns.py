@@ -26,6 +26,7 @@ Array = NDArray[np.floating]
 DEFAULT = (
     *("filtered_state", "filtered_sd", "innovation", "nis"),
     *("mode_probability", "success_rate_estimate"),
+    *("test_statistic", "test_dof", "fault_declared"),
 )
 
 #: Square roots of the diagonals of covariances: easier to read, and to plot.

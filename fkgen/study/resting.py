@@ -28,6 +28,7 @@ _PATIENCE = 20_000
 
 #: Families for which the Riccati equation of the plant says nothing.
 _OTHERS = ("linear_optimal", "one_step", "imm", "mjls_lmmse")
+_OTHERS += ("compression_full", "dfcf", "cpcf")
 
 _SOURCE = "Anderson & Moore 1979, sec. 4.4; python-control dare"
 
@@ -40,7 +41,7 @@ def claims(recursion: Recursion) -> tuple[Claim, ...]:
     recursion : Recursion
         Stepped with every input at 1, default parameters and all rows present, from the prior of
         the spec made positive definite. A filter that needs too many samples is left out, and so
-        are families whose covariance depends on the data or on unconditional moments.
+        are families whose covariance depends on the data, on unconditional moments or on windows.
     """
     spec = recursion.spec
     if spec.filter.family in _OTHERS:

@@ -21,7 +21,7 @@ from fkgen.symbolic.plant import plant_of
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
-from fkgen.symbolic.window import count_down, window_ports, window_start
+from fkgen.symbolic.window import count_down, of_the_host, window_ports, window_start
 
 
 def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
@@ -31,7 +31,7 @@ def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
         raise InternalError(f"{spec.filter.family} without soft faults")
     ports = (
         *state_ports(spec),
-        *innovation_ports(spec),
+        *of_the_host(innovation_ports(spec)),
         *window_ports(spec, faults),
         *_compressed_ports(plant.nx, len(faults.compressed)),
     )

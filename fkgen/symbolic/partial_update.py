@@ -123,8 +123,10 @@ def _compress(
     with script.titled("whether a compressed measurement begins"):
         some, every = _beginnings(script, given)
     if partial.size > 1:
-        silent = _silent(partial, host.covariance)
-        carried = _replaced(script, "begun_", (carried, silent), some)
+        carried, assign = _locals(script, "begun_", carried)
+        script.put(assign)
+        with script.where(some):
+            script.put(_silent(partial, host.covariance).ports("begun_"))
     found = condition(
         script,
         (carried.measurement, unpack(carried.noise, partial.size)),
@@ -137,9 +139,12 @@ def _compress(
         raise InternalError("a condition with gain, without one")
     cross = carried.cross - found.gain @ (partial.phi @ carried.cross)
     folded = Compressed(found.mean, found.covariance, cross)
+    compressed, assign = _locals(script, "new_", folded)
     with script.titled("a compressed measurement begins"):
-        first = _first(script, partial, measurement)
-        return _replaced(script, "new_", (folded, first), every)
+        script.put(assign)
+        with script.where(every):
+            script.put(_first(script, partial, measurement).ports("new_"))
+    return compressed
 
 
 def _beginnings(script: Script, given: PartialFilter) -> tuple[ca.SX, ca.SX]:
@@ -161,34 +166,17 @@ def _silent(partial: PartialState, covariance: ca.SX) -> Compressed:
 
 
 def _first(script: Script, partial: PartialState, measurement: Measurement) -> Compressed:
-    """(42): all rows of a group, scaled by phi."""
-    back = _inverse(script, partial.phi)
+    """(42): all rows of a group, scaled by phi; refused where that is singular."""
+    phi = partial.phi
+    if not phi.is_constant():
+        determinant = ca.det(phi)
+        script.demand(Kind.POSITIVE, [determinant * determinant], Status.RESULT_NOT_FINITE)
+    back = sparse(ca.inv(phi))
     return Compressed(
         back @ (measurement.y - measurement.offset),
         congruence(back, measurement.R),
         ca.SX.zeros(*partial.T1.shape),
     )
-
-
-def _inverse(script: Script, phi: ca.SX) -> ca.SX:
-    """The inverse of phi, which must not be singular for the parameters of this sample."""
-    if phi.is_constant():
-        return phi
-    determinant = ca.det(phi)
-    script.demand(Kind.POSITIVE, [determinant * determinant], Status.PARAMETER_OUT_OF_RANGE)
-    return script.name_entries("inverse_phi", sparse(ca.inv(phi)))
-
-
-def _replaced(
-    script: Script, prefix: str, usual_other: tuple[Compressed, Compressed], positive: ca.SX
-) -> Compressed:
-    """The other one where ``positive`` is, else the usual one."""
-    usual, other = usual_other
-    result, assign = _locals(script, prefix, usual)
-    script.put(assign)
-    with script.where(positive):
-        script.put(other.ports(prefix))
-    return result
 
 
 def _locals(script: Script, prefix: str, values: Compressed) -> tuple[Compressed, dict[str, ca.SX]]:

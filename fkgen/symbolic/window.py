@@ -6,6 +6,8 @@ recursion; a countdown port tells when it is due.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from fkgen.spec import SoftFaults, Spec
@@ -26,7 +28,9 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
         ("collecting", each, f"1 where the compression filter{of} holds a measurement"),
     ]
     if spec.filter.reacquire is not None:
-        counters.append(("rejections", (), "ends of windows in a row at which all was rejected"))
+        counters.append(
+            ("rejections", (), "window ends in a row at which all that was tested was rejected")
+        )
     return (
         Port(
             name="test_statistic",
@@ -53,6 +57,15 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
             for n, s, _ in counters
         ),
     )
+
+
+def of_the_host(ports: tuple[Port, ...]) -> tuple[Port, ...]:
+    """The ports of the innovation: normalised square and density are those of its own rows."""
+    own = {
+        "nis": "normalised innovation squared over the rows of the host that are present",
+        "log_likelihood": "log density of the rows of the host that are present",
+    }
+    return tuple(replace(port, meaning=own.get(port.name, port.meaning)) for port in ports)
 
 
 def window_start(soft: SoftFaults) -> dict[str, tuple[float, ...]]:
@@ -103,8 +116,8 @@ def reacquired(
 ) -> dict[str, ca.SX]:
     """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
 
-    With the whole of the compressed rows in d, the next test compares with a host that is vague
-    just where the two disagreed: d' (D + d d')^+ d < 1.
+    d is what it would have been corrected by. It is so again after every further rejection, until
+    something passes: the vaguer the host, the more of its error is in d.
 
     Parameters
     ----------
@@ -129,5 +142,4 @@ def reacquired(
             script.put({"rejections_now": ca.SX(0)})
         with script.where(count - (limit - 0.5)):
             script.put({name: script.symbol(name) + outer_lower(d, d)})
-            script.put({"rejections_now": ca.SX(0)})
     return {"rejections": count}

@@ -21,8 +21,13 @@ COVARIANCES = (
     "actuation_covariance",
     "mode_covariance",
     "mode_filtered_covariance",
+    "compressed_noise",
+    "predicted_compressed_noise",
 )
-KINDS = ("kf_correlated", "mkf_independent", "mkf_sensed", "mme", "mme_independent")
+KINDS = (
+    *("kf_correlated", "mkf_independent", "mkf_sensed", "mme", "mme_independent"),
+    *("dfcf", "cpcf"),
+)
 
 #: Examples are the same in every run; a failure is found again.
 some = settings(

@@ -29,6 +29,7 @@ EXTRA = {
         {"reinitialise": True},
         {"inputs": True},
     ],
+    "dfcf": [{"reacquire": 3}],
 }
 """Options of a starter that add ports."""
 
@@ -79,7 +80,13 @@ def named(path):
     return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
 
 
-@pytest.mark.parametrize("name", ["linear_optimal", "one_step", "imm", "genie", "mjls_lmmse"])
+MORE = {"imm": "one_step", "compression_full": "dfcf"}
+"""Pages that another one refers to."""
+
+
+@pytest.mark.parametrize(
+    "name", ["linear_optimal", "one_step", "imm", "genie", "mjls_lmmse", "dfcf", "compression_full"]
+)
 def test_every_port_of_a_filter_for_faults_is_on_a_page(name):
-    shared = named(PAGES["one_step"]) if name == "imm" else set()
+    shared = named(PAGES[MORE[name]]) if name in MORE else set()
     assert ports_of(name) <= named(PAGES[name]) | named(PAGES["kf"]) | shared
