@@ -83,6 +83,12 @@ class Printer:
         """Array brackets of a member; nothing for a scalar."""
         return f"[{port.size}]" if port.shape else ""
 
+    def given(self, port: Port, at: str) -> str:
+        """NaN where the port says nothing, in front of its value; for the record runner."""
+        if not port.given:
+            return ""
+        return f"!(self->{port.given}{at} > {self.literal(0.0)}) ? ({self.real})NAN : "
+
     def bit(self, row: int) -> str:
         """Test of one row's bit in ``present``."""
         word = f"[{row // _WORD_BITS}]" if self.words > 1 else ""

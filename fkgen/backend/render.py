@@ -112,7 +112,6 @@ def _context(program: CProgram) -> dict[str, object]:
         "start": vectors.start,
         "masks": [_mask(c, row) for row in vectors.y],
         "sizes": {port.name: len(port.shape) for port in program.ports},
-        "given": lambda port, at: _given(c, port, at),
         "call": step_call(program, record=False),
     }
 
@@ -157,13 +156,6 @@ def _signal_groups(program: CProgram) -> list[tuple[str, str, tuple[object, ...]
         ("Measurements", "y", program.outputs),
     ]
     return [group for group in groups if group[2]]
-
-
-def _given(c: Printer, port: Port, at: str) -> str:
-    """NaN where the port says nothing, in front of its value."""
-    if not port.given:
-        return ""
-    return f"!(self->{port.given}{at} > {c.literal(0.0)}) ? ({c.real})NAN : "
 
 
 def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:

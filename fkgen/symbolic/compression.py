@@ -12,13 +12,13 @@ measurements share process noise, so no combination of them gives what the rows 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import casadi as ca
 
 from fkgen.errors import InternalError
-from fkgen.spec import SoftFaults, Spec
+from fkgen.spec import Spec
 from fkgen.symbolic.actuation import certain
 from fkgen.symbolic.conditioning import Conditioned, condition, innovations
 from fkgen.symbolic.decorrelation import Measurement
@@ -33,47 +33,20 @@ from fkgen.symbolic.estimate import (
     update_form,
 )
 from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.linalg import column, congruence, pack, unpack
-from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.linalg import congruence, pack, unpack
+from fkgen.symbolic.pair import Pair
+from fkgen.symbolic.plant import plant_of
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
-from fkgen.symbolic.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
-from fkgen.symbolic.sequential import Form
 from fkgen.symbolic.window import (
-    COUNTDOWN,
     collect,
     count_down,
     of_the_host,
-    reacquired,
     window_ports,
     window_start,
 )
-
-Groups = tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Design:
-    """The pair of filters: sizes, symbols, and which groups each compression filter takes."""
-
-    spec: Spec
-    soft: SoftFaults
-    plant: Plant
-    symbols: dict[str, ca.SX]
-    form: Form
-    subsets: tuple[Groups, ...]
-
-    def rows(self, subset: Groups) -> tuple[int, ...]:
-        """The rows of y of the host and of these groups."""
-        return tuple(sorted((*self.soft.host, *(r for g in subset for r in self.soft.groups[g]))))
-
-    def filters(self, prefix: str = "") -> list[tuple[ca.SX, ca.SX]]:
-        """(d, packed P*) of every compression filter."""
-        n = self.plant.nx
-        deviation = ca.vertsplit(self.symbols[f"{prefix}compression_deviation"], n)
-        covariance = self.symbols[f"{prefix}compression_covariance"]
-        return list(zip(deviation, ca.vertsplit(covariance, n * (n + 1) // 2), strict=True))
+from fkgen.symbolic.window_end import window_end
 
 
 def compression_filter(spec: Spec, source: str) -> Recursion:
@@ -89,7 +62,7 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
         *_ports(plant.nx, len(subsets)),
         *window_ports(spec, soft),
     )
-    design = _Design(
+    design = Pair(
         spec=spec,
         soft=soft,
         plant=plant,
@@ -110,7 +83,7 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
             **window_start(soft),
         },
         update=_update(design),
-        closing=_closing(design),
+        closing=window_end(design),
         predict=_predict(design),
         notes=(f"covariance update: {design.form} form",),
     )
@@ -138,7 +111,7 @@ def _ports(n: int, count: int) -> tuple[Port, ...]:
     return tuple(result)
 
 
-def _update(design: _Design) -> Phase:
+def _update(design: Pair) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     state, packed = symbols["predicted_state"], symbols["predicted_covariance"]
@@ -185,7 +158,7 @@ def _update(design: _Design) -> Phase:
 
 
 def _host(
-    design: _Design, script: Script, whole: Measurement, innovation: list[ca.SX]
+    design: Pair, script: Script, whole: Measurement, innovation: list[ca.SX]
 ) -> Conditioned | None:
     """The host conditioned on its rows (29), as a correction of its prediction."""
     if not design.soft.host:
@@ -213,7 +186,7 @@ def _part(
     )
 
 
-def _predict(design: _Design) -> Phase:
+def _predict(design: Pair) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     plant = bound(script, design.plant, "ABQ")
@@ -238,75 +211,3 @@ def _predict(design: _Design) -> Phase:
             guards,
         )
     return script.phase()
-
-
-def _closing(design: _Design) -> Phase:
-    """The test (50), (51) of every group, and the update of the host by what it accepts (25)."""
-    symbols, n, soft = design.symbols, design.plant.nx, design.soft
-    script = Script(symbols)
-    tests = [_test(design, script, g) for g in range(len(soft.groups))]
-    verdicts = [_verdict(design, script, g, test) for g, test in enumerate(tests)]
-    accepted, rejected = ([v[i] for v in verdicts] for i in (0, 1))
-    host = {"state": symbols["filtered_state"], "covariance": symbols["filtered_covariance"]}
-    state = script.local("closed_state", n)
-    covariance = script.local("closed_covariance", n * (n + 1) // 2)
-    script.put({"closed_state": host["state"], "closed_covariance": host["covariance"]})
-    for subset, (d, P) in zip(design.subsets, design.filters(), strict=True):
-        groups = ", ".join(str(g) for g in subset)
-        with script.titled(f"the host takes over: group {groups}"):
-            agreed = ca.SX(0.5 - len(subset))
-            for g, flag in enumerate(accepted):
-                agreed += flag if g in subset else -flag
-            with script.where(agreed):
-                script.put({"closed_state": host["state"] + d, "closed_covariance": P})
-    limit, last = design.spec.filter.reacquire, design.filters()[-1][0]
-    results = reacquired(script, limit, (accepted, rejected), (last, "closed_covariance"))
-    with script.titled("results of the window"):
-        count = len(design.subsets)
-        script.put(
-            {
-                "filtered_state": state,
-                "filtered_covariance": covariance,
-                "compression_deviation": ca.SX.zeros(n * count),
-                "compression_covariance": ca.vertcat(*[covariance] * count),
-                "collecting": ca.SX.zeros(len(soft.groups)),
-                "test_statistic": ca.vertcat(*(test.value for test in tests)),
-                "test_dof": ca.vertcat(*(test.rank for test in tests)),
-                "fault_declared": ca.vertcat(*rejected),
-                **results,
-            },
-            [finite(state, covariance)],
-        )
-    return script.phase(unless=COUNTDOWN)
-
-
-def _test(design: _Design, script: Script, group: int) -> QuadraticForm:
-    """The statistic d' (P - P*)^+ d of a group, if it holds a measurement."""
-    n, scalar = design.plant.nx, design.spec.code.scalar
-    host = design.symbols["filtered_covariance"]
-    d, P = design.filters()[group]
-    names = f"difference_{group}", f"shift_{group}", f"scale_{group}"
-    packed = n * (n + 1) // 2
-    for name, size in zip(names, (packed, n, n), strict=True):
-        script.local(name, size, initial=0.0)
-    with script.titled(f"test of group {group}"):
-        with script.where(design.symbols["collecting"][group] - 0.5):
-            variances = column([host[i * (i + 3) // 2] for i in range(n)])
-            script.put(dict(zip(names, (host - P, d, variances), strict=True)))
-        table = thresholds(design.soft.false_alarm, n)
-        return quadratic_form(script, names, n, DIRECTION[scalar], table)
-
-
-def _verdict(
-    design: _Design, script: Script, group: int, test: QuadraticForm
-) -> tuple[ca.SX, ca.SX]:
-    """(accepted, rejected) as 0 or 1: neither of them if there was no measurement."""
-    names = f"accepted_{group}", f"rejected_{group}"
-    accepted, rejected = (script.local(name, 1) for name in names)
-    collecting = design.symbols["collecting"][group]
-    with script.titled(f"verdict on group {group}"):
-        script.put({names[0]: collecting, names[1]: ca.SX(0)})
-        if design.spec.filter.test:
-            with script.where(test.value - test.looked_up):
-                script.put({names[0]: ca.SX(0), names[1]: ca.SX(1)})
-    return accepted, rejected

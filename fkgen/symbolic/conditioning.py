@@ -63,20 +63,17 @@ def condition(
 ) -> Conditioned:
     """Write the blocks that condition ``prior``, mean and covariance, on ``measurement``.
 
-    An ``innovation`` that is there already, zero where its row is missing, is not computed again.
+    An ``innovation`` that is there already is zero where its row is missing.
     """
-    mean, covariance = prior
-    p, m = measurement.C.shape
+    (mean, covariance), (p, m) = prior, measurement.C.shape
     if innovation is None:
         innovation = innovations(script, mean, measurement, tag)
     variance = _variance(script, covariance, measurement, tag)
     rows = decorrelate(script, measurement, innovation, tag)
     packed = pack(covariance)
-    symbols = {
-        f"mean{tag}": script.local(f"mean{tag}", m),
-        f"covariance{tag}": script.local(f"covariance{tag}", packed.numel()),
-    }
-    script.put({f"mean{tag}": mean, f"covariance{tag}": packed})
+    start = {f"mean{tag}": mean, f"covariance{tag}": packed}
+    symbols = {name: script.local(name, value.numel()) for name, value in start.items()}
+    script.put(start)
     fold = Fold(
         script=script,
         rows=rows,

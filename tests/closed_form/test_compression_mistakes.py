@@ -17,9 +17,10 @@ from soft_models import expected, soft
 
 import fkgen
 from fkgen.closed_form import COMPRESSION_IDENTITIES, PrintedCompression
-from fkgen.symbolic import compression
+from fkgen.symbolic import compression, window_end
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.linalg import pack
+from fkgen.symbolic.pair import Pair
 
 #: Parts of the claims that a mistake contradicts.
 WINDOWS, CONTRADICTED = "joint distribution of each window", "contradict the host"
@@ -170,7 +171,7 @@ def test_mistake_compression_filter_without_the_rows_of_the_host(monkeypatch):
     def rows(design, subset):
         return tuple(row for group in subset for row in design.soft.groups[group])
 
-    monkeypatch.setattr(compression._Design, "rows", rows)
+    monkeypatch.setattr(Pair, "rows", rows)
     assert WINDOWS in refusals(recursion(plant()))
 
 
@@ -237,8 +238,8 @@ def test_mistake_threshold_of_one_degree_of_freedom_fewer(monkeypatch):
     spec = fkgen.Spec.from_dict(table)
     assert not np.any(interpreted(spec, y, np.zeros((len(y), 0)))["fault_declared"])
     assert not np.any(expected(spec, y)["fault_declared"])
-    right = compression.thresholds
-    monkeypatch.setattr(compression, "thresholds", lambda a, n: [right(a, 1)[0], *right(a, n)[:-1]])
+    right = window_end.thresholds
+    monkeypatch.setattr(window_end, "thresholds", lambda a, n: [right(a, 1)[0], *right(a, n)[:-1]])
     assert np.any(Interpreter(recursion(spec)).run(y, np.zeros((len(y), 0)), {})["fault_declared"])
 
 

@@ -21,6 +21,7 @@ EXTRA = {
         {"initial": [0, 0, 1, 0], "inputs": True},
     ],
     "one_step": [{"covariance": "paper"}],
+    "dfcf": [{"reacquire": 3}],
 }
 """Options of a starter that add ports."""
 
@@ -58,7 +59,7 @@ def ports_of(name):
         for key, value in changes.items():
             if key == "inputs":
                 each["model"]["B"] = [[1.0]] * len(table["model"]["A"])
-            elif key in {"form", "covariance"}:
+            elif key in {"form", "covariance", "reacquire"}:
                 each["filter"][key] = value
             else:
                 each["faults"]["sensor"][key] = value
@@ -71,7 +72,13 @@ def named(path):
     return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
 
 
-@pytest.mark.parametrize("name", ["linear_optimal", "one_step", "imm", "genie"])
+MORE = {"imm": "one_step", "compression_full": "dfcf"}
+"""Pages that another one refers to."""
+
+
+@pytest.mark.parametrize(
+    "name", ["linear_optimal", "one_step", "imm", "genie", "dfcf", "compression_full"]
+)
 def test_every_port_of_a_filter_for_sensor_faults_is_on_a_page(name):
-    shared = named(PAGES["one_step"]) if name == "imm" else set()
+    shared = named(PAGES[MORE[name]]) if name in MORE else set()
     assert ports_of(name) <= named(PAGES[name]) | named(PAGES["kf"]) | shared
