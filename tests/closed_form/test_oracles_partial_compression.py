@@ -10,6 +10,7 @@ from models import covariance
 from theorem_4 import Theorem4
 
 from fkgen.closed_form import (
+    PARTIAL_IDENTITIES,
     LinearSystem,
     PartialCompression,
     batch_lmmse,
@@ -22,6 +23,11 @@ from fkgen.spec.partial_state import measured_states, similarity
 ROUNDING = 1e-10
 
 PORTS = ("state", "covariance")
+
+
+@pytest.mark.parametrize("identity", PARTIAL_IDENTITIES, ids=lambda each: each.claim)
+def test_identity(identity):
+    assert identity.holds()
 
 
 def problem(seed, n, m, hosts=1, T=12, *, window=5, maintenance="optimal", false_alarm=None):
