@@ -41,6 +41,7 @@ from fkgen.closed_form.partial_compression import (
     PartialCompressionResult,
     partial_compression,
 )
+from fkgen.closed_form.partial_identities import PARTIAL_IDENTITIES
 from fkgen.closed_form.printed_compression import PrintedCompression
 from fkgen.closed_form.propagation import Gains, after_pulse, after_step, gains, within_step
 from fkgen.closed_form.riccati import (
@@ -68,6 +69,7 @@ __all__ = [
     "COMPRESSION_IDENTITIES",
     "IDENTITIES",
     "LINEAR_IDENTITIES",
+    "PARTIAL_IDENTITIES",
     "BatchResult",
     "CompressionResult",
     "EnumerationResult",

@@ -167,11 +167,9 @@ def _silent(partial: PartialState, covariance: ca.SX) -> Compressed:
 
 def _first(script: Script, partial: PartialState, measurement: Measurement) -> Compressed:
     """(42): all rows of a group, scaled by phi; refused where that is singular."""
-    phi = partial.phi
-    if not phi.is_constant():
-        determinant = ca.det(phi)
-        script.demand(Kind.POSITIVE, [determinant * determinant], Status.RESULT_NOT_FINITE)
-    back = sparse(ca.inv(phi))
+    determinant = ca.det(partial.phi)
+    script.demand(Kind.POSITIVE, [determinant * determinant], Status.RESULT_NOT_FINITE)
+    back = sparse(ca.inv(partial.phi))
     return Compressed(
         back @ (measurement.y - measurement.offset),
         congruence(back, measurement.R),
