@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
+import jinja2
+
+from fkgen.backend.elementary_text import elementary_context
 from fkgen.backend.ir import CProgram, Operator, Phase
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
-from fkgen.backend.templates import elementary_context, filled
 from fkgen.backend.vectors import self_test_vectors
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
@@ -16,6 +20,21 @@ from fkgen.version import API_VERSION, __version__
 #: Operations per step up to which update and predict are compiled into step: a copy of the instance
 #: between them costs more than the code.
 INLINED = 2500
+
+
+@cache
+def environment() -> jinja2.Environment:
+    """Templates from the wheel, or from the source tree."""
+    here = Path(__file__).resolve().parents[1]
+    folders = [here / "templates", here.parent / "templates"]
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folders),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # noqa: S701 - C, not HTML
+    )
 
 
 def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
@@ -32,6 +51,14 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     record = filled("record.c.j2", context | {"call": _step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
     return Source(program=program, files=complete, record=record, claims=claims)
+
+
+def filled(template: str, context: dict[str, object]) -> str:
+    """A template filled in, without blanks at the end of lines and without gaps."""
+    text = environment().get_template(template).render(context)
+    lines = [line.rstrip() for line in text.splitlines()]
+    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
+    return "\n".join(kept).rstrip() + "\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +130,12 @@ def cost(program: CProgram) -> str:
     return " and ".join(text)
 
 
-def signature(c: Printer[CProgram], name: str) -> str:
+def signature(c: Printer, name: str) -> str:
     """Prototype of one of the three functions that run a filter."""
     return f"{c.name}_status_t {c.name}_{name}({', '.join(_arguments(c, name))})"
 
 
-def _arguments(c: Printer[CProgram], name: str) -> list[str]:
+def _arguments(c: Printer, name: str) -> list[str]:
     arguments = [f"{c.name}_t *self"]
     if c.program.parameters:
         arguments.append(f"const {c.name}_params_t *params")
@@ -119,11 +146,11 @@ def _arguments(c: Printer[CProgram], name: str) -> list[str]:
     return arguments
 
 
-def _valid(c: Printer[CProgram]) -> str:
+def _valid(c: Printer) -> str:
     return "uint32_t valid" if c.words == 1 else f"const uint32_t valid[{c.words}]"
 
 
-def _argument_doc(c: Printer[CProgram]) -> str:
+def _argument_doc(c: Printer) -> str:
     lines = []
     if c.program.parameters:
         lines.append(" *  @param params  run-time parameters of this sample")
@@ -136,7 +163,7 @@ def _argument_doc(c: Printer[CProgram]) -> str:
     return "\n".join(lines)
 
 
-def _phases(c: Printer[CProgram]) -> list[_PhaseText]:
+def _phases(c: Printer) -> list[_PhaseText]:
     result = []
     words = {"update": ("correct", "Condition on y[k]"), "predict": ("propagate", "Move to k + 1")}
     for name, phase in zip(words, c.program.phases, strict=True):
@@ -153,7 +180,7 @@ def _phases(c: Printer[CProgram]) -> list[_PhaseText]:
     return result
 
 
-def _functions(c: Printer[CProgram]) -> list[_Function]:
+def _functions(c: Printer) -> list[_Function]:
     update, predict = (f"{c.name}_{text.verb}" for text in _phases(c))
     common = [
         [(phase.reads_parameters, "params"), (phase.reads_input, "u")] for phase in c.program.phases
@@ -177,7 +204,7 @@ def _functions(c: Printer[CProgram]) -> list[_Function]:
     ]
 
 
-def _used(c: Printer[CProgram], ok: str) -> str:
+def _used(c: Printer, ok: str) -> str:
     """Status of a sample with a row: that of the first outcome that applies."""
     used = ok
     for outcome in reversed(c.program.outcomes):
@@ -203,11 +230,11 @@ def _step_call(program: CProgram, *, record: bool) -> str:
     return ", ".join([*arguments, "measurement[k]", "valid[k]"])
 
 
-def _numbers(c: Printer[CProgram], values: tuple[float, ...]) -> list[str]:
+def _numbers(c: Printer, values: tuple[float, ...]) -> list[str]:
     return [c.literal(0.0 if math.isnan(value) else value) for value in values]
 
 
-def _mask(c: Printer[CProgram], row: tuple[float, ...]) -> str:
+def _mask(c: Printer, row: tuple[float, ...]) -> str:
     bits = sum(1 << i for i, value in enumerate(row) if not math.isnan(value))
     words = [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
     return words[0] if c.words == 1 else "{ " + ", ".join(words) + " }"
