@@ -28,8 +28,8 @@ LARGEST_STEPS = 2**31
 
 
 @dataclass(frozen=True, slots=True)
-class _Request:
-    """What is to be drawn, checked."""
+class Request:
+    """What is to be drawn, checked: trials ``first`` to ``first + runs - 1`` of a seed."""
 
     spec: Spec
     runs: int
@@ -51,7 +51,7 @@ class Simulation:
 
     Attributes
     ----------
-    request
+    request : Request
         ``spec``, ``runs``, ``steps``, ``seed`` and ``first``: trial i is trial ``first + i`` of
         the seed.
     y : (M, T, p) ndarray
@@ -66,7 +66,7 @@ class Simulation:
         The truth, and codes of what was drawn.
     """
 
-    request: _Request
+    request: Request
     y: Array
     u: Array
     driving: Array = field(repr=False)
@@ -162,7 +162,7 @@ def simulate(
     SpecError, DataError
         If faults have no law, a number or shape does not fit, or an unstable plant overflows.
     """
-    request = _Request(spec, runs, steps, seed, first)
+    request = Request(spec, runs, steps, seed, first)
     told = inputs_of(spec, u, request.runs, request.steps)
     driving = added("input", told, input, (request.runs, request.steps, spec.model.nu))
     given = _parameters(spec, params, request.steps)
@@ -259,7 +259,7 @@ def _parameters(spec: Spec, given: Mapping[str, ArrayLike] | None, steps: int) -
     return {name: np.asarray(array) for (name, _), array in zip(named, arrays, strict=True)}
 
 
-def _drawn(request: _Request, u: Array, parameters: tuple[Array, ...], advance: Advance) -> Trials:
+def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], advance: Advance) -> Trials:
     compiled = sampler(request.spec)
     room = compiled.empty(request.runs, request.steps)
 

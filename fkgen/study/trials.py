@@ -97,6 +97,9 @@ def _circumstances(
 ) -> tuple[int, dict[str, Any]]:
     """Number of samples, and inputs, parameters and missing rows."""
     u = _constants(inputs)
+    if spec.model.nu and u is None and record is None:
+        names = ", ".join(signal.name for signal in spec.model.inputs)
+        raise DataError("--u", given="nothing", expected=f"numbers for {names}, or a --record")
     if record is None:
         return STEPS if steps is None else steps, {"u": u}
     if u is not None:
