@@ -231,6 +231,18 @@ def test_the_command_simulates_a_record_that_can_be_filtered(tmp_path):
     assert done.exit_code == 0, done.output
 
 
+def test_the_page_of_the_example_quotes_what_the_command_wrote():
+    folder = EXAMPLES / "which_filter"
+    tables = (folder / "tables.md").read_text().splitlines()
+    page = (folder / "README.md").read_text().splitlines()
+    quoted = [line for line in page if line.startswith(("|  |", "| MSE", "| rmse", "Take "))]
+    assert len(quoted) >= 9
+    assert set(quoted) <= set(tables)
+    again = fkgen.compare(fkgen.load(EXAMPLE_1), ("kf",), runs=10_000, steps=101, skip=50, seed=1)
+    error = str(again.row("kf").relative)
+    assert any(line.startswith("| MSE") and line.endswith(f"{error} |") for line in tables)
+
+
 @pytest.mark.slow
 def test_ten_million_samples_are_drawn_and_filtered_in_seconds():
     table = fkgen.load(EXAMPLE_1).to_dict() | {"filter": {"family": "imm"}}
