@@ -200,6 +200,23 @@ def test_filters_for_other_plants_are_refused():
         fkgen.compare(unstable, steps=2000, runs=4)
 
 
+def test_filters_of_one_family_are_told_apart():
+    spec = fkgen.load(EXAMPLE_1)
+    twins = [fkgen.Spec.from_dict(spec.to_dict()) for _ in range(2)]
+    found = fkgen.compare((spec, *twins), runs=20, steps=20)
+    assert {row.label for row in found.rows} == {
+        "one_step (example1)",
+        "one_step (2)",
+        "one_step (3)",
+    }
+
+
+def test_without_noise_there_is_nothing_to_compare():
+    still = models.random_model(2, 1, 1) | {"Q": [[0.0]], "P0": [[0.0]]}
+    with pytest.raises(fkgen.DataError, match="errors that are zero for the genie"):
+        fkgen.compare(models.spec(still), runs=4, steps=8)
+
+
 def test_the_command_compares_draws_and_says_what_to_take(tmp_path):
     picture, runner = tmp_path / "front.png", CliRunner()
     options = ["--families", "imm,kf", "--runs", "50", "--steps", "60"]
