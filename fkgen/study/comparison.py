@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
+from fkgen.families import family
 from fkgen.pipeline import build
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.spec import Spec
@@ -94,7 +95,17 @@ def _compared(
         Entry(each.label, each.spec.filter.family, result, cost)
         for each, result, cost in zip(everyone, scores, costs, strict=True)
     ]
-    return judged(truth, entries, experiment)
+    found = judged(truth, entries, experiment)
+    return replace(found, notes=found.notes + _caveats(everyone[1:]))
+
+
+def _caveats(contenders: Sequence[Contender]) -> tuple[str, ...]:
+    """Where a filter is less than its name says."""
+    return tuple(
+        f"{each.label}: {finding.message}"
+        for each in contenders
+        for finding in family(each.spec.filter.family).caveats(each.spec)
+    )
 
 
 def _scored(
