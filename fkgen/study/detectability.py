@@ -28,7 +28,7 @@ from fkgen.study.visibility import lasting_innovation
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Detectability:
     """The least constant bias along one direction that a test finds with a given power.
 
@@ -62,6 +62,10 @@ class Detectability:
     glr: float
     information: Array
     plateau: float
+
+    def __repr__(self) -> str:
+        least = f"NIS {self.nis:.4g}, windowed {self.windowed_nis:.4g}, GLR {self.glr:.4g}"
+        return f"<Detectability of a bias along {self.direction}: {least}>"
 
 
 def detectability(
@@ -127,10 +131,13 @@ def _information(
     rest = _rest(figures, driven)
     rested = replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted)))
     u = np.tile(driven, (len(bias), 1)) if driven.size else None
-    asked = ask(rested, (bias, None), "both", None, params=None, u=u, y=None)
+    effect = linear_response(ask(rested, (bias, None), "both", None, params=None, u=u, y=None))
+    if not effect.gaussian:
+        expected = "u = 0, or D = 0: with both, y shows which commands are lost and is a mixture"
+        raise DataError("u", given=f"{driven} under mkf with D", expected=expected)
     left = lasting_innovation(figures, rest, d)
     plateau = float(left @ np.linalg.pinv(rest.innovation, hermitian=True) @ left)
-    return linear_response(asked).noncentrality, plateau
+    return effect.noncentrality, plateau
 
 
 def _direction(spec: Spec, direction: ArrayLike | str) -> Array:

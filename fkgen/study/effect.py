@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Kind = Literal["exact", "mean", "paired"]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class FaultEffect:
     """The difference that a fault makes, over T samples.
 
@@ -47,7 +47,8 @@ class FaultEffect:
     runs : int
         Simulated pairs; 0 unless ``paired``.
     gaussian : bool
-        Whether the innovation is Gaussian, so that the NIS is chi-square and has a `power`.
+        Whether the NIS can be taken for chi-square, so that it has a `power`: for ``kf`` and
+        ``genie``; for ``mkf`` without D nearly so, lost commands being noise of the same moments.
     """
 
     state_deviation: Array
@@ -60,6 +61,10 @@ class FaultEffect:
     standard_error: Array
     runs: int = 0
     gaussian: bool = True
+
+    def __repr__(self) -> str:
+        peak = ", ".join(f"{size:.3g}" for size in np.abs(self.error_deviation).max(axis=0))
+        return f"<FaultEffect over {len(self.degrees)} samples, {self.kind}: errors up to {peak}>"
 
     def power(self, false_alarm: float) -> Array:
         """Probability that the NIS of one sample exceeds its bound, (T,).
@@ -78,7 +83,7 @@ class FaultEffect:
             raise DataError(
                 "power of the NIS test",
                 given="a filter whose innovation is a mixture",
-                expected="a filter with Gaussian innovations (kf, mkf without D, genie)",
+                expected="a filter whose innovation is Gaussian, or nearly so",
             )
         return detection_power(
             self.noncentrality, self.degrees, probability("false_alarm", false_alarm)

@@ -86,6 +86,14 @@ class Answer:
             f"which on it stays below {wish.fraction:g} of its peak.",
             f"These numbers are {_KINDS[effect.kind].format(runs=effect.runs)}.",
         ]
+        if effect.state_deviation.any() and not effect.error_deviation.any():
+            names = [signal.name for signal in self.spec.model.states]
+            moved = np.abs(effect.state_deviation).max(axis=0)
+            sizes = ", ".join(f"{n} {size:.4g}" for n, size in zip(names, moved, strict=True))
+            lines.append(
+                f"The estimate moves as the state does, by up to {sizes}: no test sees it."
+            )
+            return lines
         if not effect.gaussian:
             k = int(np.argmax(effect.noncentrality))
             lines.append(f"The NIS changes most at sample {k}: {effect.noncentrality[k]:+.3g}.")

@@ -66,6 +66,6 @@ def fault_effect(
     question = ask(spec, (sensor, input), mode, steps, params=params, u=u, y=y)
     if spec.filter.family in LINEAR:
         return linear_response(question)
-    if spec.filter.family == "linear_optimal" and input is None:
+    if spec.filter.family == "linear_optimal" and not question.anomaly.any():
         return differenced_response(question)
     return paired_response(question, runs, seed)

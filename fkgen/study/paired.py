@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.closed_form import LinearSystem, draw_record, simulate
+from fkgen.closed_form import draw_record, simulate
 from fkgen.errors import DataError
 from fkgen.pipeline import build
 from fkgen.runtime.compiled import CompiledFilter
@@ -46,6 +46,7 @@ def paired_response(question: Question, runs: int, seed: int) -> FaultEffect:
     """
     whole("runs", runs, least=2, expected="a number of pairs, at least 2")
     built = _built(question.spec)
+    question.system(_rates(question.spec))  # refuses what no record can be drawn from
     reached = question.mode != "filter" and bool(question.anomaly.any())
     streams = [np.random.SeedSequence((seed, m)) for m in range(runs)]
     arrived = question.anomaly if reached else np.zeros_like(question.anomaly)
@@ -88,6 +89,11 @@ def _built(spec: Spec) -> CompiledFilter:
     return built
 
 
+def _rates(spec: Spec) -> tuple[float, ...] | None:
+    """Of hypotheses the first one is true, as in records that are drawn."""
+    return spec.filter.hypotheses[0] if spec.filter.hypotheses else None
+
+
 def _measured(question: Question, u: Array, stream: np.random.SeedSequence) -> Array:
     """One record of the plant, (T, p); the same stream gives the same noise, whatever u is."""
     spec, T = question.spec, question.samples
@@ -104,9 +110,7 @@ def _moved(question: Question, anomaly: Array, stream: np.random.SeedSequence) -
     if spec.faults.jump is not None or spec.filter.family not in SECTIONS:
         given = f"an input fault under the family {spec.filter.family}"
         raise DataError("input", given=given, expected="faults of sensors: its plant jumps itself")
-    params = {name: np.asarray(value, dtype=float) for name, value in question.params.items()}
-    rates = spec.filter.hypotheses[0] if spec.filter.hypotheses else None
-    system = LinearSystem.from_spec(spec, T, params, rates)
+    system = question.system(_rates(spec))
     n = system.nx
     quiet = replace(
         system,

@@ -9,8 +9,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.closed_form import LinearSystem
 from fkgen.errors import DataError
-from fkgen.runtime.record import choice, signal
+from fkgen.runtime.record import choice, numbers, signal
 from fkgen.spec import Signal, Spec
 
 Array = NDArray[np.float64]
@@ -54,6 +55,26 @@ class Question:
         """Length T of the record."""
         return len(self.sensor)
 
+    def system(self, rates: tuple[float, ...] | None = None) -> LinearSystem:
+        """The plant over the record; with one hypothesis in place of its success rates.
+
+        Raises
+        ------
+        DataError
+            If an entry is no number, or a rate none in [0, 1], at these parameters.
+        """
+        params = {name: np.asarray(value, dtype=float) for name, value in self.params.items()}
+        try:
+            found = LinearSystem.from_spec(self.spec, self.samples, params, rates)
+        except ArithmeticError as fault:
+            expected = f"values at which every entry of the model is a number, but {fault}"
+            raise DataError("params", given="these values", expected=expected) from None
+        wrong = np.flatnonzero(np.any((found.rate < 0.0) | (found.rate > 1.0), axis=1))
+        if wrong.size:
+            given = f"a success rate of {found.rate[wrong[0]]} at sample {wrong[0]}"
+            raise DataError("params", given=given, expected="rates in [0, 1]")
+        return found
+
     @property
     def told(self) -> Array:
         """The inputs that the filter is told, (T, q)."""
@@ -86,24 +107,50 @@ def ask(
     model = spec.model
     if anomaly is not None and not model.nu:
         raise DataError("input", given="a profile", expected="none: the model has no B")
-    T = len(np.atleast_1d(np.asarray(sensor if anomaly is None else anomaly)))
+    T = _length(sensor if anomaly is None else anomaly)
     if steps is not None and steps != T:
         raise DataError("steps", given=repr(steps), expected=f"{T}, the length of the profile")
     record = _finite("y", y, model.outputs, T, may_miss=True)
-    parameters = dict(params or {})
-    known = [parameter.name for parameter in spec.parameters]
-    for name in parameters:
-        if name not in known:
-            raise DataError(f"params.{name}", given="an unknown name", expected=choice(name, known))
     return Question(
         spec=spec,
         sensor=_finite("sensor", sensor, model.outputs, T),
         anomaly=_finite("input", anomaly, model.inputs, T),
         mode=mode,
         u=_inputs(spec, u, T),
-        params=parameters,
+        params=_parameters(spec, params or {}, T),
         missing=np.isnan(record),
     )
+
+
+def _length(profile: ArrayLike | None) -> int:
+    """Number of samples of a profile, at least one."""
+    try:
+        length = len(np.atleast_1d(np.asarray(profile)))
+    except ValueError:
+        given = "rows of different lengths"
+        raise DataError("the fault", given=given, expected="a matrix, one row per sample") from None
+    if not length:
+        raise DataError("the fault", given="a profile without samples", expected="at least one")
+    return length
+
+
+def _parameters(
+    spec: Spec, params: Mapping[str, ArrayLike], samples: int
+) -> dict[str, NDArray[np.floating]]:
+    """Parameters by name, each a number or one per sample."""
+    known = [parameter.name for parameter in spec.parameters]
+    result = {}
+    for name, value in params.items():
+        where = f"params.{name}"
+        if name not in known:
+            raise DataError(where, given="an unknown name", expected=choice(name, known))
+        result[name] = numbers(where, value, np.float64)
+        shape = result[name].shape
+        if shape not in {(), (1,), (samples,)}:
+            raise DataError(where, given=f"shape {shape}", expected=f"a number or ({samples},)")
+        if not np.isfinite(result[name]).all():
+            raise DataError(where, given="NaN or an infinity", expected="finite numbers")
+    return result
 
 
 def _inputs(spec: Spec, u: ArrayLike | None, samples: int) -> Array:

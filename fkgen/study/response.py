@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.closed_form import LinearSystem
 from fkgen.closed_form.gaussian import square_root
 from fkgen.errors import DataError
 from fkgen.pipeline import build
@@ -80,9 +79,9 @@ def linear_response(question: Question) -> FaultEffect:
         plant = _run(built, np.full_like(y, np.nan), anomaly, companion).filtered_state[:, :n]
     variance = np.diagonal(own.filtered_covariance, axis1=1, axis2=2)[:, :n]
     random = spec.faults.actuator is not None and anomaly.any()
-    sensed = spec.faults.actuator is not None and any(
-        entry != Number(0.0) for row in spec.model.D.rows for entry in row
-    )
+    entries = [entry for row in spec.model.D.rows for entry in row]
+    seen = question.told.any() and any(entry != Number(0.0) for entry in entries)
+    mixture = spec.faults.actuator is not None and seen  # y shows which commands were lost
     return FaultEffect(
         state_deviation=plant - error,
         error_deviation=error + 0.0,  # no -0.0
@@ -92,7 +91,7 @@ def linear_response(question: Question) -> FaultEffect:
         degrees=np.sum(~question.missing, axis=1),
         kind="mean" if random else "exact",
         standard_error=np.zeros_like(error),
-        gaussian=not sensed,
+        gaussian=not mixture,
     )
 
 
@@ -115,7 +114,7 @@ def _companion(question: Question) -> _Companion:
     still = replace(spec, model=model, code=Code("double", spec.code.update))
     if spec.faults.actuator is None:
         return _Companion(still, question.params, np.ones((T, spec.model.nu)))
-    system = LinearSystem.from_spec(spec, T, _as_arrays(question.params))
+    system = question.system()
     told = question.told
     covariance = told[:, :, np.newaxis] * system.fault_covariance * told[:, np.newaxis, :]
     root = square_root(covariance)
@@ -123,10 +122,6 @@ def _companion(question: Question) -> _Companion:
     root = root[:, :, lost]
     widened, params = _with_lost_commands(still, system.B @ root, system.D @ root)
     return _Companion(widened, {**question.params, **params}, system.rate)
-
-
-def _as_arrays(params: Mapping[str, ArrayLike]) -> dict[str, Array | float]:
-    return {name: np.asarray(value, dtype=float) for name, value in params.items()}
 
 
 def _with_lost_commands(spec: Spec, driven: Array, sensed: Array) -> tuple[Spec, dict[str, Array]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fkgen.closed_form.gaussian import square_root
 from fkgen.spec.covariance import is_singular
-from fkgen.study.figures import Array, Figures, Rest
+from fkgen.study.figures import Array, Figures, Rest, listed
 from fkgen.study.findings import Finding, Part
 from fkgen.study.power import required_noncentrality
 from fkgen.study.response import LINEAR
@@ -69,7 +69,39 @@ def sensors(figures: Figures) -> Part:
             )
             remedy = "a second sensor of the same, if that matters"
             findings.append(Finding("unseen_bias", "note", message, share, remedy))
+    findings += _together(figures, rest, values)
     return Part(tuple(findings), values)
+
+
+def _together(figures: Figures, rest: Rest, values: dict[str, float]) -> list[Finding]:
+    """Biases of several rows at once that the estimate takes in, though it does not those of one.
+
+    The rows are scaled by the standard deviations of their innovations, so units do not count.
+    """
+    size = np.sqrt(np.diag(rest.innovation))
+    rows = [i for i in range(len(size)) if size[i] > 0.0]
+    rows = [i for i in rows if values[f"visible_share.{figures.outputs[i]}"] >= _NOTHING]
+    if len(rows) < 2:
+        return []
+    columns = [lasting_innovation(figures, rest, size[i] * np.eye(len(size))[i]) for i in rows]
+    left = np.array(columns).T[size > 0.0] / size[size > 0.0, np.newaxis]
+    _, singular, right = np.linalg.svd(left)
+    seen = int(np.count_nonzero(singular > _NOTHING))
+    unseen = right[seen:]
+    values["unseen_bias_directions"] = float(len(unseen))
+    if not len(unseen):
+        return []
+    involved = np.flatnonzero(np.linalg.norm(unseen, axis=0) > _NOTHING)
+    names = listed([figures.outputs[rows[j]] for j in involved])
+    how = f"{len(unseen)} combinations"
+    if len(unseen) == 1:
+        bias = unseen[0][involved] * size[[rows[j] for j in involved]]
+        how = "in the ratio " + " : ".join(f"{b / bias[0]:.3g}" for b in bias)
+    message = (
+        f"lasting biases of {names} together ({how}) cannot be seen: the estimate takes them in"
+    )
+    remedy = "a sensor that does not share their cause, if they can share one"
+    return [Finding("unseen_biases", "note", message, len(unseen), remedy)]
 
 
 def inputs(figures: Figures) -> Part:

@@ -137,7 +137,7 @@ def resting(spec):
 
 
 def test_tests_have_the_power_they_are_said_to_have():
-    spec, T, runs = paper("A"), 10, 4000
+    spec, T, runs = paper("A"), 10, 2000
     found = fkgen.detectability(spec, "y1", 0.05, 0.6, T)
     rest = paper("A", resting(spec).tolist())
     system = LinearSystem.from_spec(rest, T)
@@ -159,6 +159,13 @@ def test_mkf_sees_less_while_commands_may_be_lost():
     found = spec(random_model(33, 2, 1, 1), family="mkf", actuator=common(0.5))
     still, driven = fkgen.detectability(found, "y0"), fkgen.detectability(found, "y0", u=[4.0])
     assert driven.nis > 1.1 * still.nis
+
+
+def test_where_y_shows_which_commands_are_lost_there_is_no_chi_square():
+    found = spec(random_model(33, 2, 1, 1, direct=True), family="mkf", actuator=common(0.5))
+    assert np.isfinite(fkgen.detectability(found, "y0").glr)
+    with pytest.raises(fkgen.DataError, match="is a mixture"):
+        fkgen.detectability(found, "y0", u=[4.0])
 
 
 def test_a_bias_that_the_filter_never_sees_is_infinite():

@@ -253,6 +253,54 @@ def test_linear_optimal_deviates_by_the_same_whatever_the_record_is(form):
     close(effect.innovation_deviation, innovation, 10.0)
 
 
+@pytest.mark.parametrize("family", ["kf", "mkf"])
+def test_rows_without_noise_are_taken_as_exact(family):
+    model = random_model(9, 3, 2, 1) | {"R": [[0.0, 0.0], [0.0, 0.5]]}
+    faults = {"actuator": common(0.8)} if family == "mkf" else {}
+    found = spec(model, family=family, **faults)
+    sensor, anomaly = profiles(found)
+    missing = missing_some(found)
+    y, u = np.where(missing, np.nan, 0.0), np.ones((T, 1))
+    effect = fkgen.fault_effect(found, sensor, u=u, y=y)
+    state, error, _ = difference(found, (sensor, 0.0 * anomaly), "both", {}, u, missing)
+    # without noise a gain is as large as 1/eps allows and digits go with it
+    np.testing.assert_allclose(effect.state_deviation, state, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(effect.error_deviation, error, rtol=0.0, atol=1e-9)
+
+
+def test_a_float_filter_is_answered_in_double():
+    model = random_model(14, 2, 1)
+    fault = step(T, 3, [1.0])
+    single, double = (
+        fkgen.fault_effect(spec(model, code={"scalar": scalar, "update": "joseph"}), fault)
+        for scalar in ("float", "double")
+    )
+    assert single.state_deviation.dtype == np.float64
+    assert np.array_equal(single.state_deviation, double.state_deviation)
+
+
+MISTAKES = {
+    "an actuator fault with the sign of a wrong readback": ("_SIGN", {"plant": -1.0}),
+    "lost commands as variances, not deviations": ("square_root", lambda N: N),
+    "lost commands forgotten": ("square_root", lambda N: 0.0 * N),
+    "lost commands of one input in the other": ("square_root", lambda N: N[:, ::-1] ** 0.5),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistakes_show(mistake, monkeypatch):
+    found = spec(random_model(5, 3, 2, 2, direct=True), family="mkf", actuator=independent(0.6))
+    sensor, anomaly = profiles(found)
+    u = 3.0 * np.random.default_rng(2).standard_normal(anomaly.shape)
+
+    def error():
+        return fkgen.fault_effect(found, sensor, anomaly, "plant", u=u).error_deviation
+
+    right = error()
+    monkeypatch.setattr(f"fkgen.study.response.{MISTAKES[mistake][0]}", MISTAKES[mistake][1])
+    assert np.abs(error() - right).max() > 1e-3 * np.abs(right).max()
+
+
 # --------------------------------------------------------------------------- laws of the deviation
 
 

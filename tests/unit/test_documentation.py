@@ -14,6 +14,7 @@ from fkgen.families import NAMES, family
 from fkgen.study.starters import resource, starter
 
 PAGES = {name: resource(f"docs/families/{name}.md") for name in NAMES}
+OTHERS = {"fault-effects": resource("docs/fault-effects.md")}
 EXTRA = {
     "linear_optimal": [
         {"form": "augmented"},
@@ -30,9 +31,9 @@ def blocks(path, language):
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *OTHERS])
 def test_code_on_a_page_prints_what_stands_beside_it(name):
-    for code in blocks(PAGES[name], "python"):
+    for code in blocks({**PAGES, **OTHERS}[name], "python"):
         printed = StringIO()
         with redirect_stdout(printed):
             exec(compile(code, f"{name}.md", "exec"), {})  # noqa: S102

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from effect_models import paper
-from models import motor, random_model, spec
+from models import common, motor, random_model, spec
 
 import fkgen
 from fkgen.errors import DataError
@@ -61,6 +61,8 @@ GOOD = step(20, 3, [1.0, 0.0])
     ("call", "match"),
     [
         (lambda: fkgen.fault_effect(A), "the fault: given nothing"),
+        (lambda: fkgen.fault_effect(A, np.zeros((0, 2))), "a profile without samples"),
+        (lambda: fkgen.fault_effect(A, [[1.0, 2.0], [3.0]]), "rows of different lengths"),
         (lambda: fkgen.fault_effect(A, np.zeros((20, 3))), r"sensor: given shape \(20, 3\)"),
         (lambda: fkgen.fault_effect(A, np.zeros(20)), r"sensor: given shape \(20,\)"),
         (lambda: fkgen.fault_effect(A, GOOD, steps=21), "steps: given 21; expected 20"),
@@ -102,6 +104,39 @@ def test_an_unstable_plant_over_a_long_horizon_stops_with_a_message():
 def test_a_mixture_has_no_power_of_a_chi_square_test():
     found = fkgen.fault_effect(motor("mme"), np.ones((5, 2)), u=np.ones((5, 1)), runs=2)
     refused(lambda: found.power(0.01), "whose innovation is a mixture")
+
+
+def driven(**params):
+    """mkf whose rate and dynamics are parameters, over 9 samples."""
+    model = random_model(3, 1, 1, 1) | {"A": [["sqrt(a)"]]}
+    parameters = {"xi": 0.5, "a": 0.25}
+    found = spec(model, family="mkf", actuator=common("xi"), parameters=parameters)
+    return fkgen.fault_effect(found, np.ones((9, 1)), u=np.ones((9, 1)), params=params)
+
+
+@pytest.mark.parametrize(
+    ("params", "match"),
+    [
+        ({"xi": np.full(8, 0.5)}, r"params.xi: given shape \(8,\); expected a number or \(9,\)"),
+        ({"xi": np.nan}, "params.xi: given NaN or an infinity"),
+        ({"xi": [0.5] * 8 + [1.5]}, r"a success rate of \[1.5\] at sample 8; expected rates in"),
+        ({"a": -1.0}, "params: given these values; expected values at which every entry"),
+        ({"xi": "half"}, "params.xi: given text"),
+        ({"b": 1.0}, "params.b: given an unknown name"),
+    ],
+)
+def test_parameters_that_do_not_fit(params, match):
+    assert np.isfinite(driven(xi=0.25, a=np.full(9, 0.5)).state_deviation).all()
+    refused(lambda: driven(**params), match)
+
+
+def test_a_variance_below_zero_is_refused():
+    model = random_model(3, 1, 1) | {"R": [["r"]]}
+    found = spec(model, parameters={"r": 1.0})
+    refused(
+        lambda: fkgen.fault_effect(found, np.ones((9, 1)), params={"r": -1.0}),
+        "params: given a record that the filter refuses at sample 0",
+    )
 
 
 @pytest.mark.parametrize(
