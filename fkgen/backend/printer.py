@@ -189,6 +189,15 @@ class Printer(StatementPrinter):
         super().__init__(program.name, program.scalar, len(program.outputs))
         self.program = program
 
+    @property
+    def outcome(self) -> str:
+        """Status of a sample with a row: that of the first outcome that applies."""
+        text = self.status(Status.OK)
+        for outcome in reversed(self.program.outcomes):
+            above = f"self->{outcome.port} > {self.literal(outcome.level)}"
+            text = f"(({above}) ? {self.status(outcome.status)} : {text})"
+        return text
+
 
 def _all(tests: list[str]) -> str:
     return tests[0] if len(tests) == 1 else " && ".join(f"({test})" for test in tests)

@@ -195,22 +195,12 @@ def _functions(c: Printer) -> list[_Function]:
     moved_next = f"{predict}({', '.join(['&next', *second, '&next'])})"
     any_row = " | ".join(f"present[{i}]" for i in range(c.words)) if c.words > 1 else "present"
     ok, skipped = c.status(Status.OK), c.status(Status.SKIPPED)
-    used = _used(c, ok)
-    outcome = f"(({any_row}) != 0u) ? {used} : {skipped}"
+    outcome = f"(({any_row}) != 0u) ? {c.outcome} : {skipped}"
     return [
         _Function("update", (correct,), True, False, _any_null(measured), outcome),  # noqa: FBT003
         _Function("predict", (moved,), False, False, _any_null(pointers), ok),  # noqa: FBT003
         _Function("step", (correct, moved_next), True, True, _any_null(measured), outcome),  # noqa: FBT003
     ]
-
-
-def _used(c: Printer, ok: str) -> str:
-    """Status of a sample with a row: that of the first outcome that applies."""
-    used = ok
-    for outcome in reversed(c.program.outcomes):
-        above = f"self->{outcome.port} > {c.literal(outcome.level)}"
-        used = f"(({above}) ? {c.status(outcome.status)} : {used})"
-    return used
 
 
 def _any_null(pointers: list[str]) -> str:

@@ -99,8 +99,8 @@ def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult
     Parameters
     ----------
     system : JumpSystem
-        The plant over T samples with N^T <= 4096; R positive definite. Mode k + 1 drives the step
-        from x[k] to x[k+1], with the matrices of sample k, and y[k+1].
+        The plant over T samples with at most 4096 histories; R positive definite. Mode k + 1 drives
+        the step from x[k] to x[k+1], with the matrices of sample k, and y[k+1].
     y, u : (T, p), (T, q) ndarray
         Measurements, NaN = missing; known inputs.
 
@@ -146,8 +146,9 @@ def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult
 
 def _refuse_long(system: JumpSystem) -> None:
     T, N = system.length, system.count
-    if N**T > MOST_HISTORIES:
-        longest = next(t for t in range(T, 0, -1) if N**t <= MOST_HISTORIES)
+    starts = np.count_nonzero(system.initial)
+    if starts * N ** (T - 1) > MOST_HISTORIES:
+        longest = next(t for t in range(T, 0, -1) if starts * N ** (t - 1) <= MOST_HISTORIES)
         raise DataError("y", given=f"{T} samples", expected=f"at most {longest}")
 
 

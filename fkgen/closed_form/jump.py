@@ -87,6 +87,10 @@ class JumpSystem:
         P = self.transition
         return np.array([self.initial @ np.linalg.matrix_power(P, k) for k in range(self.length)])
 
+    def without_inputs(self) -> Self:
+        """The same plant at u = 0."""
+        return replace(self, B=self.B[..., :0], D=self.D[..., :0])
+
     def always_arriving(self) -> Self:
         """The same plant without losses."""
         return replace(self, arrival=np.array([[0.0, 1.0]] * 2), arrival_initial=np.array([0.0, 1]))

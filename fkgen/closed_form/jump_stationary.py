@@ -68,7 +68,7 @@ def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | Non
     if found is None:
         return None
     X = lift @ found[0] @ lift.T
-    S = rate**2 * split.L @ X @ split.L.T + R
+    S = split.innovation_covariance(X, rate)
     return SteadyState(
         split=split,
         covariance=X,

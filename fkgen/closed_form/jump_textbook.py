@@ -73,6 +73,12 @@ class Split:
         difference: Array = self.moved - self.F @ self.now @ self.F.T
         return difference
 
+    def innovation_covariance(self, X: Array, rate: float) -> Array:
+        """S = p^2 L X L' + p (1 - p) E[s s'] + R: Nahi 1969; p = 1 if a signal is certain."""
+        doubt = rate * (1.0 - rate) * self.signal
+        covariance: Array = rate**2 * self.L @ X @ self.L.T + doubt + self.R
+        return covariance
+
 
 def block_diagonal(blocks: Array) -> Array:
     """(N, m, m) as one (N m, N m) matrix."""
@@ -168,6 +174,12 @@ class _Memory:
     moments: Array
     run: int = 0
 
+    @classmethod
+    def of(cls, system: JumpSystem) -> _Memory:
+        """Before sample 0."""
+        start, blocks = start_of(system)
+        return cls(start, block_diagonal(blocks) - np.outer(start, start), start, blocks)
+
 
 def textbook_jumps(
     system: JumpSystem,
@@ -193,14 +205,12 @@ def textbook_jumps(
     """
     T, n, N, p = system.length, system.nx, system.count, system.ny
     rate, laws = float(system.arrival_initial[1]), system.mode_law()
-    start, blocks = start_of(system)
-    memory = _Memory(start, block_diagonal(blocks) - np.outer(start, start), start, blocks)
+    memory = _Memory.of(system)
     result = JumpResult.blank(T, n, p, laws)
     E = np.tile(np.eye(n, n + 1), N)
     for k in range(T):
         split = split_at(system, u, k, memory.moments, laws[k])
-        L, X = rate * split.L, memory.X
-        S = L @ X @ L.T + rate * (1.0 - rate) * split.signal + split.R
+        L, X, S = rate * split.L, memory.X, split.innovation_covariance(memory.X, rate)
         if steady is not None:
             X, S, split = steady.covariance, steady.innovation_covariance, steady.at(split)
         r = y[k] - L @ memory.z
@@ -213,15 +223,13 @@ def textbook_jumps(
         K = X @ L[accepted].T @ inverse if steady is None else steady.gain[:, accepted]
         z, X = memory.z + K @ r[accepted], X - K @ L[accepted] @ X
         if restart:
-            z = memory.q
-            X = split.now - np.outer(z, z)
+            z, X = memory.q, split.now - np.outer(memory.q, memory.q)
         memory.z, memory.X = split.F @ z, split.F @ X @ split.F.T + split.noise
         if steady is not None:
             X, memory.X = steady.filtered, steady.covariance
         result.filtered_state[k], result.filtered_covariance[k] = E @ z, E @ X @ E.T
         memory.q, memory.moments = split.F @ memory.q, diagonal_blocks(split.moved, N)
-        result.predicted_state[k] = E @ memory.z
-        result.predicted_covariance[k] = E @ memory.X @ E.T
+        result.predicted_state[k], result.predicted_covariance[k] = E @ memory.z, E @ memory.X @ E.T
     return result
 
 

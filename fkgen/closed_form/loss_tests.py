@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import chdtri
 
-from fkgen.closed_form.gaussian import Array
+from fkgen.closed_form.gaussian import Array, log_density, square_root, whiten
 from fkgen.spec import Filter
 
 
@@ -43,10 +44,8 @@ class LossTest:
         """
         match self.options.detector:
             case "nis":
-                from scipy.stats import chi2  # noqa: PLC0415 - slow to import
-
-                nis = float(residual @ np.linalg.pinv(S, hermitian=True) @ residual)
-                return nis, float(chi2.isf(self.options.alpha, len(y)))
+                nis = float(np.sum((whiten(square_root(S)).weights @ residual) ** 2))
+                return nis, float(chdtri(len(y), self.options.alpha))
             case "energy":
                 self.energies.append(float(residual @ residual))
                 mean = float(np.mean(self.energies[-self.options.window :]))
@@ -55,11 +54,8 @@ class LossTest:
 
     def _log_odds(self, y: Array, residual: Array, S: Array, R: Array) -> float:
         """Log of the probability of a loss over that of a signal, given y and the past."""
-        from scipy.stats import multivariate_normal  # noqa: PLC0415 - slow to import
-
         if self.rate in {0.0, 1.0}:
             return np.inf if self.rate == 0.0 else -np.inf
-        zero = np.zeros(len(y))
-        lost = np.log1p(-self.rate) + multivariate_normal.logpdf(y, zero, R)
-        arrived = np.log(self.rate) + multivariate_normal.logpdf(residual, zero, S)
+        lost = np.log1p(-self.rate) + log_density(y, whiten(square_root(R)))
+        arrived = np.log(self.rate) + log_density(residual, whiten(square_root(S)))
         return float(lost - arrived)

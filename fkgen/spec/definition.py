@@ -10,6 +10,7 @@ from fkgen.spec.code_options import Code, read_code
 from fkgen.spec.covariance import is_singular
 from fkgen.spec.faults import Faults, read_faults
 from fkgen.spec.filter import Filter, filter_section, read_filter
+from fkgen.spec.jump_faults import JumpMode
 from fkgen.spec.jump_filter import check_jumps
 from fkgen.spec.linear_optimal import check_linear_filter
 from fkgen.spec.magnitude import check_magnitudes
@@ -128,6 +129,11 @@ class Spec:
     def defaults(self) -> dict[str, float]:
         """The default value of every parameter."""
         return {parameter.name: parameter.default for parameter in self.parameters}
+
+    @property
+    def plants(self) -> tuple[Model | JumpMode, ...]:
+        """The model, or every mode in place of it where the plant jumps."""
+        return (self.model,) if self.faults.jump is None else self.faults.jump.modes
 
     @property
     def stated_parameters(self) -> tuple[Parameter, ...]:

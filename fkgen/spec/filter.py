@@ -42,6 +42,7 @@ _OWNER = {key: family for family, keys in OPTIONS.items() for key in keys}
 _LATER_KEYS = ("maintenance",)
 DEFAULT_FLOOR = 1e-6
 LONGEST_WINDOW = 100
+DEFAULT_ALPHA = 0.01
 
 #: Options that only some detectors have.
 _OF_DETECTORS: dict[str, tuple[Detector, ...]] = {
@@ -103,7 +104,7 @@ class Filter:
     modes: int = 4
     form: LinearForm = "lemma2"
     detector: Detector = "none"
-    alpha: float = 0.01
+    alpha: float = DEFAULT_ALPHA
     kappa: float = 1.0
     window: int = 1
     lock_out: int = 10
@@ -259,7 +260,7 @@ def _read_detection(section: Section) -> Filter:
     return Filter(
         "mjls_lmmse",
         detector=detector,
-        alpha=_positive(section, "alpha", 0.01, below=1.0),
+        alpha=_positive(section, "alpha", DEFAULT_ALPHA, below=1.0),
         kappa=_positive(section, "kappa", 1.0),
         window=_count(section, "window", 1, LONGEST_WINDOW),
         lock_out=_count(section, "lock_out", 10, 10**6),

@@ -16,7 +16,7 @@ from fkgen.spec.chain import stationary_law
 from fkgen.spec.covariance import checked_covariance
 from fkgen.spec.matrix import Matrix
 from fkgen.spec.matrix_input import Role, read_entry, read_matrix
-from fkgen.spec.model import Model
+from fkgen.spec.model import Model, component
 from fkgen.spec.place import Place
 from fkgen.spec.probability import Distribution, as_distribution, as_probability, as_transition
 from fkgen.spec.section import Section, as_list
@@ -235,7 +235,7 @@ class _Mode:
             raise place.error(f"{len(entries)} entries", expected)
         return Matrix(
             tuple(
-                (read_entry(entry, place.item(i), self.defaults),)
+                (read_entry(component(entry, place.item(i)), place.item(i), self.defaults),)
                 for i, entry in enumerate(entries)
             )
         )

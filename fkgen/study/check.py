@@ -12,6 +12,7 @@ from fkgen.study import (
     dynamics,
     faults,
     float_error,
+    jumps,
     noise,
     sensor,
     size,
@@ -49,6 +50,19 @@ _EXAMINATIONS = (
     size.cost,
 )
 
+#: Where every mode has matrices of its own, those of the model say little.
+_OF_JUMPS = (
+    jumps.chain,
+    jumps.radius,
+    jumps.rest,
+    jumps.innovation,
+    jumps.visibility,
+    jumps.detector,
+    sensor.caveats,
+    size.parameters,
+    size.cost,
+)
+
 
 def check(spec: Spec) -> Report:
     """Examine the model of a spec; nothing is built or written.
@@ -66,9 +80,10 @@ def check(spec: Spec) -> Report:
     References
     ----------
     Anderson & Moore 1979, *Optimal Filtering*, sec. 4.4 and app. C: detectability, stabilisability
-    and the Riccati equation. Strandt, Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song &
-    Hu 2019 for their effect, with the conditions of docs/fault-effects.md. Higham 2002, sec. 3.3:
-    running error analysis.
+    and the Riccati equation. Costa, Fragoso & Marques 2005, ch. 3, for jumping plants. Strandt,
+    Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with the
+    conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
     """
     figures = Figures(spec)
-    return combined([examine(figures) for examine in _EXAMINATIONS])
+    examinations = _EXAMINATIONS if spec.faults.jump is None else _OF_JUMPS
+    return combined([examine(figures) for examine in examinations])

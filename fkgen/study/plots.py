@@ -17,6 +17,7 @@ from fkgen.spec import Signal, Spec
 from fkgen.study.columns import deviation
 from fkgen.study.files import refuse_format
 from fkgen.study.table import Table
+from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]
 
@@ -155,8 +156,9 @@ def _by_unit(outputs: tuple[Signal, ...]) -> dict[str, list[int]]:
 
 
 def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> None:
-    """Innovations of some rows; a start from nothing does not set the scale."""
-    values = sheet.run["innovation"]
+    """Innovations of some rows; rejected samples are left out, a start sets no scale."""
+    values = sheet.run["innovation"].copy()
+    values[np.isin(sheet.run.status, [status.value for status in VERDICTS])] = np.nan
     for at, i in enumerate(rows):
         shown = np.isfinite(values[:, i])
         name = sheet.spec.model.outputs[i].name.replace("_", " ")
@@ -215,7 +217,9 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
 
 
 def _is_mixture(spec: Spec) -> bool:
-    """Whether y may be under several sensor conditions that the filter is not told."""
+    """Whether y may be under several modes that the filter is not told."""
+    if spec.faults.jump is not None:
+        return True
     return spec.faults.sensor is not None and spec.filter.family != "genie"
 
 
@@ -234,6 +238,8 @@ def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
 
 def _mode_names(spec: Spec, count: int) -> list[str]:
     """What a mode stands for: success rates of the inputs, or a condition of the sensors."""
+    if spec.faults.jump is not None:
+        return [f"mode {i}" for i in range(count)]
     if spec.faults.sensor is None:
         rates = [", ".join(f"{rate:g}" for rate in each) for each in spec.filter.hypotheses]
         return [f"rate {each}" for each in rates]

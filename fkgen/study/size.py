@@ -30,10 +30,12 @@ def cost(figures: Figures) -> Part:
 
 def used_parameters(spec: Spec) -> frozenset[str]:
     """Names of the parameters on which the filter depends."""
-    model, faults = spec.model, spec.faults.actuator
+    faults, plants = spec.faults.actuator, spec.plants
     used = frozenset().union(
-        *(getattr(model, letter).names for letter in ("A", "B", "C", "D", "Q", "R"))
+        *(getattr(plant, x).names for plant in plants for x in ("A", "B", "C", "D", "Q", "R"))
     )
+    if spec.faults.jump is not None:
+        used = used.union(*(mode.c.names for mode in spec.faults.jump.modes))
     if faults is not None and spec.filter.family == "mkf":
         used = used.union(*(names(rate) for rate in faults.success_rate))
         used |= faults.covariance.names if faults.covariance is not None else frozenset()

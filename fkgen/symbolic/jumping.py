@@ -155,7 +155,7 @@ def split_ports(split: Jumping, *, covariances: bool) -> tuple[Port, ...]:
     """Estimate and moments of the split state; with a constant gain there are no covariances."""
     n, M = split.base.nx, split.size
     member = "(x, 1) 1{mode}" if split.ones else "x 1{mode}"
-    what = f"{member} of all parts but the last, and of x"
+    what = f"{member} for all parts but the last, then of x"
     ports = [
         _state("augmented_state", (M,), f"estimate of {what}, at k+1 given y[0..k]"),
         _state("augmented_filtered_state", (M,), "the same at k given y[0..k]"),

@@ -24,6 +24,7 @@ from fkgen.symbolic.weights import LOG_ZERO
 #: Between two whole numbers.
 HALF = 0.5
 
+_ABSENT = "; 0 if no row is present"
 _MEANING = {
     "llr": "log of Pr(lost | y[0..k]) over Pr(arrived | y[0..k])",
     "nis": "normalised innovation squared",
@@ -31,8 +32,8 @@ _MEANING = {
 }
 _BOUND = {
     "llr": "0",
-    "nis": "chi-square quantile at 1 - alpha",
-    "energy": "kappa times the mean of |innovation|^2 that is expected",
+    "nis": f"chi-square quantile at 1 - alpha{_ABSENT}",
+    "energy": f"kappa times what is expected of it{_ABSENT}",
 }
 
 
@@ -64,13 +65,12 @@ def loss_ports(spec: Spec) -> tuple[Port, ...]:
     def scalar(name: str, role: Role, meaning: str) -> Port:
         return Port(name=name, shape=(), role=role, meaning=meaning)
 
-    absent = "; 0 if no row is present"
     ports = [
         scalar(
-            "fault_declared", Role.OUTPUT, f"1 if sample k was rejected as lost, else 0{absent}"
+            "fault_declared", Role.OUTPUT, f"1 if sample k was rejected as lost, else 0{_ABSENT}"
         ),
-        scalar("test_statistic", Role.OUTPUT, f"{_MEANING[detector]}{absent}"),
-        scalar("test_threshold", Role.OUTPUT, f"{_BOUND[detector]}{absent}"),
+        scalar("test_statistic", Role.OUTPUT, f"{_MEANING[detector]}{_ABSENT}"),
+        scalar("test_threshold", Role.OUTPUT, _BOUND[detector]),
         scalar("test_dof", Role.OUTPUT, "rows of y that were tested"),
         scalar("consecutive_rejections", Role.STATE, "samples rejected in a row, up to k"),
     ]

@@ -11,6 +11,7 @@ import pytest
 
 import fkgen
 from fkgen.families import NAMES, family
+from fkgen.spec.filter import OPTIONS
 from fkgen.study.starters import resource, starter
 
 PAGES = {name: resource(f"docs/families/{name}.md") for name in NAMES}
@@ -22,6 +23,12 @@ EXTRA = {
         {"initial": [0, 0, 1, 0], "inputs": True},
     ],
     "one_step": [{"covariance": "paper"}],
+    "mjls_lmmse": [
+        {"detector": "energy", "window": 3},
+        {"detector": "none"},
+        {"reinitialise": True},
+        {"inputs": True},
+    ],
 }
 """Options of a starter that add ports."""
 
@@ -59,7 +66,7 @@ def ports_of(name):
         for key, value in changes.items():
             if key == "inputs":
                 each["model"]["B"] = [[1.0]] * len(table["model"]["A"])
-            elif key in {"form", "covariance"}:
+            elif key in OPTIONS.get(name, ()):
                 each["filter"][key] = value
             else:
                 each["faults"]["sensor"][key] = value
@@ -72,7 +79,7 @@ def named(path):
     return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
 
 
-@pytest.mark.parametrize("name", ["linear_optimal", "one_step", "imm", "genie"])
-def test_every_port_of_a_filter_for_sensor_faults_is_on_a_page(name):
+@pytest.mark.parametrize("name", ["linear_optimal", "one_step", "imm", "genie", "mjls_lmmse"])
+def test_every_port_of_a_filter_for_faults_is_on_a_page(name):
     shared = named(PAGES["one_step"]) if name == "imm" else set()
     assert ports_of(name) <= named(PAGES[name]) | named(PAGES["kf"]) | shared

@@ -96,6 +96,14 @@ def test_a_detector_without_a_name_is_the_likelihood_ratio(given: object, detect
     assert Spec.from_dict(changed(LOSSY, {"filter.detector": given})).filter.detector == detector
 
 
+def test_an_offset_may_be_a_column() -> None:
+    flat, column = ([{"c": c}, {}] for c in ([0.5, 1.0], np.array([[0.5], [1.0]])))
+    specs = [
+        Spec.from_dict(changed(JUMP, {"faults.jump.modes": modes})) for modes in (flat, column)
+    ]
+    assert specs[0] == specs[1]
+
+
 def test_alpha_may_stand_beside_every_detector() -> None:
     spec = Spec.from_dict(changed(LLR, {"filter.alpha": 0.3}))
     assert spec.filter.alpha == 0.3
