@@ -134,7 +134,7 @@ def test_measurements_are_distributed_as_those_of_the_numpy_sampler(family, plan
     faults = {"success_rate": [0.6, 0.9], "dependence": "independent"}
     mkf = models.spec(models.random_model(3, 3, 2, 2, direct=True), family="mkf", actuator=faults)
     spec = {"kf": plant, "mkf": mkf, "imm": sensor}[family]
-    runs, T, rng = 2000, 5, np.random.default_rng(8)
+    runs, T, rng = 1200, 4, np.random.default_rng(8)
     u = np.ones((T, spec.model.nu))
     ours = fkgen.simulate(spec, runs, T, 11, u if u.size else None).y.reshape(runs, -1)
     theirs = np.array([draw_record(spec, {}, u, rng)[0] for _ in range(runs)]).reshape(runs, -1)

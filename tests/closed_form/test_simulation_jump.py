@@ -26,7 +26,7 @@ def jumping(example, **jump):
 def test_measurements_are_distributed_as_those_of_the_numpy_sampler(arrival):
     channel = {} if arrival == "always" else {"arrival": arrival, "arrival_chain": jm.GILBERT}
     spec = jumping(jm.EXAMPLE_B, **channel)
-    runs, T, rng = 2000, 5, np.random.default_rng(4)
+    runs, T, rng = 1200, 4, np.random.default_rng(4)
     ours = fkgen.simulate(spec, runs, T, 9).y.reshape(runs, T)
     theirs = np.array([draw_record(spec, {}, np.zeros((T, 0)), rng)[0] for _ in range(runs)])[
         ..., 0

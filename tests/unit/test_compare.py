@@ -259,12 +259,12 @@ def test_the_page_of_the_example_quotes_what_the_command_wrote():
     assert any(line.startswith("| MSE") and line.endswith(f"{error} |") for line in tables)
 
 
-@pytest.mark.slow
-def test_ten_million_samples_are_drawn_and_filtered():
+def test_two_million_samples_give_the_error_of_the_paper_s_example():
     table = fkgen.load(EXAMPLE_1).to_dict() | {"filter": {"family": "imm"}}
     spec = fkgen.Spec.from_dict(table)
-    drawn, done = fkgen.simulate(spec, 10_000, 1000, 1), []
+    drawn, done = fkgen.simulate(spec, 2000, 1000, 1), []
     run = fkgen.build(spec).run_batch(drawn.y, keep=("filtered_state",), advance=done.append)
-    assert sum(done) == 10_000
+    assert sum(done) == 2000
     error = (run.filtered_state - drawn.state)[:, 50:, 0]
-    assert abs((error**2).mean() - 1.3603 * 1.2294) < 0.01
+    # section 3.4: 1.3603 +- 0.0031 times 1.2294 +- 0.0036
+    assert abs((error**2).mean() - 1.3603 * 1.2294) < 4.0 * 0.006
