@@ -19,7 +19,7 @@ from fkgen.study.experiment import Experiment
 from fkgen.study.footprint import footprint
 from fkgen.study.progress import progressing
 from fkgen.study.scores import Scores, score
-from fkgen.study.simulation import simulate, whole
+from fkgen.study.simulation import counted, simulate
 from fkgen.study.verdict import Comparison, Entry, judged
 
 #: Samples that are simulated and filtered before the next ones: what they take in memory.
@@ -67,7 +67,7 @@ def compare(
     """
     given = (specs,) if isinstance(specs, Spec) else tuple(specs)
     left_out: tuple[str, ...] = ()
-    ready = whole("steps", steps) // 4 if skip is None else whole("skip", skip, least=0)
+    ready = counted("steps", steps) // 4 if skip is None else counted("skip", skip, least=0)
     size = Experiment(runs, steps, seed, ready, false_alarm)
     experiment = replace(size, u=u, params=params, sensor=sensor, input=input, present=present)
     if families is None and len(given) == 1:
