@@ -44,12 +44,12 @@ class Function:
     result: str
 
 
-def signature(c: Printer[CProgram], name: str) -> str:
+def signature(c: Printer, name: str) -> str:
     """Prototype of one of the three functions that run a filter."""
     return f"{c.name}_status_t {c.name}_{name}({', '.join(_arguments(c, name))})"
 
 
-def _arguments(c: Printer[CProgram], name: str) -> list[str]:
+def _arguments(c: Printer, name: str) -> list[str]:
     arguments = [f"{c.name}_t *self"]
     if c.program.parameters:
         arguments.append(f"const {c.name}_params_t *params")
@@ -60,12 +60,12 @@ def _arguments(c: Printer[CProgram], name: str) -> list[str]:
     return arguments
 
 
-def valid_argument(c: Printer[CProgram]) -> str:
+def valid_argument(c: Printer) -> str:
     """The bits that say which rows of y were measured."""
     return "uint32_t valid" if c.words == 1 else f"const uint32_t valid[{c.words}]"
 
 
-def argument_doc(c: Printer[CProgram]) -> str:
+def argument_doc(c: Printer) -> str:
     """Lines of the header about the arguments of an update."""
     lines = []
     if c.program.parameters:
@@ -79,7 +79,7 @@ def argument_doc(c: Printer[CProgram]) -> str:
     return "\n".join(lines)
 
 
-def phases_of(c: Printer[CProgram]) -> list[PhaseText]:
+def phases_of(c: Printer) -> list[PhaseText]:
     """The phases as static functions; what few samples need is never inlined."""
     result, program = [], c.program
     small = program.flops <= INLINED
@@ -103,7 +103,7 @@ def phases_of(c: Printer[CProgram]) -> list[PhaseText]:
     return result
 
 
-def functions_of(c: Printer[CProgram]) -> list[Function]:
+def functions_of(c: Printer) -> list[Function]:
     """Update, predict and step."""
     program = c.program
     pointers = ["self"]
@@ -118,7 +118,7 @@ def functions_of(c: Printer[CProgram]) -> list[Function]:
     moved_next = _call(c, "propagate", program.predict, "&next")
     any_row = " | ".join(f"present[{i}]" for i in range(c.words)) if c.words > 1 else "present"
     ok, skipped = c.status(Status.OK), c.status(Status.SKIPPED)
-    outcome = f"(({any_row}) != 0u) ? {_used(c)} : {skipped}"
+    outcome = f"(({any_row}) != 0u) ? {c.outcome} : {skipped}"
     step = (*correct, moved_next)
     return [
         Function("update", tuple(correct), True, False, _any_null(measured), outcome),  # noqa: FBT003
@@ -127,16 +127,7 @@ def functions_of(c: Printer[CProgram]) -> list[Function]:
     ]
 
 
-def _used(c: Printer[CProgram]) -> str:
-    """Status of a sample with a row: that of the first outcome that applies."""
-    used = c.status(Status.OK)
-    for outcome in reversed(c.program.outcomes):
-        above = f"self->{outcome.port} > {c.literal(outcome.level)}"
-        used = f"(({above}) ? {c.status(outcome.status)} : {used})"
-    return used
-
-
-def _call(c: Printer[CProgram], verb: str, phase: Phase, source: str) -> Call:
+def _call(c: Printer, verb: str, phase: Phase, source: str) -> Call:
     """Call of one phase, which reads ``source`` and writes ``next``."""
     arguments = [source]
     arguments += ["params"] if phase.reads_parameters else []

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import cache
+from pathlib import Path
 
+import jinja2
+
+from fkgen.backend.elementary_text import elementary_context
 from fkgen.backend.functions import (
     INLINED,
     argument_doc,
@@ -16,10 +21,24 @@ from fkgen.backend.functions import (
 from fkgen.backend.ir import CProgram, Operator
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
-from fkgen.backend.templates import elementary_context, filled
 from fkgen.backend.vectors import self_test_vectors
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
+
+
+@cache
+def environment() -> jinja2.Environment:
+    """Templates from the wheel, or from the source tree."""
+    here = Path(__file__).resolve().parents[1]
+    folders = [here / "templates", here.parent / "templates"]
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folders),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # noqa: S701 - C, not HTML
+    )
 
 
 def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
@@ -36,6 +55,14 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     record = filled("record.c.j2", context | {"call": step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
     return Source(program=program, files=complete, record=record, claims=claims)
+
+
+def filled(template: str, context: dict[str, object]) -> str:
+    """A template filled in, without blanks at the end of lines and without gaps."""
+    text = environment().get_template(template).render(context)
+    lines = [line.rstrip() for line in text.splitlines()]
+    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
+    return "\n".join(kept).rstrip() + "\n"
 
 
 def _context(program: CProgram) -> dict[str, object]:
@@ -91,11 +118,11 @@ def cost(program: CProgram) -> str:
     return " and ".join(text) + closing
 
 
-def _numbers(c: Printer[CProgram], values: tuple[float, ...]) -> list[str]:
+def _numbers(c: Printer, values: tuple[float, ...]) -> list[str]:
     return [c.literal(0.0 if math.isnan(value) else value) for value in values]
 
 
-def _mask(c: Printer[CProgram], row: tuple[float, ...]) -> str:
+def _mask(c: Printer, row: tuple[float, ...]) -> str:
     bits = sum(1 << i for i, value in enumerate(row) if not math.isnan(value))
     words = [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
     return words[0] if c.words == 1 else "{ " + ", ".join(words) + " }"

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from fkgen.backend import random_numbers
+from fkgen.backend.elementary_text import elementary_context
 from fkgen.backend.ir import (
     Element,
     Operate,
     Operator,
     Phase,
     Scalar,
-    Signal,
     Space,
     operands,
     walk,
 )
 from fkgen.backend.lower import lower_phase
-from fkgen.backend.printer import Printer
-from fkgen.backend.templates import elementary_context, filled
+from fkgen.backend.printer import StatementPrinter
+from fkgen.backend.render import filled
 from fkgen.symbolic.conditions import Conditions
 from fkgen.symbolic.interface import Port, Status
 from fkgen.symbolic.sampling import INPUTS, Sampling
@@ -34,7 +34,7 @@ class SamplerProgram:
 
     Attributes
     ----------
-    name, scalar, outputs
+    name, scalar
         As of a `CProgram`; the truth is always computed in double.
     parameters : tuple of (str, float)
         Run-time parameters of the plant with their defaults.
@@ -49,7 +49,6 @@ class SamplerProgram:
 
     name: str
     scalar: Scalar
-    outputs: tuple[Signal, ...]
     parameters: tuple[tuple[str, float], ...]
     ports: tuple[Port, ...]
     sizes: tuple[int, int, int]
@@ -94,7 +93,6 @@ def lower_sampling(sampling: Sampling) -> SamplerProgram:
     return SamplerProgram(
         name=spec.name,
         scalar="double",
-        outputs=tuple(Signal(s.name, s.unit) for s in model.outputs),
         parameters=tuple((p.name, p.default) for p in spec.stated_parameters),
         ports=ports,
         sizes=(model.nx, model.nu, model.ny),
@@ -108,7 +106,7 @@ def lower_sampling(sampling: Sampling) -> SamplerProgram:
 
 def render_sampler(program: SamplerProgram) -> SamplerSource:
     """Print a sampler."""
-    c = Printer(program)
+    c = StatementPrinter(program.name, program.scalar, program.sizes[2])
     conditions = program.conditions
     phases = [
         _PhaseText(verb, comment, phase, _read(phase), c.block(phase.body))

@@ -81,8 +81,8 @@ def check(spec: Spec) -> Report:
     ----------
     Anderson & Moore 1979, *Optimal Filtering*, sec. 4.4 and app. C: detectability, stabilisability
     and the Riccati equation. Costa, Fragoso & Marques 2005, ch. 3, for jumping plants. Strandt,
-    Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with
-    the conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
+    Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with the
+    conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
     """
     figures = Figures(spec)
     examinations = _EXAMINATIONS if spec.faults.jump is None else _OF_JUMPS

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
+from fkgen.families import family
 from fkgen.pipeline import build
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.spec import Spec
@@ -18,7 +19,7 @@ from fkgen.study.experiment import Experiment
 from fkgen.study.footprint import footprint
 from fkgen.study.progress import progressing
 from fkgen.study.scores import Scores, score
-from fkgen.study.simulation import simulate, whole
+from fkgen.study.simulation import counted, simulate
 from fkgen.study.verdict import Comparison, Entry, judged
 
 #: Samples that are simulated and filtered before the next ones: what they take in memory.
@@ -66,7 +67,7 @@ def compare(
     """
     given = (specs,) if isinstance(specs, Spec) else tuple(specs)
     left_out: tuple[str, ...] = ()
-    ready = whole("steps", steps) // 4 if skip is None else whole("skip", skip, least=0)
+    ready = counted("steps", steps) // 4 if skip is None else counted("skip", skip, least=0)
     size = Experiment(runs, steps, seed, ready, false_alarm)
     experiment = replace(size, u=u, params=params, sensor=sensor, input=input, present=present)
     if families is None and len(given) == 1:
@@ -94,7 +95,17 @@ def _compared(
         Entry(each.label, each.spec.filter.family, result, cost)
         for each, result, cost in zip(everyone, scores, costs, strict=True)
     ]
-    return judged(truth, entries, experiment)
+    found = judged(truth, entries, experiment)
+    return replace(found, notes=found.notes + _caveats(everyone[1:]))
+
+
+def _caveats(contenders: Sequence[Contender]) -> tuple[str, ...]:
+    """Where a filter is less than its name says."""
+    return tuple(
+        f"{each.label}: {finding.message}"
+        for each in contenders
+        for finding in family(each.spec.filter.family).caveats(each.spec)
+    )
 
 
 def _scored(

@@ -58,9 +58,9 @@ def contenders_of(specs: Sequence[Spec], families: Sequence[str]) -> tuple[Conte
     truth, found = specs[0], []
     if len(specs) > 1 or not families:
         found = [Contender(_label(spec, specs), spec) for spec in specs]
-    for each in families:
-        if each not in [one.label for one in found]:
-            found.append(Contender(each, derived(truth, each)))
+    found += [Contender(each, derived(truth, each)) for each in families]
+    labels = [one.label for one in found]
+    found = [one for i, one in enumerate(found) if one.label not in labels[:i]]
     for one in found:
         _refuse_other_plant(truth, one.spec)
     return tuple(found)
@@ -143,11 +143,13 @@ def _options(texts: Sequence[str]) -> dict[str, object]:
 
 
 def _label(spec: Spec, specs: Sequence[Spec]) -> str:
-    """The family, or the file too if that does not tell the filters apart."""
-    family = spec.filter.family
+    """The family, or the file too, or the place in the list too: what tells the filters apart."""
+    family, files = spec.filter.family, [other.file for other in specs]
     if sum(other.filter.family == family for other in specs) == 1:
         return family
-    return f"{family} ({Path(spec.file).stem})"
+    if files.count(spec.file) == 1:
+        return f"{family} ({Path(spec.file).stem})"
+    return f"{family} ({next(i for i, other in enumerate(specs, 1) if other is spec)})"
 
 
 def _refuse_other_plant(truth: Spec, spec: Spec) -> None:

@@ -66,15 +66,34 @@ def declared(run: Run, limits: Array, healthy: int) -> Flags | None:
     healthy : int
         The first so many modes are those without fault.
     """
-    if "fault_declared" in run.ports:
-        return np.asarray(run["fault_declared"] > 0.0)
+    if "fault_declared" in run.ports:  # one verdict, or one per group of rows
+        verdict = run["fault_declared"] > 0.0
+        return np.asarray(verdict if verdict.ndim == 2 else verdict.any(axis=2))
     if "mode_probability" in run.ports:
         return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < DECIDED)
     return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
 
 
-def detection(faults: Flags, declarations: Flags, skip: int) -> Detection:
-    """Count what was declared rightly and wrongly, from sample ``skip`` on."""
+def tested(run: Run) -> Flags | None:
+    """(M, T): samples at which a filter decides, if that is not every sample."""
+    if "test_dof" not in run.ports:
+        return None
+    freedom = run["test_dof"] > 0.0
+    return np.asarray(freedom if freedom.ndim == 2 else freedom.any(axis=2))
+
+
+def detection(
+    faults: Flags, declarations: Flags, skip: int, decided: Flags | None = None
+) -> Detection:
+    """Count what was declared rightly and wrongly, from sample ``skip`` on.
+
+    Parameters
+    ----------
+    faults, declarations : (M, T) ndarray of bool
+    skip : int
+    decided : (M, T) ndarray of bool, optional
+        Samples without fault that count: those at which something is decided. All by default.
+    """
     faults, declarations = faults[:, skip:], declarations[:, skip:]
     steps = faults.shape[1]
     at = np.arange(steps)
@@ -85,7 +104,7 @@ def detection(faults: Flags, declarations: Flags, skip: int) -> Detection:
     onset[:, 1:] &= ~faults[:, :-1]
     found = onset & (next_declared < end)
     wait = np.where(found, next_declared - at, 0)
-    healthy = ~faults
+    healthy = ~faults if decided is None else ~faults & decided[:, skip:]
     counts = (healthy, healthy & declarations, onset, found, wait)
     return Detection(*(each.sum(axis=1).astype(np.float64) for each in counts))
 

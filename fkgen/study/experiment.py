@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from fkgen.errors import DataError
-from fkgen.study.simulation import whole
+from fkgen.study.demands import probability
+from fkgen.study.simulation import counted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,12 +41,9 @@ class Experiment:
 
     def __post_init__(self) -> None:
         """Refuse numbers that cannot be."""
-        whole("runs", self.runs, least=2)
-        whole("steps", self.steps)
+        counted("runs", self.runs, least=2)
+        counted("steps", self.steps)
         if not 0 <= self.skip < self.steps:
             expected = f"from 0 to {self.steps - 1}: some of the {self.steps} samples have to count"
             raise DataError("skip", given=str(self.skip), expected=expected)
-        if not 0.0 < self.false_alarm < 1.0:
-            raise DataError(
-                "false_alarm", given=f"{self.false_alarm:g}", expected="a probability in (0, 1)"
-            )
+        probability("false_alarm", self.false_alarm)

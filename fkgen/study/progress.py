@@ -23,19 +23,21 @@ def progressing(title: str, total: int, *, shown: bool) -> Iterator[Advance]:
     total : int
         Number of pieces.
     shown : bool
+        If somebody is there to see it: nothing is written into files and pipes.
     """
-    if not shown:
-        yield _silent
-        return
     from rich.console import Console  # noqa: PLC0415 - slow to import
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn  # noqa: PLC0415
 
+    console = Console(stderr=True)
+    if not (shown and (console.is_terminal or console.is_jupyter)):
+        yield _silent
+        return
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed:.0f}/{task.total:.0f}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done: bar.advance(task, done)

@@ -10,14 +10,21 @@ from numpy.typing import NDArray
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
 from fkgen.study.contenders import Told, healthy_modes
-from fkgen.study.detection import Detection, declared, detection, faulty
+from fkgen.study.detection import Detection, declared, detection, faulty, tested
 from fkgen.study.simulation import Simulation
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.float64]
 
 #: Ports that scores need, as far as a filter has them.
-PORTS = ("filtered_state", "filtered_covariance", "nis", "mode_probability", "fault_declared")
+PORTS = (
+    "filtered_state",
+    "filtered_covariance",
+    "nis",
+    "mode_probability",
+    "fault_declared",
+    "test_dof",
+)
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
 _ROUNDED = 512.0
 
@@ -91,7 +98,7 @@ def score(
     faults = faulty(simulation)
     alarms = declared(run, limits[rows], healthy_modes(simulation.spec))
     if faults is not None and alarms is not None:
-        found = detection(faults, alarms, skip)
+        found = detection(faults, alarms, skip, tested(run))
         counts = np.array([getattr(found, name) for name in Detection.__slots__])
     refused = run.refused.sum(axis=1).astype(np.float64)
     return Scores((error**2).mean(axis=1), nees, nis, refused, counts)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from operator import index
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +15,7 @@ from fkgen.runtime import record
 from fkgen.runtime.blocks import Advance, in_blocks
 from fkgen.runtime.sampler import Overflow, Trials
 from fkgen.spec import Spec
+from fkgen.study.demands import whole
 from fkgen.study.progress import progressing
 from fkgen.symbolic.interface import Status
 
@@ -28,8 +28,8 @@ LARGEST_STEPS = 2**31
 
 
 @dataclass(frozen=True, slots=True)
-class _Request:
-    """What is to be drawn, checked."""
+class Request:
+    """What is to be drawn, checked: trials ``first`` to ``first + runs - 1`` of a seed."""
 
     spec: Spec
     runs: int
@@ -39,10 +39,10 @@ class _Request:
 
     def __post_init__(self) -> None:
         """Refuse numbers of trials, samples and seeds that cannot be."""
-        whole("runs", self.runs)
-        whole("steps", self.steps, LARGEST_STEPS)
-        whole("seed", self.seed, LARGEST_SEED, least=0)
-        whole("first", self.first, LARGEST_TRIAL - self.runs + 1, least=0)
+        counted("runs", self.runs)
+        counted("steps", self.steps, LARGEST_STEPS)
+        counted("seed", self.seed, LARGEST_SEED, least=0)
+        counted("first", self.first, LARGEST_TRIAL - self.runs + 1, least=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Simulation:
 
     Attributes
     ----------
-    request
+    request : Request
         ``spec``, ``runs``, ``steps``, ``seed`` and ``first``: trial i is trial ``first + i`` of
         the seed.
     y : (M, T, p) ndarray
@@ -66,7 +66,7 @@ class Simulation:
         The truth, and codes of what was drawn.
     """
 
-    request: _Request
+    request: Request
     y: Array
     u: Array
     driving: Array = field(repr=False)
@@ -162,7 +162,7 @@ def simulate(
     SpecError, DataError
         If faults have no law, a number or shape does not fit, or an unstable plant overflows.
     """
-    request = _Request(spec, runs, steps, seed, first)
+    request = Request(spec, runs, steps, seed, first)
     told = inputs_of(spec, u, request.runs, request.steps)
     driving = added("input", told, input, (request.runs, request.steps, spec.model.nu))
     given = _parameters(spec, params, request.steps)
@@ -174,7 +174,7 @@ def simulate(
     return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
 
 
-def whole(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int = 1) -> int:
+def counted(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int = 1) -> int:
     """A whole number from ``least`` up, below ``beyond``.
 
     Raises
@@ -182,14 +182,8 @@ def whole(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int =
     DataError
         If it is none.
     """
-    try:
-        number = index(value)  # type: ignore[arg-type]
-    except TypeError:
-        number = -1
-    if isinstance(value, bool) or not least <= number < beyond:
-        expected = f"a whole number from {least} to {beyond - 1}"
-        raise DataError(what, given=repr(value), expected=expected)
-    return number
+    expected = f"a whole number from {least} to {beyond - 1}"
+    return whole(what, value, least=least, most=beyond - 1, expected=expected)
 
 
 def inputs_of(spec: Spec, u: ArrayLike | None, runs: int, steps: int) -> Array:
@@ -259,7 +253,7 @@ def _parameters(spec: Spec, given: Mapping[str, ArrayLike] | None, steps: int) -
     return {name: np.asarray(array) for (name, _), array in zip(named, arrays, strict=True)}
 
 
-def _drawn(request: _Request, u: Array, parameters: tuple[Array, ...], advance: Advance) -> Trials:
+def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], advance: Advance) -> Trials:
     compiled = sampler(request.spec)
     room = compiled.empty(request.runs, request.steps)
 

@@ -16,37 +16,41 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.spec import Spec
 from fkgen.study.comparison import compare
+from fkgen.study.effect_report import numbers_of
 from fkgen.study.files import refuse_existing, refuse_format, write_whole
 from fkgen.study.simulation import Simulation, simulate
-from fkgen.study.table import read_table
+from fkgen.study.table import read_columns, read_table
 from fkgen.study.verdict import Comparison
 
 STEPS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Draw:
-    """One trial, as the command line asks for it."""
+class _Circumstances:
+    """What both commands are told."""
 
     steps: int | None
     seed: int
-    trial: int
     record: Path | None
     inputs: str
+    profile: Path | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wish:
+class Draw(_Circumstances):
+    """One trial, as the command line asks for it."""
+
+    trial: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wish(_Circumstances):
     """A comparison, as the command line asks for it."""
 
     families: str
     runs: int
-    steps: int | None
-    seed: int
     skip: int | None
     false_alarm: float
-    record: Path | None
-    inputs: str
 
 
 def drawn(spec: Spec, wish: Draw) -> str:
@@ -55,7 +59,7 @@ def drawn(spec: Spec, wish: Draw) -> str:
     Columns are the measurements, inputs and parameters by name, then ``true.<state>`` and the fault
     indicators: ``gamma`` and ``delta`` of sensors, ``gamma.<input>`` of actuators.
     """
-    steps, given = _circumstances(spec, wish.steps, wish.record, wish.inputs)
+    steps, given = _circumstances(spec, wish)
     found = simulate(spec, 1, steps, wish.seed, first=wish.trial, **given)
     columns = _columns(spec, found)
     out = io.StringIO(newline="")
@@ -71,7 +75,7 @@ def compared(specs: tuple[Spec, ...], wish: Wish, *, plot: Path | None, force: b
     if plot is not None:
         refuse_existing(plot, force=force, hint=", or --force to replace it")
         refuse_format(plot)
-    steps, given = _circumstances(specs[0], wish.steps, wish.record, wish.inputs)
+    steps, given = _circumstances(specs[0], wish)
     families = tuple(name.strip() for name in wish.families.split(",") if name.strip())
     found = compare(
         specs,
@@ -92,34 +96,40 @@ def compared(specs: tuple[Spec, ...], wish: Wish, *, plot: Path | None, force: b
     return found
 
 
-def _circumstances(
-    spec: Spec, steps: int | None, record: Path | None, inputs: str
-) -> tuple[int, dict[str, Any]]:
-    """Number of samples, and inputs, parameters and missing rows."""
-    u = _constants(inputs)
-    if record is None:
-        return STEPS if steps is None else steps, {"u": u}
-    if u is not None:
-        raise DataError("--u", given="inputs beside a record", expected="one of the two")
-    table = read_table(record, spec)
-    length = len(table.lines) if steps is None else steps
-    if not 0 < length <= len(table.lines):
-        expected = f"1 to {len(table.lines)}: {record} has no more samples"
-        raise DataError("--steps", given=str(length), expected=expected)
-    return length, {
-        "u": table.u[:length] if spec.model.nu else None,
-        "params": {name: values[:length] for name, values in table.params.items()},
-        "present": np.isfinite(table.y[:length]),
-    }
+def _circumstances(spec: Spec, wish: _Circumstances) -> tuple[int, dict[str, Any]]:
+    """Number of samples; inputs, parameters, missing rows and soft faults."""
+    signals: dict[str, NDArray[Any]] = {**_faults(spec, wish.profile)}
+    lengths = {len(values): wish.profile for values in signals.values()}
+    constant, params = numbers_of("--u", wish.inputs, spec.model.nu), {}
+    if wish.record is not None:
+        if constant is not None:
+            raise DataError("--u", given="inputs beside --record", expected="one of the two")
+        table = read_table(wish.record, spec)
+        lengths[len(table.lines)] = wish.record
+        signals["present"], params = np.isfinite(table.y), table.params
+        signals |= {"u": table.u} if spec.model.nu else {}
+    elif spec.model.nu and constant is None:
+        names = ", ".join(signal.name for signal in spec.model.inputs)
+        raise DataError("--u", given="nothing", expected=f"numbers for {names}, or a --record")
+    most = min(lengths, default=STEPS)
+    steps = most if wish.steps is None else wish.steps
+    if lengths and steps > most:
+        expected = f"at most {most}: {lengths[most]} has no more samples"
+        raise DataError("--steps", given=str(steps), expected=expected)
+    given: dict[str, Any] = {name: values[:steps] for name, values in signals.items()}
+    given["params"] = {name: values[:steps] for name, values in params.items()}
+    return steps, {"u": constant} | given
 
 
-def _constants(text: str) -> list[float] | None:
-    if not text.strip():
-        return None
-    try:
-        return [float(number) for number in text.split(",")]
-    except ValueError:
-        raise DataError("--u", given=repr(text), expected="numbers: 1.5,0,...") from None
+def _faults(spec: Spec, path: Path | None) -> dict[str, NDArray[np.float64]]:
+    """Soft faults of sensors and inputs from a file that names at least one of them."""
+    if path is None:
+        return {}
+    names = [[s.name for s in signals] for signals in (spec.model.outputs, spec.model.inputs)]
+    columns = read_columns(path, names[0] + names[1])
+    parts = [[columns[name] for name in each] for each in names]
+    sides = zip(("sensor", "input"), parts, strict=True)
+    return {key: np.stack(part, axis=1) for key, part in sides if part}
 
 
 def _columns(spec: Spec, found: Simulation) -> dict[str, list[float]]:
@@ -131,6 +141,10 @@ def _columns(spec: Spec, found: Simulation) -> dict[str, list[float]]:
     columns |= {f"true.{s.name}": found.state[0, :, i] for i, s in enumerate(model.states)}
     if found.gamma is not None and found.delta is not None:
         columns |= {"gamma": found.gamma[0], "delta": found.delta[0]}
-    elif found.gamma is not None:
+    elif found.mode is not None:
+        columns["mode"] = found.mode[0]
+    if found.arrival is not None:
+        columns["arrival"] = found.arrival[0].astype(float)
+    if found.gamma is not None and found.delta is None:
         columns |= {f"gamma.{s.name}": found.gamma[0, :, i] for i, s in enumerate(model.inputs)}
     return {name: values.tolist() for name, values in columns.items()}

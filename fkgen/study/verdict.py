@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.errors import DataError
 from fkgen.spec import Spec
 from fkgen.study.contenders import fault_section
 from fkgen.study.estimates import Estimate, error_of, influence_of, mean, ratio
@@ -114,9 +115,23 @@ class Comparison:
 
 
 def judged(truth: Spec, entries: Sequence[Entry], experiment: Experiment) -> Comparison:
-    """Compare entries, of which the first is the genie."""
+    """Compare entries, of which the first is the genie.
+
+    Raises
+    ------
+    DataError
+        If there is nothing to compare.
+    """
     genie, others = entries[0], list(entries[1:])
     relative = {id(e): _relative(e.scores.squared, genie.scores.squared) for e in entries}
+    lost = [e.label for e in others if not np.isfinite(relative[id(e)][0])]
+    others = [e for e in others if e.label not in lost]
+    if not others:
+        raise DataError(
+            "comparison",
+            given="errors that are zero for the genie, or beyond all numbers for every filter",
+            expected="a plant with noise, and a horizon over which a filter follows it",
+        )
     others.sort(key=lambda e: relative[id(e)][0])
     field_of = [Standing(e.label, e.footprint, *relative[id(e)]) for e in others]
     front = {one.label for one in field_of if not beaten(one, field_of)}
@@ -133,7 +148,8 @@ def judged(truth: Spec, entries: Sequence[Entry], experiment: Experiment) -> Com
         rows=tuple(rows),
         recommended=chosen,
         recommendation=sentence,
-        notes=_notes(truth, experiment, rows),
+        notes=_notes(truth, experiment, rows)
+        + tuple(f"{each} lost the state: left out" for each in lost),
     )
 
 

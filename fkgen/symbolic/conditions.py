@@ -19,6 +19,8 @@ from fkgen.symbolic.plant import Plant, lift
 
 #: Joint probabilities of expressions may fall below zero by their rounding.
 _ROUNDED = 1e-9
+#: Codes of conditions and hypotheses fit a byte.
+_COUNTED = 255
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,16 +102,21 @@ def conditions_of(spec: Spec) -> Conditions:
     Raises
     ------
     SpecError
-        If the spec does not say how its faults come about, or no joint law has the covariance that
-        it states.
+        If the spec does not say how its faults come about, or there are more conditions or
+        hypotheses than can be counted.
     """
+    found = Conditions()
     if spec.faults.actuator is not None:
-        return _of_actuators(spec, spec.faults.actuator)
-    if spec.faults.sensor is not None:
-        return _of_sensors(spec, spec.faults.sensor)
-    if spec.faults.jump is not None:
-        return _of_jumps(spec, spec.faults.jump)
-    return Conditions()
+        found = _of_actuators(spec, spec.faults.actuator)
+    elif spec.faults.sensor is not None:
+        found = _of_sensors(spec, spec.faults.sensor)
+    elif spec.faults.jump is not None:
+        found = _of_jumps(spec, spec.faults.jump)
+    for key, count in (("hypotheses", len(found.prior)), ("modes", len(found.initial))):
+        if count > _COUNTED:
+            place = Place(spec.file).entry(key)
+            raise place.error(f"{count} to draw from", f"at most {_COUNTED} for a simulation")
+    return found
 
 
 def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:

@@ -11,6 +11,7 @@ from statistics import NormalDist
 import models
 import numpy as np
 import pytest
+from counters import FAULTS, MEASUREMENT, PRIOR, PROCESS, chosen, normals, philox, uniforms
 from scipy import special, stats
 
 import fkgen
@@ -33,29 +34,6 @@ KNOWN = [
         (0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1),
     ),
 ]
-
-
-def philox(counter, key):
-    """The generator again, in Python's integers."""
-    c, k, low = list(counter), list(key), 2**32 - 1
-    for _ in range(10):
-        a, b = 0xD2511F53 * c[0], 0xCD9E8D57 * c[2]
-        c = [(b >> 32) ^ c[1] ^ k[0], b & low, (a >> 32) ^ c[3] ^ k[1], a & low]
-        k = [(k[0] + 0x9E3779B9) & low, (k[1] + 0xBB67AE85) & low]
-    return c
-
-
-def uniforms(seed, trial, sample, stream, count):
-    key = (seed & (2**32 - 1), seed >> 32)
-    numbers = []
-    for i in range((count + 1) // 2):
-        w = philox((i, sample, trial, stream), key)
-        numbers += [(((w[j + 1] << 32 | w[j]) >> 12) + 0.5) * 2.0**-52 for j in (0, 2)]
-    return np.array(numbers[:count])
-
-
-def normals(*place):
-    return special.ndtri(uniforms(*place))
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +67,7 @@ def trial_again(spec, seed, trial, u, params):
     T, model, faults = len(u), spec.model, spec.faults.sensor
     at = [{n: float(v[k % len(v)]) for n, v in params.items()} for k in range(T)]
     x = model.x0.values()[:, 0] + np.linalg.cholesky(model.P0.values()) @ normals(
-        seed, trial, 0, 3, model.nx
+        seed, trial, 0, PRIOR, model.nx
     )
     states, measured, modes = [], [], []
     for k in range(T):
@@ -97,15 +75,15 @@ def trial_again(spec, seed, trial, u, params):
         signal = deviation = np.ones(model.ny)
         if faults is not None:
             law = faults.kernel[modes[-1]] if modes else faults.initial
-            chance = uniforms(seed, trial, k, 0, 1)[0]
-            modes.append(int(np.searchsorted(np.cumsum(law)[:-1], chance, side="right")))
+            chance = uniforms(seed, trial, k, FAULTS, 1)[0]
+            modes.append(chosen(law, chance))
             struck = np.isin(np.arange(model.ny), faults.rows)
             signal = np.where(struck & (modes[-1] >= 2), 0.0, 1.0)
             deviation = np.where(struck & (modes[-1] % 2 == 1), faults.noise_factor**0.5, 1.0)
-        v = np.linalg.cholesky(R) @ normals(seed, trial, k, 2, model.ny)
+        v = np.linalg.cholesky(R) @ normals(seed, trial, k, MEASUREMENT, model.ny)
         states.append(x)
         measured.append(signal * (C @ x + D @ u[k]) + deviation * v)
-        w = np.linalg.cholesky(Q) @ normals(seed, trial, k, 1, model.nx)
+        w = np.linalg.cholesky(Q) @ normals(seed, trial, k, PROCESS, model.nx)
         x = A @ x + B @ u[k] + w
     return np.array(states), np.array(measured), modes
 
@@ -156,7 +134,7 @@ def test_measurements_are_distributed_as_those_of_the_numpy_sampler(family, plan
     faults = {"success_rate": [0.6, 0.9], "dependence": "independent"}
     mkf = models.spec(models.random_model(3, 3, 2, 2, direct=True), family="mkf", actuator=faults)
     spec = {"kf": plant, "mkf": mkf, "imm": sensor}[family]
-    runs, T, rng = 2000, 5, np.random.default_rng(8)
+    runs, T, rng = 1200, 4, np.random.default_rng(8)
     u = np.ones((T, spec.model.nu))
     ours = fkgen.simulate(spec, runs, T, 11, u if u.size else None).y.reshape(runs, -1)
     theirs = np.array([draw_record(spec, {}, u, rng)[0] for _ in range(runs)]).reshape(runs, -1)

@@ -7,6 +7,7 @@ from itertools import product
 import jump_models as jm
 import numpy as np
 import pytest
+from counters import FAULTS, MEASUREMENT, PRIOR, PROCESS, chosen, normals, uniforms
 from scipy import stats
 
 import fkgen
@@ -25,7 +26,7 @@ def jumping(example, **jump):
 def test_measurements_are_distributed_as_those_of_the_numpy_sampler(arrival):
     channel = {} if arrival == "always" else {"arrival": arrival, "arrival_chain": jm.GILBERT}
     spec = jumping(jm.EXAMPLE_B, **channel)
-    runs, T, rng = 2000, 5, np.random.default_rng(4)
+    runs, T, rng = 1200, 4, np.random.default_rng(4)
     ours = fkgen.simulate(spec, runs, T, 9).y.reshape(runs, T)
     theirs = np.array([draw_record(spec, {}, np.zeros((T, 0)), rng)[0] for _ in range(runs)])[
         ..., 0
@@ -41,6 +42,40 @@ def test_measurements_are_distributed_as_those_of_the_numpy_sampler(arrival):
         a, b = ours[:, i] * ours[:, j], theirs[:, i] * theirs[:, j]
         error = np.hypot(a.std(), b.std()) / np.sqrt(runs)
         assert abs(a.mean() - b.mean()) < Z * error
+
+
+def trial_again(spec, seed, trial, u):
+    """One trial by NumPy from the same numbers: states and measurements."""
+    faults, model = spec.faults.jump, spec.model
+    channel = np.array(faults.arrival_chain)
+    laws = np.kron(faults.initial, lasting_law(channel)), np.kron(faults.transition, channel)
+    x = model.x0.values()[:, 0]
+    x = x + np.linalg.cholesky(model.P0.values()) @ normals(seed, trial, 0, PRIOR, model.nx)
+    states, measured, condition = [], [], None
+    for k in range(len(u)):
+        law = laws[0] if condition is None else laws[1][condition]
+        condition = chosen(law, uniforms(seed, trial, k, FAULTS, 1)[0])
+        mode, arrived = faults.modes[condition // 2], condition % 2
+        A, B, C, D, Q, R, c = (getattr(mode, letter).values({}) for letter in "ABCDQRc")
+        v = np.linalg.cholesky(R) @ normals(seed, trial, k, MEASUREMENT, model.ny)
+        states.append(x)
+        measured.append(arrived * (C @ x + D @ u[k]) + v)
+        w = np.linalg.cholesky(Q) @ normals(seed, trial, k, PROCESS, model.nx)
+        x = A @ x + B @ u[k] + c[:, 0] + w
+    return np.array(states), np.array(measured)
+
+
+def test_a_trial_is_what_numpy_makes_of_the_same_numbers():
+    table = jm.random_table(3, 3, 2, 2, q=2, offsets=True, correlated=True)
+    spec = jumping(table, arrival="unknown", arrival_chain=jm.GILBERT)
+    u = np.random.default_rng(2).standard_normal((40, 2))
+    found = fkgen.simulate(spec, 4, 40, 11, u)
+    for m in range(4):
+        x, y = trial_again(spec, 11, m, u)
+        np.testing.assert_allclose(found.state[m], x, rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(found.y[m], y, rtol=1e-11, atol=1e-11)
+    assert len(np.unique(found.mode)) == 3
+    assert not found.arrival.all()
 
 
 def test_modes_and_arrivals_are_independent_chains():

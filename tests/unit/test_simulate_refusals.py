@@ -26,7 +26,7 @@ def plant():
         ({"seed": 2**64}, "seed: given 18446744073709551616"),
         ({"first": 2**32}, "first: given 4294967296"),
         ({"u": None}, "u: given nothing; expected a number, or shape (10, 1): u0"),
-        ({"u": np.ones((9, 1))}, "u: given shape (9, 1); expected a number, shape (10, 1)"),
+        ({"u": np.ones((9, 1))}, "u: given shape (9, 1); expected a number, shape (1,), (10, 1)"),
         ({"u": np.nan}, "u: given NaN or an infinity"),
         ({"sensor": np.ones((10, 2))}, "sensor: given shape (10, 2); expected shape (10, 1)"),
         ({"sensor": np.full((10, 1), np.nan)}, "expected finite numbers; 0 is no fault"),
