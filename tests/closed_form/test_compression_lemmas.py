@@ -1,4 +1,4 @@
-"""Lemmas 1 and 2 and Theorem 1 of Lee & Lee in numbers, of any size, and what is misprinted there."""
+"""Lemmas 1 and 2 and Theorem 1 of Lee & Lee in numbers of any size, and a misprint."""
 
 from __future__ import annotations
 
