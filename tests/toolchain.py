@@ -48,6 +48,11 @@ CPP_COMPILERS = cpp_compilers()
 ANY = next(iter(C_COMPILERS.values()), None)
 
 
+def check_only(compiler):
+    """The flag that compiles without linking, and without an object where the compiler can."""
+    return "-c" if compiler == "zig" else "-fsyntax-only"
+
+
 def needs_compiler():
     return pytest.mark.skipif(ANY is None, reason="no gcc, clang or ziglang")
 

@@ -116,8 +116,12 @@ def _lemma_2_form(spec: Spec, record: Record) -> Mapping[str, Array] | None:
     if spec.filter.form != "lemma2":
         return None
     system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
-    unused = frozenset({"offset", "estimate_second_moment"})
-    return _ports(linear_optimal(system, moments, record.y, record.u), unused)
+    result = linear_optimal(system, moments, record.y, record.u)
+    unused = {"offset", "estimate_second_moment"}
+    ranks = np.linalg.matrix_rank(result.innovation_covariance, hermitian=True)
+    if (ranks < spec.model.ny).any():  # rows that say the same may share the gain in any way
+        unused.add("measurement_gain")
+    return _ports(result, frozenset(unused))
 
 
 LEMMA_2_FORM = ClosedForm(

