@@ -14,6 +14,7 @@ from fkgen.study import (
     float_error,
     jumps,
     noise,
+    partial,
     sensor,
     size,
     visibility,
@@ -46,6 +47,7 @@ _EXAMINATIONS = (
     sensor.noise_factor,
     sensor.law,
     sensor.lost_signal,
+    partial.compression_loss,
     size.parameters,
     size.cost,
 )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.spec import SoftFaults, Spec
 from fkgen.spec.partial_state import measured_states, similarity
@@ -52,11 +53,9 @@ class Compressed:
         }
 
 
-def parts(joint: ca.SX, n: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Covariance of e (packed), S, and R (packed) of a joint covariance, packed or not."""
-    whole = joint
-    if joint.shape[1] == 1 and joint.shape[0] > 1:
-        whole = unpack(joint, round((np.sqrt(8 * joint.numel() + 1) - 1) / 2))
+def parts(joint: ca.SX, n: int, m: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Covariance of e (packed), S, and R (packed) of a packed joint covariance of (e, V)."""
+    whole = unpack(joint, n + m)
     return pack(whole[:n, :n]), whole[n:, :n], pack(whole[n:, n:])
 
 
@@ -131,9 +130,9 @@ def partial_state(spec: Spec, plant: Plant, rows: tuple[int, ...]) -> PartialSta
     return PartialState(rows, lifted(T1), lifted(first), lifted(rest), phi)
 
 
-def lifted(values: np.ndarray) -> ca.SX:
+def lifted(values: NDArray[np.floating]) -> ca.SX:
     """A constant matrix whose zeros are structural."""
-    return sparse(ca.SX(ca.DM(np.asarray(values, float))))
+    return sparse(ca.SX(ca.DM(values)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

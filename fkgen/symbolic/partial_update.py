@@ -100,7 +100,7 @@ def _by_host(
         innovation=[innovation[i] for i in rows],
     )
     state = found.mean[:n]
-    covariance, cross, noise = parts(found.covariance, n)
+    covariance, cross, noise = parts(found.covariance, n, m)
     learnt = given.partial.T1 @ (state - before.state)
     if given.spec.filter.maintenance == "optimal":
         learnt = learnt + found.mean[n:]
