@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from itertools import product
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from counters import FAULTS, MEASUREMENT, PRIOR, PROCESS, chosen, normals, philox, uniforms
 from scipy import special, stats
+from toolchain import c_compilers
 
 import fkgen
 from fkgen import pipeline
@@ -60,6 +62,16 @@ def test_normal_numbers_are_quantiles(plant):
     # AS 241 promises 1e-16 relative; evaluating it, and ndtri, rounds a dozen times
     np.testing.assert_allclose(ours, special.ndtri(at), rtol=4e-15, atol=1e-16)
     np.testing.assert_allclose(ours, [NormalDist().inv_cdf(p) for p in at], rtol=4e-15, atol=1e-16)
+
+
+def test_noise_is_the_quantile_of_its_counter_bit_for_bit():
+    white = {"A": [[0.0]], "C": [[1.0]], "Q": [[1.0]], "R": [[1.0]], "x0": [0.0], "P0": [[1.0]]}
+    spec = models.spec(white)
+    state, quantile = fkgen.simulate(spec, 3, 100, 9).state[..., 0], pipeline.sampler(spec).quantile
+    for m in range(3):
+        chances = [uniforms(9, m, 0, PRIOR, 1)[0]]
+        chances += [uniforms(9, m, k, PROCESS, 1)[0] for k in range(99)]
+        assert state[m].tolist() == [quantile(chance) for chance in chances]
 
 
 def trial_again(spec, seed, trial, u, params):
@@ -117,16 +129,23 @@ def test_a_trial_does_not_depend_on_its_company(sensor, monkeypatch):
     assert not np.array_equal(whole.y, fkgen.simulate(sensor, 9, 30, 6).y)
 
 
-def test_another_process_draws_the_same(sensor):
+@pytest.mark.compiled
+@pytest.mark.parametrize("compiler", c_compilers())
+def test_another_process_and_another_compiler_draw_the_same_bits(sensor, compiler, tmp_path):
     code = (
         "import sys, json, fkgen; spec = fkgen.Spec.from_dict(json.loads(sys.argv[1]));"
-        "print(fkgen.simulate(spec, 2, 5, 5, first=7).y.tobytes().hex())"
+        "print(fkgen.simulate(spec, 2, 300, 5, first=7).y.tobytes().hex())"
     )
-    text = json.dumps(sensor.to_dict())
+    chosen_by = {"FKGEN_CC": " ".join(c_compilers()[compiler]), "FKGEN_CACHE": str(tmp_path)}
     done = subprocess.run(
-        [sys.executable, "-c", code, text], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code, json.dumps(sensor.to_dict())],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, **chosen_by},
     )
-    assert done.stdout.strip() == fkgen.simulate(sensor, 2, 5, 5, first=7).y.tobytes().hex()
+    here = fkgen.simulate(sensor, 2, 300, 5, first=7).y
+    assert done.stdout.strip() == here.tobytes().hex()
 
 
 @pytest.mark.parametrize("family", ["kf", "mkf", "imm"])
