@@ -173,11 +173,12 @@ def genie_of(truth: Spec) -> Contender:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Told:
-    """What a filter is told: measurements, inputs, parameters."""
+    """What a filter is told: measurements, inputs, parameters; which rows of y its NIS is about."""
 
     y: Array
     u: Array | None
     params: Mapping[str, Array]
+    judged: tuple[int, ...]
 
 
 def told(simulation: Simulation, spec: Spec, *, everything: bool) -> Told:
@@ -187,8 +188,10 @@ def told(simulation: Simulation, spec: Spec, *, everything: bool) -> Told:
     params: dict[str, Array] = {
         name: value for name, value in simulation.params.items() if name in names
     }
+    soft = spec.faults.soft
+    rows = tuple(range(spec.model.ny)) if soft is None else soft.host
     if not everything:
-        return Told(simulation.y, driven, params)
+        return Told(simulation.y, driven, params, rows)
     clean, gamma, delta = simulation.trials.measurement, simulation.gamma, simulation.delta
     if simulation.spec.faults.jump is not None:
         return _told_of_jumps(simulation, params)
@@ -197,7 +200,7 @@ def told(simulation: Simulation, spec: Spec, *, everything: bool) -> Told:
     if driven is not None:
         driven = simulation.driving
         driven = driven if gamma is None or delta is not None else gamma * driven
-    return Told(clean, driven, params)
+    return Told(clean, driven, params, rows)
 
 
 def _told_of_jumps(simulation: Simulation, params: dict[str, Array]) -> Told:
@@ -207,4 +210,5 @@ def _told_of_jumps(simulation: Simulation, params: dict[str, Array]) -> Told:
         y = np.where(arrival[..., None], y, np.nan)
     driving = simulation.driving
     one = np.ones((*driving.shape[:-1], 1))
-    return Told(y, np.concatenate([driving, one], axis=-1), params | indicators(simulation))
+    told_u, told_params = np.concatenate([driving, one], axis=-1), params | indicators(simulation)
+    return Told(y, told_u, told_params, tuple(range(y.shape[2])))

@@ -91,7 +91,7 @@ def score(
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
     error = (simulation.state - run["filtered_state"])[:, skip:].astype(np.float64)
     covariance = run["filtered_covariance"][:, skip:]
-    runs, rows = len(error), np.isfinite(given.y).sum(axis=2)
+    runs, rows = len(error), np.isfinite(given.y[..., list(given.judged)]).sum(axis=2)
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
     nis = _nis(run, rows, skip)
     counts = np.full((5, runs), np.nan)
