@@ -29,6 +29,7 @@ from fkgen.closed_form.partial_compression import (
     PartialCompressionResult,
     partial_compression,
 )
+from fkgen.closed_form.partial_identities import PARTIAL_IDENTITIES
 from fkgen.closed_form.printed_compression import PrintedCompression
 from fkgen.closed_form.riccati import (
     constant_input_noise,
@@ -59,6 +60,7 @@ __all__ = [
     "COMPRESSION_IDENTITIES",
     "IDENTITIES",
     "LINEAR_IDENTITIES",
+    "PARTIAL_IDENTITIES",
     "BatchResult",
     "CompressionResult",
     "EnumerationResult",

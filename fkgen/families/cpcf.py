@@ -7,6 +7,7 @@ some information lost.
 
 from __future__ import annotations
 
+from fkgen.closed_form import PARTIAL_IDENTITIES
 from fkgen.families.family import Family
 from fkgen.families.partial_evidence import CONTRADICTED, HOST_ALONE, PRIMITIVE_NOISES
 from fkgen.spec import Spec
@@ -25,4 +26,5 @@ FAMILY = Family(
     title="sensors that drift slowly, at less cost: host filter and partial compression filter",
     build=build,
     closed_forms=(PRIMITIVE_NOISES, CONTRADICTED, HOST_ALONE),
+    theorems=PARTIAL_IDENTITIES,
 )

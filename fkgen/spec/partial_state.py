@@ -46,7 +46,7 @@ def measured_states(C1: Array) -> tuple[int, ...]:
 
 
 def similarity(C1: Array) -> Array:
-    """The transformation T = [T1; T2] of (38): T1 = C1, T2 the states that C1 does not single out.
+    """The transformation T = [T1; T2] of (38).
 
     Parameters
     ----------
@@ -56,18 +56,19 @@ def similarity(C1: Array) -> Array:
     Returns
     -------
     (n, n) ndarray
-        The first m components of T x are what C1 measures, in units of y; the others are states as
-        they are.
+        C1 = phi T1. Where the rows measure m states and no other, T1 are these states, and T is a
+        permutation. Elsewhere T1 are the rows. T2 are states that are left, as they are.
 
     Notes
     -----
-    (38) leaves T2 open, and with it what F11 of (39) is. This choice knows no units, and is a
-    permutation where every row of C1 measures one state.
+    (38) leaves T2 open, and with it what F11 of (39) is, but for permutations. This choice knows no
+    units of measurement.
     """
     n = C1.shape[1]
-    measured = measured_states(C1)
+    measured = list(measured_states(C1))
     others = [j for j in range(n) if j not in measured]
-    return np.vstack([C1, np.eye(n)[others]])
+    T1 = C1 if C1[:, others].any() else np.eye(n)[measured]
+    return np.vstack([T1, np.eye(n)[others]])
 
 
 def check_partial_state(

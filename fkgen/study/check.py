@@ -7,7 +7,7 @@ y present.
 from __future__ import annotations
 
 from fkgen.spec import Spec
-from fkgen.study import dynamics, faults, noise, sensor, size
+from fkgen.study import dynamics, faults, noise, partial, sensor, size
 from fkgen.study.figures import Figures
 from fkgen.study.findings import Finding, Report, combined
 
@@ -31,6 +31,7 @@ _EXAMINATIONS = (
     sensor.noise_factor,
     sensor.law,
     sensor.lost_signal,
+    partial.compression_loss,
     size.parameters,
     size.cost,
 )

@@ -27,7 +27,7 @@ def closing(given: PartialFilter) -> Phase:
     with script.titled("the host takes over"):
         script.put(dict(zip(names, (state, covariance), strict=True)))
         with script.where(accepted):
-            moved = state + fold.mean[:n], parts(fold.covariance, n)[0]
+            moved = state + fold.mean[:n], parts(fold.covariance, n, given.partial.size)[0]
             script.put(dict(zip(names, moved, strict=True)))
     limit, known = given.spec.filter.reacquire, (fold.mean[:n], "closed_covariance")
     counted = reacquired(script, limit, ([accepted], [rejected]), known)

@@ -93,7 +93,7 @@ def _predict(given: PartialFilter) -> Phase:
     state = plant.A @ symbols["filtered_state"] + plant.B @ symbols["u"]
     joint = carried.joint(symbols["filtered_covariance"])
     moved = congruence(partial.transition(plant), joint) + pack(partial.noise(plant))
-    covariance, cross, noise = parts(moved, n)
+    covariance, cross, noise = parts(moved, n, partial.size)
     counted = count_down(script, symbols, given.faults)
     after = Compressed(partial.advance(plant) @ carried.measurement, noise, cross)
     with script.titled("prediction of the next sample"):

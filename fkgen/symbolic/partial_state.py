@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.spec import SoftFaults, Spec
-from fkgen.spec.partial_state import measured_states
+from fkgen.spec.partial_state import measured_states, similarity
 from fkgen.symbolic.linalg import pack, sparse, unpack
 from fkgen.symbolic.linear_filter import by_rows, from_rows
 from fkgen.symbolic.plant import Plant
@@ -52,11 +53,9 @@ class Compressed:
         }
 
 
-def parts(joint: ca.SX, n: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Covariance of e (packed), S, and R (packed) of a joint covariance, packed or not."""
-    whole = joint
-    if joint.shape[1] == 1 and joint.shape[0] > 1:
-        whole = unpack(joint, round((np.sqrt(8 * joint.numel() + 1) - 1) / 2))
+def parts(joint: ca.SX, n: int, m: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Covariance of e (packed), S, and R (packed) of a packed joint covariance of (e, V)."""
+    whole = unpack(joint, n + m)
     return pack(whole[:n, :n]), whole[n:, :n], pack(whole[n:, n:])
 
 
@@ -115,23 +114,25 @@ class PartialState:
 
 def partial_state(spec: Spec, plant: Plant, rows: tuple[int, ...]) -> PartialState:
     """Find T1, phi and T for the compression group of a spec, (37)-(39)."""
-    n, which = plant.nx, list(rows)
-    T1 = spec.model.C.values(spec.defaults)[which]
-    measured = list(measured_states(T1))
+    n, m, which = plant.nx, len(rows), list(rows)
+    stated = spec.model.C.values(spec.defaults)[which]
+    measured = list(measured_states(stated))
+    T1 = similarity(stated)[:m]
     inverse = np.linalg.inv(T1[:, measured])
-    first, rest = np.zeros((n, len(rows))), np.eye(n)
+    first, rest = np.zeros((n, m)), np.eye(n)
     first[measured] = inverse
-    rest[measured] = -inverse @ T1
+    rest[measured] -= inverse @ T1
     rest[:, measured] = 0.0
     C1 = plant.C[which, :]
-    constant = all(C1[i, j].is_constant() for i in range(len(rows)) for j in range(n))
-    phi = ca.SX.eye(len(rows)) if constant else sparse(C1[:, measured] @ lifted(inverse))
+    phi = ca.SX.eye(m)
+    if not (np.array_equal(T1, stated) and C1.is_constant()):
+        phi = sparse(C1[:, measured] @ lifted(inverse))
     return PartialState(rows, lifted(T1), lifted(first), lifted(rest), phi)
 
 
-def lifted(values: np.ndarray) -> ca.SX:
+def lifted(values: NDArray[np.floating]) -> ca.SX:
     """A constant matrix whose zeros are structural."""
-    return sparse(ca.SX(ca.DM(np.asarray(values, float))))
+    return sparse(ca.SX(ca.DM(values)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -100,7 +100,7 @@ def _by_host(
         innovation=[innovation[i] for i in rows],
     )
     state = found.mean[:n]
-    covariance, cross, noise = parts(found.covariance, n)
+    covariance, cross, noise = parts(found.covariance, n, m)
     learnt = given.partial.T1 @ (state - before.state)
     if given.spec.filter.maintenance == "optimal":
         learnt = learnt + found.mean[n:]
@@ -167,11 +167,9 @@ def _silent(partial: PartialState, covariance: ca.SX) -> Compressed:
 
 def _first(script: Script, partial: PartialState, measurement: Measurement) -> Compressed:
     """(42): all rows of a group, scaled by phi; refused where that is singular."""
-    phi = partial.phi
-    if not phi.is_constant():
-        determinant = ca.det(phi)
-        script.demand(Kind.POSITIVE, [determinant * determinant], Status.RESULT_NOT_FINITE)
-    back = sparse(ca.inv(phi))
+    determinant = ca.det(partial.phi)
+    script.demand(Kind.POSITIVE, [determinant * determinant], Status.RESULT_NOT_FINITE)
+    back = sparse(ca.inv(partial.phi))
     return Compressed(
         back @ (measurement.y - measurement.offset),
         congruence(back, measurement.R),

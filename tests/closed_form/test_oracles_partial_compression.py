@@ -10,6 +10,7 @@ from models import covariance
 from theorem_4 import Theorem4
 
 from fkgen.closed_form import (
+    PARTIAL_IDENTITIES,
     LinearSystem,
     PartialCompression,
     batch_lmmse,
@@ -22,6 +23,11 @@ from fkgen.spec.partial_state import measured_states, similarity
 ROUNDING = 1e-10
 
 PORTS = ("state", "covariance")
+
+
+@pytest.mark.parametrize("identity", PARTIAL_IDENTITIES, ids=lambda each: each.claim)
+def test_identity(identity):
+    assert identity.holds()
 
 
 def problem(seed, n, m, hosts=1, T=12, *, window=5, maintenance="optimal", false_alarm=None):
@@ -165,7 +171,7 @@ def walk(T, q, r):
 
 
 def test_the_claim_of_theorem_4_fails_beside_a_prior():
-    # Specification, section 4, item 3: worse than the host with the last raw measurement.
+    # Worse than the host with the last raw measurement.
     system = walk(2, 100.0, 1000.0)
     design = PartialCompression(
         host=(), T=np.eye(1), window=1, first=1, false_alarm=None, maintenance="optimal"
@@ -201,7 +207,17 @@ def test_a_similarity_transformation_is_found_for_any_independent_rows():
             C1 = rng.standard_normal((m, n)) * scale
             T = similarity(C1)
             assert np.linalg.matrix_rank(T / np.abs(T).max(axis=0)) == n
-            np.testing.assert_allclose((C1 @ np.linalg.inv(T)), np.eye(m, n), atol=1e-9)
+            form = C1 @ np.linalg.inv(T)
+            phi = np.linalg.norm(form[:, :m], axis=0)
+            np.testing.assert_allclose(form[:, m:], 0.0, atol=1e-9 * phi.max())
+            assert np.linalg.matrix_rank(form[:, :m] / phi) == m
+
+
+def test_rows_that_measure_some_states_alone_make_a_permutation():
+    T = similarity(np.array([[0.0, 0.0, 3.0, 0.0], [5.0, 0.0, 1.0, 0.0]]))
+    np.testing.assert_array_equal(T, np.eye(4)[[0, 2, 1, 3]])
+    rows = np.array([[2.0, 0.5, 0.0]])
+    np.testing.assert_array_equal(similarity(rows), [[2.0, 0.5, 0.0], [0, 1, 0], [0, 0, 1]])
 
 
 def test_the_measured_states_are_the_first_that_the_rows_tell_apart():
