@@ -17,7 +17,10 @@ from fkgen.study.table import Table, read_table
 from fkgen.symbolic.interface import Status
 
 #: What the picture needs besides what the user keeps.
-_DRAWN = ("filtered_state", "filtered_sd", "innovation", "nis", "mode_probability")
+_DRAWN = (
+    *("filtered_state", "filtered_sd", "innovation", "nis", "mode_probability"),
+    *("test_statistic", "test_dof", "fault_declared"),
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from fkgen.spec import Signal, Spec
 from fkgen.study.columns import deviation
 from fkgen.study.files import refuse_format
 from fkgen.study.table import Table
+from fkgen.study.verdicts import draw_verdicts
 
 Array = NDArray[np.floating]
 
@@ -48,16 +49,17 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
         The record.
     run : Run
         Needs ``filtered_state``, ``filtered_covariance``, ``innovation`` and ``nis``;
-        ``mode_probability`` is drawn if it is there.
+        ``mode_probability`` is drawn if it is there, and so are ``test_statistic``, ``test_dof``
+        and ``fault_declared``.
 
     Returns
     -------
     Figure
-        One panel per state, then innovations, NIS and probabilities.
+        One panel per state, then innovations, NIS, and probabilities or verdicts.
     """
     states, groups = spec.model.states[:_LARGEST], _by_unit(spec.model.outputs)
-    modes = "mode_probability" in run.ports
-    heights = [_STATE] * len(states) + [_REST] * (len(groups) + 1 + modes)
+    modes, verdicts = "mode_probability" in run.ports, "test_statistic" in run.ports
+    heights = [_STATE] * len(states) + [_REST] * (len(groups) + 1 + modes + verdicts)
     figure = Figure(figsize=(_WIDTH, sum(heights)), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     sheet = _sheet(spec, table, run)
@@ -69,6 +71,9 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     _draw_nis(rest[len(groups)], sheet)
     if modes:
         _draw_modes(rest[-1], sheet)
+    if verdicts:
+        draw_verdicts(rest[-1], spec, sheet.time, run, _SHADES)
+        _legend_above(rest[-1])
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
         axis.margins(x=0.0)
@@ -188,7 +193,9 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
     """NIS with its two-sided bounds, or relative to the upper one where rows come and go."""
     from scipy.special import gammaincinv  # noqa: PLC0415 - scipy.stats would take a second
 
-    rows = sheet.present.sum(axis=1)
+    soft = sheet.spec.faults.soft
+    counted = slice(None) if soft is None else list(soft.host)
+    rows = sheet.present[:, counted].sum(axis=1)
     used = (rows > 0) & (sheet.run.status == 0)
     if not used.any():
         axis.set_ylabel("NIS", fontsize=9)

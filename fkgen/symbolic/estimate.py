@@ -30,6 +30,10 @@ from fkgen.symbolic.sequential import Form
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
 SHORT_FORM_RATIO = 1e6
 
+#: The same for families whose statistic divides by a difference of two covariances.
+DIFFERENCE_RATIO = 1e2
+_DIFFERENCES = ("compression_full", "dfcf")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
@@ -64,7 +68,8 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
         return spec.code.update
     if spec.code.scalar == "float" or plant.noise_free or augmented:
         return "joseph"
-    return "short" if prior_to_noise(spec) <= SHORT_FORM_RATIO else "joseph"
+    ratio = DIFFERENCE_RATIO if spec.filter.family in _DIFFERENCES else SHORT_FORM_RATIO
+    return "short" if prior_to_noise(spec) <= ratio else "joseph"
 
 
 def prior_to_noise(spec: Spec) -> float:

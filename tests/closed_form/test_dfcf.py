@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import mpmath as mp
 import numpy as np
 import pytest
 from models import built, distance, interpreted, random_model, system_of
@@ -23,7 +24,7 @@ def test_every_port_is_that_of_the_joint_distribution(seed):
     assert_ports(interpreted(spec, y, u, params), expected(spec, y, u, params))
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(24))
 def test_the_same_with_an_exactly_singular_transition(seed):
     spec, y, u, params = case(seed, singular=True)
     A = spec.model.A.values({name: float(value[0]) for name, value in params.items()})
@@ -43,7 +44,7 @@ def test_the_same_from_a_prior_without_variance_in_some_direction(seed):
     assert_ports(interpreted(spec, y, u, params), expected(spec, y, u, params))
 
 
-@pytest.mark.parametrize("seed", range(0, 100, 2))
+@pytest.mark.parametrize("seed", range(0, 80, 4))
 def test_the_host_is_the_kalman_filter_of_all_that_it_accepted(seed):
     spec, y, u, params = case(seed)
     found = interpreted(spec, y, u, params)
@@ -63,7 +64,7 @@ def accept_all(spec, y, u=None, params=None):
     return interpreted(fkgen.Spec.from_dict(table), y, u, params)
 
 
-@pytest.mark.parametrize("seed", range(0, 40, 2))
+@pytest.mark.parametrize("seed", range(0, 30, 2))
 def test_with_acceptance_the_host_is_the_kf_family_at_the_end_of_every_window(seed):
     spec, y, u, _ = case(seed)
     table = spec.to_dict()
@@ -216,6 +217,38 @@ def test_the_papers_variances_without_test_to_twelve_digits():
     for seconds, value in ACCEPTED.items():
         assert P[seconds * 5] == pytest.approx(value, abs=6e-13)
     assert P[150] == pytest.approx(0.809845780207, abs=6e-13)
+
+
+def in_fifty_digits(y):
+    """Statistic of the paper's plant at the end of the first window, by mpmath."""
+    with mp.workdps(50):
+        F, Q, P = (mp.matrix(PAPER[letter]) for letter in ("A", "Q", "P0"))
+        x, other = mp.matrix([0, 0]), None
+        for k, row in enumerate(y):
+            if k:
+                x, P = F * x, F * P * F.T + Q
+                other = (F * other[0], F * other[1] * F.T + Q)
+            if other is not None:
+                other = corrected(other, 1, row[0], "0.01")
+            x, P = corrected((x, P), 1, row[0], "0.01")
+            if np.isfinite(row[1]):
+                other = corrected((x, P) if other is None else other, 0, row[1], "100")
+        d = other[0] - x
+        return float((d.T * mp.lu_solve(P - other[1], d))[0])
+
+
+def corrected(estimate, component, measured, r):
+    x, P = estimate
+    K = P[:, component] / (P[component, component] + mp.mpf(r))
+    return x + K * (mp.mpf(float(measured)) - x[component]), P - K * P[component, :]
+
+
+def test_the_papers_statistic_has_ten_digits_though_position_hardly_tells_of_speed():
+    rng = np.random.default_rng(0)
+    y = np.stack([0.1 * rng.standard_normal(151), 10.0 * rng.standard_normal(151)], axis=1)
+    y[np.arange(151) % 5 != 0, 1] = np.nan
+    found = built(soft(PAPER, window=150)).run(y).test_statistic[150]
+    assert found == pytest.approx(in_fifty_digits(y), rel=1e-10)
 
 
 def test_the_papers_variance_where_everything_is_rejected_after_700_seconds():

@@ -40,8 +40,9 @@ def drawn(tmp_path_factory):
         spec = fkgen.load(path)
         built = fkgen.build(spec)
         table = table_of(spec, y, time_name)
-        modes = ("mode_probability",) if "mode_probability" in built.ports else ()
-        run = run_table(built, table, Selection((), (*PORTS, *modes)))
+        more = ("mode_probability", "test_statistic", "test_dof", "fault_declared")
+        known = [name for name in more if name in built.ports]
+        run = run_table(built, table, Selection((), (*PORTS, *known)))
         return draw(spec, table, run)
 
     return make
@@ -71,6 +72,18 @@ def test_probabilities_have_a_panel(drawn):
     assert [text.get_text() for text in figure.axes[-1].get_legend().get_texts()] == [
         f"rate {rate}" for rate in (0.1, 0.3, 0.5, 0.7, 0.9)
     ]
+
+
+def test_verdicts_have_a_panel_with_a_name_per_group_and_nis_counts_rows_of_the_host(drawn):
+    y = noise(301, 3)
+    y[:, 1] += np.linspace(0.0, 60.0, 301)
+    axes = drawn("dfcf", y).axes
+    assert axes[-1].get_ylabel() == "test / threshold"
+    assert [text.get_text() for text in axes[-1].get_legend().get_texts()] == ["gnss", "beacon"]
+    drawn_crosses = [line for line in axes[-1].lines if line.get_marker() == "x"]
+    assert [len(line.get_xdata()) for line in drawn_crosses] == [2, 0]
+    (nis,) = (axis for axis in axes if axis.get_ylabel() == "NIS")
+    assert "(1 degrees of freedom)" in nis.get_title(loc="left")
 
 
 @pytest.mark.parametrize(("family", "width"), [("imm", 2), ("one_step", 1)])
