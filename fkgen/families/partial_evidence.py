@@ -12,7 +12,7 @@ from fkgen.families.evidence import digits_at_stake, has_exact_rows, system_of
 from fkgen.families.family import Array, ClosedForm, Record
 from fkgen.families.soft_evidence import contradiction, soft_faults_of
 from fkgen.spec import Spec
-from fkgen.spec.partial_state import similarity
+from fkgen.spec.partial_state import similarity, typical_deviation
 
 __all__ = ["CONTRADICTED", "HOST_ALONE", "PRIMITIVE_NOISES"]
 
@@ -31,9 +31,10 @@ def _countdown(spec: Spec, _: Record) -> Mapping[str, Array]:
 def design_of(spec: Spec, first: int) -> PartialCompression:
     """What the spec says about host and compression filter, with a first window of its own."""
     soft, options = soft_faults_of(spec), spec.filter
+    rows = spec.model.C.values(spec.defaults)[list(soft.compressed)]
     return PartialCompression(
         host=soft.host,
-        T=similarity(spec.model.C.values(spec.defaults)[list(soft.compressed)]),
+        T=similarity(rows, typical_deviation(spec.model, spec.defaults)),
         window=soft.window,
         first=first,
         false_alarm=soft.false_alarm if options.test else None,

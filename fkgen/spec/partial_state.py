@@ -13,9 +13,8 @@ from fkgen.spec.place import Place
 
 Array = NDArray[np.float64]
 
-#: Shares of a column that must not be explained by the columns chosen before it: well-conditioned
-#: choices first, then whatever rank decides on.
-_INDEPENDENT = (1e-3, 1e-10)
+#: A column of which less is left beside those chosen before it is a combination of them.
+_INDEPENDENT = 1e-10
 
 #: Rounding of the entries of C, relative to the largest of their row.
 _SAME = 1e-9
@@ -23,49 +22,60 @@ _SAME = 1e-9
 _WAY_OUT = "for the family cpcf; the family dfcf takes any rows"
 
 
-def measured_states(C1: Array) -> tuple[int, ...]:
-    """The first states that the rows of C1 tell apart, ascending; fewer than rows if they cannot.
+def typical_deviation(model: Model, defaults: Mapping[str, float]) -> Array:
+    """Standard deviations (n,) of the states, from P0 + Q: to compare states of different units."""
+    variance = np.diag(model.P0.values() + model.Q.values(defaults))
+    known = variance > 0.0
+    least = float(variance[known].min()) if known.any() else 1.0
+    return np.sqrt(np.where(known, variance, 1e-6 * least))
 
-    Units of states and measurements do not matter.
+
+def measured_states(C1: Array, deviation: Array) -> tuple[int, ...]:
+    """The states that the rows of C1 measure most of all, ascending; fewer if rows are dependent.
+
+    The state that contributes most to what the rows vary by comes first, then the one that adds
+    most to it, and so on; ``deviation`` (n,) says by how much states vary.
     """
-    m = len(C1)
+    whole = C1 * deviation
+    whole = whole / np.maximum(np.linalg.norm(whole, axis=1, keepdims=True), np.finfo(float).tiny)
+    size, rest = np.linalg.norm(whole, axis=0), whole
     chosen: list[int] = []
-    for share in _INDEPENDENT:
-        chosen = []
-        rest = C1 / np.maximum(np.abs(C1).max(axis=1, keepdims=True), np.finfo(float).tiny)
-        size = np.linalg.norm(rest, axis=0)
-        for j in range(C1.shape[1]):
-            length = float(np.linalg.norm(rest[:, j]))
-            if len(chosen) < m and length > share * size[j]:
-                chosen.append(j)
-                direction = rest[:, j] / length
-                rest = rest - np.outer(direction, direction @ rest)
-        if len(chosen) == m:
+    for _ in C1:
+        length = np.linalg.norm(rest, axis=0)
+        length[length <= _INDEPENDENT * size] = 0.0
+        j = int(np.argmax(length))
+        if length[j] == 0.0:
             break
-    return tuple(chosen)
+        chosen.append(j)
+        direction = rest[:, j] / length[j]
+        rest = rest - np.outer(direction, direction @ rest)
+    return tuple(sorted(chosen))
 
 
-def similarity(C1: Array) -> Array:
+def similarity(C1: Array, deviation: Array) -> Array:
     """The transformation T = [T1; T2] of (38).
 
     Parameters
     ----------
     C1 : (m, n) ndarray
         Independent rows of C.
+    deviation : (n,) ndarray
+        By how much the states vary.
 
     Returns
     -------
     (n, n) ndarray
         C1 = phi T1. Where the rows measure m states and no other, T1 are these states, and T is a
-        permutation. Elsewhere T1 are the rows. T2 are states that are left, as they are.
+        permutation. Elsewhere T1 are the rows. T2 are the states that are left beside
+        `measured_states`, as they are.
 
     Notes
     -----
-    (38) leaves T2 open, and with it what F11 of (39) is, but for permutations. This choice knows no
-    units of measurement.
+    (38) leaves T2 open, and with it what F11 of (39) is, but for permutations. This choice knows
+    neither units nor the order of the states, and keeps F11 as small as it can be so.
     """
     n = C1.shape[1]
-    measured = list(measured_states(C1))
+    measured = list(measured_states(C1, deviation))
     others = [j for j in range(n) if j not in measured]
     T1 = C1 if C1[:, others].any() else np.eye(n)[measured]
     return np.vstack([T1, np.eye(n)[others]])
@@ -95,7 +105,7 @@ def check_partial_state(
     """
     which = _named(model, rows)
     where, C1 = place.entry("C"), model.C.values(defaults)[list(rows)]
-    measured = measured_states(C1)
+    measured = measured_states(C1, typical_deviation(model, defaults))
     if len(measured) < len(rows):
         raise where.error(
             f"linearly dependent rows {which}: rank {len(measured)} of {len(rows)}",

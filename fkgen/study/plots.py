@@ -17,8 +17,8 @@ from fkgen.spec import Signal, Spec
 from fkgen.study.columns import deviation
 from fkgen.study.files import refuse_format
 from fkgen.study.table import Table
-from fkgen.symbolic.interface import VERDICTS
 from fkgen.study.verdicts import draw_verdicts
+from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.spec import SoftFaults, Spec
-from fkgen.spec.partial_state import measured_states, similarity
+from fkgen.spec.partial_state import measured_states, similarity, typical_deviation
 from fkgen.symbolic.linalg import pack, sparse, unpack
 from fkgen.symbolic.linear_filter import by_rows, from_rows
 from fkgen.symbolic.plant import Plant
@@ -116,8 +116,9 @@ def partial_state(spec: Spec, plant: Plant, rows: tuple[int, ...]) -> PartialSta
     """Find T1, phi and T for the compression group of a spec, (37)-(39)."""
     n, m, which = plant.nx, len(rows), list(rows)
     stated = spec.model.C.values(spec.defaults)[which]
-    measured = list(measured_states(stated))
-    T1 = similarity(stated)[:m]
+    deviation = typical_deviation(spec.model, spec.defaults)
+    measured = list(measured_states(stated, deviation))
+    T1 = similarity(stated, deviation)[:m]
     inverse = np.linalg.inv(T1[:, measured])
     first, rest = np.zeros((n, m)), np.eye(n)
     first[measured] = inverse

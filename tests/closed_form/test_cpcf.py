@@ -148,7 +148,46 @@ def test_a_vague_start_costs_no_more_digits_than_the_form_of_the_update_allows(v
         assert distance(found[name][[30, 60]], wanted[name][[30, 60]]) < 1e-10
 
 
-def test_the_units_of_a_row_that_measures_a_state_do_not_matter():
+def in_other_units(model, T, Y):
+    """The plant for x' = T x and y' = Y y, both diagonal."""
+    A, C, Q, R, P0 = (np.array(model[letter]) for letter in ("A", "C", "Q", "R", "P0"))
+    back = np.linalg.inv(T)
+    changed = {
+        "A": T @ A @ back, "C": Y @ C @ back, "Q": T @ Q @ T, "R": Y @ R @ Y,
+        "P0": T @ P0 @ T, "x0": T @ np.array(model["x0"]),
+    }  # fmt: skip
+    return {key: value.tolist() for key, value in changed.items()}
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_the_units_of_states_and_rows_do_not_matter(m):
+    model, _, host = dense(17, 3, m, 1)
+    T, Y = np.diag([1e3, 1e-2, 7.0]), np.diag([1e-3, 1e2, 5.0][: m + 1])
+    y, u, params = record(cpcf(model, host=host, window=3), 12)
+    first, second = (
+        interpreted(cpcf(each, host=host, window=3), values, u, params)
+        for each, values in ((model, y), (in_other_units(model, T, Y), y * np.diag(Y)))
+    )
+    scaled = T @ first["filtered_covariance"] @ T
+    unit = np.sqrt(np.einsum("kii->ki", scaled))
+    error = (second["filtered_covariance"] - scaled) / (unit[:, :, None] * unit[:, None])
+    assert np.abs(error).max() < ROUNDING
+    assert distance(second["test_statistic"], first["test_statistic"]) < 1e-7
+    np.testing.assert_array_equal(second["test_dof"], first["test_dof"])
+
+
+def test_where_rows_measure_some_states_the_order_of_states_does_not_matter():
+    y = sparse_positions(151) + 3.0
+    swapped = {key: np.array(PAPER[key])[::-1].tolist() for key in ("x0", "F")}
+    swapped |= {"A": [[1.0, 0.0], [0.2, 1.0]], "C": [[0.0, 1.0], [1.0, 0.0]]}
+    swapped |= {"V": PAPER["V"], "R": PAPER["R"], "P0": [[0.01, 0.0], [0.0, 1.0]]}
+    found, same = run(cpcf(swapped), y), run(cpcf(PAPER), y)
+    for name in ("compressed_measurement", "compressed_noise", "test_statistic"):
+        assert distance(found[name], same[name]) < 1e-12
+    assert distance(found.filtered_state[:, ::-1], same.filtered_state) < 1e-12
+
+
+def test_a_row_that_measures_a_state_by_a_factor_is_compressed_in_units_of_the_state():
     y = sparse_positions(151) + 3.0
     scaled = {**PAPER, "C": [[1e3, 0.0], [0.0, 1.0]], "R": [[1e8, 0.0], [0.0, 0.01]]}
     found, same = run(cpcf(scaled), y * [1e3, 1.0]), run(cpcf(PAPER), y)

@@ -54,7 +54,7 @@ def problem(seed, n, m, hosts=1, T=12, *, window=5, maintenance="optimal", false
     )
     design = PartialCompression(
         host=tuple(range(hosts)),
-        T=similarity(C[0, hosts:]),
+        T=similarity(C[0, hosts:], np.ones(n)),
         window=window,
         first=window,
         false_alarm=false_alarm,
@@ -205,7 +205,7 @@ def test_a_similarity_transformation_is_found_for_any_independent_rows():
     for m, n in [(1, 1), (1, 3), (2, 3), (3, 5), (4, 4)]:
         for scale in (1.0, 10.0 ** rng.uniform(-6, 6, n)):
             C1 = rng.standard_normal((m, n)) * scale
-            T = similarity(C1)
+            T = similarity(C1, 1.0 / (np.ones(n) * scale))
             assert np.linalg.matrix_rank(T / np.abs(T).max(axis=0)) == n
             form = C1 @ np.linalg.inv(T)
             phi = np.linalg.norm(form[:, :m], axis=0)
@@ -214,16 +214,23 @@ def test_a_similarity_transformation_is_found_for_any_independent_rows():
 
 
 def test_rows_that_measure_some_states_alone_make_a_permutation():
-    T = similarity(np.array([[0.0, 0.0, 3.0, 0.0], [5.0, 0.0, 1.0, 0.0]]))
+    T = similarity(np.array([[0.0, 0.0, 3.0, 0.0], [5.0, 0.0, 1.0, 0.0]]), np.ones(4))
     np.testing.assert_array_equal(T, np.eye(4)[[0, 2, 1, 3]])
     rows = np.array([[2.0, 0.5, 0.0]])
-    np.testing.assert_array_equal(similarity(rows), [[2.0, 0.5, 0.0], [0, 1, 0], [0, 0, 1]])
+    T = similarity(rows, np.ones(3))
+    np.testing.assert_array_equal(T, [[2.0, 0.5, 0.0], [0, 1, 0], [0, 0, 1]])
+    T = similarity(rows, np.array([1.0, 9.0, 1.0]))
+    np.testing.assert_array_equal(T, [[2.0, 0.5, 0.0], [1, 0, 0], [0, 0, 1]])
 
 
-def test_the_measured_states_are_the_first_that_the_rows_tell_apart():
-    assert measured_states(np.array([[0.0, 2.0, 0.0]])) == (1,)
-    assert measured_states(np.array([[1.0, 2.0, 0.0], [2.0, 4.0, 1.0]])) == (0, 2)
-    assert measured_states(np.array([[0.0, 0.0, 3.0], [0.0, 1.0, 0.0]])) == (1, 2)
-    assert measured_states(np.array([[1.0, 2.0], [2.0, 4.0]])) == (0,)
-    nearly = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 + 1e-6, 1.0]])
-    assert measured_states(nearly) == (0, 2)
+def test_the_measured_states_are_those_that_contribute_most():
+    def found(rows, deviation=None):
+        rows = np.array(rows)
+        return measured_states(rows, np.ones(rows.shape[1]) if deviation is None else deviation)
+
+    assert found([[0.0, 2.0, 0.0]]) == (1,)
+    assert found([[1.0, 2.0, 0.0], [2.0, 4.0, 1.0]]) == (1, 2)
+    assert found([[0.0, 0.0, 3.0], [0.0, 1.0, 0.0]]) == (1, 2)
+    assert found([[1.0, 2.0], [2.0, 4.0]]) == (1,)
+    assert found([[1.0, 2.0]], np.array([3.0, 1.0])) == (0,)
+    assert found([[0.0, 0.0]]) == ()
