@@ -98,7 +98,7 @@ class Machine:
     def _outcome(self) -> Status:
         """The status of a sample that was used, or rejected by a test."""
         for outcome in self.program.outcomes:
-            if self.ports[outcome.port][0] > outcome.level:
+            if max(self.ports[outcome.port]) > outcome.level:
                 return outcome.status
         return Status.OK
 

@@ -199,8 +199,12 @@ class Printer(StatementPrinter):
     def outcome(self) -> str:
         """Status of a sample with a row: that of the first outcome that applies."""
         text = self.status(Status.OK)
+        sizes = {port.name: port.size for port in self.program.ports if port.shape}
         for outcome in reversed(self.program.outcomes):
-            above = f"self->{outcome.port} > {self.literal(outcome.level)}"
+            places = [f"[{i}]" for i in range(sizes.get(outcome.port, 0))] or [""]
+            level = self.literal(outcome.level)
+            above = " || ".join(f"(self->{outcome.port}{place} > {level})" for place in places)
+            above = above if len(places) > 1 else above[1:-1]
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
 

@@ -93,7 +93,7 @@ def score(
     covariance = run["filtered_covariance"][:, skip:]
     runs, rows = len(error), np.isfinite(given.y[..., list(given.judged)]).sum(axis=2)
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
-    nis = _nis(run, rows, skip)
+    nis = _nis(run, rows, skip, host=len(given.judged) < given.y.shape[2])
     counts = np.full((5, runs), np.nan)
     faults = faulty(simulation)
     alarms = declared(run, limits[rows], healthy_modes(simulation.spec))
@@ -104,11 +104,11 @@ def score(
     return Scores((error**2).mean(axis=1), nees, nis, refused, counts)
 
 
-def _nis(run: Run, rows: NDArray[np.int64], skip: int) -> Array:
-    """Sum over samples that were used, per row that was there."""
+def _nis(run: Run, rows: NDArray[np.int64], skip: int, *, host: bool) -> Array:
+    """Sum over samples that were used, per row that was there; a host always uses its rows."""
     if "nis" not in run.ports:
         return np.full(len(rows), np.nan)
-    used = (run.status == Status.OK.value)[:, skip:]
+    used = (run.status >= 0 if host else run.status == Status.OK.value)[:, skip:]
     total = (run["nis"][:, skip:] * used).sum(axis=1, dtype=np.float64)
     count = (rows[:, skip:] * used).sum(axis=1)
     return np.asarray(np.divide(total, count, out=np.full(len(rows), np.nan), where=count > 0))

@@ -43,6 +43,7 @@ from fkgen.symbolic.window import (
     collect,
     count_down,
     of_the_host,
+    window_outcomes,
     window_ports,
     window_start,
 )
@@ -86,6 +87,7 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
         closing=window_end(design),
         predict=_predict(design),
         notes=(f"covariance update: {design.form} form",),
+        outcomes=window_outcomes(spec),
     )
 
 

@@ -36,7 +36,7 @@ class Status(Enum):
 _MEANINGS = {
     Status.OK: "the sample was used",
     Status.SKIPPED: "no row of y was present: nothing was learnt from this sample",
-    Status.FAULT_DECLARED: "the sample was rejected as faulty: it did not correct the estimate",
+    Status.FAULT_DECLARED: "what was tested is rejected as faulty and did not correct the estimate",
     Status.LOCKED_OUT: "the same, and too many samples in a row were rejected: doubt the filter",
     Status.NULL_POINTER: "a pointer argument is NULL",
     Status.INPUT_NOT_FINITE: "u holds NaN or an infinity, or y holds an infinity",
@@ -55,7 +55,7 @@ VERDICTS = (Status.FAULT_DECLARED, Status.LOCKED_OUT)
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What is returned for a sample with a row whose ``port`` (a scalar) ends above a ``level``."""
+    """What is returned for a sample with a row whose ``port`` ends above a ``level``, anywhere."""
 
     status: Status
     port: str

@@ -21,7 +21,13 @@ from fkgen.symbolic.plant import plant_of
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
-from fkgen.symbolic.window import count_down, of_the_host, window_ports, window_start
+from fkgen.symbolic.window import (
+    count_down,
+    of_the_host,
+    window_outcomes,
+    window_ports,
+    window_start,
+)
 
 
 def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
@@ -57,6 +63,7 @@ def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
             f"covariance update: {given.form} form",
             f"maintenance of the compressed measurement: {spec.filter.maintenance}",
         ),
+        outcomes=window_outcomes(spec),
     )
 
 

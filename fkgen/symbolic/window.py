@@ -11,7 +11,7 @@ from dataclasses import replace
 import casadi as ca
 
 from fkgen.spec import SoftFaults, Spec
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Outcome, Port, Role, Status
 from fkgen.symbolic.linalg import outer_lower
 from fkgen.symbolic.script import Script
 
@@ -66,6 +66,11 @@ def of_the_host(ports: tuple[Port, ...]) -> tuple[Port, ...]:
         "log_likelihood": "log density of the rows of the host that are present",
     }
     return tuple(replace(port, meaning=own.get(port.name, port.meaning)) for port in ports)
+
+
+def window_outcomes(spec: Spec) -> tuple[Outcome, ...]:
+    """The status of a sample at which a compression filter is rejected."""
+    return (Outcome(Status.FAULT_DECLARED, "fault_declared", 0.5),) if spec.filter.test else ()
 
 
 def window_start(soft: SoftFaults) -> dict[str, tuple[float, ...]]:
