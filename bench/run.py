@@ -18,6 +18,7 @@ import sizes  # noqa: E402
 import startup  # noqa: E402
 import steps  # noqa: E402
 import switching  # noqa: E402
+import trials  # noqa: E402
 from contenders import FLAGS  # noqa: E402
 from report import Table  # noqa: E402
 from rich.console import Console  # noqa: E402
@@ -35,6 +36,7 @@ PARTS = {
     "stages": startup.stages,
     "memory": memory.peak,
     "sizes": sizes.generated,
+    "trials": trials.trials,
 }
 
 

@@ -23,6 +23,7 @@ from fkgen.errors import (
 from fkgen.version import __version__
 
 if TYPE_CHECKING:
+    from fkgen import profiles
     from fkgen.backend.source import Source
     from fkgen.pipeline import build, compile, generate, validate
     from fkgen.proof import Claim, Validated
@@ -30,6 +31,11 @@ if TYPE_CHECKING:
     from fkgen.runtime.results import Run, Snapshot
     from fkgen.spec import Spec, load
     from fkgen.study.check import Finding, Report, check
+    from fkgen.study.comparison import compare
+    from fkgen.study.detectability import Detectability, detectability
+    from fkgen.study.fault_effect import FaultEffect, fault_effect
+    from fkgen.study.simulation import Simulation, simulate
+    from fkgen.study.verdict import Comparison
 
 #: Where the lazily loaded names live.
 _HOMES = {
@@ -42,6 +48,14 @@ _HOMES = {
     "check": "fkgen.study.check",
     "Report": "fkgen.study.check",
     "Finding": "fkgen.study.check",
+    "simulate": "fkgen.study.simulation",
+    "Simulation": "fkgen.study.simulation",
+    "compare": "fkgen.study.comparison",
+    "Comparison": "fkgen.study.verdict",
+    "fault_effect": "fkgen.study.fault_effect",
+    "FaultEffect": "fkgen.study.fault_effect",
+    "detectability": "fkgen.study.detectability",
+    "Detectability": "fkgen.study.detectability",
     "Claim": "fkgen.proof",
     "Validated": "fkgen.proof",
     "Source": "fkgen.backend.source",
@@ -50,17 +64,24 @@ _HOMES = {
     "Snapshot": "fkgen.runtime.results",
 }
 
+#: Modules that are public as they are.
+_MODULES = {"profiles": "fkgen.profiles"}
+
 __all__ = [
     "Claim",
+    "Comparison",
     "CompiledFilter",
     "CompilerError",
     "DataError",
+    "Detectability",
+    "FaultEffect",
     "Finding",
     "FkgenError",
     "InternalError",
     "OutputError",
     "Report",
     "Run",
+    "Simulation",
     "Snapshot",
     "Source",
     "Spec",
@@ -72,18 +93,26 @@ __all__ = [
     "__version__",
     "build",
     "check",
+    "compare",
     "compile",
+    "detectability",
+    "fault_effect",
     "generate",
     "load",
+    "profiles",
+    "simulate",
     "validate",
 ]
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first used."""
-    if name not in _HOMES:
+    if name in _MODULES:
+        value: Any = import_module(_MODULES[name])
+    elif name in _HOMES:
+        value = getattr(import_module(_HOMES[name]), name)
+    else:
         raise AttributeError(f"module 'fkgen' has no attribute {name!r}")
-    value = getattr(import_module(_HOMES[name]), name)
     globals()[name] = value
     return value
 

@@ -11,17 +11,16 @@ import contextlib
 import errno
 import os
 import sys
-from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import click
 
+from fkgen import cli_faults, cli_trials
+from fkgen.console import console as _console
+from fkgen.console import print_table as _print_table
 from fkgen.errors import FkgenError, InternalError
 from fkgen.version import __version__
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 _INTERRUPTED = 130
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan"}
@@ -63,27 +62,6 @@ def _drop_stdout() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _console(*, err: bool = False) -> Console:
-    """A console that takes texts as they are, and does not fold lines where nobody looks."""
-    from rich.console import Console
-
-    seen = (sys.stderr if err else sys.stdout).isatty()
-    width = None if seen else 200
-    return Console(stderr=err, markup=False, highlight=False, emoji=False, width=width)
-
-
-def _print_table(head: Sequence[str], rows: Iterable[Sequence[Any]], **justify: Any) -> None:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE, pad_edge=False)
-    for name in head:
-        table.add_column(name, justify=justify.get(name, "left"), overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    _console().print(table)
-
-
 @click.group(cls=_OneLine, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="fkgen", message="%(prog)s %(version)s")
 def main() -> None:
@@ -94,6 +72,8 @@ def main() -> None:
     fkgen check motor.toml           is the model sound?
     fkgen generate motor.toml        C code
     fkgen run motor.toml record.csv  filter a record
+    fkgen fault-effect motor.toml    what a fault does to the estimate
+    fkgen compare motor.toml         which family to take
     """  # noqa: D301 - \b is for click
 
 
@@ -239,6 +219,12 @@ def demo(output: Path) -> None:
     console = _console()
     for line in play(output):
         console.print(line, soft_wrap=True)
+
+
+main.add_command(cli_faults.fault_effect)
+main.add_command(cli_faults.detectability)
+main.add_command(cli_trials.simulate)
+main.add_command(cli_trials.compare)
 
 
 if __name__ == "__main__":

@@ -19,8 +19,10 @@ from typing import TYPE_CHECKING
 from fkgen.runtime import cache
 from fkgen.runtime.compiler import find_compiler
 from fkgen.runtime.library import load, make
+from fkgen.runtime.sampler import CompiledSampler, make_sampler
 
 if TYPE_CHECKING:
+    from fkgen.backend.sampler import SamplerSource
     from fkgen.backend.source import Source
     from fkgen.proof import Validated
     from fkgen.runtime.compiled import CompiledFilter
@@ -74,3 +76,25 @@ def build(spec: Spec) -> CompiledFilter:
     compiler = find_compiler()
     key = cache.key_of(cache.own_digest(), spec.canonical(), compiler.identity)
     return load(cache.find(key) or make(key, generate(validate(spec)), compiler))
+
+
+def sampler(spec: Spec) -> CompiledSampler:
+    """Write the plant and the faults of a spec as C that draws trials, compile and load it.
+
+    Raises
+    ------
+    SpecError
+        If the spec does not say how its faults come about.
+    CompilerError, OutputError
+        As `compile` does.
+    """
+    compiler = find_compiler()
+    key = cache.key_of("sampler", cache.own_digest(), spec.canonical(), compiler.identity)
+    return CompiledSampler(cache.find(key) or make_sampler(key, _sampler_source(spec), compiler))
+
+
+def _sampler_source(spec: Spec) -> SamplerSource:
+    from fkgen.backend.sampler import lower_sampling, render_sampler  # noqa: PLC0415 - see above
+    from fkgen.symbolic.sampling import sampling_of  # noqa: PLC0415 - see above
+
+    return render_sampler(lower_sampling(sampling_of(spec)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from interacting_models import ALIKE, any_modes, jumping
 from models import PARAMETERS, VARYING, random_model, run
 
 import fkgen
@@ -118,6 +119,7 @@ KINDS = {
     "augmented": ("3", {"family": "linear_optimal", "form": "augmented"}),
     "genie": ("genie", {}),
 }
+EVERY = (*KINDS, "imm_jump")
 #: Those with inputs; for the others (23) has no constant term.
 DRIVEN = tuple(name for name in KINDS if name not in {"linear_absorbing", "linear_moments"})
 
@@ -141,6 +143,8 @@ def every(scalar="double", model=None):
         plant = model if name in DRIVEN else centred(model)
         chosen = {"family": name} | options
         result[name] = sensed(plant, laws[law] | rows, code={"scalar": scalar}, **chosen)
+    modes = any_modes(71, 2, 2, 1)
+    result["imm_jump"] = jumping(model, modes, transition=ALIKE, code={"scalar": scalar})
     return result
 
 

@@ -180,12 +180,6 @@ def estimates(compiled: fkgen.CompiledFilter, runs: Runs) -> tuple[Floats, Float
         x(k|k), and the variance of its error as the filter sees it.
     """
     keep = ("filtered_state", "filtered_covariance")
-    if compiled.family != "genie":
-        run = compiled.run_batch(runs.measured, keep=keep)
-        return run.filtered_state[..., 0], run.filtered_covariance[..., 0, 0]
-    state, variance = np.empty_like(runs.state), np.empty_like(runs.state)
-    for m, y in enumerate(runs.measured):
-        faults = {"gamma": runs.gamma[m], "delta": runs.delta[m]}
-        run = compiled.run(y, params=faults, keep=keep)
-        state[m], variance[m] = run.filtered_state[:, 0], run.filtered_covariance[:, 0, 0]
-    return state, variance
+    told = {"gamma": runs.gamma, "delta": runs.delta} if compiled.family == "genie" else None
+    run = compiled.run_batch(runs.measured, params=told, keep=keep)
+    return run.filtered_state[..., 0], run.filtered_covariance[..., 0, 0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator as arithmetic
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from fkgen.backend.ir import (
 from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind, Status
 
-_ARITHMETIC: dict[Operator, Callable[..., Number]] = {
+ARITHMETIC: dict[Operator, Callable[..., Number]] = {
     Operator.ADD: arithmetic.add,
     Operator.SUB: arithmetic.sub,
     Operator.MUL: arithmetic.mul,
@@ -52,8 +53,17 @@ class Machine:
 
     def __init__(self, program: CProgram) -> None:
         self.program = program
-        self.elementary = Elementary(program.scalar)
-        self.real = self.elementary.real
+        elementary = Elementary(program.scalar)
+        self.use(elementary.real, elementary, ARITHMETIC)
+
+    def use(
+        self,
+        real: Any,
+        elementary: Callable[[Operator, list[Number]], Number],
+        arithmetic: Mapping[Operator, Callable[..., Number]],
+    ) -> None:
+        """Compute with other numbers than the program's: a constructor, functions, operators."""
+        self.real, self.elementary, self.arithmetic = real, elementary, arithmetic
         self.reset()
 
     def reset(self) -> None:
@@ -83,7 +93,14 @@ class Machine:
                 if status is not Status.OK:
                     return status
         self.ports = state
-        return Status.OK if any(present) else Status.SKIPPED
+        return self._outcome() if any(present) else Status.SKIPPED
+
+    def _outcome(self) -> Status:
+        """The status of a sample that was used, or rejected by a test."""
+        for outcome in self.program.outcomes:
+            if self.ports[outcome.port][0] > outcome.level:
+                return outcome.status
+        return Status.OK
 
 
 class _Run:
@@ -157,7 +174,7 @@ class _Run:
         values = [self.value(argument) for argument in arguments]
         if operator.is_function:
             return self.machine.elementary(operator, values)
-        return _ARITHMETIC[operator](*values)
+        return self.machine.arithmetic[operator](*values)
 
 
 def _holds(kind: Kind, value: Number) -> bool:

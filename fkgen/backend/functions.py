@@ -118,7 +118,7 @@ def functions_of(c: Printer) -> list[Function]:
     moved_next = _call(c, "propagate", program.predict, "&next")
     any_row = " | ".join(f"present[{i}]" for i in range(c.words)) if c.words > 1 else "present"
     ok, skipped = c.status(Status.OK), c.status(Status.SKIPPED)
-    outcome = f"(({any_row}) != 0u) ? {ok} : {skipped}"
+    outcome = f"(({any_row}) != 0u) ? {c.outcome} : {skipped}"
     step = (*correct, moved_next)
     return [
         Function("update", tuple(correct), True, False, _any_null(measured), outcome),  # noqa: FBT003

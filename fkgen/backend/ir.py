@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal as Either
 
-from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.interface import VERDICTS, Kind, Outcome, Port, Status
 
 Scalar = Either["double", "float"]
 
@@ -219,6 +219,13 @@ class CProgram:
     update: Phase
     predict: Phase
     closing: Phase | None = None
+    outcomes: tuple[Outcome, ...] = ()
+
+    @property
+    def statuses(self) -> tuple[Status, ...]:
+        """What its functions can return."""
+        told = {outcome.status for outcome in self.outcomes}
+        return tuple(status for status in Status if status not in VERDICTS or status in told)
 
     @property
     def phases(self) -> tuple[Phase, ...]:

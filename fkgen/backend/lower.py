@@ -33,6 +33,7 @@ from fkgen.backend.ir import (
 from fkgen.backend.verify import verify
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.version import API_VERSION
 
@@ -76,17 +77,21 @@ def lower(recursion: sym.Recursion) -> CProgram:
             sample_time=model.sample_time,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
             ports=recursion.ports,
+            outcomes=recursion.outcomes,
             initial=tuple(sorted(recursion.initial.items())),
-            update=_lower_phase(recursion, recursion.update),
-            predict=_lower_phase(recursion, recursion.predict),
-            closing=_lower_phase(recursion, recursion.closing) if recursion.closing else None,
+            update=lower_phase(recursion.ports, recursion.update),
+            predict=lower_phase(recursion.ports, recursion.predict),
+            closing=lower_phase(recursion.ports, recursion.closing) if recursion.closing else None,
             **signals,
         )
     )
 
 
-def _lower_phase(recursion: sym.Recursion, phase: sym.Phase) -> Phase:
-    lowering = _Lowering({port.name: bool(port.shape) for port in recursion.ports}, phase)
+def lower_phase(
+    ports: tuple[Port, ...], phase: sym.Phase, inputs: tuple[str, ...] = ("u", "y")
+) -> Phase:
+    """Turn one phase into statements; ``inputs`` are arguments of the function, not members."""
+    lowering = _Lowering({port.name: bool(port.shape) for port in ports}, phase, inputs)
     for block in phase.blocks:
         lowering.take(block)
     body = lowering.body()
@@ -127,6 +132,7 @@ class _Lowering:
 
     ports: Mapping[str, bool]
     phase: sym.Phase
+    inputs: tuple[str, ...]
     written: set[str] = field(default_factory=set)
     temps: int = 0
     title: str = ""
@@ -215,7 +221,7 @@ class _Lowering:
     def _element(self, name: str, index: int, *, read: bool) -> Element:
         if name.startswith(PARAMETER):
             return Element(Space.PARAMETER, name.removeprefix(PARAMETER), None)
-        if name in ("u", "y"):
+        if name in self.inputs:
             return Element(Space.INPUT, name, index)
         if name in self.ports:
             space = Space.SELF if read and name not in self.written else Space.NEXT

@@ -20,6 +20,7 @@ from fkgen.backend.ir import (
     Operate,
     Operator,
     Require,
+    Scalar,
     Space,
     Statement,
     Temp,
@@ -31,20 +32,24 @@ _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV:
 _WORD_BITS = 32
 
 
-class Printer:
-    """Print the nodes of one program.
+class StatementPrinter:
+    """Print statements.
 
     Parameters
     ----------
-    program : CProgram
-        Gives names their prefix and literals their type.
+    name : str
+        Prefix of the names of functions and statuses.
+    scalar : str
+        Type of literals and temporaries.
+    rows : int
+        Number of rows of y.
     """
 
-    def __init__(self, program: CProgram) -> None:
-        self.program = program
-        self.name = program.name
-        self.real = program.scalar
-        self.upper = program.name.upper()
+    def __init__(self, name: str, scalar: Scalar, rows: int) -> None:
+        self.name = name
+        self.real = scalar
+        self.rows = rows
+        self.upper = name.upper()
 
     @property
     def limit(self) -> str:
@@ -59,7 +64,7 @@ class Printer:
     @property
     def words(self) -> int:
         """32-bit words that one bit per row of y needs."""
-        return (len(self.program.outputs) + _WORD_BITS - 1) // _WORD_BITS
+        return (self.rows + _WORD_BITS - 1) // _WORD_BITS
 
     def literal(self, value: float) -> str:
         """A constant that reads back as the same bits."""
@@ -146,7 +151,7 @@ class Printer:
 
     @statement.register
     def _(self, node: IfPresent, depth: int) -> str:
-        rows = range(len(self.program.outputs)) if node.row is None else [node.row]
+        rows = range(self.rows) if node.row is None else [node.row]
         test = self.bit(rows[0]) if len(rows) == 1 else self._any()
         return f"{_indent(depth)}if ({test})\n{_braced(self.block(node.body, depth + 1), depth)}"
 
@@ -175,6 +180,29 @@ class Printer:
                 place = "" if index is None else f"[{index}]"
                 return f"{prefix.get(space, '')}{name}{place}"
         raise InternalError(f"no operand: {operand!r}")
+
+
+class Printer(StatementPrinter):
+    """Print the nodes of one program.
+
+    Parameters
+    ----------
+    program : CProgram
+        Gives names their prefix and literals their type.
+    """
+
+    def __init__(self, program: CProgram) -> None:
+        super().__init__(program.name, program.scalar, len(program.outputs))
+        self.program = program
+
+    @property
+    def outcome(self) -> str:
+        """Status of a sample with a row: that of the first outcome that applies."""
+        text = self.status(Status.OK)
+        for outcome in reversed(self.program.outcomes):
+            above = f"self->{outcome.port} > {self.literal(outcome.level)}"
+            text = f"(({above}) ? {self.status(outcome.status)} : {text})"
+        return text
 
 
 def _all(tests: list[str]) -> str:

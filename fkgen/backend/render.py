@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jinja2
 
-from fkgen.backend.elementary import FORMATS
+from fkgen.backend.elementary_text import elementary_context
 from fkgen.backend.functions import (
     INLINED,
     argument_doc,
@@ -46,18 +46,19 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     context = _context(program)
     name = program.name
     files = {
-        f"{name}.h": _text("header.h.j2", context),
-        f"{name}.c": _text("source.c.j2", context),
-        f"{name}_selftest.c": _text("selftest.c.j2", context),
-        f"{name}_selftest_main.c": _text("selftest_main.c.j2", context),
-        "CMakeLists.txt": _text("CMakeLists.txt.j2", context),
+        f"{name}.h": filled("header.h.j2", context),
+        f"{name}.c": filled("source.c.j2", context),
+        f"{name}_selftest.c": filled("selftest.c.j2", context),
+        f"{name}_selftest_main.c": filled("selftest_main.c.j2", context),
+        "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
-    record = _text("record.c.j2", context | {"call": step_call(program, record=True)})
+    record = filled("record.c.j2", context | {"call": step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
     return Source(program=program, files=complete, record=record, claims=claims)
 
 
-def _text(template: str, context: dict[str, object]) -> str:
+def filled(template: str, context: dict[str, object]) -> str:
+    """A template filled in, without blanks at the end of lines and without gaps."""
     text = environment().get_template(template).render(context)
     lines = [line.rstrip() for line in text.splitlines()]
     kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
@@ -67,24 +68,9 @@ def _text(template: str, context: dict[str, object]) -> str:
 def _context(program: CProgram) -> dict[str, object]:
     c = Printer(program)
     vectors = self_test_vectors(program)
-    needs = {op.value: op in program.functions for op in Operator if op.is_function}
-    needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
-    needs["scale"] = needs["exp"]
-    needs["sqrt"] = needs["sqrt"] or needs["atan2"]
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
-    return {
-        "c": c,
+    return elementary_context(c, program.functions) | {
         "program": program,
-        "name": c.name,
-        "upper": c.upper,
-        "real": c.real,
-        "word": "uint64_t" if c.real == "double" else "uint32_t",
-        "f": FORMATS[program.scalar],
-        "needs": needs,
-        "needs_elementary": bool(program.functions),
-        "root2": math.sqrt(2.0),
-        "ln2": math.log(2.0),
-        "pi": math.pi,
         "version": __version__,
         "api": API_VERSION,
         "title": _title(program),
@@ -92,7 +78,8 @@ def _context(program: CProgram) -> dict[str, object]:
         "signal_groups": _signal_groups(program),
         "cost": cost(program),
         "scalars": sum(port.size for port in program.ports),
-        "statuses": tuple(Status),
+        "statuses": program.statuses,
+        "positive": [c.status(status) for status in program.statuses if status.value >= 0],
         "null": Status.NULL_POINTER,
         "bad_input": Status.INPUT_NOT_FINITE,
         "mismatch": Status.SELFTEST_FAILED,
@@ -183,7 +170,7 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
             {"name": p.name, "shape": list(p.shape), "symmetric": p.symmetric, "meaning": p.meaning}
             for p in program.ports
         ],
-        "statuses": {status.name: status.value for status in Status},
+        "statuses": {status.name: status.value for status in program.statuses},
     }
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from fkgen.backend.execute import Machine
 from fkgen.backend.ir import CProgram, Vectors
 from fkgen.errors import InternalError
-from fkgen.symbolic.interface import Status
 
 SAMPLES = 6
 
@@ -31,7 +30,7 @@ def self_test_vectors(program: CProgram) -> Vectors:
     trace = []
     for k in range(SAMPLES):
         status = machine.step(tuple(u[k]), tuple(y[k]), parameters)
-        if status not in (Status.OK, Status.SKIPPED):
+        if status.value < 0:
             raise InternalError(f"{program.name}: the self-test is refused: {status.meaning}")
         trace.append(tuple(float(v) for v in machine.ports["filtered_state"]))
     final = tuple((n, tuple(float(v) for v in values)) for n, values in machine.ports.items())

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from fkgen.closed_form.gaussian import Array
+from fkgen.closed_form.jump import JumpSystem, simulate_jumps
 from fkgen.closed_form.sensor import SensorLaw, gamma_delta, simulate_sensor
 from fkgen.closed_form.system import LinearSystem, simulate
 from fkgen.spec import SensorFaults, Spec
@@ -39,6 +40,8 @@ def draw_record(
         Those given, with the indicators of the faults for a family that is told them.
     """
     T, faults = len(u), spec.faults.sensor
+    if spec.faults.jump is not None:
+        return _jump_record(spec, parameters, u, rng), {**parameters}
     if faults is None:
         hypotheses = spec.filter.hypotheses
         rates = hypotheses[0] if hypotheses else None
@@ -48,6 +51,16 @@ def draw_record(
     gamma, delta = gamma_delta(law, modes)
     told = {"gamma": gamma, "delta": delta} if spec.filter.family == "genie" else {}
     return y, {**parameters, **told}
+
+
+def _jump_record(
+    spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
+) -> Array:
+    """Measurements of a jumping plant; what was lost is NaN for a filter that knows it."""
+    record = simulate_jumps(JumpSystem.from_spec(spec, len(u), parameters), u, rng)
+    if spec.faults.jump is not None and spec.faults.jump.arrival == "known":
+        record.y[~record.arrived] = np.nan
+    return record.y
 
 
 def informed(

@@ -1,4 +1,4 @@
-"""The exact posterior under sensor faults: one Kalman filter per history of the modes."""
+"""The exact posterior of a plant with modes: one Kalman filter per history of the modes."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fkgen.closed_form.gaussian import Array
-from fkgen.closed_form.sensor import SensorLaw, mode_plant
+from fkgen.closed_form.jump import JumpSystem
+from fkgen.closed_form.sensor import SensorLaw, sensed_modes
 from fkgen.closed_form.system import LinearSystem
 from fkgen.errors import DataError
 
-#: Samples up to which the histories, 4^T of them, are enumerated.
-LONGEST_RECORD = 6
+#: Up to so many histories are enumerated: six samples of four modes.
+MOST_HISTORIES = 4**6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,9 +30,9 @@ class EnumerationResult:
         y[k] - E[y[k] | y[0..k-1]], NaN where y is, and its covariance, all rows.
     log_likelihood : (T,) ndarray
         log p(y[k] | y[0..k-1]) of the finite rows; 0 if there are none.
-    mode_probability, predicted_mode_probability : (T, 4) ndarray
+    mode_probability, predicted_mode_probability : (T, N) ndarray
         Law of the mode at k and at k+1 given y[0..k].
-    mode_filtered_state, mode_filtered_covariance : (T, 4, n), (T, 4, n, n) ndarray
+    mode_filtered_state, mode_filtered_covariance : (T, N, n), (T, N, n, n) ndarray
         Mean and covariance of x[k] given y[0..k] and the mode at k; NaN where that mode has no
         probability.
     """
@@ -67,7 +68,7 @@ class _History:
 def enumerate_modes(
     system: LinearSystem, law: SensorLaw, y: Array, u: Array | None
 ) -> EnumerationResult:
-    """Sum over all histories of the modes that have a probability.
+    """Sum over all histories of the conditions of a sensor.
 
     Parameters
     ----------
@@ -88,62 +89,88 @@ def enumerate_modes(
     ------
     DataError
         If the record is longer.
+    """
+    return enumerate_jumps(sensed_modes(system, law), y, system.inputs(u))
+
+
+def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult:
+    """Sum over all histories of the modes that have a probability.
+
+    Parameters
+    ----------
+    system : JumpSystem
+        The plant over T samples with at most 4096 histories; R positive definite. Mode k + 1 drives
+        the step from x[k] to x[k+1], with the matrices of sample k, and y[k+1].
+    y, u : (T, p), (T, q) ndarray
+        Measurements, NaN = missing; known inputs.
+
+    Returns
+    -------
+    EnumerationResult
+
+    Raises
+    ------
+    DataError
+        If the record is longer.
 
     Notes
     -----
     Given a history the plant is linear and Gaussian, so its Kalman filter is exact, and the
     posterior is the mixture of the filters weighted with prior probability times evidence.
     """
-    T, u = system.length, system.inputs(u)
-    if T > LONGEST_RECORD:
-        raise DataError("y", given=f"{T} samples", expected=f"at most {LONGEST_RECORD}")
-    starts = [_branch(0.0, law.initial[j], j, system.x0, system.P0) for j in range(4)]
-    histories = [history for history in starts if history is not None]
+    _refuse_long(system)
+    T, N = system.length, system.count
+    histories = _branches(0.0, system.initial, [(system.x0, system.P0)] * N)
     rows = []
     for k in range(T):
-        plants = [mode_plant(system, law, k, mode) for mode in range(4)]
+        plants = [(system.C[k, i], system.D[k, i], system.R[k, i]) for i in range(N)]
         expected = _expected(histories, plants, u[k])
         histories = [_filtered(h, plants[h.mode], y[k], u[k]) for h in histories]
         histories, log_likelihood = _normalised(histories)
-        row = _moments(histories)
-        ahead = system.A[k] @ row["filtered_state"] + system.B[k] @ u[k]
+        now = _moments(histories, N)
+        histories = _successors(system, k, u[k], histories)
+        ahead = _moments(histories, N)
         rows.append(
-            {
-                **row,
-                "predicted_state": ahead,
-                "predicted_covariance": system.A[k] @ row["filtered_covariance"] @ system.A[k].T
-                + system.Q[k],
+            now
+            | {
+                "predicted_state": ahead["filtered_state"],
+                "predicted_covariance": ahead["filtered_covariance"],
                 "innovation": y[k] - expected[0],
                 "innovation_covariance": expected[1],
                 "log_likelihood": np.array(log_likelihood),
-                "predicted_mode_probability": row["mode_probability"] @ law.kernel,
+                "predicted_mode_probability": ahead["mode_probability"],
             }
         )
-        histories = _successors(system, law, k, u[k], histories)
     return EnumerationResult(**{name: np.array([row[name] for row in rows]) for name in rows[0]})
 
 
-def _branch(
-    log_weight: float, probability: float, mode: int, state: Array, covariance: Array
-) -> _History | None:
-    """A history prolonged by one mode; None if that is impossible."""
-    if probability == 0.0:
-        return None
-    log_weight += float(np.log(probability))
-    return _History(mode=mode, log_weight=log_weight, state=state, covariance=covariance)
+def _refuse_long(system: JumpSystem) -> None:
+    T, N = system.length, system.count
+    starts = np.count_nonzero(system.initial)
+    if starts * N ** (T - 1) > MOST_HISTORIES:
+        longest = next(t for t in range(T, 0, -1) if starts * N ** (t - 1) <= MOST_HISTORIES)
+        raise DataError("y", given=f"{T} samples", expected=f"at most {longest}")
 
 
-def _successors(
-    system: LinearSystem, law: SensorLaw, k: int, u: Array, histories: list[_History]
-) -> list[_History]:
-    """Predict every history and prolong it by every mode."""
-    A, B, Q = system.A[k], system.B[k], system.Q[k]
+def _branches(log_weight: float, law: Array, moments: list[tuple[Array, Array]]) -> list[_History]:
+    """A history prolonged by every mode that has a probability, with what it leads to."""
+    return [
+        _History(mode=j, log_weight=log_weight + float(np.log(law[j])), state=x, covariance=P)
+        for j, (x, P) in enumerate(moments)
+        if law[j] > 0.0
+    ]
+
+
+def _successors(system: JumpSystem, k: int, u: Array, histories: list[_History]) -> list[_History]:
+    """Prolong every history by every mode, which moves it."""
     longer = []
     for h in histories:
-        state, covariance = A @ h.state + B @ u, A @ h.covariance @ A.T + Q
-        for mode, probability in enumerate(law.kernel[h.mode]):
-            longer.append(_branch(h.log_weight, probability, mode, state, covariance))
-    return [history for history in longer if history is not None]
+        moved = [
+            (A @ h.state + B @ u + c, A @ h.covariance @ A.T + Q)
+            for A, B, c, Q in zip(system.A[k], system.B[k], system.c[k], system.Q[k], strict=True)
+        ]
+        longer += _branches(h.log_weight, system.transition[h.mode], moved)
+    return longer
 
 
 def _filtered(history: _History, plant: tuple[Array, Array, Array], y: Array, u: Array) -> _History:
@@ -184,15 +211,15 @@ def _normalised(histories: list[_History]) -> tuple[list[_History], float]:
     return [replace(h, log_weight=float(log)) for h, log in pairs], float(logsumexp(logs))
 
 
-def _moments(histories: list[_History]) -> dict[str, Array]:
+def _moments(histories: list[_History], N: int) -> dict[str, Array]:
     """Moments given the measurements so far."""
     modes = np.array([h.mode for h in histories])
     logs = np.array([h.log_weight for h in histories])
     means = np.array([h.state for h in histories])
     covariances = np.array([h.covariance for h in histories])
     n = means.shape[1]
-    probability, mode_mean = np.zeros(4), np.full((4, n), np.nan)
-    mode_covariance = np.full((4, n, n), np.nan)
+    probability, mode_mean = np.zeros(N), np.full((N, n), np.nan)
+    mode_covariance = np.full((N, n, n), np.nan)
     for mode in np.unique(modes):
         member = modes == mode
         probability[mode] = np.exp(logs[member]).sum()

@@ -6,12 +6,14 @@ is kept because it is what the derivation says; the recursion that it judges car
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from fkgen.closed_form.fault_moments import FaultMoments
 from fkgen.closed_form.gaussian import Array
+from fkgen.closed_form.mixture import stacked
 from fkgen.closed_form.sensor import SAME_PROBABILITY, SensorLaw, mode_plant
 from fkgen.closed_form.system import LinearSystem
 from fkgen.closed_form.textbook import scaled_pseudo_inverse
@@ -91,32 +93,43 @@ def linear_optimal(
     Sigalov, Oshman, eq. (19)-(23).
     """
     require_sensor_faults_only(system, moments)
-    n = system.nx
     u = system.inputs(u)
     _require_zero_mean(system, moments, u)
+    return LinearOptimalResult(**stacked(list(_samples(system, moments, y, u))))
+
+
+def _samples(
+    system: LinearSystem, moments: FaultMoments, y: Array, u: Array
+) -> Iterator[dict[str, Array]]:
+    """What `linear_optimal` reports, sample by sample."""
+    n = system.nx
     estimate = np.append(system.x0, 1.0)
     X, V = np.outer(estimate, estimate), np.outer(estimate, estimate)
     X[:n, :n] += system.P0
     onward = np.eye(n + 1)  # no time update in front of sample 0
-    rows = []
     for k, measurement in enumerate(_measurements(system, moments, u)):
         row, estimate, V = _update(measurement, estimate, (X, V), y[k])
-        row["state_gain"] = (row["map"] @ onward)[:n, :n]
-        row["offset"] = (row["map"] @ onward)[:n, n]
-        row["state_second_moment"], row["estimate_second_moment"] = X[:n, :n], V[:n, :n]
-        row["filtered_state"], row["filtered_covariance"] = estimate[:n], (X - V)[:n, :n]
-        onward = np.eye(n + 1)
-        onward[:n, :n], onward[:n, n] = system.A[k], system.B[k] @ u[k]
+        gains = row.pop("map") @ onward
+        row |= {"state_gain": gains[:n, :n], "offset": gains[:n, n]}
+        row |= {"state_second_moment": X[:n, :n], "estimate_second_moment": V[:n, :n]}
+        row |= _estimate("filtered", estimate, X - V)
+        onward = _onward(system, k, u[k])
         estimate, X, V = onward @ estimate, onward @ X @ onward.T, onward @ V @ onward.T
         X[:n, :n] += system.Q[k]
-        row["predicted_state"], row["predicted_covariance"] = estimate[:n], (X - V)[:n, :n]
-        rows.append(row)
-    return LinearOptimalResult(
-        **{
-            name: np.array([row[name] for row in rows])
-            for name in LinearOptimalResult.__dataclass_fields__
-        }
-    )
+        yield row | _estimate("predicted", estimate, X - V)
+
+
+def _estimate(of: str, estimate: Array, error: Array) -> dict[str, Array]:
+    """The part of (x, 1) that is not known."""
+    return {f"{of}_state": estimate[:-1], f"{of}_covariance": error[:-1, :-1]}
+
+
+def _onward(system: LinearSystem, k: int, u: Array) -> Array:
+    """What takes (x, 1) from sample k to sample k + 1."""
+    n = system.nx
+    onward = np.eye(n + 1)
+    onward[:n, :n], onward[:n, n] = system.A[k], system.B[k] @ u
+    return onward
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -224,27 +237,36 @@ def true_covariance(
         If the actuators fail.
     """
     require_sensor_faults_only(system, FaultMoments.from_law(law, system.length))
-    T, n = system.length, system.nx
-    u = system.inputs(u)
+    T, n, (F1, F2), u = system.length, system.nx, gains, system.inputs(u)
     shift = np.zeros((T, n)) if offset is None else offset
-    F1, F2 = gains
-    start = np.concatenate([system.x0, system.x0, [1.0]])
-    second = np.outer(start, start)
-    second[:n, :n] += system.P0
-    by_mode = law.initial[:, None, None] * second
+    by_mode = law.initial[:, None, None] * _start(system)
     error = np.hstack([np.eye(n), -np.eye(n), np.zeros((n, 1))])
-    onward, excited = np.eye(2 * n + 1), np.zeros((2 * n + 1, 2 * n + 1))
-    covariance = np.empty((T, n, n))
+    onward, covariance = np.eye(2 * n + 1), np.empty((T, n, n))
     for k in range(T):
         for mode in range(4):
             C, D, R = mode_plant(system, law, k, mode)
-            update, noise = np.eye(2 * n + 1), np.zeros((2 * n + 1, 2 * n + 1))
-            update[n:-1] = np.column_stack([F2[k] @ C, F1[k], F2[k] @ D @ u[k] + shift[k]])
-            noise[n:-1, n:-1] = F2[k] @ R @ F2[k].T
-            by_mode[mode] = update @ by_mode[mode] @ update.T + by_mode[mode, -1, -1] * noise
+            estimate = np.column_stack([F2[k] @ C, F1[k], F2[k] @ D @ u[k] + shift[k]])
+            by_mode[mode] = _updated(by_mode[mode], estimate, F2[k] @ R @ F2[k].T)
         covariance[k] = error @ by_mode.sum(axis=0) @ error.T
         onward[:n, :n], onward[:n, -1] = system.A[k], system.B[k] @ u[k]
-        excited[:n, :n] = system.Q[k]
-        by_mode = np.einsum("ij,iab->jab", law.kernel, by_mode)
-        by_mode = onward @ by_mode @ onward.T + by_mode[:, -1:, -1:] * excited
+        by_mode = onward @ np.einsum("ij,iab->jab", law.kernel, by_mode) @ onward.T
+        by_mode[:, :n, :n] += by_mode[:, -1:, -1:] * system.Q[k]
     return covariance
+
+
+def _start(system: LinearSystem) -> Array:
+    """Second moments of (x, xhat, 1) before sample 0: the estimate is x0."""
+    start = np.concatenate([system.x0, system.x0, [1.0]])
+    second = np.outer(start, start)
+    second[: system.nx, : system.nx] += system.P0
+    return second
+
+
+def _updated(second: Array, estimate: Array, noise: Array) -> Array:
+    """Second moments of (x, xhat, 1) once xhat is ``estimate`` @ (x, xhat, 1) and noise."""
+    n = len(estimate)
+    update = np.eye(2 * n + 1)
+    update[n:-1] = estimate
+    updated = update @ second @ update.T
+    updated[n:-1, n:-1] += second[-1, -1] * noise
+    return updated

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.closed_form.gaussian import Array, square_root
+from fkgen.closed_form.jump import JumpSystem
 from fkgen.closed_form.system import LinearSystem
 from fkgen.errors import DataError
 from fkgen.spec import Spec
@@ -112,6 +113,30 @@ def mode_plant(
     noise[list(law.rows)] = np.sqrt(delta[0])
     G, T = np.diag(signal), np.diag(noise)
     return G @ system.C[k], G @ system.D[k], T @ system.R[k] @ T
+
+
+def sensed_modes(system: LinearSystem, law: SensorLaw) -> JumpSystem:
+    """The four conditions of the sensor as modes that all move alike."""
+    T = system.length
+    plants = [[mode_plant(system, law, k, mode) for mode in range(4)] for k in range(T)]
+    measured = {
+        letter: np.array([[plant[at] for plant in row] for row in plants])
+        for at, letter in enumerate("CDR")
+    }
+    moving = {
+        letter: np.repeat(getattr(system, letter)[:, np.newaxis], 4, axis=1) for letter in "ABQ"
+    }
+    return JumpSystem(
+        **measured,
+        **moving,
+        c=np.zeros((T, 4, system.nx)),
+        x0=system.x0,
+        P0=system.P0,
+        transition=law.kernel,
+        initial=law.initial,
+        arrival=np.array([[0.0, 1.0]] * 2),
+        arrival_initial=np.array([0.0, 1.0]),
+    )
 
 
 def gamma_delta(law: SensorLaw, modes: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -136,7 +136,7 @@ class LinearSystem:
         -------
         LinearSystem
         """
-        samples, which = _parameter_samples(spec, T, params)
+        samples, which = parameter_samples(spec, T, params)
         model = spec.model
         plant = {
             name: np.array([getattr(model, name).values(sample) for sample in samples])[which]
@@ -154,7 +154,7 @@ class LinearSystem:
         )
 
 
-def _parameter_samples(
+def parameter_samples(
     spec: Spec, T: int, params: Mapping[str, Array | float] | None
 ) -> tuple[list[dict[str, float]], list[int]]:
     """Distinct values of all parameters, and which of them holds at each of T samples."""

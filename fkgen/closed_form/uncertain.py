@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from fkgen.closed_form.batch import BatchResult, Joint, joint_distribution
 from fkgen.closed_form.fault_moments import FaultMoments
@@ -20,6 +21,7 @@ from fkgen.closed_form.gaussian import (
     square_root,
     whiten,
 )
+from fkgen.closed_form.mixture import stacked
 from fkgen.closed_form.system import LinearSystem
 from fkgen.errors import DataError
 
@@ -63,10 +65,8 @@ def joint_moments(
     mean[split:] = (gain * signal).ravel()
     for k in range(T):
         at = slice(split + k * p, split + (k + 1) * p)
-        for i in range(T + 1):
-            cross = state[i, k] @ system.C[k].T * gain[k]
-            covariance[i * n : (i + 1) * n, at] = cross
-            covariance[at, i * n : (i + 1) * n] = cross.T
+        cross = (state[:, k] @ system.C[k].T * gain[k]).reshape(split, p)
+        covariance[:split, at], covariance[at, :split] = cross, cross.T
         for i in range(T):
             # E[G_k G_i] entry by entry: one gamma in all rows that fail, 1 in the others.
             fails = moments.gamma_pair[k, i] - moments.gamma[k] * moments.gamma[i]
@@ -124,20 +124,18 @@ def joint_uncertain(system: LinearSystem, moments: FaultMoments, u: Array | None
     gain = moments.gains(p).reshape(T * p, 1)
     e = np.repeat(moments.gamma_root, p, axis=0) * np.tile(moments.faulty(p), T)[:, None]
     e = e[:, e.any(axis=0)]
-    noise = np.zeros((T, p, T, p))
-    noise[np.arange(T), :, np.arange(T), :] = square_root(moments.noise(system.R))
+    noise = block_diag(*square_root(moments.noise(system.R)))
     measurements = [
         gain * z,
         e * signal.measurement_mean.reshape(T * p, 1),
         (e[:, :, None] * z[:, None, z.any(axis=0)]).reshape(T * p, -1),
-        noise.reshape(T * p, T * p),
+        noise,
     ]
+    states = signal.state_root.reshape((T + 1) * n, size)
     width = sum(part.shape[1] for part in measurements)
-    stacked = np.zeros(((T + 1) * n + T * p, width))
-    stacked[: (T + 1) * n, :size] = signal.state_root.reshape((T + 1) * n, size)
-    stacked[(T + 1) * n :] = np.hstack(measurements)
     # The same vectors in as few coordinates as they need.
-    root = np.linalg.qr(stacked.T).R.T
+    whole = np.vstack([np.pad(states, ((0, 0), (0, width - size))), np.hstack(measurements)])
+    root = np.linalg.qr(whole.T).R.T
     return Joint(
         state_mean=signal.state_mean,
         state_root=root[: (T + 1) * n].reshape(T + 1, n, -1),
@@ -174,34 +172,18 @@ def batch_uncertain(
         If the actuators fail, the samples differ in number, or no gamma has these moments.
     """
     joint = joint_uncertain(system, moments, u)
-    T, n, p = system.length, system.nx, system.ny
-    result = BatchResult(
-        filtered_state=np.empty((T, n)),
-        filtered_covariance=np.empty((T, n, n)),
-        predicted_state=np.empty((T, n)),
-        predicted_covariance=np.empty((T, n, n)),
-        innovation=np.empty((T, p)),
-        innovation_covariance=np.empty((T, p, p)),
-        nis=np.zeros(T),
-        log_likelihood=np.zeros(T),
-    )
-    past = _past(joint, y, 0)
-    for k in range(T):
+    rows, past = [], _past(joint, y, 0)
+    for k in range(system.length):
         mean, root = _given(past, joint.measurement_mean[k], joint.measurement_root[k])
-        result.innovation[k] = y[k] - mean
-        result.innovation_covariance[k] = root @ root.T
-        result.nis[k], result.log_likelihood[k] = _agreement(
-            y[k] - mean, root, joint.measurement_root[k]
-        )
+        nis, density = _agreement(y[k] - mean, root, joint.measurement_root[k])
+        row = {"innovation": y[k] - mean, "innovation_covariance": root @ root.T}
+        row |= {"nis": np.array(nis), "log_likelihood": np.array(density)}
         past = _past(joint, y, k + 1)
-        for ahead, state, covariance in (
-            (0, result.filtered_state, result.filtered_covariance),
-            (1, result.predicted_state, result.predicted_covariance),
-        ):
-            at = k + ahead
-            state[k], root = _given(past, joint.state_mean[at], joint.state_root[at])
-            covariance[k] = root @ root.T
-    return result
+        for at, of in ((k, "filtered"), (k + 1, "predicted")):
+            mean, root = _given(past, joint.state_mean[at], joint.state_root[at])
+            row |= {f"{of}_state": mean, f"{of}_covariance": root @ root.T}
+        rows.append(row)
+    return BatchResult(**stacked(rows))
 
 
 def require_sensor_faults_only(system: LinearSystem, moments: FaultMoments) -> None:

@@ -17,6 +17,7 @@ NAMES = (
     "one_step",
     "imm",
     "genie",
+    "mjls_lmmse",
     "compression_full",
     "dfcf",
     "cpcf",

@@ -19,7 +19,7 @@ from fkgen.closed_form import (
     textbook_mme,
 )
 from fkgen.families.family import Array, ClosedForm, Record
-from fkgen.spec import Spec
+from fkgen.spec import JumpMode, Model, Spec
 from fkgen.spec.covariance import is_singular
 
 __all__ = ["BATCH", "IDENTITIES", "MME_BATCH", "MME_TEXTBOOK", "OPTIMAL_GAIN", "RICCATI"]
@@ -35,9 +35,14 @@ PAPER = "Strandt, Schneider & Yaz"
 RANK_DEFICIENT = 1e-6
 
 
+def _plants(spec: Spec) -> tuple[Model | JumpMode, ...]:
+    """The matrices of every mode."""
+    return (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
+
+
 def has_exact_rows(spec: Spec) -> bool:
     """Whether some combination of the rows of y carries no noise."""
-    return is_singular(spec.model.R.values(spec.defaults))
+    return any(is_singular(each.R.values(spec.defaults)) for each in _plants(spec))
 
 
 def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None) -> LinearSystem:
@@ -54,16 +59,20 @@ def digits_at_stake(spec: Spec, record: Record) -> float:
     """`EXACT`, or what the ratio of state to measurement noise leaves of double precision."""
     if has_exact_rows(spec):
         return RANK_DEFICIENT
-    C, Q, R = (getattr(spec.model, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
-    noise = np.diag(R)
-    ratio = np.max(np.diag(C @ (record.P0 + Q) @ C.T) / noise)
+    ratio = max(_state_to_noise(spec, each, record.P0) for each in _plants(spec))
     growth = _growth(spec) ** (2 * len(record.y))
     return float(max(EXACT, 1e3 * np.finfo(float).eps * ratio * growth))
 
 
+def _state_to_noise(spec: Spec, plant: Model | JumpMode, P0: Array) -> float:
+    C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
+    return float(np.max(np.diag(C @ (P0 + Q) @ C.T) / np.diag(R)))
+
+
 def _growth(spec: Spec) -> float:
     """By how much an unstable plant amplifies in a sample what is not known exactly."""
-    return float(max(1.0, np.abs(np.linalg.eigvals(spec.model.A.values(spec.defaults))).max()))
+    dynamics = [each.A.values(spec.defaults) for each in _plants(spec)]
+    return float(max(1.0, *(np.abs(np.linalg.eigvals(A)).max() for A in dynamics)))
 
 
 def _batch(spec: Spec, record: Record) -> Mapping[str, Array]:

@@ -1,11 +1,13 @@
-"""Interacting multiple models over the conditions of the sensor.
+"""Interacting multiple models over the conditions of a sensor, or over modes of the plant.
 
-Sigalov & Oshman, sec. IV (Blom & Bar-Shalom 1988): one estimate per mode; before each sample the
-estimates are mixed by what the chain says about the mode before, eqs. (17), (18).
+Blom & Bar-Shalom 1988; for sensors Sigalov & Oshman, sec. IV: one estimate per mode; before each
+sample the estimates are mixed by what the chain says about the mode before, eqs. (17), (18). The
+mode of sample k drives the step into x[k], and y[k].
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from functools import partial
 
 import casadi as ca
@@ -16,7 +18,6 @@ from fkgen.families.sensor_evidence import ENUMERATION, IMM
 from fkgen.spec import Spec
 from fkgen.symbolic.actuation import certain
 from fkgen.symbolic.estimate import (
-    bound,
     demand_finite,
     demand_positive,
     estimated,
@@ -24,33 +25,44 @@ from fkgen.symbolic.estimate import (
     propagate,
 )
 from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.linalg import column
 from fkgen.symbolic.markov import Prediction, advance
 from fkgen.symbolic.mixture import Mixer
-from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
-from fkgen.symbolic.switching import Switching, modes_of
+from fkgen.symbolic.switching import Switching
+from fkgen.symbolic.switching_modes import Modes, mean_noise, move_alike
 from fkgen.symbolic.weights import TINY
+
+#: Timing of the modes where they move the state.
+JUMPING = "the mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k)"
 
 
 def build(spec: Spec) -> Recursion:
     """Build the filter: a correction per mode, Bayes' rule, mixing, a prediction per mode."""
     count = spec.filter.modes
-    filtering = Switching.of(spec, _mode_ports(spec.model.nx, count), count)
-    modes = modes_of(plant_of(spec), filtering.faults, count)
+    filtering = Switching.of(spec, _mode_ports(spec.model.nx, count))
     x0, packed = prior_of(spec)
-    initial = filtering.start(modes.initial)
+    initial = filtering.start()
     initial |= {f"mode_{of}state": x0 * count for of in ("", "filtered_")}
     initial |= {f"mode_{of}covariance": packed * count for of in ("", "filtered_")}
+    jumps = spec.faults.jump is not None
     return Recursion(
         spec=spec,
-        source="Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)",
+        source="Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
+        if jumps
+        else "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)",
         ports=filtering.ports,
         initial=initial,
         update=_update(filtering, count),
-        predict=_predict(filtering, modes.kernel),
-        notes=(f"covariance update: {filtering.form} form", modes.note),
+        predict=_predict(filtering),
+        notes=(
+            f"covariance update: {filtering.form} form",
+            filtering.modes.note,
+            *((JUMPING,) if jumps else ()),
+        ),
     )
 
 
@@ -72,7 +84,7 @@ def _mode_ports(n: int, count: int) -> tuple[Port, ...]:
 
 def _parts(filtering: Switching, prefix: str, count: int) -> list[tuple[ca.SX, ca.SX]]:
     """(state, packed covariance) of every mode."""
-    n, symbols = filtering.plant.nx, filtering.symbols
+    n, symbols = filtering.spec.model.nx, filtering.symbols
     states = ca.vertsplit(symbols[f"{prefix}state"], n)
     covariances = ca.vertsplit(symbols[f"{prefix}covariance"], n * (n + 1) // 2)
     return list(zip(states[:count], covariances[:count], strict=True))
@@ -82,8 +94,8 @@ def _update(filtering: Switching, count: int) -> Phase:
     script = Script(filtering.symbols)
     priors = _parts(filtering, "mode_", count)
     for _, packed in priors:
-        demand_positive(script, packed, filtering.plant.nx)
-    modes = filtering.modes(script, count)
+        demand_positive(script, packed, filtering.spec.model.nx)
+    modes = filtering.bound(script, "CDR")
     each = [filtering.update(script, modes, j, prior) for j, prior in enumerate(priors)]
     weights, results = filtering.weigh(script, each)
     states, covariances = [one.state for one in each], [one.covariance for one in each]
@@ -102,18 +114,17 @@ def _update(filtering: Switching, count: int) -> Phase:
     return script.phase()
 
 
-def _predict(filtering: Switching, kernel: tuple[tuple[float, ...], ...]) -> Phase:
+def _predict(filtering: Switching) -> Phase:
     script, symbols, spec = Script(filtering.symbols), filtering.symbols, filtering.spec
-    plant = bound(script, filtering.plant, "ABQ")
+    modes = filtering.bound(script, "ABcQ")
     with script.titled("law of the next mode, and mixing weights"):
         now = (symbols["mode_probability"], symbols["log_weight"])
-        law = advance(script, kernel, now, spec.code.scalar, mixing=True)
+        law = advance(script, modes.kernel, now, spec.code.scalar, mixing=True)
     with script.titled("mixing and prediction of every mode"):
-        moved = _moved(script, filtering, plant, law)
+        moved = _moved(script, filtering, modes, law)
     with script.titled("combined prediction"):
-        estimate = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
-        combined = propagate(plant, certain(symbols["u"]), estimate)[:2]
-        states, covariances = zip(*(moved[at] for at in law.group), strict=True)
+        combined = _combined(script, filtering, modes.motions, moved, law.probability)
+        states, covariances = zip(*(moved.each[at] for at in moved.which), strict=True)
         script.put(
             {
                 "predicted_mode_probability": law.probability,
@@ -123,32 +134,70 @@ def _predict(filtering: Switching, kernel: tuple[tuple[float, ...], ...]) -> Pha
                 "predicted_state": combined[0],
                 "predicted_covariance": combined[1],
             },
-            [finite(*(sum(each[1:], start=each[0]) for each in zip(*moved, strict=True)))],
+            [finite(*(sum(each[1:], start=each[0]) for each in zip(*moved.each, strict=True)))],
         )
     return script.phase()
 
 
-def _moved(
-    script: Script, filtering: Switching, plant: Plant, law: Prediction
-) -> list[tuple[ca.SX, ca.SX]]:
-    """For every group of targets: mixed by (17), (18), then propagated."""
-    symbols, result = filtering.symbols, []
-    parts = _parts(filtering, "mode_filtered_", len(law.group))
-    mixer = Mixer(script, "mixed", parts, TINY[filtering.spec.code.scalar])
-    for at, (weights, column) in enumerate(zip(law.mixing, law.columns, strict=True)):
+@dataclass(frozen=True, slots=True)
+class _Moved:
+    """x(k+1|k): the estimates (mean, packed covariance), and which of them is that of each mode."""
+
+    each: list[tuple[ca.SX, ca.SX]]
+    which: list[int]
+
+
+def _moved(script: Script, filtering: Switching, modes: Modes, law: Prediction) -> _Moved:
+    """Mixed by (17), (18), then moved as the mode does; what is the same is computed once."""
+    symbols, motions = filtering.symbols, modes.motions
+    mixer = Mixer(
+        script,
+        "mixed",
+        _parts(filtering, "mode_filtered_", len(motions)),
+        TINY[filtering.spec.code.scalar],
+    )
+    mixed: dict[int, tuple[ca.SX, ca.SX]] = {}
+    known: dict[tuple[int, int], int] = {}
+    result = _Moved([], [])
+    for j in modes.predicted_as:
+        group, plant = law.group[j], motions[j]
+        weights = law.mixing[group]
         if weights is symbols["mode_probability"]:  # nothing is learnt about the mode before
-            mixed = (symbols["filtered_state"], symbols["filtered_covariance"])
-        else:
-            mixed = mixer.under(weights, f"_{at}", column)
-        state, covariance, _ = propagate(plant, certain(symbols["u"]), estimated(*mixed))
-        moved_state = script.let(f"moved_state_{at}", state)
-        result.append((moved_state, script.let(f"moved_covariance_{at}", covariance)))
+            mixed[group] = (symbols["filtered_state"], symbols["filtered_covariance"])
+        elif group not in mixed:
+            mixed[group] = mixer.under(weights, f"_{group}", law.columns[group])
+        at = known.setdefault((group, id(plant)), len(result.each))
+        if at == len(result.each):
+            state, packed, _ = propagate(plant, certain(symbols["u"]), estimated(*mixed[group]))
+            state = script.let(f"moved_state_{at}", state)
+            result.each.append((state, script.let(f"moved_covariance_{at}", packed)))
+        result.which.append(at)
     return result
+
+
+def _combined(
+    script: Script,
+    filtering: Switching,
+    motions: tuple[Plant, ...],
+    moved: _Moved,
+    probability: ca.SX,
+) -> tuple[ca.SX, ca.SX]:
+    """x(k+1|k) whatever the mode; where modes differ in nothing but Q, from x(k|k)."""
+    symbols = filtering.symbols
+    if move_alike(motions):
+        plant = replace(motions[0], Q=mean_noise(motions, probability))
+        estimate = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
+        return propagate(plant, certain(symbols["u"]), estimate)[:2]
+    masses = [ca.SX(0) for _ in moved.each]
+    for j, at in enumerate(moved.which):
+        masses[at] += probability[j]
+    tiny = TINY[filtering.spec.code.scalar]
+    return Mixer(script, "predicted", moved.each, tiny).under(column(masses))
 
 
 FAMILY = Family(
     name="imm",
-    title="sensors that lose their signal or gain noise: interacting multiple models",
+    title="modes of the sensor or of the plant that last: interacting multiple models",
     build=build,
     closed_forms=(IMM, ENUMERATION),
     caveats=three_modes,

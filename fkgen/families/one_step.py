@@ -27,7 +27,7 @@ from fkgen.symbolic.markov import advance
 from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 from fkgen.symbolic.script import Script
-from fkgen.symbolic.switching import ModeUpdate, Switching, modes_of
+from fkgen.symbolic.switching import ModeUpdate, Switching
 
 MODES = 4
 
@@ -38,8 +38,8 @@ RICCATIS = {"moment_matched": 0, "weighted": 0, "paper": 2, "paper_nominal": 1}
 def build(spec: Spec) -> Recursion:
     """Build the filter: four corrections of one prior, Bayes' rule, one Gaussian."""
     beside = RICCATIS[spec.filter.covariance]
-    filtering = Switching.of(spec, _riccati_ports(spec.model.nx, beside), MODES)
-    initial = filtering.start(filtering.faults.initial)
+    filtering = Switching.of(spec, _riccati_ports(spec.model.nx, beside))
+    initial = filtering.start()
     packed = prior_of(spec)[1] * beside
     if beside:
         initial |= {"riccati_covariance": packed, "riccati_filtered_covariance": packed}
@@ -53,7 +53,7 @@ def build(spec: Spec) -> Recursion:
         notes=(
             f"covariance update: {filtering.form} form",
             f"covariance: {spec.filter.covariance}",
-            modes_of(filtering.plant, filtering.faults, MODES).note,
+            filtering.modes.note,
         ),
     )
 
@@ -79,7 +79,7 @@ def _riccati_ports(n: int, count: int) -> tuple[Port, ...]:
 
 
 def _parts(filtering: Switching, port: str) -> list[ca.SX]:
-    n = filtering.plant.nx
+    n = filtering.spec.model.nx
     return list(ca.vertsplit(filtering.symbols[port], n * (n + 1) // 2))
 
 
@@ -88,9 +88,9 @@ def _update(filtering: Switching) -> Phase:
     beside = RICCATIS[filtering.spec.filter.covariance]
     parts = _parts(filtering, "riccati_covariance" if beside else "predicted_covariance")
     for packed in parts:
-        demand_positive(script, packed, filtering.plant.nx)
+        demand_positive(script, packed, filtering.spec.model.nx)
     priors = parts * (MODES // len(parts))
-    modes = filtering.modes(script, MODES)
+    modes = filtering.bound(script, "CDR")
     each = [
         filtering.update(script, modes, j, (symbols["predicted_state"], priors[j]))
         for j in range(MODES)
@@ -120,10 +120,10 @@ def _combined(
 
 def _predict(filtering: Switching) -> Phase:
     script, symbols, spec = Script(filtering.symbols), filtering.symbols, filtering.spec
-    plant = bound(script, filtering.plant, "ABQ")
+    plant = bound(script, filtering.plants[0], "ABQ")
     now = (symbols["mode_probability"], symbols["log_weight"])
     with script.titled("law of the next mode"):
-        law = advance(script, filtering.faults.kernel, now, spec.code.scalar, mixing=False)
+        law = advance(script, filtering.modes.kernel, now, spec.code.scalar, mixing=False)
     inputs = certain(symbols["u"])
     estimate = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, inputs, estimate)

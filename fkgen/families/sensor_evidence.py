@@ -1,22 +1,26 @@
-"""Closed forms for filters of faulty sensors: textbook matrices, enumeration, joint moments."""
+"""Closed forms for filters over modes: textbook matrices, enumeration, joint moments."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 
 from fkgen.closed_form import (
     LINEAR_IDENTITIES,
     FaultMoments,
+    JumpSystem,
+    Lumping,
     SensorLaw,
     batch_uncertain,
-    enumerate_modes,
+    enumerate_jumps,
+    interacting,
     is_lumpable,
     linear_optimal,
     satisfies_lemma_2,
-    textbook_imm,
+    sensed_modes,
+    silent_lumped,
     textbook_one_step,
 )
 from fkgen.families.evidence import digits_at_stake, has_exact_rows, system_of
@@ -55,11 +59,20 @@ ONE_STEP = ClosedForm(
 )
 
 
+def _conditions(spec: Spec, record: Record) -> tuple[JumpSystem, Lumping | None]:
+    """The plant in each condition, and how the modes of imm are made of them."""
+    if spec.faults.jump is not None:
+        system = JumpSystem.from_spec(spec, len(record.y), record.parameters)
+        return replace(system, P0=record.P0), None
+    law = SensorLaw.from_spec(spec)
+    lumps = spec.filter.family == "imm" and spec.filter.modes == 3
+    return sensed_modes(system_of(spec, record), law), silent_lumped(law) if lumps else None
+
+
 def _imm(spec: Spec, record: Record) -> Mapping[str, Array]:
     """All ports; without the estimates of single modes if one of them is impossible at times."""
-    system, law = system_of(spec, record), SensorLaw.from_spec(spec)
-    three = spec.filter.modes == 3
-    result = textbook_imm(system, law, record.y, record.u, modes=3 if three else 4)
+    system, lumping = _conditions(spec, record)
+    result = interacting(system, record.y, record.u, lumping)
     if result.mode_probability.all() and result.predicted_mode_probability.all():
         return _ports(result)
     single = ("mode_state", "mode_covariance", "mode_filtered_state", "mode_filtered_covariance")
@@ -68,7 +81,7 @@ def _imm(spec: Spec, record: Record) -> Mapping[str, Array]:
 
 IMM = ClosedForm(
     claim="estimates and probabilities are those of interacting matrix filters",
-    source=f"{PAPER}, sec. IV, eqs. (15)-(18)",
+    source=f"Blom & Bar-Shalom 1988; {PAPER}, sec. IV, eqs. (15)-(18)",
     tolerance=_tolerance,
     expected=_imm,
 )
@@ -76,28 +89,26 @@ IMM = ClosedForm(
 
 def _enumerated(spec: Spec, record: Record) -> Mapping[str, Array] | None:
     """Exact Bayes at sample 0, and at sample 1 if the first mode is certain."""
-    system, law = system_of(spec, record), SensorLaw.from_spec(spec)
-    three = spec.filter.family == "imm" and spec.filter.modes == 3
-    if three and not is_lumpable(law)[0]:
+    system, lumping = _conditions(spec, record)
+    if lumping is not None and not is_lumpable(SensorLaw.from_spec(spec))[0]:
         return None
-    samples = 2 if law.initial.max() == 1.0 else 1
-    exact = enumerate_modes(system.first(samples), law, record.y[:samples], record.u[:samples])
+    samples = 2 if system.initial.max() == 1.0 else 1
+    exact = enumerate_jumps(system.first(samples), record.y[:samples], record.u[:samples])
     names = {"filtered_state", "log_likelihood", "mode_probability"}
     if spec.filter.covariance == "moment_matched":
         names.add("filtered_covariance")
     elif samples > 1:  # other readings go on with another covariance
         return None
     ports = {name: getattr(exact, name) for name in names}
-    if three:
-        p = ports["mode_probability"]
-        ports["mode_probability"] = np.column_stack([p[:, :2], p[:, 2:].sum(axis=1)])
+    if lumping is not None:
+        ports["mode_probability"] = ports["mode_probability"] @ (lumping.shares > 0.0).T
     return ports
 
 
 ENUMERATION = ClosedForm(
     claim="exact Bayes as long as nothing is approximated: at sample 0, one more if the first mode"
     " is known",
-    source="enumeration of all histories of faults",
+    source="enumeration of all histories of modes",
     tolerance=_tolerance,
     expected=_enumerated,
 )

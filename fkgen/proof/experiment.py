@@ -65,12 +65,13 @@ def _varied(
 def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
     """Whether all matrices are finite, all covariances positive and all rates probabilities."""
     try:
-        for letter in ("A", "B", "C", "D"):
-            getattr(spec.model, letter).values(parameters)
-        for letter in ("Q", "R"):
-            M = getattr(spec.model, letter).values(parameters)
-            if np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
-                return False
+        for plant in (spec.model, *(spec.faults.jump.modes if spec.faults.jump else ())):
+            for letter in ("A", "B", "C", "D"):
+                getattr(plant, letter).values(parameters)
+            for letter in ("Q", "R"):
+                M = getattr(plant, letter).values(parameters)
+                if np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
+                    return False
         system = LinearSystem.from_spec(spec, 1, dict(parameters), _rates(spec))
     except ArithmeticError:
         return False
@@ -80,9 +81,9 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
 def _mild_prior(spec: Spec) -> Array:
     """P0, scaled down where it dwarfs the measurement noise: a start value, not an equation.
 
-    Not for ``linear_optimal``, in which P0 is part of the second moments that its gain depends on.
+    Not where P0 is part of the second moments that a gain depends on.
     """
-    if spec.filter.family == "linear_optimal":
+    if spec.filter.family in {"linear_optimal", "mjls_lmmse"}:
         return np.asarray(spec.model.P0.values())
     C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
     noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)

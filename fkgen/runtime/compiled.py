@@ -12,11 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError, InternalError, StepRefused
 from fkgen.runtime import record
+from fkgen.runtime.blocks import Advance, in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
 from fkgen.symbolic.interface import Port, Status
 
 Array = NDArray[np.floating]
+
+#: Samples that one thread filters at a stretch.
+BLOCK = 50_000
 
 
 class CompiledFilter:
@@ -29,10 +33,12 @@ class CompiledFilter:
         Names of everything that a run can return.
     claims : tuple of str
         What was proved before the code was generated.
+    folder : Path
+        Where the generated files lie beside the library.
     """
 
     def __init__(self, layout: Layout, library: Path) -> None:
-        self.layout = layout
+        self.layout, self.folder = layout, library.parent
         self.name, self.family, self.scalar = layout.name, layout.family, layout.scalar
         self.ports = tuple(port.name for port in layout.ports)
         self.claims = layout.claims
@@ -96,43 +102,44 @@ class CompiledFilter:
         params: Mapping[str, ArrayLike] | None = None,
         *,
         keep: Sequence[str] | None = None,
+        advance: Advance | None = None,
     ) -> Run:
-        """Filter M independent records, each from the prior.
+        """Filter M independent records, each from the prior, on all cores.
 
         Parameters
         ----------
         y : (M, T, p) array_like
         u : (M, T, q) or (T, q) array_like
             Inputs of each record, or of all of them.
-        params : mapping of str to float or (T,) array_like
-            As for `run`, the same for all records.
+        params : mapping of str to float, (T,) or (M, T) array_like
+            As for `run`, the same for all records, or one row per record.
         keep : sequence of str
             Ports to store; all by default.
+        advance : callable, optional
+            Called with the number of records that were finished since the last call.
 
         Returns
         -------
         Run
             Ports of shape (M, T, ...), status (M, T).
         """
-        records = record.numbers("y", y, self._dtype)
-        if records.ndim != 3 or records.shape[2] != len(self.layout.outputs):
-            expected = f"shape (M, T, {len(self.layout.outputs)})"
-            raise DataError("y", given=f"shape {records.shape}", expected=expected)
-        driven = None if u is None else record.numbers("u", u, self._dtype)
-        if driven is not None and driven.ndim == 3 and len(driven) != len(records):
-            raise DataError(
-                "u", given=f"{len(driven)} records", expected=f"{len(records)}, as y has"
-            )
-        own = driven is not None and driven.ndim == 3
+        records, driven = record.batch(self.layout, y, u)
         shape = records.shape[:2]
-        given = record.parameters(self.layout, params, shape[1])
+        given = record.parameters(self.layout, params, shape[1], records=shape[0])
         ports = self._kept(keep)
         values = {port.name: np.empty((*shape, *port.shape), self._dtype) for port in ports}
         status = np.empty(shape, np.int32)
-        for m, measured in enumerate(records):
-            each = driven[m] if own and driven is not None else driven
-            ready = record.inputs(self.layout, each, shape[1])
-            self._filter(measured, ready, given, {n: v[m] for n, v in values.items()}, status[m])
+
+        def work(start: int, stop: int) -> None:
+            for m in range(start, stop):
+                each = driven[m] if driven is not None and driven.ndim == 3 else driven
+                ready = record.inputs(self.layout, each, shape[1])
+                told = [p[m] if p.ndim == 2 else p for p in given]
+                self._filter(
+                    records[m], ready, told, {n: v[m] for n, v in values.items()}, status[m]
+                )
+
+        in_blocks(work, shape[0], max(1, BLOCK // max(1, shape[1])), advance)
         return Run(values, status)
 
     def step(

@@ -60,27 +60,59 @@ def inputs(layout: Layout, u: ArrayLike | None, samples: int) -> Array:
     return array
 
 
-def parameters(layout: Layout, given: Mapping[str, ArrayLike] | None, samples: int) -> list[Array]:
-    """One array per parameter, of one value or of one per sample."""
+def batch(layout: Layout, y: ArrayLike, u: ArrayLike | None) -> tuple[Array, Array | None]:
+    """Measurements (M, T, p), and inputs (M, T, q) or (T, q) as they were given."""
+    dtype, p = dtype_of(layout), len(layout.outputs)
+    records = numbers("y", y, dtype)
+    if records.ndim != 3 or records.shape[2] != p:
+        raise DataError("y", given=f"shape {records.shape}", expected=f"shape (M, T, {p})")
+    driven = None if u is None else numbers("u", u, dtype)
+    if driven is not None and driven.ndim == 3 and len(driven) != len(records):
+        given, expected = f"{len(driven)} records", f"{len(records)}, as y has"
+        raise DataError("u", given=given, expected=expected)
+    return records, driven
+
+
+def parameters(
+    layout: Layout,
+    given: Mapping[str, ArrayLike] | None,
+    samples: int,
+    *,
+    records: int | None = None,
+) -> list[Array]:
+    """One array per parameter: (1,), (samples,) or, for several records, (records, samples)."""
+    return values_of(layout.parameters, given, samples, dtype_of(layout), records=records)
+
+
+def values_of(
+    named: Sequence[tuple[str, float]],
+    given: Mapping[str, ArrayLike] | None,
+    samples: int,
+    dtype: type[np.floating],
+    *,
+    records: int | None = None,
+) -> list[Array]:
+    """The same for any parameters with defaults."""
     values = dict(given or {})
-    known = [name for name, _ in layout.parameters]
+    known = [name for name, _ in named]
     for name in values:
         if name not in known:
             raise DataError(f"params.{name}", given="an unknown name", expected=choice(name, known))
-    dtype = dtype_of(layout)
     result = []
-    for name, default in layout.parameters:
+    for name, default in named:
         array = np.atleast_1d(numbers(f"params.{name}", values.get(name, default), dtype))
-        if array.shape not in ((1,), (samples,)):
+        if array.shape not in ((1,), (samples,), (records, samples)):
+            several = "" if records is None else f" or ({records}, {samples})"
             raise DataError(
                 f"params.{name}",
                 given=f"shape {array.shape}",
-                expected=f"a number or shape ({samples},)",
+                expected=f"a number or shape ({samples},){several}",
             )
         if not np.isfinite(array).all():
-            at = int(np.flatnonzero(~np.isfinite(array))[0])
+            at = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+            where = ", ".join(map(str, at))
             raise DataError(
-                f"params.{name}[{at}]", given=str(array[at]), expected="a finite number"
+                f"params.{name}[{where}]", given=str(array[at]), expected="a finite number"
             )
         result.append(array)
     return result

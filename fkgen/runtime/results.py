@@ -20,7 +20,8 @@ class Run:
     """What a filter said about a record: every kept port is an attribute of shape (T, ...).
 
     ``run["name"]`` is the same as ``run.name``; ``run.ports`` lists the names. ``status`` is int32:
-    0 used, 1 no row present, negative refused (the instance was unchanged, so ports repeat).
+    0 used, 1 no row present, 2 and 3 rejected by a test for faults, negative refused (the instance
+    was unchanged, so ports repeat).
     """
 
     def __init__(self, values: Mapping[str, Array], status: NDArray[np.int32]) -> None:

@@ -6,6 +6,7 @@ from fkgen.spec.definition import Parameter, Spec
 from fkgen.spec.expression import Expression, Name, Number, Operation, evaluate, names, parse
 from fkgen.spec.faults import Faults
 from fkgen.spec.filter import Filter
+from fkgen.spec.jump_faults import JumpFaults, JumpMode
 from fkgen.spec.matrix import Matrix
 from fkgen.spec.model import Model
 from fkgen.spec.reader import load
@@ -19,6 +20,8 @@ __all__ = [
     "Expression",
     "Faults",
     "Filter",
+    "JumpFaults",
+    "JumpMode",
     "Matrix",
     "Model",
     "Moments",

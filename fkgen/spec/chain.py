@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -39,6 +41,27 @@ def visited(transition: ArrayLike, initial: ArrayLike) -> NDArray[np.bool_]:
     """Which states a chain with this start can ever be in, (N,)."""
     start = np.asarray(initial, float) > 0.0
     return np.asarray(_reaches(np.asarray(transition, float))[start].any(axis=0))
+
+
+def period(transition: ArrayLike) -> int:
+    """Greatest common divisor of the lengths of all cycles among recurrent states.
+
+    Parameters
+    ----------
+    transition : (N, N) array_like
+        A chain with one recurrent class.
+    """
+    P = np.asarray(transition, float)
+    reach = _reaches(P)
+    start = next(i for i in range(len(P)) if all(reach[j, i] for j in np.flatnonzero(reach[i])))
+    level, queue, found = {start: 0}, [start], 0
+    for i in queue:  # breadth first: an edge that closes a cycle tells its length
+        for j in np.flatnonzero(P[i] > 0.0).tolist():
+            if j not in level:
+                level[j] = level[i] + 1
+                queue.append(j)
+            found = math.gcd(found, level[i] + 1 - level[j])
+    return found
 
 
 def _reaches(P: Array) -> NDArray[np.bool_]:

@@ -9,7 +9,10 @@ from dataclasses import dataclass, field
 from fkgen.spec.code_options import Code, read_code
 from fkgen.spec.covariance import is_singular
 from fkgen.spec.faults import Faults, read_faults
-from fkgen.spec.filter import Filter, filter_section, read_filter
+from fkgen.spec.filter import Filter, filter_section
+from fkgen.spec.filter_options import read_filter
+from fkgen.spec.jump_faults import JumpMode
+from fkgen.spec.jump_filter import check_jumps
 from fkgen.spec.linear_optimal import check_linear_filter
 from fkgen.spec.magnitude import check_magnitudes
 from fkgen.spec.model import Model, read_model
@@ -93,25 +96,26 @@ class Spec:
         place = Place(file)
         section = _whole(table, place)
         given_name = section.require("name", "a C identifier")
-        options = filter_section(
-            section.require("filter", "a table with the family of the filter"),
-            place.entry("filter"),
-        )
+        given_filter = section.require("filter", "a table with the family of the filter")
+        options = filter_section(given_filter, place.entry("filter"))
         family = str(options.table["family"])
         parameters = _read_parameters(section, place, family)
         defaults = {parameter.name: parameter.default for parameter in parameters}
         model_place = place.entry("model")
-        model = read_model(
-            section.require("model", "a table with the plant"), model_place, defaults
-        )
-        _check_family(model, model_place, family, defaults)
+        given_model = section.require("model", "a table with the plant")
+        model = read_model(given_model, model_place, defaults)
+        _check_inputs(model, model_place, family)
         given_faults = section.table.get("faults", {})
         faults = read_faults(given_faults, place.entry("faults"), defaults, family, model)
-        reading = read_filter(options, faults.actuator, model.nu)
-        if faults.sensor is not None:
-            check_linear_filter(model, place, faults.sensor, reading)
+        reading = read_filter(options, faults, model.nu)
         code = read_code(section.table.get("code", {}), place.entry("code"))
         check_magnitudes(model, model_place, defaults, code.scalar)
+        if faults.sensor is not None:
+            check_linear_filter(model, place, faults.sensor, reading)
+        if faults.jump is not None:
+            check_jumps(faults.jump, place, reading, defaults, code.scalar)
+        else:
+            _check_noise(model, model_place, family, defaults)
         return cls(
             name=read_prefix(given_name, place.entry("name")),
             model=model,
@@ -126,6 +130,11 @@ class Spec:
     def defaults(self) -> dict[str, float]:
         """The default value of every parameter."""
         return {parameter.name: parameter.default for parameter in self.parameters}
+
+    @property
+    def plants(self) -> tuple[Model | JumpMode, ...]:
+        """The model, or every mode in place of it where the plant jumps."""
+        return (self.model,) if self.faults.jump is None else self.faults.jump.modes
 
     @property
     def stated_parameters(self) -> tuple[Parameter, ...]:
@@ -180,12 +189,16 @@ def _read_parameters(whole: Section, place: Place, family: str) -> tuple[Paramet
     return parameters
 
 
-def _check_family(model: Model, place: Place, family: str, defaults: Mapping[str, float]) -> None:
-    """Refuse plants for which the family is not defined."""
+def _check_inputs(model: Model, place: Place, family: str) -> None:
+    """Refuse plants without what the family is about."""
     if family in {"mkf", "mme"} and model.nu == 0:
         raise place.entry("B").error(
             "nothing (no input)", f"B: the family {family} is about faults of the input"
         )
+
+
+def _check_noise(model: Model, place: Place, family: str, defaults: Mapping[str, float]) -> None:
+    """Refuse exact measurements where the family compares densities, or nothing is random."""
     if not is_singular(model.R.values(defaults)):
         return
     if family in {"mme", "one_step", "imm"}:

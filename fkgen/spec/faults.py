@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fkgen.spec.actuator_faults import ActuatorFaults, read_actuator_faults
+from fkgen.spec.jump_faults import JumpFaults, read_jump_faults
 from fkgen.spec.model import Model
 from fkgen.spec.place import Place
 from fkgen.spec.section import Section
@@ -23,25 +24,37 @@ class Faults:
         Intermittent actuator faults, if any.
     sensor : SensorFaults or None
         Sensors that lose their signal or gain noise, if any.
+    jump : JumpFaults or None
+        Modes between which the plant jumps, and samples that are lost, if any.
     soft : SoftFaults or None
         Sensors that drift slowly, if any.
     """
 
     actuator: ActuatorFaults | None = None
     sensor: SensorFaults | None = None
+    jump: JumpFaults | None = None
     soft: SoftFaults | None = None
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        sections = {"actuator": self.actuator, "sensor": self.sensor, "soft": self.soft}
+        sections = {
+            "actuator": self.actuator,
+            "sensor": self.sensor,
+            "jump": self.jump,
+            "soft": self.soft,
+        }
         return {name: faults.plain() for name, faults in sections.items() if faults is not None}
 
 
-#: The section of ``faults`` that each family is about; kf knows no faults.
-SECTIONS = {
-    **dict.fromkeys(("mkf", "mme"), "actuator"),
-    **dict.fromkeys(("linear_optimal", "one_step", "imm", "genie"), "sensor"),
-    **dict.fromkeys(("compression_full", "dfcf", "cpcf"), "soft"),
+#: The section of ``faults`` that each family is about, or those of which it takes one; kf knows no
+#: faults.
+SECTIONS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("mkf", "mme"), ("actuator",)),
+    **dict.fromkeys(("linear_optimal", "one_step"), ("sensor",)),
+    "imm": ("sensor", "jump"),
+    "genie": ("sensor",),
+    "mjls_lmmse": ("jump",),
+    **dict.fromkeys(("compression_full", "dfcf", "cpcf"), ("soft",)),
 }
 
 
@@ -69,24 +82,38 @@ def read_faults(
         If a section is missing, unknown or of no use to the family, or a rate or a law is
         impossible.
     """
-    section = Section(table, place, known=("actuator", "sensor", "soft"), later=("jump",))
-    own = SECTIONS.get(family)
+    section = Section(table, place, known=("actuator", "sensor", "jump", "soft"))
+    own = SECTIONS.get(family, ())
     for kind in section.table:
-        if kind != own:
-            able = ", ".join(name for name, of in SECTIONS.items() if of == kind)
+        if kind not in own:
+            able = ", ".join(name for name, of in SECTIONS.items() if kind in of)
             raise place.entry(kind).error(
                 f"{kind} faults", f"none for the family {family}; {able} handle {kind} faults"
             )
-    if own is None:
+    if not own:
         return Faults()
-    where = place.entry(own)
-    if own not in section and family != "mme":
-        raise where.error(
-            "nothing (the section is missing)", f"{own} faults for the family {family}"
-        )
-    given = section.table.get(own, {})
-    if own == "sensor":
+    kind = _one_kind(section, own, family)
+    where, given = place.entry(kind), section.table.get(kind, {})
+    if kind == "sensor":
         return Faults(sensor=read_sensor_faults(given, where, model.outputs, family))
-    if own == "soft":
+    if kind == "jump":
+        return Faults(jump=read_jump_faults(given, where, defaults, family=family, model=model))
+    if kind == "soft":
         return Faults(soft=read_soft_faults(given, where, defaults, family, model))
     return Faults(read_actuator_faults(given, where, defaults, family=family, inputs=model.nu))
+
+
+def _one_kind(section: Section, own: tuple[str, ...], family: str) -> str:
+    """The section that is there, of those that the family handles; for mme none need be."""
+    present = [kind for kind in own if kind in section]
+    if len(present) > 1:
+        raise section.place.entry(present[1]).error(
+            f"{present[1]} faults beside {present[0]} faults",
+            f"one of them for the family {family}",
+        )
+    if not present and family != "mme":
+        raise section.place.entry(own[0]).error(
+            "nothing (the section is missing)",
+            f"{' or '.join(own)} faults for the family {family}",
+        )
+    return present[0] if present else own[0]

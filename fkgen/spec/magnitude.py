@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from fkgen.spec.jump_faults import JumpMode
+from fkgen.spec.matrix import Matrix
 from fkgen.spec.model import Model
 from fkgen.spec.place import Place
 
@@ -23,9 +25,24 @@ def check_magnitudes(
     SpecError
         Naming the first entry that is too large, or the first variance that is too small.
     """
+    names = ("A", "B", "C", "D", "Q", "R", "x0", "P0")
+    _check({name: getattr(model, name) for name in names}, place, defaults, scalar)
+
+
+def check_mode_magnitudes(
+    mode: JumpMode, place: Place, defaults: Mapping[str, float], scalar: str
+) -> None:
+    """The same for one mode of a jumping plant."""
+    names = ("A", "B", "C", "D", "Q", "R", "c")
+    _check({name: getattr(mode, name) for name in names}, place, defaults, scalar)
+
+
+def _check(
+    matrices: Mapping[str, Matrix], place: Place, defaults: Mapping[str, float], scalar: str
+) -> None:
     smallest, largest = LIMITS[scalar]
-    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0"):
-        values = getattr(model, name).values(defaults)
+    for name, matrix in matrices.items():
+        values = matrix.values(defaults)
         for i, j in np.argwhere(np.abs(values) > largest).tolist():
             raise _at(place, name, i, j).error(
                 f"{values[i, j]:g}", f"at most {largest:g} in magnitude with scalar {scalar!r}"
@@ -39,6 +56,6 @@ def check_magnitudes(
 
 
 def _at(place: Place, name: str, i: int, j: int) -> Place:
-    """Where an entry stands; x0 is written as a flat list."""
+    """Where an entry stands; x0 and c are written as flat lists."""
     where = place.entry(name)
-    return where.item(i) if name == "x0" else where.item(i, j)
+    return where.item(i) if name in ("x0", "c") else where.item(i, j)

@@ -209,7 +209,7 @@ class _Reader:
         if len(entries) != n:
             raise place.error(f"{len(entries)} entries", expected)
         rows = (
-            (read_entry(_component(entry, place.item(i)), place.item(i), self.defaults),)
+            (read_entry(component(entry, place.item(i)), place.item(i), self.defaults),)
             for i, entry in enumerate(entries)
         )
         return self.constant(Matrix(tuple(rows)), place)
@@ -229,8 +229,8 @@ class _Reader:
         return matrix
 
 
-def _component(entry: object, place: Place) -> object:
-    """Return an entry of x0, out of its row if a column matrix of another library has rows."""
+def component(entry: object, place: Place) -> object:
+    """Return an entry of x0 or c, out of its row if a column matrix of another library has rows."""
     plain = plain_list(entry, place)
     return plain[0] if isinstance(plain, list) and len(plain) == 1 else entry
 

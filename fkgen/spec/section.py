@@ -12,8 +12,6 @@ from fkgen.spec.place import Place, describe, show, suggestion
 
 Choice = TypeVar("Choice", bound=str)
 
-LATER = "is not available in this version"
-
 
 class Section:
     """A table of a spec.
@@ -26,8 +24,6 @@ class Section:
         Where it stands.
     known : sequence of str
         The keys it may have.
-    later : sequence of str, optional
-        Keys of the spec language that this version does not support yet.
 
     Raises
     ------
@@ -35,14 +31,10 @@ class Section:
         If it is no table or has any other key.
     """
 
-    def __init__(
-        self, table: object, place: Place, *, known: Sequence[str], later: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, table: object, place: Place, *, known: Sequence[str]) -> None:
         self.place = place
         self.table = as_table(table, place, f"a table with {', '.join(known)}")
         for key in self.table:
-            if key in later:
-                raise place.entry(key).error("this key", f"{', '.join(known)}; {key} {LATER}")
             if key not in known:
                 hint = suggestion(key, known)
                 raise place.entry(key).error("an unknown key", f"one of {', '.join(known)}{hint}")

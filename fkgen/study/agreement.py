@@ -192,7 +192,7 @@ def _tolerance(spec: Spec, port: Port) -> float:
     if spec.filter.family == "mme":
         before = port.name.startswith("mode_") and port.name != "mode_probability"
         return 0.0 if before else _WEIGHTS
-    return _LOGARITHM if port.name == "log_likelihood" else 0.0
+    return _LOGARITHM if port.name in {"log_likelihood", "test_statistic"} else 0.0
 
 
 def _reason(spec: Spec) -> str:
@@ -205,8 +205,10 @@ def _reason(spec: Spec) -> str:
 
 def _goes_through_functions(spec: Spec) -> bool:
     """Whether entries of the model need functions that are not the same everywhere."""
-    model, faults = spec.model, spec.faults.actuator
-    matrices = [getattr(model, letter) for letter in ("A", "B", "C", "D", "Q", "R")]
+    faults = spec.faults.actuator
+    matrices = [getattr(plant, x) for plant in spec.plants for x in ("A", "B", "C", "D", "Q", "R")]
+    if spec.faults.jump is not None:
+        matrices += [mode.c for mode in spec.faults.jump.modes]
     rates = faults.success_rate if faults is not None else ()
     entries = [entry for matrix in matrices for row in matrix.rows for entry in row]
     return any(_is_inexact(entry) for entry in (*entries, *rates))

@@ -7,7 +7,18 @@ y present.
 from __future__ import annotations
 
 from fkgen.spec import Spec
-from fkgen.study import dynamics, faults, noise, partial, sensor, size
+from fkgen.study import (
+    convergence,
+    dynamics,
+    faults,
+    float_error,
+    jumps,
+    noise,
+    partial,
+    sensor,
+    size,
+    visibility,
+)
 from fkgen.study.figures import Figures
 from fkgen.study.findings import Finding, Report, combined
 
@@ -19,10 +30,15 @@ _EXAMINATIONS = (
     dynamics.excitation,
     dynamics.silence,
     dynamics.rest,
+    convergence.condition,
+    visibility.states,
+    visibility.sensors,
+    visibility.inputs,
     noise.innovation,
     noise.conditioning,
     noise.rounding,
     noise.number_range,
+    float_error.float_suitability,
     faults.known_rate,
     faults.hypotheses,
     faults.identification,
@@ -32,6 +48,19 @@ _EXAMINATIONS = (
     sensor.law,
     sensor.lost_signal,
     partial.compression_loss,
+    size.parameters,
+    size.cost,
+)
+
+#: Where every mode has matrices of its own, those of the model say little.
+_OF_JUMPS = (
+    jumps.chain,
+    jumps.radius,
+    jumps.rest,
+    jumps.innovation,
+    jumps.visibility,
+    jumps.detector,
+    sensor.caveats,
     size.parameters,
     size.cost,
 )
@@ -53,7 +82,10 @@ def check(spec: Spec) -> Report:
     References
     ----------
     Anderson & Moore 1979, *Optimal Filtering*, sec. 4.4 and app. C: detectability, stabilisability
-    and the Riccati equation. Strandt, Schneider & Yaz, eqs. (12), (15) and (22), for faults.
+    and the Riccati equation. Costa, Fragoso & Marques 2005, ch. 3, for jumping plants. Strandt,
+    Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with the
+    conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
     """
     figures = Figures(spec)
-    return combined([examine(figures) for examine in _EXAMINATIONS])
+    examinations = _EXAMINATIONS if spec.faults.jump is None else _OF_JUMPS
+    return combined([examine(figures) for examine in examinations])

@@ -25,6 +25,8 @@ class Rest:
         Error covariance before and after the measurement.
     innovation : (p, p) ndarray
         Covariance of the innovation.
+    gain, filtered_gain : (n, p) ndarray
+        K of x(k+1|k) and Kf of x(k|k).
     radius : float
         Spectral radius of A - K C.
     """
@@ -32,6 +34,8 @@ class Rest:
     predicted: Array
     filtered: Array
     innovation: Array
+    gain: Array
+    filtered_gain: Array
     radius: float
 
 
@@ -110,7 +114,11 @@ class Figures:
     @cached_property
     def rest(self) -> Rest | None:
         """Where the filter comes to rest at u = 0, if it does."""
-        Q, R, S = self.noise(driven=False)
+        return self.rest_at(np.zeros(self.spec.model.nu))
+
+    def rest_at(self, u: Array) -> Rest | None:
+        """Where the filter comes to rest at constant inputs u (q,), if it does."""
+        Q, R, S = constant_input_noise(self.system, u)
         with warnings.catch_warnings():
             warnings.simplefilter(
                 "ignore"
@@ -120,9 +128,10 @@ class Figures:
             return None
         P, radius = found
         Om = self.C @ P @ self.C.T + R
-        gain = P @ self.C.T @ np.linalg.pinv(Om, hermitian=True)
-        filtered = P - gain @ Om @ gain.T
-        return Rest(P, 0.5 * (filtered + filtered.T), Om, radius)
+        inverse = np.linalg.pinv(Om, hermitian=True)
+        gain, own = (self.A @ P @ self.C.T + S) @ inverse, P @ self.C.T @ inverse
+        filtered = P - own @ Om @ own.T
+        return Rest(P, 0.5 * (filtered + filtered.T), Om, gain, own, radius)
 
 
 def listed(names: list[str]) -> str:

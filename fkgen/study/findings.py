@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, dataclass, field
 
 from fkgen.families.finding import Finding, Severity
+from fkgen.study.jsonable import finite_or_none
 
 __all__ = ["Finding", "Part", "Report", "Severity", "combined"]
 
@@ -36,10 +36,10 @@ class Report:
     def to_json(self) -> str:
         """Findings and values as JSON; a number that is not finite becomes null."""
         findings = [
-            asdict(f) | {"value": None if f.value is None else _finite(f.value)}
+            asdict(f) | {"value": None if f.value is None else finite_or_none(f.value)}
             for f in self.findings
         ]
-        values = {name: _finite(value) for name, value in self.values.items()}
+        values = {name: finite_or_none(value) for name, value in self.values.items()}
         return json.dumps({"sound": self.sound, "findings": findings, "values": values}, indent=2)
 
 
@@ -57,7 +57,3 @@ def combined(parts: list[Part]) -> Report:
     findings.sort(key=lambda finding: _ORDER.index(finding.severity))
     values = {name: value for part in parts for name, value in part.values.items()}
     return Report(tuple(findings), values)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

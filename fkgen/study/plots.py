@@ -18,6 +18,7 @@ from fkgen.study.columns import deviation
 from fkgen.study.files import refuse_format
 from fkgen.study.table import Table
 from fkgen.study.verdicts import draw_verdicts
+from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]
 
@@ -58,7 +59,8 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
         One panel per state, then innovations, NIS, and probabilities or verdicts.
     """
     states, groups = spec.model.states[:_LARGEST], _by_unit(spec.model.outputs)
-    modes, verdicts = "mode_probability" in run.ports, "test_statistic" in run.ports
+    modes = "mode_probability" in run.ports
+    verdicts = spec.faults.soft is not None and "test_statistic" in run.ports
     heights = [_STATE] * len(states) + [_REST] * (len(groups) + 1 + modes + verdicts)
     figure = Figure(figsize=(_WIDTH, sum(heights)), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
@@ -113,7 +115,8 @@ def _time_label(spec: Spec, table: Table) -> str:
     return table.time_name or "sample"
 
 
-def _label(signal: Signal) -> str:
+def axis_label(signal: Signal) -> str:
+    """Name and unit of a signal, for an axis."""
     name = signal.name.replace("_", " ")
     return f"{name} ({signal.unit})" if signal.unit else name
 
@@ -127,7 +130,7 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int, signal: Signal) -> None:
         sheet.time, mean - band, mean + band, color=_BLUE, alpha=_BAND, lw=0, label=label
     )
     axis.plot(sheet.time, mean, color=_BLUE, lw=1.2, label="filtered")
-    axis.set_ylabel(_label(signal), fontsize=9)
+    axis.set_ylabel(axis_label(signal), fontsize=9)
     axis.set_ylim(*_limits(mean, band))
     if i == 0:
         axis.set_title(_title(sheet), loc="left", fontsize=10)
@@ -159,8 +162,9 @@ def _by_unit(outputs: tuple[Signal, ...]) -> dict[str, list[int]]:
 
 
 def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> None:
-    """Innovations of some rows; a start from nothing does not set the scale."""
-    values = sheet.run["innovation"]
+    """Innovations of some rows; rejected samples are left out, a start sets no scale."""
+    values = sheet.run["innovation"].copy()
+    values[np.isin(sheet.run.status, [status.value for status in VERDICTS])] = np.nan
     for at, i in enumerate(rows):
         shown = np.isfinite(values[:, i])
         name = sheet.spec.model.outputs[i].name.replace("_", " ")
@@ -221,7 +225,9 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
 
 
 def _is_mixture(spec: Spec) -> bool:
-    """Whether y may be under several sensor conditions that the filter is not told."""
+    """Whether y may be under several modes that the filter is not told."""
+    if spec.faults.jump is not None:
+        return True
     return spec.faults.sensor is not None and spec.filter.family != "genie"
 
 
@@ -240,6 +246,8 @@ def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
 
 def _mode_names(spec: Spec, count: int) -> list[str]:
     """What a mode stands for: success rates of the inputs, or a condition of the sensors."""
+    if spec.faults.jump is not None:
+        return [f"mode {i}" for i in range(count)]
     if spec.faults.sensor is None:
         rates = [", ".join(f"{rate:g}" for rate in each) for each in spec.filter.hypotheses]
         return [f"rate {each}" for each in rates]

@@ -27,7 +27,10 @@ _NEAR = 1e-9
 _PATIENCE = 20_000
 
 #: Families for which the Riccati equation of the plant says nothing.
-_OTHERS = ("linear_optimal", "one_step", "imm", "compression_full", "dfcf", "cpcf")
+_OTHERS = (
+    *("linear_optimal", "one_step", "imm", "mjls_lmmse"),
+    *("compression_full", "dfcf", "cpcf"),
+)
 
 _SOURCE = "Anderson & Moore 1979, sec. 4.4; python-control dare"
 

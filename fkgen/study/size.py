@@ -5,7 +5,7 @@ from __future__ import annotations
 from fkgen.backend.lower import lower
 from fkgen.families import family
 from fkgen.runtime.compiler import LARGE
-from fkgen.spec import names
+from fkgen.spec import Spec, names
 from fkgen.study.figures import Figures, listed
 from fkgen.study.findings import Finding, Part
 
@@ -28,16 +28,24 @@ def cost(figures: Figures) -> Part:
     return Part((Finding("large_code", "warning", message, program.flops, remedy),), values)
 
 
-def parameters(figures: Figures) -> Part:
-    """Parameters that nothing uses, and what they mean for the figures."""
-    spec = figures.spec
-    model, faults = spec.model, spec.faults.actuator
+def used_parameters(spec: Spec) -> frozenset[str]:
+    """Names of the parameters on which the filter depends."""
+    faults, plants = spec.faults.actuator, spec.plants
     used = frozenset().union(
-        *(getattr(model, letter).names for letter in ("A", "B", "C", "D", "Q", "R"))
+        *(getattr(plant, x).names for plant in plants for x in ("A", "B", "C", "D", "Q", "R"))
     )
+    if spec.faults.jump is not None:
+        used = used.union(*(mode.c.names for mode in spec.faults.jump.modes))
     if faults is not None and spec.filter.family == "mkf":
         used = used.union(*(names(rate) for rate in faults.success_rate))
         used |= faults.covariance.names if faults.covariance is not None else frozenset()
+    return used
+
+
+def parameters(figures: Figures) -> Part:
+    """Parameters that nothing uses, and what they mean for the figures."""
+    spec = figures.spec
+    used = used_parameters(spec)
     findings = []
     unused = [p.name for p in spec.stated_parameters if p.name not in used]
     if unused:

@@ -103,6 +103,34 @@ def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
     )
 
 
+def read_columns(path: str | os.PathLike[str], names: Sequence[str]) -> dict[str, Array]:
+    """Columns of finite numbers by name; those that the file lacks are zero.
+
+    Parameters
+    ----------
+    path : path
+        A CSV file with a header.
+    names : sequence of str
+        The columns that are looked for; others are ignored.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, has none of the columns, or a field is no finite number.
+    """
+    reader = _Reader(str(path))
+    if not any(name in reader.place for name in names):
+        have = ", ".join(reader.place)
+        expected = f"at least one of: {', '.join(names)}"
+        raise reader.error(f"none of the columns (there are: {have})", expected, line=1)
+    return {
+        name: reader.finite(name, "a fault")
+        if name in reader.place
+        else np.zeros(len(reader.lines))
+        for name in names
+    }
+
+
 def _joined(columns: list[Array], samples: int) -> Array:
     return np.stack(columns, axis=1) if columns else np.zeros((samples, 0))
 

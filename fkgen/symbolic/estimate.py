@@ -5,13 +5,14 @@ The Kalman filter is the case in which no input is random.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from fkgen.spec import Spec
+from fkgen.spec import JumpMode, Model, Spec
 from fkgen.symbolic.actuation import Actuation
 from fkgen.symbolic.conditioning import (
     PIVOTS_PER_LOG,
@@ -74,7 +75,13 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
 
 def prior_to_noise(spec: Spec) -> float:
     """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
-    C, P0, Q, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "Q", "R"))
+    plants = (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
+    return max(_prior_to_noise(spec, each) for each in plants)
+
+
+def _prior_to_noise(spec: Spec, plant: Model | JumpMode) -> float:
+    P0 = spec.model.P0.values()
+    C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
     noise = np.diag(R)
     prior = np.diag(C @ (P0 + Q) @ C.T)
     if np.any((noise <= 0.0) & (prior > 0.0)):
@@ -148,7 +155,7 @@ def propagate(
     """Predicted state, packed covariance and the map [A, B u~]: Strandt et al., eqs. (4), (12)."""
     n = plant.nx
     B = plant.B @ actuation.through
-    state = plant.A @ posterior.state + plant.B @ actuation.mean
+    state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
     P = unpack(posterior.covariance, n)
     if posterior.deviation.numel() == 0:
         covariance = congruence(plant.A, P) + pack(plant.Q)
@@ -176,14 +183,24 @@ def estimated(state: ca.SX, covariance: ca.SX) -> Posterior:
 
 def bound(script: Script, plant: Plant, letters: str) -> Plant:
     """The plant with its computed entries named; variances below zero are refused."""
-    named: dict[str, Any] = {
-        letter: script.name_entries(letter, getattr(plant, letter)) for letter in letters
-    }
-    for letter in set(letters) & {"Q", "R"}:
-        matrix = named[letter]
-        diagonal = [matrix[i, i] for i in range(matrix.shape[0]) if not is_zero(matrix[i, i])]
-        script.demand(Kind.NONNEGATIVE, diagonal, Status.PARAMETER_OUT_OF_RANGE)
-    return replace(plant, **named)
+    return bound_all(script, (plant,), letters)[0]
+
+
+def bound_all(script: Script, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
+    """The same for several plants; a matrix that is the same object in some is named once."""
+    named: dict[int, Any] = {}
+    for letter in letters:
+        own = {id(matrix): matrix for matrix in (getattr(plant, letter) for plant in plants)}
+        named |= zip(own, script.name_all(letter, [*own.values()]), strict=True)
+        if letter in {"Q", "R"}:
+            for matrix in (named[key] for key in own):
+                diagonal = [matrix[i, i] for i in range(matrix.shape[0])]
+                variances = [value for value in diagonal if not is_zero(value)]
+                script.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+    return tuple(
+        replace(plant, **{letter: named[id(getattr(plant, letter))] for letter in letters})
+        for plant in plants
+    )
 
 
 def demand_rates(script: Script, rates: list[ca.SX]) -> None:

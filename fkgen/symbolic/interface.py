@@ -18,6 +18,8 @@ class Status(Enum):
 
     OK = 0
     SKIPPED = 1
+    FAULT_DECLARED = 2
+    LOCKED_OUT = 3
     NULL_POINTER = -1
     INPUT_NOT_FINITE = -2
     NOT_POSITIVE_DEFINITE = -3
@@ -34,6 +36,8 @@ class Status(Enum):
 _MEANINGS = {
     Status.OK: "the sample was used",
     Status.SKIPPED: "no row of y was present: nothing was learnt from this sample",
+    Status.FAULT_DECLARED: "the sample was rejected as faulty: it did not correct the estimate",
+    Status.LOCKED_OUT: "the same, and too many samples in a row were rejected: doubt the filter",
     Status.NULL_POINTER: "a pointer argument is NULL",
     Status.INPUT_NOT_FINITE: "u holds NaN or an infinity, or y holds an infinity",
     Status.NOT_POSITIVE_DEFINITE: "a covariance lost its positivity",
@@ -43,6 +47,19 @@ _MEANINGS = {
     Status.RESULT_NOT_FINITE: "the result would not be finite",
     Status.SELFTEST_FAILED: "the self-test does not give the recorded bits on this target",
 }
+
+
+#: Statuses that only filters have which test their samples.
+VERDICTS = (Status.FAULT_DECLARED, Status.LOCKED_OUT)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What is returned for a sample with a row whose ``port`` (a scalar) ends above a ``level``."""
+
+    status: Status
+    port: str
+    level: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

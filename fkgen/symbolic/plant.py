@@ -35,7 +35,7 @@ _FUNCTIONS: dict[str, Callable[..., ca.SX]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """x[k+1] = A x + B g u + v, y = C x + D g u + w, with Cov(v) = Q and Cov(w) = R.
+    """x[k+1] = A x + B g u + c + v, y = C x + D g u + w, with Cov(v) = Q and Cov(w) = R.
 
     Attributes
     ----------
@@ -43,6 +43,8 @@ class Plant:
         Symbols of the run-time parameters.
     A, B, C, D, Q, R : SX
         (n, n), (n, q), (p, n), (p, q), (n, n), (p, p).
+    c : SX
+        (n, 1), a known offset: nothing but in modes of jump faults.
     rows : tuple of str
         Names of the rows of y, for headings in the C code.
     noise_free : bool
@@ -56,6 +58,7 @@ class Plant:
     D: ca.SX
     Q: ca.SX
     R: ca.SX
+    c: ca.SX
     rows: tuple[str, ...]
     noise_free: bool
 
@@ -84,7 +87,13 @@ def plant_of(spec: Spec) -> Plant:
         for letter in ("A", "B", "C", "D", "Q", "R")
     }
     rows = tuple(signal.name for signal in model.outputs)
-    return Plant(parameters=parameters, rows=rows, noise_free=is_noise_free(spec), **lifted)
+    return Plant(
+        parameters=parameters,
+        **lifted,
+        c=ca.SX(model.nx, 1),
+        rows=rows,
+        noise_free=is_noise_free(spec),
+    )
 
 
 def is_noise_free(spec: Spec) -> bool:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from fkgen.spec import Spec
-from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.interface import Kind, Outcome, Port, Status
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +103,8 @@ class Recursion:
         The last part of an update, for the samples at which something comes to an end.
     notes : tuple of str
         Decisions that the header repeats, such as the form of the covariance update.
+    outcomes : tuple of Outcome
+        Statuses in place of ``OK``, the first that applies.
     """
 
     spec: Spec
@@ -113,6 +115,7 @@ class Recursion:
     predict: Phase
     closing: Phase | None = None
     notes: tuple[str, ...] = field(default=())
+    outcomes: tuple[Outcome, ...] = field(default=())
 
     @property
     def phases(self) -> tuple[Phase, ...]:

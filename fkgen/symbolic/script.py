@@ -84,17 +84,25 @@ class Script:
 
     def name_entries(self, name: str, matrix: ca.SX) -> ca.SX:
         """Compute the entries that need arithmetic once; return the matrix with their symbols."""
+        return self.name_all(name, (matrix,))[0]
+
+    def name_all(self, name: str, matrices: Sequence[ca.SX]) -> tuple[ca.SX, ...]:
+        """The same for several matrices.
+
+        What their entries have in common, such as sin(w dt) in rotations, is computed once too.
+        """
         position = [
-            k
+            (at, k)
+            for at, matrix in enumerate(matrices)
             for k in range(matrix.nnz())
             if not (matrix.nz[k].is_constant() or matrix.nz[k].is_leaf())
         ]
         if not position:
-            return matrix
-        symbols = self.let(name, column([matrix.nz[k] for k in position]))
-        named = ca.SX(matrix)
-        for k, at in enumerate(position):
-            named.nz[at] = symbols[k]
+            return tuple(matrices)
+        symbols = self.let(name, ca.cse(column([matrices[at].nz[k] for at, k in position])))
+        named = tuple(ca.SX(matrix) for matrix in matrices)
+        for i, (at, k) in enumerate(position):
+            named[at].nz[k] = symbols[i]
         return named
 
     def demand(self, kind: Kind, values: Sequence[ca.SX], status: Status) -> None:

@@ -7,82 +7,19 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from fkgen.errors import InternalError
-from fkgen.spec import SensorFaults, Spec
-from fkgen.spec.lumping import merged
+from fkgen.spec import Spec
 from fkgen.symbolic.actuation import certain
 from fkgen.symbolic.conditioning import Conditioned
-from fkgen.symbolic.estimate import bound, correct, update_form
+from fkgen.symbolic.estimate import bound_all, correct, update_form
 from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.linalg import spread, weighted_sum
-from fkgen.symbolic.markov import Kernel
 from fkgen.symbolic.mixture import combined_innovation
-from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.script import Script
-from fkgen.symbolic.sensing import is_entangled, mode_plants, mode_titles
 from fkgen.symbolic.sequential import Form
+from fkgen.symbolic.switching_modes import Modes, Variant, modes_of, plants_of
 from fkgen.symbolic.weights import Weights, log_prior, log_sum_exp, reweigh
-
-
-@dataclass(frozen=True, slots=True)
-class Variant:
-    """One condition of the sensor within a mode: its share of the mode, and the plant in it."""
-
-    title: str
-    share: float
-    plant: Plant
-
-
-@dataclass(frozen=True, slots=True)
-class Modes:
-    """The modes of a switching filter.
-
-    Attributes
-    ----------
-    variants : tuple of tuple of Variant
-        Per mode; several where a mode lumps conditions together that only the density tells apart.
-    kernel : N tuples of N floats
-    initial : tuple of N floats
-        Law of the mode at sample 0.
-    entangled : bool
-        The variants of a mode lead to different estimates, because R correlates the rows that they
-        differ in with others.
-    """
-
-    variants: tuple[tuple[Variant, ...], ...]
-    kernel: Kernel
-    initial: tuple[float, ...]
-    entangled: bool
-
-    @property
-    def size(self) -> int:
-        """Number N of modes."""
-        return len(self.variants)
-
-    @property
-    def note(self) -> str:
-        """What the modes are, in their order."""
-        names = [" or ".join(each.title for each in mode) for mode in self.variants]
-        return "modes: " + "; ".join(f"{i} = {name}" for i, name in enumerate(names))
-
-
-def modes_of(plant: Plant, faults: SensorFaults, count: int) -> Modes:
-    """The four modes of (gamma, delta), or three with the mixture of both noises at gamma = 0."""
-    titles, plants = mode_titles(faults), mode_plants(plant, faults)
-    single = [Variant(title, 1.0, each) for title, each in zip(titles, plants, strict=True)]
-    entangled = is_entangled(plant, faults.rows)
-    if count == len(single):
-        return Modes(tuple((each,) for each in single), faults.kernel, faults.initial, entangled)
-    lumped = merged(faults.kernel, faults.initial)
-    silent = tuple(
-        replace(variant, share=share)
-        for variant, share in zip(single[2:], lumped.shares, strict=True)
-        if share > 0.0
-    )
-    return Modes(
-        (*((each,) for each in single[:2]), silent), lumped.kernel, lumped.initial, entangled
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,35 +38,35 @@ class Switching:
     """What a switching filter is built from, with the correction under one mode."""
 
     spec: Spec
-    plant: Plant
-    faults: SensorFaults
+    plants: tuple[Plant, ...]
+    modes: Modes
     ports: tuple[Port, ...]
     symbols: dict[str, ca.SX]
     form: Form
 
     @classmethod
-    def of(cls, spec: Spec, own: tuple[Port, ...], count: int) -> Switching:
-        """Lay out the ports of a filter over ``count`` modes; ``own`` are those of its family."""
-        if spec.faults.sensor is None:
-            raise InternalError(f"{spec.filter.family} without sensor faults")
-        plant = plant_of(spec)
-        ports = (*state_ports(spec), *innovation_ports(spec), *mode_ports(count), *own)
+    def of(cls, spec: Spec, own: tuple[Port, ...]) -> Switching:
+        """Lay out the ports of a filter; ``own`` are those of its family."""
+        plants = plants_of(spec)
+        modes = modes_of(spec, plants)
+        ports = (*state_ports(spec), *innovation_ports(spec), *mode_ports(modes.size), *own)
         return cls(
             spec=spec,
-            plant=plant,
-            faults=spec.faults.sensor,
+            plants=plants,
+            modes=modes,
             ports=ports,
-            symbols=symbols_of(spec, plant, ports),
-            form=update_form(spec, plant, augmented=False),
+            symbols=symbols_of(spec, plants[0], ports),
+            form=update_form(spec, plants[0], augmented=False),
         )
 
-    def modes(self, script: Script, count: int) -> Modes:
-        """The modes for a phase that corrects: entries of C, D and R are computed once."""
-        return modes_of(bound(script, self.plant, "CDR"), self.faults, count)
+    def bound(self, script: Script, letters: str) -> Modes:
+        """The modes for one phase: computed entries of these matrices are named."""
+        return modes_of(self.spec, bound_all(script, self.plants, letters))
 
-    def start(self, initial: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+    def start(self) -> dict[str, tuple[float, ...]]:
         """Start values of the shared ports: (x0, P0) and the law of the mode before y[0]."""
         x0, packed = prior_of(self.spec)
+        initial = self.modes.initial
         logarithm = log_prior(initial, self.spec.code.scalar)
         return {
             **{f"{of}_state": x0 for of in ("predicted", "filtered")},

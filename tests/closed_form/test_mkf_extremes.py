@@ -40,7 +40,7 @@ def test_huge_inputs_cost_no_digits_of_the_covariance(u):
         exact = paper(SETTLED, u, steps)
     result = run(motor(model=SETTLED), np.zeros((steps, 2)), np.full((steps, 1), u))
     for k in range(steps):
-        # Some hundred roundings of 1e-16; the specification asks for nine digits.
+        # Some hundred roundings of 1e-16; nine digits are asked for.
         assert distance(result.predicted_covariance[k], exact[k]) < 1e-13
 
 
@@ -58,7 +58,7 @@ def test_the_printed_form_would_lose_those_digits(u, lost):
 
 
 def predictor(model, rates, y, u):
-    """The one-step predictor of the specification, section 1, with a pseudo-inverse.
+    """The one-step predictor in whole matrices, with a pseudo-inverse.
 
     The rank is decided on Om with unit diagonal. Returns xp[1..T], P[1..T], K, Om.
     """

@@ -8,7 +8,7 @@ from models import RATES, SENSED, built, motor
 
 RUNS, AT, AFTER = 500, 500, 300
 
-#: The specification's table: median and 90 % delay to the new rate, per floor, and the mean weight
+#: By independent code: median and 90 % delay to the new rate, per floor, and the mean weight
 #: of the right hypothesis in the long run. Gaussian likelihood, no noise but the faults.
 DELAYS = {
     (0.9, 0.3): {1e-12: (14, 32), 1e-6: (8, 27), 1e-4: (6, 25), 1e-3: (6, 20)},

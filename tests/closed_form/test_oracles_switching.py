@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from interacting_models import KALMAN, PORTS
 from sensor_plants import (
     ALTERNATING,
     STICKY,
@@ -27,17 +28,6 @@ from fkgen.closed_form import (
     textbook_one_step,
 )
 
-KALMAN = (
-    "filtered_state",
-    "filtered_covariance",
-    "predicted_state",
-    "predicted_covariance",
-    "innovation",
-    "innovation_covariance",
-    "nis",
-    "log_likelihood",
-)
-PORTS = (*KALMAN, "mode_probability", "predicted_mode_probability")
 EXACT = tuple(port for port in PORTS if port != "nis")
 IID_NOISE = np.tile([0.8, 0.2], (2, 1))
 READINGS = ("moment_matched", "weighted", "paper", "paper_nominal")

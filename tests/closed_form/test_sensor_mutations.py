@@ -14,7 +14,7 @@ from models import random_model
 from mutants import proved, read_instead, recursion, refusals, rewritten, started
 from sensor_models import DENSE, MATCHED, centred, chain, plane, product, sensed
 
-from fkgen.symbolic import markov, mixture, switching, weights
+from fkgen.symbolic import markov, mixture, switching, switching_modes, weights
 from fkgen.symbolic.estimate import propagate
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.linalg import spread, unpack
@@ -114,9 +114,9 @@ def test_mistake_delta_dropped_in_s():
 
 @pytest.mark.parametrize("which", MATCHED)
 def test_mistake_nominal_noise_in_the_mode_without_signal_and_with_noise(which, monkeypatch):
-    right = switching.mode_plants
+    right = switching_modes.mode_plants
     monkeypatch.setattr(
-        switching, "mode_plants", lambda *a: [(p := right(*a))[0], p[1], p[2], p[2]]
+        switching_modes, "mode_plants", lambda *a: [(p := right(*a))[0], p[1], p[2], p[2]]
     )
     assert BAYES in refusals(recursion(scalar(ANY, which)))
 
@@ -272,8 +272,8 @@ def test_mistake_m3_not_propagated(law, monkeypatch):
 def test_mistake_one_gaussian_for_m3(shares, monkeypatch):
     plant = sensed(centred(random_model(83, 2, 1)), LUMPABLE, modes=3)
     assert proved(recursion(plant))
-    right = switching.merged
-    monkeypatch.setattr(switching, "merged", lambda *law: replace(right(*law), shares=shares))
+    right = switching_modes.merged
+    monkeypatch.setattr(switching_modes, "merged", lambda *law: replace(right(*law), shares=shares))
     failed = refusals(recursion(plant))
     assert TEXTBOOK in failed
     assert BAYES in failed  # the law can be lumped: three modes have to be as good as four

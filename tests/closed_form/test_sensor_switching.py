@@ -6,6 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from interacting_models import KALMAN, PORTS
 from models import assert_agree, distance, random_model, run
 from sensor_models import (
     DENSE,
@@ -30,17 +31,6 @@ from sensor_plants import with_modes
 
 from fkgen.closed_form import LinearSystem, SensorLaw, batch_lmmse, enumerate_modes
 
-KALMAN = (
-    "filtered_state",
-    "filtered_covariance",
-    "predicted_state",
-    "predicted_covariance",
-    "innovation",
-    "innovation_covariance",
-    "nis",
-    "log_likelihood",
-)
-PORTS = (*KALMAN, "mode_probability", "predicted_mode_probability")
 BAYES = tuple(port for port in PORTS if port != "nis")
 
 #: n, p, q, rows that fail, law.

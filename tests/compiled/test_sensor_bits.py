@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from models import generated, interpreted, run
-from sensor_models import KINDS, every
+from sensor_models import EVERY, every
 from toolchain import BITS, C_COMPILERS, C_ONLY, FLAGS, call, needs_compiler, run_main
 
 import fkgen
@@ -30,6 +30,7 @@ FEW = [
     ("one_step_paper", "float"),
     ("augmented", "double"),
     ("genie", "float"),
+    ("imm_jump", "double"),
 ]
 
 
@@ -56,7 +57,7 @@ def sample(params, k):
 
 @pytest.mark.parametrize("compiler", list(C_COMPILERS))
 @pytest.mark.parametrize("scalar", SCALARS)
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", EVERY)
 def test_compiled_c_is_the_program_as_data_bit_for_bit(name, scalar, compiler, monkeypatch):
     monkeypatch.setenv("FKGEN_CC", " ".join(C_COMPILERS[compiler]))
     plant = every(scalar)[name]
@@ -91,7 +92,7 @@ def test_linear_filters_in_double_are_the_recursion_bit_for_bit(name):
             )
 
 
-@pytest.mark.parametrize("name", [name for name in KINDS if name not in LINEAR])
+@pytest.mark.parametrize("name", [name for name in EVERY if name not in LINEAR])
 def test_other_filters_are_the_recursion_up_to_their_own_functions(name):
     plant = every()[name]
     y, u, params = trial(plant)
@@ -151,7 +152,7 @@ int main(void)
 
 
 @pytest.mark.parametrize(
-    "name", ["one_step", "imm", "imm3", "linear_absorbing", "augmented", "genie"]
+    "name", ["one_step", "imm", "imm3", "imm_jump", "linear_absorbing", "augmented", "genie"]
 )
 @pytest.mark.parametrize("scalar", SCALARS)
 def test_update_then_predict_is_step_to_the_bit(name, scalar, tmp_path):

@@ -8,13 +8,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from models import built, distance, interpreted, random_model
-from sensor_models import DENSE, KINDS, SWITCHING, chain, every, plane, sensed
+from sensor_models import DENSE, EVERY, SWITCHING, chain, every, plane, sensed
 
 import fkgen
 from fkgen.closed_form import LinearSystem, SensorLaw, enumerate_modes
 from fkgen.errors import StepRefused
 
-WEIGHING = ("one_step", "one_step_paper", "imm", "imm_zeros", "imm_product", "imm3")
+WEIGHING = ("one_step", "one_step_paper", "imm", "imm_zeros", "imm_product", "imm3", "imm_jump")
 GAUSSIAN = ("one_step", "imm")
 
 #: Examples are the same in every run; a failure is found again.
@@ -46,7 +46,7 @@ def now(params, k):
     return {name: values[k] for name, values in params.items()}
 
 
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", EVERY)
 @given(data=st.data())
 @some
 def test_covariances_are_symmetric_and_positive(name, data):
@@ -88,7 +88,8 @@ def test_the_law_of_the_next_mode_is_that_of_this_one_through_the_kernel(name, d
     plant = every()[name]
     y, u, _ = data.draw(records(plant))
     result = built(plant).run(y, u)
-    kernel = np.array(plant.faults.sensor.kernel)
+    faults = plant.faults
+    kernel = np.array(faults.jump.transition if name == "imm_jump" else faults.sensor.kernel)
     if name == "imm3":  # both modes without signal come as one, with the law of the noise unsaid
         kernel = kernel[:, :2].sum(axis=1, keepdims=True)
         rate = result.mode_probability[:, :2].sum(axis=1) * kernel[0]
@@ -101,7 +102,7 @@ def test_the_law_of_the_next_mode_is_that_of_this_one_through_the_kernel(name, d
     )
 
 
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", EVERY)
 @given(data=st.data())
 @some
 def test_a_run_is_its_steps_and_a_batch_is_its_runs(name, data):
@@ -121,7 +122,7 @@ def test_a_run_is_its_steps_and_a_batch_is_its_runs(name, data):
             np.testing.assert_array_equal(snapshot[port], whole[port][k])
 
 
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", EVERY)
 @given(data=st.data(), bad=st.sampled_from([np.inf, -np.inf]))
 @some
 def test_a_refused_step_changes_nothing(name, data, bad):

@@ -11,9 +11,11 @@ import pytest
 
 import fkgen
 from fkgen.families import NAMES, family
+from fkgen.spec.filter import OPTIONS
 from fkgen.study.starters import resource, starter
 
 PAGES = {name: resource(f"docs/families/{name}.md") for name in NAMES}
+OTHERS = {"fault-effects": resource("docs/fault-effects.md")}
 EXTRA = {
     "linear_optimal": [
         {"form": "augmented"},
@@ -21,6 +23,12 @@ EXTRA = {
         {"initial": [0, 0, 1, 0], "inputs": True},
     ],
     "one_step": [{"covariance": "paper"}],
+    "mjls_lmmse": [
+        {"detector": "energy", "window": 3},
+        {"detector": "none"},
+        {"reinitialise": True},
+        {"inputs": True},
+    ],
     "dfcf": [{"reacquire": 3}],
 }
 """Options of a starter that add ports."""
@@ -31,9 +39,9 @@ def blocks(path, language):
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *OTHERS])
 def test_code_on_a_page_prints_what_stands_beside_it(name):
-    for code in blocks(PAGES[name], "python"):
+    for code in blocks({**PAGES, **OTHERS}[name], "python"):
         printed = StringIO()
         with redirect_stdout(printed):
             exec(compile(code, f"{name}.md", "exec"), {})  # noqa: S102
@@ -59,7 +67,7 @@ def ports_of(name):
         for key, value in changes.items():
             if key == "inputs":
                 each["model"]["B"] = [[1.0]] * len(table["model"]["A"])
-            elif key in {"form", "covariance", "reacquire"}:
+            elif key in OPTIONS.get(name, ()):
                 each["filter"][key] = value
             else:
                 each["faults"]["sensor"][key] = value
@@ -77,8 +85,8 @@ MORE = {"imm": "one_step", "compression_full": "dfcf"}
 
 
 @pytest.mark.parametrize(
-    "name", ["linear_optimal", "one_step", "imm", "genie", "dfcf", "compression_full"]
+    "name", ["linear_optimal", "one_step", "imm", "genie", "mjls_lmmse", "dfcf", "compression_full"]
 )
-def test_every_port_of_a_filter_for_sensor_faults_is_on_a_page(name):
+def test_every_port_of_a_filter_for_faults_is_on_a_page(name):
     shared = named(PAGES[MORE[name]]) if name in MORE else set()
     assert ports_of(name) <= named(PAGES[name]) | named(PAGES["kf"]) | shared

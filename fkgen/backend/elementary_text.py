@@ -1,0 +1,30 @@
+"""What the template of the elementary functions reads."""
+
+from __future__ import annotations
+
+import math
+
+from fkgen.backend.elementary import FORMATS
+from fkgen.backend.ir import Operator
+from fkgen.backend.printer import StatementPrinter
+
+
+def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> dict[str, object]:
+    """Names, constants, and which functions there are; sqrt where atan2 needs it."""
+    needs = {op.value: op in functions for op in Operator if op.is_function}
+    needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
+    needs["scale"] = needs["exp"]
+    needs["sqrt"] = needs["sqrt"] or needs["atan2"]
+    return {
+        "c": c,
+        "name": c.name,
+        "upper": c.upper,
+        "real": c.real,
+        "word": "uint64_t" if c.real == "double" else "uint32_t",
+        "f": FORMATS[c.real],
+        "needs": needs,
+        "needs_elementary": bool(functions),
+        "root2": math.sqrt(2.0),
+        "ln2": math.log(2.0),
+        "pi": math.pi,
+    }

@@ -1,0 +1,43 @@
+"""Independent pieces of work on all cores, in blocks: compiled code lets go of Python's lock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+
+#: Called with the number of pieces that were done since the last call.
+Advance = Callable[[int], object]
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def in_blocks(
+    work: Callable[[int, int], object], total: int, size: int, advance: Advance | None = None
+) -> None:
+    """Call ``work(start, stop)`` for blocks of ``size`` pieces out of ``total``, in threads.
+
+    Parameters
+    ----------
+    work : callable
+        Must not depend on the order of blocks.
+    total, size : int
+    advance : callable, optional
+        Told how many pieces are done; always from the calling thread.
+    """
+    blocks = [(start, min(start + size, total)) for start in range(0, total, size)]
+    with ThreadPoolExecutor(max(1, min(cores(), len(blocks)))) as pool:
+        waiting = {pool.submit(work, *block): block for block in blocks}
+        try:
+            for done in as_completed(waiting):
+                done.result()
+                start, stop = waiting[done]
+                if advance is not None:
+                    advance(stop - start)
+        finally:  # an error or an interruption: what has not begun is not begun
+            pool.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,183 @@
+"""How small a bias a filter at rest can still find, and by which test.
+
+References
+----------
+Willsky & Jones 1976, *A generalized likelihood ratio approach to the detection and estimation of
+jumps in linear systems*, sec. III.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fkgen.errors import DataError
+from fkgen.runtime.record import choice, numbers
+from fkgen.spec import Matrix, Spec
+from fkgen.study.demands import probability, whole
+from fkgen.study.figures import Figures, Rest
+from fkgen.study.power import required_noncentrality
+from fkgen.study.profiles import step
+from fkgen.study.question import ask
+from fkgen.study.response import LINEAR, linear_response
+from fkgen.study.visibility import lasting_innovation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Detectability:
+    """The least constant bias along one direction that a test finds with a given power.
+
+    Biases are multiples of the direction: for a unit vector, in units of that row of y. Infinite
+    where a test never sees the fault.
+
+    Attributes
+    ----------
+    direction : (p,) ndarray
+    window : int
+        Samples w from the onset on.
+    false_alarm, power : float
+    nis : float
+        By the NIS of the first faulty sample, chi-square with p degrees of freedom.
+    windowed_nis : float
+        By the sum of the NIS over the window, p w degrees of freedom.
+    glr : float
+        By the likelihood ratio for a bias of this direction and onset, one degree of freedom.
+    information : (w,) ndarray
+        Noncentrality of each sample per unit of the bias squared; at first that of the onset.
+    plateau : float
+        What it tends to: what remains when the estimate has taken the bias in.
+    """
+
+    direction: Array
+    window: int
+    false_alarm: float
+    power: float
+    nis: float
+    windowed_nis: float
+    glr: float
+    information: Array
+    plateau: float
+
+    def __repr__(self) -> str:
+        least = f"NIS {self.nis:.4g}, windowed {self.windowed_nis:.4g}, GLR {self.glr:.4g}"
+        return f"<Detectability of a bias along {self.direction}: {least}>"
+
+
+def detectability(
+    spec: Spec,
+    direction: ArrayLike | str,
+    false_alarm: float = 1e-3,
+    power: float = 0.9,
+    window: int = 50,
+    *,
+    u: ArrayLike | None = None,
+) -> Detectability:
+    """Say how large a constant bias of y has to be to be found by a filter at rest.
+
+    Parameters have their defaults, every row is present.
+
+    Parameters
+    ----------
+    spec : Spec
+        A ``kf``, ``mkf`` or ``genie``.
+    direction : (p,) array_like or str
+        Direction of the bias in y, or the name of the row that has it.
+    false_alarm, power : float
+        Probability of an alarm without and with the bias, per test.
+    window : int
+        Samples that the windowed tests look at.
+    u : (q,) array_like, optional
+        Constant inputs, on which the gain of ``mkf`` depends; zero if left out.
+
+    Raises
+    ------
+    DataError
+        If an argument does not fit, or the filter is not linear or does not come to rest.
+    """
+    d = _direction(spec, direction)
+    w = whole("window", window, least=1, expected="a number of samples, at least 1")
+    rates = probability("false_alarm", false_alarm), probability("power", power)
+    information, plateau = _information(spec, step(w, 0, d), d, u)
+    total, p = float(information.sum()), spec.model.ny
+    return Detectability(
+        direction=d,
+        window=w,
+        false_alarm=rates[0],
+        power=rates[1],
+        nis=_least(p, float(information[0]), rates),
+        windowed_nis=_least(p * w, total, rates),
+        glr=_least(1, total, rates),
+        information=information,
+        plateau=plateau,
+    )
+
+
+def _least(degrees: int, share: float, rates: tuple[float, float]) -> float:
+    """The bias at which the noncentrality is what a test needs; ``share`` is that of a unit."""
+    needed = required_noncentrality(degrees, *rates)
+    return math.sqrt(needed / share) if share > 0.0 else math.inf
+
+
+def _information(
+    spec: Spec, bias: Array, d: Array, inputs: ArrayLike | None
+) -> tuple[Array, float]:
+    """Noncentrality of every sample of a bias that begins at rest, and what it tends to."""
+    figures, driven = Figures(spec), _inputs(spec, inputs)
+    rest = _rest(figures, driven)
+    rested = replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted)))
+    u = np.tile(driven, (len(bias), 1)) if driven.size else None
+    effect = linear_response(ask(rested, (bias, None), "both", None, params=None, u=u, y=None))
+    if not effect.gaussian:
+        expected = "u = 0, or D = 0: with both, y shows which commands are lost and is a mixture"
+        raise DataError("u", given=f"{driven} under mkf with D", expected=expected)
+    left = lasting_innovation(figures, rest, d)
+    plateau = float(left @ np.linalg.pinv(rest.innovation, hermitian=True) @ left)
+    return effect.noncentrality, plateau
+
+
+def _direction(spec: Spec, direction: ArrayLike | str) -> Array:
+    names = [signal.name for signal in spec.model.outputs]
+    if isinstance(direction, str):
+        if direction not in names:
+            expected = choice(direction, names)
+            raise DataError("direction", given=repr(direction), expected=expected)
+        return np.asarray(np.eye(len(names))[names.index(direction)])
+    d = np.atleast_1d(np.asarray(numbers("direction", direction, np.float64), dtype=float))
+    if d.shape != (len(names),):
+        expected = f"shape ({len(names)},), one number per row of y, or the name of a row"
+        raise DataError("direction", given=f"shape {d.shape}", expected=expected)
+    if not np.isfinite(d).all() or not d.any():
+        raise DataError("direction", given=str(d), expected="finite numbers, not all of them zero")
+    return d
+
+
+def _inputs(spec: Spec, u: ArrayLike | None) -> Array:
+    """Constant inputs, (q,)."""
+    q = spec.model.nu
+    if u is None:
+        return np.zeros(q)
+    driven = np.asarray(numbers("u", u, np.float64), dtype=float).reshape(-1)
+    if driven.shape != (q,) or not np.isfinite(driven).all():
+        raise DataError("u", given=str(driven), expected=f"{q} finite numbers, one per input")
+    return driven
+
+
+def _rest(figures: Figures, driven: Array) -> Rest:
+    """The filter at rest."""
+    family = figures.spec.filter.family
+    if family not in LINEAR:
+        given = f"the family {family}"
+        expected = f"one of {', '.join(LINEAR)}: the NIS of a filter that is not linear in y, or"
+        expected += " whose y is a mixture, is not chi-square; simulate it"
+        raise DataError("detectability", given=given, expected=expected)
+    rest = figures.rest_at(driven)
+    if rest is None:
+        given = "a filter that does not come to rest"
+        expected = "a stabilising solution of the Riccati equation; see fkgen.check"
+        raise DataError("detectability", given=given, expected=expected)
+    return rest

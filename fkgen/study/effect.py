@@ -1,0 +1,115 @@
+"""`FaultEffect`: what a fault does to an estimate, sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fkgen.errors import DataError
+from fkgen.study.demands import probability
+from fkgen.study.power import detection_power
+
+Array = NDArray[np.float64]
+
+#: How the numbers were found: see `FaultEffect.kind`.
+Kind = Literal["exact", "mean", "paired"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class FaultEffect:
+    """The difference that a fault makes, over T samples.
+
+    Attributes
+    ----------
+    state_deviation : (T, n) ndarray
+        Change of the filtered state x(k|k).
+    error_deviation : (T, n) ndarray
+        Change of the error x[k] - x(k|k): of the state less that of its estimate.
+    innovation_deviation : (T, p) ndarray
+        Change of the innovation; NaN where the row is missing.
+    noncentrality : (T,) ndarray
+        dr' S^-1 dr over the rows present: the NIS is noncentral chi-square with it. If ``paired``:
+        the mean change of the NIS, which for a linear filter is the same number.
+    state_sd : (T, n) ndarray
+        Standard deviation of x(k|k) that the filter states, to measure the deviation by.
+    degrees : (T,) ndarray of int
+        Rows of y present, the degrees of freedom of the NIS.
+    kind : str
+        ``"exact"``: of every run, whatever the noise is. ``"mean"``: on average over lost commands,
+        which decide how much of an input fault arrives. ``"paired"``: the mean over simulated runs
+        with and without the fault, same noise in both; the filter is not linear in y, so the
+        deviation depends on the run.
+    standard_error : (T, n) ndarray
+        Of `state_deviation`; zero unless ``paired``.
+    runs : int
+        Simulated pairs; 0 unless ``paired``.
+    gaussian : bool
+        Whether the NIS can be taken for chi-square, so that it has a `power`: for ``kf`` and
+        ``genie``; for ``mkf`` without D nearly so, lost commands being noise of the same moments.
+    """
+
+    state_deviation: Array
+    error_deviation: Array
+    innovation_deviation: Array
+    noncentrality: Array
+    state_sd: Array
+    degrees: NDArray[np.int64]
+    kind: Kind
+    standard_error: Array
+    runs: int = 0
+    gaussian: bool = True
+
+    def __repr__(self) -> str:
+        peak = ", ".join(f"{size:.3g}" for size in np.abs(self.error_deviation).max(axis=0))
+        return f"<FaultEffect over {len(self.degrees)} samples, {self.kind}: errors up to {peak}>"
+
+    def power(self, false_alarm: float) -> Array:
+        """Probability that the NIS of one sample exceeds its bound, (T,).
+
+        Parameters
+        ----------
+        false_alarm : float
+            Probability that it does so without a fault.
+
+        Raises
+        ------
+        DataError
+            If the probability is not in (0, 1), or the NIS of this filter is not chi-square.
+        """
+        if not self.gaussian:
+            raise DataError(
+                "power of the NIS test",
+                given="a filter whose innovation is a mixture",
+                expected="a filter whose innovation is Gaussian, or nearly so",
+            )
+        return detection_power(
+            self.noncentrality, self.degrees, probability("false_alarm", false_alarm)
+        )
+
+    def settled(self, fraction: float) -> NDArray[np.int64]:
+        """First sample from which on a state's error stays below a share of its peak, (n,).
+
+        Parameters
+        ----------
+        fraction : float
+            Of the peak of |error_deviation|, in (0, 1).
+
+        Returns
+        -------
+        (n,) ndarray of int
+            T where it does not get there within the record; 0 where there is no effect at all.
+
+        Raises
+        ------
+        DataError
+            If the fraction is not in (0, 1).
+        """
+        share = probability("fraction", fraction)
+        size = np.abs(self.error_deviation)
+        peak = size.max(axis=0)
+        above = size > share * peak
+        after = len(size) - np.argmax(above[::-1], axis=0)
+        return np.asarray(np.where(peak > 0.0, after, 0), dtype=np.int64)

@@ -1,0 +1,101 @@
+"""What a filter costs on a target: operations, memory of an instance, bytes of code."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fkgen.backend.source import MANIFEST
+from fkgen.runtime.compiled import CompiledFilter
+from fkgen.runtime.compiler import LARGE, find_compiler
+from fkgen.runtime.record import dtype_of
+
+#: Operations that a call of exp, log, sqrt or their kin is counted as: what its C does.
+CALL = 25
+
+_WAIT = 600
+_CORTEX = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+
+
+@dataclass(frozen=True, slots=True)
+class Footprint:
+    """Costs of one filter.
+
+    Attributes
+    ----------
+    operations : int
+        Floating-point operations of a step, without those inside calls.
+    calls : int
+        Calls of elementary functions.
+    state : int
+        Bytes of an instance.
+    flash : dict of str to int
+        Bytes of code and constants by target; what could not be compiled or measured is missing.
+    """
+
+    operations: int
+    calls: int
+    state: int
+    flash: dict[str, int]
+
+    @property
+    def cost(self) -> int:
+        """Operations of a step with every call counted as `CALL`."""
+        return self.operations + CALL * self.calls
+
+
+def footprint(compiled: CompiledFilter) -> Footprint:
+    """Measure a compiled filter.
+
+    Parameters
+    ----------
+    compiled : CompiledFilter
+    """
+    manifest = json.loads((compiled.folder / MANIFEST).read_text(encoding="utf-8"))
+    scalars = sum(port.size for port in compiled.layout.ports)
+    return Footprint(
+        operations=compiled.layout.flops,
+        calls=sum(manifest["calls"].values()),
+        state=scalars * np.dtype(dtype_of(compiled.layout)).itemsize,
+        flash=_flash(compiled),
+    )
+
+
+def _flash(compiled: CompiledFilter) -> dict[str, int]:
+    host, cross = find_compiler().command, shutil.which("arm-none-eabi-gcc")
+    fast = "-O2" if compiled.layout.flops <= LARGE else "-O1"
+    attempts = {"host -Os": ((*host, "-Os"), "size"), f"host {fast}": ((*host, fast), "size")}
+    if cross is not None:
+        attempts["Cortex-M4F -Os"] = ((cross, *_CORTEX, "-Os"), "arm-none-eabi-size")
+    code = compiled.folder / f"{compiled.name}.c"
+    measured = {name: _text_bytes(code, *how) for name, how in attempts.items()}
+    return {name: size for name, size in measured.items() if size is not None}
+
+
+def _text_bytes(code: Path, command: tuple[str, ...], size: str) -> int | None:
+    """Code and constants of one object file; None if a tool is missing or refuses."""
+    tool = shutil.which(size)
+    if tool is None:
+        return None
+    with tempfile.TemporaryDirectory(prefix="fkgen-") as folder:
+        target = Path(folder) / "filter.o"
+        flags = ["-std=c99", "-ffp-contract=off", "-c", str(code), "-o", str(target)]
+        try:
+            _run([*command, *flags])
+            lines = _run([tool, str(target)]).splitlines()
+            return int(lines[1].split()[0])
+        except (OSError, subprocess.SubprocessError, IndexError, ValueError):
+            return None
+
+
+def _run(command: list[str]) -> str:
+    done = subprocess.run(  # noqa: S603 - a compiler that was looked for, and its output
+        command, capture_output=True, text=True, timeout=_WAIT, check=True
+    )
+    return done.stdout

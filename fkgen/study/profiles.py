@@ -1,0 +1,178 @@
+"""Profiles of faults over a record: what is added to y or to u, sample by sample.
+
+Every function returns shape (steps, width), where the width is the length of the amplitude: one
+number per row of y (or per input), zero for those that stay healthy.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fkgen.errors import DataError
+from fkgen.study.demands import whole
+from fkgen.study.table import read_columns
+
+__all__ = ["drift", "from_csv", "pulse", "ramp", "step"]
+
+Array = NDArray[np.float64]
+
+
+def pulse(steps: int, start: int, amplitude: ArrayLike) -> Array:
+    """A fault of one sample.
+
+    Parameters
+    ----------
+    steps : int
+        Length T of the record.
+    start : int
+        The faulty sample, 0 <= start < steps.
+    amplitude : (width,) array_like
+        In units of the signal; a number for width 1.
+
+    Returns
+    -------
+    (steps, width) ndarray
+
+    Raises
+    ------
+    DataError
+        If the sample is not in the record, or an amplitude is not finite.
+    """
+    return step(steps, start, amplitude, stop=start + 1)
+
+
+def step(steps: int, start: int, amplitude: ArrayLike, *, stop: int | None = None) -> Array:
+    """A constant fault from ``start`` on, up to and without ``stop``.
+
+    Parameters
+    ----------
+    steps : int
+        Length T of the record.
+    start : int
+        First faulty sample, 0 <= start < steps.
+    amplitude : (width,) array_like
+        In units of the signal; a number for width 1.
+    stop : int, optional
+        First healthy sample after it; one beyond the record, or None, means that it stays.
+
+    Returns
+    -------
+    (steps, width) ndarray
+
+    Raises
+    ------
+    DataError
+        If the samples are not in the record, or an amplitude is not finite.
+    """
+    return _shaped(np.ones(_count(steps)), start, amplitude, stop)
+
+
+def ramp(
+    steps: int, start: int, amplitude: ArrayLike, *, length: int, stop: int | None = None
+) -> Array:
+    """A fault that rises to ``amplitude`` within ``length`` samples and stays there.
+
+    Sample ``start`` has amplitude / length, sample start + length - 1 the whole of it.
+
+    Parameters
+    ----------
+    steps : int
+        Length T of the record.
+    start : int
+        First faulty sample.
+    amplitude : (width,) array_like
+        Where it ends, in units of the signal; a number for width 1.
+    length : int
+        Samples that the rise takes, at least 1.
+    stop : int, optional
+        First healthy sample after it.
+
+    Returns
+    -------
+    (steps, width) ndarray
+
+    Raises
+    ------
+    DataError
+        If the samples are not in the record, or an amplitude is not finite.
+    """
+    whole("length", length, least=1, expected="a number of samples, at least 1")
+    rise = np.minimum(np.arange(1, _count(steps) + 1) / length, 1.0)
+    return _shaped(rise, start, amplitude, stop)
+
+
+def drift(steps: int, start: int, rate: ArrayLike, *, stop: int | None = None) -> Array:
+    """A fault that grows by ``rate`` per sample: rate at ``start``, 2 rate after it, and so on.
+
+    Parameters
+    ----------
+    steps : int
+        Length T of the record.
+    start : int
+        First faulty sample.
+    rate : (width,) array_like
+        In units of the signal per sample; a number for width 1.
+    stop : int, optional
+        First healthy sample after it.
+
+    Returns
+    -------
+    (steps, width) ndarray
+
+    Raises
+    ------
+    DataError
+        If the samples are not in the record, or a rate is not finite.
+    """
+    return _shaped(np.arange(1.0, _count(steps) + 1.0), start, rate, stop)
+
+
+def from_csv(path: str | os.PathLike[str], columns: Sequence[str]) -> Array:
+    """A profile from a CSV file with a header; a column that the file lacks is zero.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    columns : sequence of str
+        Names of the rows of y, or of the inputs, in their order.
+
+    Returns
+    -------
+    (T, width) ndarray
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, has none of the columns, or a field is no finite number.
+    """
+    found = read_columns(path, columns)
+    return np.stack(list(found.values()), axis=1)
+
+
+def _count(steps: int) -> int:
+    return whole("steps", steps, least=1, expected="a number of samples, at least 1")
+
+
+def _shaped(shape: Array, start: int, amplitude: ArrayLike, stop: int | None) -> Array:
+    """Put the first values of a shape from ``start`` on, times the amplitude."""
+    steps = len(shape)
+    in_record = f"a sample from 0 to {steps - 1}"
+    first = whole("start", start, least=0, most=steps - 1, expected=in_record)
+    later = f"a sample after start = {start}, or None: the fault stays"
+    last = steps if stop is None else whole("stop", stop, least=first + 1, expected=later)
+    try:
+        size = np.atleast_1d(np.asarray(amplitude, dtype=float))
+    except (TypeError, ValueError):
+        size = np.full((0, 0), np.nan)
+    if size.ndim != 1 or not size.size or not np.isfinite(size).all():
+        expected = "finite numbers, one per row of y or per input"
+        raise DataError("amplitude", given=repr(amplitude), expected=expected)
+    result = np.zeros((steps, size.size))
+    last = min(last, steps)
+    result[first:last] = shape[: last - first, np.newaxis] * size
+    return result

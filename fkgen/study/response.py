@@ -1,0 +1,186 @@
+"""The effect of a fault on a filter whose gain does not depend on y: by its own recursion, in C.
+
+Such a filter maps (x0, u, y) to its estimate linearly, with gains that the record does not change.
+So the deviation obeys the recursion of the filter itself,
+
+    Delta[k] = (I - K[k] C) A Delta[k-1] + K[k] f[k],    Delta[-1] = 0,
+
+driven by the fault and started at zero: generated, proved and compiled like every filter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fkgen.closed_form.gaussian import square_root
+from fkgen.errors import DataError
+from fkgen.pipeline import build
+from fkgen.runtime.compiled import CompiledFilter
+from fkgen.runtime.results import Run
+from fkgen.spec import Code, Expression, Faults, Filter, Matrix, Name, Number, Signal, Spec
+from fkgen.spec.definition import Parameter
+from fkgen.study.effect import FaultEffect
+from fkgen.study.question import Mode, Question
+from fkgen.symbolic.interface import Status
+
+Array = NDArray[np.float64]
+
+#: Families that are linear in y, with gains that no measurement changes.
+LINEAR = ("kf", "mkf", "genie")
+
+#: Sign of the anomaly in the error of a filter that is told nothing, everything, or too much.
+_SIGN: dict[Mode, float] = {"plant": 1.0, "both": 0.0, "filter": -1.0}
+
+#: Value at which the proof tries a parameter of the companion: any number but zero will do.
+_TRIED = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Companion:
+    """A filter for deviations, and what it needs at run time.
+
+    Attributes
+    ----------
+    spec : Spec
+        Prior mean zero, in double; its first n states are those of the filter.
+    params : mapping of str to float or (T,) ndarray
+    rate : (T, q) ndarray
+        Share of an input fault that arrives, on average.
+    """
+
+    spec: Spec
+    params: Mapping[str, ArrayLike]
+    rate: Array
+
+
+def linear_response(question: Question) -> FaultEffect:
+    """Answer a question about ``kf``, ``mkf`` or ``genie``.
+
+    Raises
+    ------
+    DataError
+        If the filter refuses a sample: a parameter out of range, or numbers that overflow.
+    """
+    spec, n = question.spec, question.spec.model.nx
+    companion = _companion(question)
+    built = build(companion.spec)
+    anomaly = companion.rate * question.anomaly
+    # The error deviates by what the filter makes of -f in y, and of the part of the anomaly that
+    # only the plant (+) or only the filter (-) has got.
+    y = np.where(question.missing, np.nan, -question.sensor)
+    own = _run(built, y, _SIGN[question.mode] * anomaly, companion)
+    error = np.asarray(own.filtered_state[:, :n], dtype=float)
+    plant = np.zeros_like(error)
+    if question.mode != "filter" and anomaly.any():  # nothing is measured: the plant, left alone
+        plant = _run(built, np.full_like(y, np.nan), anomaly, companion).filtered_state[:, :n]
+    variance = np.diagonal(own.filtered_covariance, axis1=1, axis2=2)[:, :n]
+    random = spec.faults.actuator is not None and anomaly.any()
+    entries = [entry for row in spec.model.D.rows for entry in row]
+    seen = question.told.any() and any(entry != Number(0.0) for entry in entries)
+    mixture = spec.faults.actuator is not None and seen  # y shows which commands were lost
+    return FaultEffect(
+        state_deviation=plant - error,
+        error_deviation=error + 0.0,  # no -0.0
+        innovation_deviation=np.asarray(0.0 - own.innovation, dtype=float),
+        noncentrality=np.asarray(own.nis, dtype=float),
+        state_sd=np.sqrt(np.maximum(variance, 0.0)),
+        degrees=np.sum(~question.missing, axis=1),
+        kind="mean" if random else "exact",
+        standard_error=np.zeros_like(error),
+        gaussian=not mixture,
+    )
+
+
+def _run(built: CompiledFilter, y: Array, u: Array, companion: _Companion) -> Run:
+    run = built.run(y, u if u.shape[1] else None, companion.params)
+    if run.refused.any():
+        k = int(np.argmax(run.refused))
+        status = Status(int(run.status[k]))
+        if status is Status.RESULT_NOT_FINITE:
+            expected = f"at most {k}: then numbers overflow, because the plant is unstable"
+            raise DataError("steps", given=f"{len(y)} samples", expected=expected)
+        given = f"a record that the filter refuses at sample {k}"
+        raise DataError("params", given=given, expected=f"no sample at which {status.meaning}")
+    return run
+
+
+def _companion(question: Question) -> _Companion:
+    spec, T = question.spec, question.samples
+    model = replace(spec.model, x0=Matrix.zeros(spec.model.nx, 1))
+    still = replace(spec, model=model, code=Code("double", spec.code.update))
+    if spec.faults.actuator is None:
+        return _Companion(still, question.params, np.ones((T, spec.model.nu)))
+    system = question.system()
+    told = question.told
+    covariance = told[:, :, np.newaxis] * system.fault_covariance * told[:, np.newaxis, :]
+    root = square_root(covariance)
+    lost = np.flatnonzero(np.abs(root).max(axis=(0, 1), initial=0.0) > 0.0)
+    root = root[:, :, lost]
+    widened, params = _with_lost_commands(still, system.B @ root, system.D @ root)
+    return _Companion(widened, {**question.params, **params}, system.rate)
+
+
+def _with_lost_commands(spec: Spec, driven: Array, sensed: Array) -> tuple[Spec, dict[str, Array]]:
+    """The Kalman filter that ``mkf`` is, with the lost part of u as r more states.
+
+    Strandt, Schneider & Yaz, (1): g u = xi u + (g - xi) u, where the second part is noise in x and
+    in y at once. It is a white state e with covariance I, through (B N^1/2) e and (D N^1/2) e.
+
+    Parameters
+    ----------
+    spec : Spec
+        n states, p outputs.
+    driven, sensed : (T, n, r), (T, p, r) ndarray
+        B N^1/2 and D N^1/2, with N = diag(u) Cov(g) diag(u); they become parameters.
+    """
+    model, r = spec.model, driven.shape[2]
+    prefix = "lost"
+    while any(parameter.name.startswith(prefix) for parameter in spec.parameters):
+        prefix += "_"
+    into_x, params = _named(f"{prefix}_x", driven)
+    into_y, more = _named(f"{prefix}_y", sensed)
+    params |= more
+    noise = Matrix.of(np.eye(r)) if r else Matrix(())
+    wide = replace(
+        model,
+        A=Matrix((*_beside(model.A, into_x), *Matrix.zeros(r, model.nx + r).rows)),
+        B=Matrix((*model.B.rows, *Matrix.zeros(r, model.nu).rows)),
+        C=Matrix(_beside(model.C, into_y)),
+        Q=_diagonal(model.Q, noise),
+        P0=_diagonal(model.P0, noise),
+        x0=Matrix.zeros(model.nx + r, 1),
+        states=(*model.states, *(Signal(f"{prefix}_{j}") for j in range(r))),
+    )
+    parameters = (*spec.parameters, *(Parameter(name, _TRIED) for name in params))
+    family = Filter("kf")
+    result = replace(spec, model=wide, parameters=parameters, faults=Faults(), filter=family)
+    return result, params
+
+
+def _named(prefix: str, values: Array) -> tuple[Matrix, dict[str, Array]]:
+    """A matrix of parameters with these values (T, rows, r); zeros stay zeros."""
+    params: dict[str, Array] = {}
+
+    def entry(i: int, j: int) -> Expression:
+        if not values[:, i, j].any():
+            return Number(0.0)
+        name = f"{prefix}_{i}_{j}"
+        params[name] = np.ascontiguousarray(values[:, i, j])
+        return Name(name)
+
+    _, rows, r = values.shape
+    return Matrix(tuple(tuple(entry(i, j) for j in range(r)) for i in range(rows))), params
+
+
+def _beside(left: Matrix, right: Matrix) -> tuple[tuple[Expression, ...], ...]:
+    return tuple((*a, *b) for a, b in zip(left.rows, right.rows, strict=True))
+
+
+def _diagonal(first: Matrix, second: Matrix) -> Matrix:
+    n, r = len(first.rows), len(second.rows)
+    upper = _beside(first, Matrix.zeros(n, r))
+    return Matrix((*upper, *_beside(Matrix.zeros(r, n), second)))

@@ -1,0 +1,36 @@
+"""The C that draws trials compiles without a warning, as what is shipped does."""
+
+from __future__ import annotations
+
+import subprocess
+
+import jump_models
+import models
+import pytest
+from sensor_models import SCALAR
+from toolchain import BITS, FLAGS, c_compilers
+
+from fkgen.backend.sampler import lower_sampling, render_sampler
+from fkgen.symbolic.sampling import sampling_of
+
+MOMENTS = {"problem": "moments", "gamma_rate": 0.6, "gamma_persistence": 0.8}
+SPECS = {
+    "kf": models.spec(models.VARYING, parameters=models.PARAMETERS),
+    "mkf": models.motor(),
+    "mme": models.motor("mme"),
+    "moments": models.spec(SCALAR, family="linear_optimal", sensor=MOMENTS),
+    "jump": jump_models.spec_of(jump_models.EXAMPLE_B, arrival_rate=0.8),
+}
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("compiler", c_compilers())
+@pytest.mark.parametrize("name", SPECS)
+def test_a_sampler_compiles_without_a_warning(name, compiler, tmp_path):
+    source = render_sampler(lower_sampling(sampling_of(SPECS[name])))
+    text = tmp_path / "sampler.c"
+    text.write_text(source.text)
+    flags = ["-std=c99", *FLAGS, BITS, "-O1"]  # without -Wmissing-prototypes: it has no header
+    command = [*c_compilers()[compiler], *flags, "-c", str(text), "-o", str(tmp_path / "sampler.o")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
