@@ -59,7 +59,8 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
         One panel per state, then innovations, NIS, and probabilities or verdicts.
     """
     states, groups = spec.model.states[:_LARGEST], _by_unit(spec.model.outputs)
-    modes, verdicts = "mode_probability" in run.ports, "test_statistic" in run.ports
+    modes = "mode_probability" in run.ports
+    verdicts = spec.faults.soft is not None and "test_statistic" in run.ports
     heights = [_STATE] * len(states) + [_REST] * (len(groups) + 1 + modes + verdicts)
     figure = Figure(figsize=(_WIDTH, sum(heights)), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
