@@ -114,3 +114,22 @@ def test_the_combined_prediction_of_filterpy_is_that_of_the_modes_before_the_ste
     mixed = result.predicted_mode_probability[-1] @ states
     np.testing.assert_allclose(result.predicted_state[-1], mixed, rtol=1e-9)
     assert np.abs(imm.x_prior[:, 0] - result.predicted_state[-1]).max() > 1e-3
+
+
+def test_a_missing_sample_tells_nothing_about_the_mode_but_moves_the_probabilities_of_filterpy():
+    """A missing sample leaves Pr(mode at k | y[0..k-1]); filterpy weighs by densities at zero."""
+    spec = SPECS["uneven"]()
+    system, (y, u) = system_of(spec, 2), seen(spec, 2)
+    y[1] = np.nan
+    imm = estimator(system)
+    imm.update(y[0][:, np.newaxis])
+    after_first = imm.mu.copy()
+    imm.predict()
+    imm.update(None)
+    by_hand = np.zeros(3)  # the chain alone
+    for before, held in enumerate(after_first):
+        for after in range(3):
+            by_hand[after] += held * system.transition[before][after]
+    result = run(spec, y, u)
+    np.testing.assert_allclose(result.mode_probability[1], by_hand, rtol=1e-12)
+    assert np.abs(imm.mu - by_hand).max() > 1e-3
