@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtri
 
 from fkgen.closed_form.gaussian import Array, log_density, square_root, whiten
 from fkgen.spec import Filter
@@ -44,6 +43,8 @@ class LossTest:
         """
         match self.options.detector:
             case "nis":
+                from scipy.special import chdtri  # noqa: PLC0415 - slow to import
+
                 nis = float(np.sum((whiten(square_root(S)).weights @ residual) ** 2))
                 return nis, float(chdtri(len(y), self.options.alpha))
             case "energy":

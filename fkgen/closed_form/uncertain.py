@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from fkgen.closed_form.batch import BatchResult, Joint, joint_distribution
 from fkgen.closed_form.fault_moments import FaultMoments
@@ -124,12 +123,12 @@ def joint_uncertain(system: LinearSystem, moments: FaultMoments, u: Array | None
     gain = moments.gains(p).reshape(T * p, 1)
     e = np.repeat(moments.gamma_root, p, axis=0) * np.tile(moments.faulty(p), T)[:, None]
     e = e[:, e.any(axis=0)]
-    noise = block_diag(*square_root(moments.noise(system.R)))
+    roots = square_root(moments.noise(system.R))
     measurements = [
         gain * z,
         e * signal.measurement_mean.reshape(T * p, 1),
         (e[:, :, None] * z[:, None, z.any(axis=0)]).reshape(T * p, -1),
-        noise,
+        np.einsum("kij,kl->kilj", roots, np.eye(T)).reshape(T * p, T * p),
     ]
     states = signal.state_root.reshape((T + 1) * n, size)
     width = sum(part.shape[1] for part in measurements)

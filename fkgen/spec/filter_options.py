@@ -120,7 +120,9 @@ def _jump_modes(section: Section, faults: JumpFaults) -> int:
 def _reacquire(section: Section) -> int | None:
     if "reacquire" not in section:
         return None
-    limit = _count(section, "reacquire", 1, MOST_REJECTIONS, "rejections in a row")
+    limit = _count(
+        section, "reacquire", 1, MOST_REJECTIONS, "rejections in a row (leave it out for never)"
+    )
     if not section.flag("test", default=True):
         raise section.place.entry("reacquire").error(
             "reacquire with test = false", "a test: without it nothing is rejected"
