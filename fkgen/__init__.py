@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from fkgen.runtime.results import Run, Snapshot
     from fkgen.spec import Spec, load
     from fkgen.study.check import Finding, Report, check
-    from fkgen.study.comparison import compare
-    from fkgen.study.detectability import Detectability, detectability
-    from fkgen.study.fault_effect import FaultEffect, fault_effect
+    from fkgen.study.comparisons.comparison import compare
+    from fkgen.study.comparisons.ranking import Comparison
+    from fkgen.study.effects.detectability import Detectability, detectability
+    from fkgen.study.effects.fault_effect import FaultEffect, fault_effect
     from fkgen.study.simulation import Simulation, simulate
-    from fkgen.study.verdict import Comparison
 
 #: Where the lazily loaded names live.
 _HOMES = {
@@ -50,12 +50,12 @@ _HOMES = {
     "Finding": "fkgen.study.check",
     "simulate": "fkgen.study.simulation",
     "Simulation": "fkgen.study.simulation",
-    "compare": "fkgen.study.comparison",
-    "Comparison": "fkgen.study.verdict",
-    "fault_effect": "fkgen.study.fault_effect",
-    "FaultEffect": "fkgen.study.fault_effect",
-    "detectability": "fkgen.study.detectability",
-    "Detectability": "fkgen.study.detectability",
+    "compare": "fkgen.study.comparisons.comparison",
+    "Comparison": "fkgen.study.comparisons.ranking",
+    "fault_effect": "fkgen.study.effects.fault_effect",
+    "FaultEffect": "fkgen.study.effects.fault_effect",
+    "detectability": "fkgen.study.effects.detectability",
+    "Detectability": "fkgen.study.effects.detectability",
     "Claim": "fkgen.proof",
     "Validated": "fkgen.proof",
     "Source": "fkgen.backend.source",

@@ -34,7 +34,7 @@ from fkgen.console import print_table
 def fault_effect(spec: str, *, as_json: bool, plot: Path | None, force: bool, **wish: Any) -> None:
     """Say what a fault of a sensor or an input does to the estimate of SPEC, and for how long."""
     from fkgen.spec import load
-    from fkgen.study import effect_report
+    from fkgen.study.effects import effect_report
 
     description = load(spec)
     done = effect_report.answer(description, effect_report.Wish(**wish), plot=plot, force=force)
@@ -60,7 +60,7 @@ def fault_effect(spec: str, *, as_json: bool, plot: Path | None, force: bool, **
 def detectability(spec: str, *, as_json: bool, **wish: Any) -> None:
     """Say how large a constant bias of a sensor has to be to be found by the filter of SPEC."""
     from fkgen.spec import load
-    from fkgen.study import detectability_report as report
+    from fkgen.study.effects import detectability_report as report
 
     done = report.answer(load(spec), report.Wish(**wish))
     if as_json:

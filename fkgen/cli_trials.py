@@ -61,7 +61,7 @@ def compare(
     """
     from fkgen.spec import load
     from fkgen.study import trials
-    from fkgen.study.comparison_table import table_of
+    from fkgen.study.comparisons.comparison_table import table_of
 
     loaded = tuple(load(spec) for spec in specs)
     found = trials.compared(loaded, trials.Wish(**wish), plot=plot, force=force)

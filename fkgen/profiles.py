@@ -1,5 +1,5 @@
 """Profiles of faults for `fkgen.fault_effect`: pulse, step, ramp, drift, from_csv."""
 
-from fkgen.study.profiles import drift, from_csv, pulse, ramp, step
+from fkgen.study.effects.profiles import drift, from_csv, pulse, ramp, step
 
 __all__ = ["drift", "from_csv", "pulse", "ramp", "step"]

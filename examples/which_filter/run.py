@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import fkgen
-from fkgen.study.comparison_plot import draw_comparison
-from fkgen.study.comparison_table import markdown
+from fkgen.study.comparisons.comparison_plot import draw_comparison
+from fkgen.study.comparisons.comparison_table import markdown
 from fkgen.study.plots import rendered
 from fkgen.study.table import read_table
 

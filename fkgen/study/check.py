@@ -7,7 +7,7 @@ y present.
 from __future__ import annotations
 
 from fkgen.spec import Spec
-from fkgen.study import (
+from fkgen.study.examinations import (
     convergence,
     dynamics,
     faults,
@@ -19,8 +19,8 @@ from fkgen.study import (
     size,
     visibility,
 )
-from fkgen.study.figures import Figures
-from fkgen.study.findings import Finding, Report, combined
+from fkgen.study.examinations.figures import Figures
+from fkgen.study.examinations.findings import Finding, Report, combined
 
 __all__ = ["Finding", "Report", "check"]
 

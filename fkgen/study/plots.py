@@ -16,8 +16,8 @@ from fkgen.runtime.results import Run
 from fkgen.spec import Signal, Spec
 from fkgen.study.columns import deviation
 from fkgen.study.files import refuse_format
+from fkgen.study.rejections_plot import draw_verdicts
 from fkgen.study.table import Table
-from fkgen.study.verdicts import draw_verdicts
 from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]

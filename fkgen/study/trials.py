@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.spec import Spec
-from fkgen.study.comparison import compare
-from fkgen.study.effect_report import numbers_of
+from fkgen.study.comparisons.comparison import compare
+from fkgen.study.comparisons.ranking import Comparison
+from fkgen.study.effects.effect_report import numbers_of
 from fkgen.study.files import refuse_existing, refuse_format, write_whole
 from fkgen.study.simulation import Simulation, simulate
 from fkgen.study.table import read_columns, read_table
-from fkgen.study.verdict import Comparison
 
 STEPS = 200
 
@@ -89,7 +89,7 @@ def compared(specs: tuple[Spec, ...], wish: Wish, *, plot: Path | None, force: b
         **given,
     )
     if plot is not None:
-        from fkgen.study.comparison_plot import draw_comparison  # noqa: PLC0415 - slow to import
+        from fkgen.study.comparisons.comparison_plot import draw_comparison  # noqa: PLC0415 - slow to import
         from fkgen.study.plots import rendered  # noqa: PLC0415
 
         write_whole(plot, rendered(draw_comparison(found), plot), force=force)

@@ -297,7 +297,9 @@ def test_mistakes_show(mistake, monkeypatch):
         return fkgen.fault_effect(found, sensor, anomaly, "plant", u=u).error_deviation
 
     right = error()
-    monkeypatch.setattr(f"fkgen.study.response.{MISTAKES[mistake][0]}", MISTAKES[mistake][1])
+    monkeypatch.setattr(
+        f"fkgen.study.effects.response.{MISTAKES[mistake][0]}", MISTAKES[mistake][1]
+    )
     assert np.abs(error() - right).max() > 1e-3 * np.abs(right).max()
 
 

@@ -15,9 +15,9 @@ from fkgen.backend.ir import Operator
 from fkgen.closed_form import LinearSystem, gains, simulate
 from fkgen.profiles import pulse
 from fkgen.spec import Code
-from fkgen.study.figures import Figures
-from fkgen.study.float_error import usual_range
-from fkgen.study.rounding import ARITHMETIC, Bounded
+from fkgen.study.examinations.figures import Figures
+from fkgen.study.examinations.float_error import usual_range
+from fkgen.study.examinations.rounding import ARITHMETIC, Bounded
 
 
 def finding(report, code):

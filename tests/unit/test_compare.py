@@ -13,11 +13,11 @@ from sensor_models import SCALAR
 
 import fkgen
 from fkgen.cli import main
-from fkgen.study.detection import detection
-from fkgen.study.estimates import Estimate, mean, ratio
-from fkgen.study.footprint import Footprint
-from fkgen.study.recommendation import Standing, beaten, recommended
-from fkgen.study.scores import normalised
+from fkgen.study.comparisons.detection import detection
+from fkgen.study.comparisons.estimates import Estimate, mean, ratio
+from fkgen.study.comparisons.footprint import Footprint
+from fkgen.study.comparisons.recommendation import Standing, beaten, recommended
+from fkgen.study.comparisons.scores import normalised
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 EXAMPLE_1 = EXAMPLES / "sensor_faults" / "example1.toml"
@@ -172,7 +172,7 @@ def test_what_is_not_decided_is_no_tie():
 def test_the_same_comparison_gives_the_same_numbers(monkeypatch):
     spec = fkgen.load(EXAMPLE_1)
     one = fkgen.compare(spec, ("imm", "kf"), runs=30, steps=40)
-    monkeypatch.setattr("fkgen.study.comparison.CHUNK", 300)
+    monkeypatch.setattr("fkgen.study.comparisons.comparison.CHUNK", 300)
     assert fkgen.compare(spec, ("imm", "kf"), runs=30, steps=40).to_json() == one.to_json()
     imm = fkgen.Spec.from_dict(spec.to_dict() | {"filter": {"family": "imm"}})
     operations = json.loads(one.to_json())["rows"][0]["footprint"]["operations"]

@@ -10,11 +10,11 @@ import numpy as np
 from fkgen.backend.lower import lower
 from fkgen.families import family
 from fkgen.spec import Code
-from fkgen.study.figures import Array, Figures, Rest
-from fkgen.study.findings import Finding, Part, Severity
-from fkgen.study.response import LINEAR
-from fkgen.study.rounding import Bounded, one_step
-from fkgen.study.subspaces import ON_THE_CIRCLE
+from fkgen.study.effects.response import LINEAR
+from fkgen.study.examinations.figures import Array, Figures, Rest
+from fkgen.study.examinations.findings import Finding, Part, Severity
+from fkgen.study.examinations.rounding import Bounded, one_step
+from fkgen.study.examinations.subspaces import ON_THE_CIRCLE
 from fkgen.symbolic.packing import triangle
 
 #: Samples over which errors add up; a filter that forgets more slowly gets no bound.

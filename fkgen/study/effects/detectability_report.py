@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from fkgen.errors import DataError
 from fkgen.spec import Spec
-from fkgen.study.detectability import Detectability, detectability
-from fkgen.study.effect_report import numbers_of
+from fkgen.study.effects.detectability import Detectability, detectability
+from fkgen.study.effects.effect_report import numbers_of
 from fkgen.study.jsonable import finite_or_none
 
 

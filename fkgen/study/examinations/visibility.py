@@ -8,11 +8,11 @@ import numpy as np
 
 from fkgen.closed_form.gaussian import square_root
 from fkgen.spec.covariance import is_singular
-from fkgen.study.figures import Array, Figures, Rest, listed
-from fkgen.study.findings import Finding, Part
-from fkgen.study.power import required_noncentrality
-from fkgen.study.response import LINEAR
-from fkgen.study.subspaces import unobservable
+from fkgen.study.effects.power import required_noncentrality
+from fkgen.study.effects.response import LINEAR
+from fkgen.study.examinations.figures import Array, Figures, Rest, listed
+from fkgen.study.examinations.findings import Finding, Part
+from fkgen.study.examinations.subspaces import unobservable
 
 #: The usual test: one false alarm in a thousand samples, nine of ten faults found.
 FALSE_ALARM, POWER = 1e-3, 0.9

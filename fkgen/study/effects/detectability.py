@@ -18,12 +18,12 @@ from fkgen.errors import DataError
 from fkgen.runtime.record import choice, numbers
 from fkgen.spec import Matrix, Spec
 from fkgen.study.demands import probability, whole
-from fkgen.study.figures import Figures, Rest
-from fkgen.study.power import required_noncentrality
-from fkgen.study.profiles import step
-from fkgen.study.question import ask
-from fkgen.study.response import LINEAR, linear_response
-from fkgen.study.visibility import lasting_innovation
+from fkgen.study.effects.power import required_noncentrality
+from fkgen.study.effects.profiles import step
+from fkgen.study.effects.question import ask
+from fkgen.study.effects.response import LINEAR, linear_response
+from fkgen.study.examinations.figures import Figures, Rest
+from fkgen.study.examinations.visibility import lasting_innovation
 
 Array = NDArray[np.float64]
 

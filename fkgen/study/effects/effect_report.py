@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.runtime.record import choice
 from fkgen.spec import Signal, Spec
-from fkgen.study.effect import FaultEffect
-from fkgen.study.fault_effect import fault_effect
+from fkgen.study.effects.effect import FaultEffect
+from fkgen.study.effects.fault_effect import fault_effect
+from fkgen.study.effects.profiles import drift, from_csv, pulse, ramp, step
 from fkgen.study.files import refuse_existing, refuse_format, write_whole
 from fkgen.study.jsonable import finite_or_none
-from fkgen.study.profiles import drift, from_csv, pulse, ramp, step
 from fkgen.study.table import read_columns, read_table
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ def answer(spec: Spec, wish: Wish, *, plot: Path | None = None, force: bool = Fa
     effect = fault_effect(spec, sensor, anomaly, wish.mode, params=params, u=u, y=y, runs=wish.runs)
     effect.settled(wish.fraction)  # refuses a share that is none, before anything is written
     if plot is not None:
-        from fkgen.study.effect_plots import draw  # noqa: PLC0415 - slow to import
+        from fkgen.study.effects.effect_plots import draw  # noqa: PLC0415 - slow to import
         from fkgen.study.plots import rendered  # noqa: PLC0415 - slow to import
 
         figure = draw(spec, effect, fraction=wish.fraction, false_alarm=wish.false_alarm)

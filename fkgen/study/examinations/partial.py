@@ -8,8 +8,8 @@ import numpy as np
 
 from fkgen.closed_form import LinearSystem, partial_compression
 from fkgen.families.partial_evidence import design_of
-from fkgen.study.figures import Array, Figures
-from fkgen.study.findings import Finding, Part
+from fkgen.study.examinations.figures import Array, Figures
+from fkgen.study.examinations.findings import Finding, Part
 
 #: Windows beyond which nobody waits for a figure.
 _LONGEST = 500

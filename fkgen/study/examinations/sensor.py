@@ -6,8 +6,8 @@ import numpy as np
 
 from fkgen.families import family
 from fkgen.spec.chain import stationary_law, visited
-from fkgen.study.figures import Figures, listed
-from fkgen.study.findings import Finding, Part
+from fkgen.study.examinations.figures import Figures, listed
+from fkgen.study.examinations.findings import Finding, Part
 
 _MODES = ("(1,1)", "(1,C)", "(0,1)", "(0,C)")
 

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fkgen.study.figures import Figures, listed
-from fkgen.study.findings import Finding, Part
-from fkgen.study.response import LINEAR
-from fkgen.study.size import used_parameters
+from fkgen.study.effects.response import LINEAR
+from fkgen.study.examinations.figures import Figures, listed
+from fkgen.study.examinations.findings import Finding, Part
+from fkgen.study.examinations.size import used_parameters
 
 
 def condition(figures: Figures) -> Part:

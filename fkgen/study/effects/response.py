@@ -23,8 +23,8 @@ from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
 from fkgen.spec import Code, Expression, Faults, Filter, Matrix, Name, Number, Signal, Spec
 from fkgen.spec.definition import Parameter
-from fkgen.study.effect import FaultEffect
-from fkgen.study.question import Mode, Question
+from fkgen.study.effects.effect import FaultEffect
+from fkgen.study.effects.question import Mode, Question
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fkgen.spec import Spec
-from fkgen.study.effect import FaultEffect
+from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.plots import axis_label
 
 _BLUE, _ORANGE, _GREY, _BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18

@@ -6,8 +6,8 @@ from fkgen.backend.lower import lower
 from fkgen.families import family
 from fkgen.runtime.compiler import LARGE
 from fkgen.spec import Spec, names
-from fkgen.study.figures import Figures, listed
-from fkgen.study.findings import Finding, Part
+from fkgen.study.examinations.figures import Figures, listed
+from fkgen.study.examinations.findings import Finding, Part
 
 
 def cost(figures: Figures) -> Part:

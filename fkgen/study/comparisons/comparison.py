@@ -14,13 +14,19 @@ from fkgen.families import family
 from fkgen.pipeline import build
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.spec import Spec
-from fkgen.study.contenders import Contender, contenders_of, default_families, genie_of, told
-from fkgen.study.experiment import Experiment
-from fkgen.study.footprint import footprint
+from fkgen.study.comparisons.contenders import (
+    Contender,
+    contenders_of,
+    default_families,
+    genie_of,
+    told,
+)
+from fkgen.study.comparisons.experiment import Experiment
+from fkgen.study.comparisons.footprint import footprint
+from fkgen.study.comparisons.ranking import Comparison, Entry, judged
+from fkgen.study.comparisons.scores import Scores, score
 from fkgen.study.progress import progressing
-from fkgen.study.scores import Scores, score
 from fkgen.study.simulation import counted, simulate
-from fkgen.study.verdict import Comparison, Entry, judged
 
 #: Samples that are simulated and filtered before the next ones: what they take in memory.
 CHUNK = 400_000

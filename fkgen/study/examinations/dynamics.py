@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from fkgen.spec import Number
-from fkgen.study.figures import Figures, listed
-from fkgen.study.findings import Finding, Part
-from fkgen.study.subspaces import ON_THE_CIRCLE, Hidden, unobservable, unreachable
+from fkgen.study.examinations.figures import Figures, listed
+from fkgen.study.examinations.findings import Finding, Part
+from fkgen.study.examinations.subspaces import ON_THE_CIRCLE, Hidden, unobservable, unreachable
 
 #: Beyond this many samples a filter is taken to be slower than anybody means it to be.
 _SLOW = 1e6

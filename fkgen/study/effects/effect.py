@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.study.demands import probability
-from fkgen.study.power import detection_power
+from fkgen.study.effects.power import detection_power
 
 Array = NDArray[np.float64]
 

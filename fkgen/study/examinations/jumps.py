@@ -13,9 +13,9 @@ from fkgen.spec import JumpFaults
 from fkgen.spec.chain import period, stationary_law, visited
 from fkgen.spec.filter import DEFAULT_ALPHA
 from fkgen.spec.jump_filter import MARGIN, is_ergodic, mean_square_radius
-from fkgen.study.figures import Figures, listed
-from fkgen.study.findings import Finding, Part
-from fkgen.study.subspaces import numerical_rank
+from fkgen.study.examinations.figures import Figures, listed
+from fkgen.study.examinations.findings import Finding, Part
+from fkgen.study.examinations.subspaces import numerical_rank
 
 #: Radii from here on take a thousand samples to forget where the moments started.
 NEARLY_UNSTABLE = 0.999

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from fkgen.study.footprint import CALL
-from fkgen.study.verdict import Comparison, Row
+from fkgen.study.comparisons.footprint import CALL
+from fkgen.study.comparisons.ranking import Comparison, Row
 
 _BLUE, _GREY, _ORANGE = "#1f5a94", "#8a8a8a", "#d9741a"
 _SPREAD = 10.0

@@ -19,8 +19,8 @@ from fkgen.runtime.results import Run
 from fkgen.spec import Code, Spec
 from fkgen.spec.faults import SECTIONS
 from fkgen.study.demands import whole
-from fkgen.study.effect import FaultEffect, Kind
-from fkgen.study.question import Question
+from fkgen.study.effects.effect import FaultEffect, Kind
+from fkgen.study.effects.question import Question
 
 Array = NDArray[np.float64]
 

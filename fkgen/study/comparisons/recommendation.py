@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.study.estimates import Estimate, error_of
-from fkgen.study.footprint import Footprint
+from fkgen.study.comparisons.estimates import Estimate, error_of
+from fkgen.study.comparisons.footprint import Footprint
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from fkgen.study.figures import Array, Figures, listed
-from fkgen.study.findings import Finding, Part, Severity
-from fkgen.study.subspaces import RANK_TOLERANCE, correlations, numerical_rank
+from fkgen.study.examinations.figures import Array, Figures, listed
+from fkgen.study.examinations.findings import Finding, Part, Severity
+from fkgen.study.examinations.subspaces import RANK_TOLERANCE, correlations, numerical_rank
 from fkgen.symbolic.estimate import (
     SHORT_FORM_RATIO,
     prior_to_noise,

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 
 from fkgen.spec import evaluate
-from fkgen.study.figures import Figures
-from fkgen.study.findings import Finding, Part
+from fkgen.study.examinations.figures import Figures
+from fkgen.study.examinations.findings import Finding, Part
 from fkgen.symbolic.bank import LARGEST_MIXTURE
 
 #: Together the floors should leave the probabilities free.

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.spec import Spec
-from fkgen.study.contenders import fault_section
-from fkgen.study.estimates import Estimate, error_of, influence_of, mean, ratio
-from fkgen.study.experiment import Experiment
-from fkgen.study.footprint import Footprint
-from fkgen.study.recommendation import Standing, beaten, recommended
-from fkgen.study.scores import Scores
+from fkgen.study.comparisons.contenders import fault_section
+from fkgen.study.comparisons.estimates import Estimate, error_of, influence_of, mean, ratio
+from fkgen.study.comparisons.experiment import Experiment
+from fkgen.study.comparisons.footprint import Footprint
+from fkgen.study.comparisons.recommendation import Standing, beaten, recommended
+from fkgen.study.comparisons.scores import Scores
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from collections.abc import Mapping
 from numpy.typing import ArrayLike
 
 from fkgen.spec import Spec
-from fkgen.study.effect import FaultEffect
-from fkgen.study.paired import RUNS, differenced_response, paired_response
-from fkgen.study.question import ask
-from fkgen.study.response import LINEAR, linear_response
+from fkgen.study.effects.effect import FaultEffect
+from fkgen.study.effects.paired import RUNS, differenced_response, paired_response
+from fkgen.study.effects.question import ask
+from fkgen.study.effects.response import LINEAR, linear_response
 
 __all__ = ["FaultEffect", "fault_effect"]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError, UserError
 from fkgen.spec import Spec
 from fkgen.spec.faults import SECTIONS
-from fkgen.study.informed import indicators, informed, with_losses_as_modes
+from fkgen.study.comparisons.informed import indicators, informed, with_losses_as_modes
 from fkgen.study.simulation import Simulation
 
 Array = NDArray[np.floating]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fkgen.study.verdict import Comparison, Row
+from fkgen.study.comparisons.ranking import Comparison, Row
 
 
 def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:

@@ -1,0 +1,1 @@
+"""Several filters for one plant and its faults: scores, costs, a recommendation."""
