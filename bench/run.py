@@ -13,6 +13,7 @@ sys.path.insert(0, str(ROOT))  # works with and without an installation
 
 import clock  # noqa: E402
 import memory  # noqa: E402
+import rates  # noqa: E402
 import records  # noqa: E402
 import sizes  # noqa: E402
 import startup  # noqa: E402
@@ -29,6 +30,7 @@ PARTS = {
     "libraries": steps.against_libraries,
     "imm": switching.models_side_by_side,
     "missing": switching.missing_sample,
+    "rates": rates.rates,
     "families": steps.families,
     "run": records.runs,
     "step": records.python_steps,
