@@ -46,7 +46,7 @@ typedef enum
 {
     MARKOV_JUMP_OK = 0, /**< the sample was used */
     MARKOV_JUMP_SKIPPED = 1, /**< no row of y was present: nothing was learnt from this sample */
-    MARKOV_JUMP_FAULT_DECLARED = 2, /**< the sample was rejected as faulty: it did not correct the estimate */
+    MARKOV_JUMP_FAULT_DECLARED = 2, /**< what was tested is rejected as faulty and did not correct the estimate */
     MARKOV_JUMP_LOCKED_OUT = 3, /**< the same, and too many samples in a row were rejected: doubt the filter */
     MARKOV_JUMP_NULL_POINTER = -1, /**< a pointer argument is NULL */
     MARKOV_JUMP_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */

@@ -652,7 +652,7 @@ soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const d
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? SOFT_FAULT_CPCF_OK : SOFT_FAULT_CPCF_SKIPPED;
+    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;
 }
 
 soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self)
@@ -705,5 +705,5 @@ soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const dou
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? SOFT_FAULT_CPCF_OK : SOFT_FAULT_CPCF_SKIPPED;
+    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;
 }

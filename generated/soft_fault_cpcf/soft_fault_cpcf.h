@@ -44,6 +44,7 @@ typedef enum
 {
     SOFT_FAULT_CPCF_OK = 0, /**< the sample was used */
     SOFT_FAULT_CPCF_SKIPPED = 1, /**< no row of y was present: nothing was learnt from this sample */
+    SOFT_FAULT_CPCF_FAULT_DECLARED = 2, /**< what was tested is rejected as faulty and did not correct the estimate */
     SOFT_FAULT_CPCF_NULL_POINTER = -1, /**< a pointer argument is NULL */
     SOFT_FAULT_CPCF_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
@@ -84,7 +85,7 @@ soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self);
 /** Correct the prediction with sample k.
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
- *  @return SOFT_FAULT_CPCF_OK, SOFT_FAULT_CPCF_SKIPPED, or negative: refused, the instance is unchanged.
+ *  @return SOFT_FAULT_CPCF_OK, SOFT_FAULT_CPCF_SKIPPED, SOFT_FAULT_CPCF_FAULT_DECLARED, or negative: refused, the instance is unchanged.
  */
 soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const double y[2], uint32_t valid);
 

@@ -211,35 +211,45 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
         const double t8 = self->predicted_covariance[1] * inverse_host_0;
         const double t9 = t8 * self->predicted_covariance[1];
         const double t10 = self->predicted_covariance[0] - t9;
-        const double t11 = self->predicted_covariance[2] * inverse_host_0;
-        const double t12 = t11 * self->predicted_covariance[1];
-        const double t13 = self->predicted_covariance[1] - t12;
-        const double t14 = t11 * self->predicted_covariance[2];
-        const double t15 = self->predicted_covariance[2] - t14;
+        const double t11 = 0.01 * t8;
+        const double t12 = self->predicted_covariance[2] * inverse_host_0;
+        const double t13 = t12 * self->predicted_covariance[1];
+        const double t14 = self->predicted_covariance[1] - t13;
+        const double t15 = t11 - t14;
+        const double t16 = t15 * t8;
+        const double t17 = t10 + t16;
+        const double t18 = 0.01 * t12;
+        const double t19 = t12 * self->predicted_covariance[2];
+        const double t20 = self->predicted_covariance[2] - t19;
+        const double t21 = t18 - t20;
+        const double t22 = t21 * t8;
+        const double t23 = t14 + t22;
+        const double t24 = t21 * t12;
+        const double t25 = t20 + t24;
         quadratic_host = t5;
         log_constant_host = 1.8378770664093453;
         determinant_host_0 = pivot_host_0;
         mean_host[0] = t6;
         mean_host[1] = t7;
-        covariance_host[0] = t10;
-        covariance_host[1] = t13;
-        covariance_host[2] = t15;
+        covariance_host[0] = t17;
+        covariance_host[1] = t23;
+        covariance_host[2] = t25;
     }
-    const double t16 = self->predicted_state[0] + mean_host[0];
-    const double t17 = self->predicted_state[1] + mean_host[1];
-    host_state[0] = t16;
-    host_state[1] = t17;
+    const double t26 = self->predicted_state[0] + mean_host[0];
+    const double t27 = self->predicted_state[1] + mean_host[1];
+    host_state[0] = t26;
+    host_state[1] = t27;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t18 = innovation_0 - self->predicted_compression_deviation[0];
-        innovation_compression_0 = t18;
+        const double t28 = innovation_0 - self->predicted_compression_deviation[0];
+        innovation_compression_0 = t28;
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t19 = innovation_1 - self->predicted_compression_deviation[1];
-        innovation_compression_1 = t19;
+        const double t29 = innovation_1 - self->predicted_compression_deviation[1];
+        innovation_compression_1 = t29;
     }
     mean_compression[0] = self->predicted_compression_deviation[0];
     mean_compression[1] = self->predicted_compression_deviation[1];
@@ -248,72 +258,92 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     covariance_compression[2] = self->predicted_compression_covariance[2];
 
     /* row 0 of y, measured_position: compression filter */
-    const double t20 = self->predicted_compression_covariance[0] + 100.0;
-    pivot_compression_0 = t20;
+    const double t30 = self->predicted_compression_covariance[0] + 100.0;
+    pivot_compression_0 = t30;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression_0 > 0.0))
         {
             return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
         }
-        const double t21 = 1.0 / pivot_compression_0;
-        inverse_compression_0 = t21;
-        const double t22 = innovation_compression_0 * inverse_compression_0;
-        const double t23 = self->predicted_compression_covariance[0] * t22;
-        const double t24 = self->predicted_compression_deviation[0] + t23;
-        const double t25 = self->predicted_compression_covariance[1] * t22;
-        const double t26 = self->predicted_compression_deviation[1] + t25;
-        const double t27 = self->predicted_compression_covariance[0] * inverse_compression_0;
-        const double t28 = t27 * self->predicted_compression_covariance[0];
-        const double t29 = self->predicted_compression_covariance[0] - t28;
-        const double t30 = self->predicted_compression_covariance[1] * inverse_compression_0;
-        const double t31 = t30 * self->predicted_compression_covariance[0];
-        const double t32 = self->predicted_compression_covariance[1] - t31;
-        const double t33 = t30 * self->predicted_compression_covariance[1];
-        const double t34 = self->predicted_compression_covariance[2] - t33;
-        mean_compression[0] = t24;
-        mean_compression[1] = t26;
-        covariance_compression[0] = t29;
-        covariance_compression[1] = t32;
-        covariance_compression[2] = t34;
+        const double t31 = 1.0 / pivot_compression_0;
+        inverse_compression_0 = t31;
+        const double t32 = innovation_compression_0 * inverse_compression_0;
+        const double t33 = self->predicted_compression_covariance[0] * t32;
+        const double t34 = self->predicted_compression_deviation[0] + t33;
+        const double t35 = self->predicted_compression_covariance[1] * t32;
+        const double t36 = self->predicted_compression_deviation[1] + t35;
+        const double t37 = self->predicted_compression_covariance[0] * inverse_compression_0;
+        const double t38 = t37 * self->predicted_compression_covariance[0];
+        const double t39 = self->predicted_compression_covariance[0] - t38;
+        const double t40 = 100.0 * t37;
+        const double t41 = t40 - t39;
+        const double t42 = t41 * t37;
+        const double t43 = t39 + t42;
+        const double t44 = self->predicted_compression_covariance[1] * inverse_compression_0;
+        const double t45 = t44 * self->predicted_compression_covariance[0];
+        const double t46 = self->predicted_compression_covariance[1] - t45;
+        const double t47 = 100.0 * t44;
+        const double t48 = t47 - t46;
+        const double t49 = t48 * t37;
+        const double t50 = t46 + t49;
+        const double t51 = t44 * self->predicted_compression_covariance[1];
+        const double t52 = self->predicted_compression_covariance[2] - t51;
+        const double t53 = t48 * t44;
+        const double t54 = t52 + t53;
+        mean_compression[0] = t34;
+        mean_compression[1] = t36;
+        covariance_compression[0] = t43;
+        covariance_compression[1] = t50;
+        covariance_compression[2] = t54;
     }
 
     /* row 1 of y, measured_velocity: compression filter */
-    const double t35 = covariance_compression[2] + 0.01;
-    pivot_compression_1 = t35;
+    const double t55 = covariance_compression[2] + 0.01;
+    pivot_compression_1 = t55;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression_1 > 0.0))
         {
             return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
         }
-        const double t36 = 1.0 / pivot_compression_1;
-        inverse_compression_1 = t36;
-        const double t37 = mean_compression[1] - self->predicted_compression_deviation[1];
-        const double t38 = innovation_compression_1 - t37;
-        const double t39 = t38 * inverse_compression_1;
-        const double t40 = covariance_compression[1] * t39;
-        const double t41 = mean_compression[0] + t40;
-        const double t42 = covariance_compression[2] * t39;
-        const double t43 = mean_compression[1] + t42;
-        const double t44 = covariance_compression[1] * inverse_compression_1;
-        const double t45 = t44 * covariance_compression[1];
-        const double t46 = covariance_compression[0] - t45;
-        const double t47 = covariance_compression[2] * inverse_compression_1;
-        const double t48 = t47 * covariance_compression[1];
-        const double t49 = covariance_compression[1] - t48;
-        const double t50 = t47 * covariance_compression[2];
-        const double t51 = covariance_compression[2] - t50;
-        mean_compression[0] = t41;
-        mean_compression[1] = t43;
-        covariance_compression[0] = t46;
-        covariance_compression[1] = t49;
-        covariance_compression[2] = t51;
+        const double t56 = 1.0 / pivot_compression_1;
+        inverse_compression_1 = t56;
+        const double t57 = mean_compression[1] - self->predicted_compression_deviation[1];
+        const double t58 = innovation_compression_1 - t57;
+        const double t59 = t58 * inverse_compression_1;
+        const double t60 = covariance_compression[1] * t59;
+        const double t61 = mean_compression[0] + t60;
+        const double t62 = covariance_compression[2] * t59;
+        const double t63 = mean_compression[1] + t62;
+        const double t64 = covariance_compression[1] * inverse_compression_1;
+        const double t65 = t64 * covariance_compression[1];
+        const double t66 = covariance_compression[0] - t65;
+        const double t67 = 0.01 * t64;
+        const double t68 = covariance_compression[2] * inverse_compression_1;
+        const double t69 = t68 * covariance_compression[1];
+        const double t70 = covariance_compression[1] - t69;
+        const double t71 = t67 - t70;
+        const double t72 = t71 * t64;
+        const double t73 = t66 + t72;
+        const double t74 = 0.01 * t68;
+        const double t75 = t68 * covariance_compression[2];
+        const double t76 = covariance_compression[2] - t75;
+        const double t77 = t74 - t76;
+        const double t78 = t77 * t64;
+        const double t79 = t70 + t78;
+        const double t80 = t77 * t68;
+        const double t81 = t76 + t80;
+        mean_compression[0] = t61;
+        mean_compression[1] = t63;
+        covariance_compression[0] = t73;
+        covariance_compression[1] = t79;
+        covariance_compression[2] = t81;
     }
-    const double t52 = mean_compression[0] - mean_host[0];
-    const double t53 = mean_compression[1] - mean_host[1];
-    deviation_compression[0] = t52;
-    deviation_compression[1] = t53;
+    const double t82 = mean_compression[0] - mean_host[0];
+    const double t83 = mean_compression[1] - mean_host[1];
+    deviation_compression[0] = t82;
+    deviation_compression[1] = t83;
     if (!((host_state[0] - host_state[0]) + (host_state[1] - host_state[1]) + (deviation_compression[0] - deviation_compression[0]) + (deviation_compression[1] - deviation_compression[1]) >= 0.0))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
@@ -327,12 +357,12 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     }
 
     /* results of the update */
-    const double t54 = self->predicted_covariance[0] + 100.0;
-    const double t55 = self->predicted_covariance[2] + 0.01;
-    const double t56 = soft_fault_dfcf_log(determinant_host_0);
-    const double t57 = log_constant_host + t56;
-    const double t58 = quadratic_host + t57;
-    const double t59 = -0.5 * t58;
+    const double t84 = self->predicted_covariance[0] + 100.0;
+    const double t85 = self->predicted_covariance[2] + 0.01;
+    const double t86 = soft_fault_dfcf_log(determinant_host_0);
+    const double t87 = log_constant_host + t86;
+    const double t88 = quadratic_host + t87;
+    const double t89 = -0.5 * t88;
     next->filtered_state[0] = host_state[0];
     next->filtered_state[1] = host_state[1];
     next->filtered_covariance[0] = covariance_host[0];
@@ -345,11 +375,11 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     next->compression_covariance[2] = covariance_compression[2];
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
-    next->innovation_covariance[0] = t54;
+    next->innovation_covariance[0] = t84;
     next->innovation_covariance[1] = self->predicted_covariance[1];
-    next->innovation_covariance[2] = t55;
+    next->innovation_covariance[2] = t85;
     next->nis = quadratic_host;
-    next->log_likelihood = t59;
+    next->log_likelihood = t89;
     next->window_left = self->predicted_window_left;
     next->collecting = collecting_0;
     next->test_statistic = 0.0;
@@ -644,7 +674,7 @@ soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const d
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? SOFT_FAULT_DFCF_OK : SOFT_FAULT_DFCF_SKIPPED;
+    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;
 }
 
 soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self)
@@ -697,5 +727,5 @@ soft_fault_dfcf_status_t soft_fault_dfcf_step(soft_fault_dfcf_t *self, const dou
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? SOFT_FAULT_DFCF_OK : SOFT_FAULT_DFCF_SKIPPED;
+    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;
 }

@@ -30,13 +30,13 @@ static const double trace[SAMPLES][SOFT_FAULT_DFCF_NX] = {
     { -0.10169458128078818, -0.8138916256157633 },
     { -0.26447290640394083, -0.8138916256157633 },
     { -0.44182400689316015, -0.8896267436034471 },
-    { -0.4974579485730876, 0.2982383821659078 },
-    { -0.5386222731862418, -0.6902124083960026 }
+    { -0.49745794857308756, 0.2982383821659078 },
+    { -0.5386222731862418, -0.6902124083960027 }
 };
 
 static const double final_predicted_state[2] = {
     -0.6766647548654423,
-    -0.6902124083960026
+    -0.6902124083960027
 };
 
 static const double final_predicted_covariance[3] = {
@@ -47,7 +47,7 @@ static const double final_predicted_covariance[3] = {
 
 static const double final_filtered_state[2] = {
     -0.5386222731862418,
-    -0.6902124083960026
+    -0.6902124083960027
 };
 
 static const double final_filtered_covariance[3] = {
@@ -57,18 +57,18 @@ static const double final_filtered_covariance[3] = {
 };
 
 static const double final_innovation[2] = {
-    0.5578102721399061,
+    0.557810272139906,
     -0.9982383821659078
 };
 
 static const double final_innovation_covariance[3] = {
     101.00319011423012,
-    0.10299980334811204,
-    1.0199019560217644
+    0.102999803348112,
+    1.0199019560217641
 };
 
 static const double final_nis[1] = {
-    0.977034960807492
+    0.9770349608074922
 };
 
 static const double final_log_likelihood[1] = {
@@ -77,24 +77,24 @@ static const double final_log_likelihood[1] = {
 
 static const double final_compression_deviation[2] = {
     0.006474446498419703,
-    6.586034815070363e-06
+    6.586034815181385e-06
 };
 
 static const double final_compression_covariance[3] = {
     0.9830287802290695,
-    0.0009999714681932226,
-    0.009901941261024283
+    0.000999971468193213,
+    0.00990194126102419
 };
 
 static const double final_predicted_compression_deviation[2] = {
-    0.006475763705382717,
-    6.586034815070363e-06
+    0.006475763705382739,
+    6.586034815181385e-06
 };
 
 static const double final_predicted_compression_covariance[3] = {
     0.9938248464667877,
-    0.10298035972039808,
-    1.0099019412610244
+    0.10298035972039805,
+    1.0099019412610242
 };
 
 static const double final_test_statistic[1] = {

@@ -696,80 +696,100 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
         const double t16 = self->predicted_covariance[0] * inverse_host_0;
         const double t17 = t16 * self->predicted_covariance[0];
         const double t18 = self->predicted_covariance[0] - t17;
-        const double t19 = self->predicted_covariance[1] * inverse_host_0;
-        const double t20 = t19 * self->predicted_covariance[0];
-        const double t21 = self->predicted_covariance[1] - t20;
-        const double t22 = t19 * self->predicted_covariance[1];
-        const double t23 = self->predicted_covariance[2] - t22;
+        const double t19 = 0.25 * t16;
+        const double t20 = t19 - t18;
+        const double t21 = t20 * t16;
+        const double t22 = t18 + t21;
+        const double t23 = self->predicted_covariance[1] * inverse_host_0;
+        const double t24 = t23 * self->predicted_covariance[0];
+        const double t25 = self->predicted_covariance[1] - t24;
+        const double t26 = 0.25 * t23;
+        const double t27 = t26 - t25;
+        const double t28 = t27 * t16;
+        const double t29 = t25 + t28;
+        const double t30 = t23 * self->predicted_covariance[1];
+        const double t31 = self->predicted_covariance[2] - t30;
+        const double t32 = t27 * t23;
+        const double t33 = t31 + t32;
         quadratic_host = t13;
         log_constant_host = 1.8378770664093453;
         determinant_host_0 = pivot_host_0;
         mean_host[0] = t14;
         mean_host[1] = t15;
-        covariance_host[0] = t18;
-        covariance_host[1] = t21;
-        covariance_host[2] = t23;
+        covariance_host[0] = t22;
+        covariance_host[1] = t29;
+        covariance_host[2] = t33;
     }
 
     /* row 5 of y, qcom: host */
-    const double t24 = covariance_host[0] + 9.0;
-    pivot_host_1 = t24;
+    const double t34 = covariance_host[0] + 9.0;
+    pivot_host_1 = t34;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_host_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t25 = 1.0 / pivot_host_1;
-        inverse_host_1 = t25;
-        const double t26 = innovation_5 - mean_host[0];
-        const double t27 = t26 * inverse_host_1;
-        const double t28 = t26 * t27;
-        const double t29 = quadratic_host + t28;
-        const double t30 = log_constant_host + 1.8378770664093453;
-        const double t31 = determinant_host_0 * pivot_host_1;
-        const double t32 = covariance_host[0] * t27;
-        const double t33 = mean_host[0] + t32;
-        const double t34 = covariance_host[1] * t27;
-        const double t35 = mean_host[1] + t34;
-        const double t36 = covariance_host[0] * inverse_host_1;
-        const double t37 = t36 * covariance_host[0];
-        const double t38 = covariance_host[0] - t37;
-        const double t39 = covariance_host[1] * inverse_host_1;
-        const double t40 = t39 * covariance_host[0];
-        const double t41 = covariance_host[1] - t40;
-        const double t42 = t39 * covariance_host[1];
-        const double t43 = covariance_host[2] - t42;
-        quadratic_host = t29;
-        log_constant_host = t30;
-        determinant_host_0 = t31;
-        mean_host[0] = t33;
-        mean_host[1] = t35;
-        covariance_host[0] = t38;
-        covariance_host[1] = t41;
-        covariance_host[2] = t43;
+        const double t35 = 1.0 / pivot_host_1;
+        inverse_host_1 = t35;
+        const double t36 = innovation_5 - mean_host[0];
+        const double t37 = t36 * inverse_host_1;
+        const double t38 = t36 * t37;
+        const double t39 = quadratic_host + t38;
+        const double t40 = log_constant_host + 1.8378770664093453;
+        const double t41 = determinant_host_0 * pivot_host_1;
+        const double t42 = covariance_host[0] * t37;
+        const double t43 = mean_host[0] + t42;
+        const double t44 = covariance_host[1] * t37;
+        const double t45 = mean_host[1] + t44;
+        const double t46 = covariance_host[0] * inverse_host_1;
+        const double t47 = t46 * covariance_host[0];
+        const double t48 = covariance_host[0] - t47;
+        const double t49 = 9.0 * t46;
+        const double t50 = t49 - t48;
+        const double t51 = t50 * t46;
+        const double t52 = t48 + t51;
+        const double t53 = covariance_host[1] * inverse_host_1;
+        const double t54 = t53 * covariance_host[0];
+        const double t55 = covariance_host[1] - t54;
+        const double t56 = 9.0 * t53;
+        const double t57 = t56 - t55;
+        const double t58 = t57 * t46;
+        const double t59 = t55 + t58;
+        const double t60 = t53 * covariance_host[1];
+        const double t61 = covariance_host[2] - t60;
+        const double t62 = t57 * t53;
+        const double t63 = t61 + t62;
+        quadratic_host = t39;
+        log_constant_host = t40;
+        determinant_host_0 = t41;
+        mean_host[0] = t43;
+        mean_host[1] = t45;
+        covariance_host[0] = t52;
+        covariance_host[1] = t59;
+        covariance_host[2] = t63;
     }
-    const double t44 = self->predicted_state[0] + mean_host[0];
-    const double t45 = self->predicted_state[1] + mean_host[1];
-    host_state[0] = t44;
-    host_state[1] = t45;
+    const double t64 = self->predicted_state[0] + mean_host[0];
+    const double t65 = self->predicted_state[1] + mean_host[1];
+    host_state[0] = t64;
+    host_state[1] = t65;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t46 = 0.9921619208254787 * self->predicted_compression_deviation[0];
-        const double t47 = innovation_0 - t46;
-        innovation_compression_0 = t47;
+        const double t66 = 0.9921619208254787 * self->predicted_compression_deviation[0];
+        const double t67 = innovation_0 - t66;
+        innovation_compression_0 = t67;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t48 = innovation_4 - self->predicted_compression_deviation[0];
-        innovation_compression_1 = t48;
+        const double t68 = innovation_4 - self->predicted_compression_deviation[0];
+        innovation_compression_1 = t68;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t49 = innovation_5 - self->predicted_compression_deviation[0];
-        innovation_compression_2 = t49;
+        const double t69 = innovation_5 - self->predicted_compression_deviation[0];
+        innovation_compression_2 = t69;
     }
     mean_compression[0] = self->predicted_compression_deviation[0];
     mean_compression[1] = self->predicted_compression_deviation[1];
@@ -778,127 +798,159 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression[2] = self->predicted_compression_covariance[2];
 
     /* row 0 of y, wheel_fl: compression filter */
-    const double t50 = 0.9921619208254787 * self->predicted_compression_covariance[0];
-    const double t51 = 0.9921619208254787 * self->predicted_compression_covariance[1];
-    cross_compression_0[0] = t50;
-    cross_compression_0[1] = t51;
-    const double t52 = 0.9921619208254787 * cross_compression_0[0];
-    const double t53 = t52 + 0.04;
-    pivot_compression_0 = t53;
+    const double t70 = 0.9921619208254787 * self->predicted_compression_covariance[0];
+    const double t71 = 0.9921619208254787 * self->predicted_compression_covariance[1];
+    cross_compression_0[0] = t70;
+    cross_compression_0[1] = t71;
+    const double t72 = 0.9921619208254787 * cross_compression_0[0];
+    const double t73 = t72 + 0.04;
+    pivot_compression_0 = t73;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t54 = 1.0 / pivot_compression_0;
-        inverse_compression_0 = t54;
-        const double t55 = innovation_compression_0 * inverse_compression_0;
-        const double t56 = cross_compression_0[0] * t55;
-        const double t57 = self->predicted_compression_deviation[0] + t56;
-        const double t58 = cross_compression_0[1] * t55;
-        const double t59 = self->predicted_compression_deviation[1] + t58;
-        const double t60 = cross_compression_0[0] * inverse_compression_0;
-        const double t61 = t60 * cross_compression_0[0];
-        const double t62 = self->predicted_compression_covariance[0] - t61;
-        const double t63 = cross_compression_0[1] * inverse_compression_0;
-        const double t64 = t63 * cross_compression_0[0];
-        const double t65 = self->predicted_compression_covariance[1] - t64;
-        const double t66 = t63 * cross_compression_0[1];
-        const double t67 = self->predicted_compression_covariance[2] - t66;
-        mean_compression[0] = t57;
-        mean_compression[1] = t59;
-        covariance_compression[0] = t62;
-        covariance_compression[1] = t65;
-        covariance_compression[2] = t67;
+        const double t74 = 1.0 / pivot_compression_0;
+        inverse_compression_0 = t74;
+        const double t75 = innovation_compression_0 * inverse_compression_0;
+        const double t76 = cross_compression_0[0] * t75;
+        const double t77 = self->predicted_compression_deviation[0] + t76;
+        const double t78 = cross_compression_0[1] * t75;
+        const double t79 = self->predicted_compression_deviation[1] + t78;
+        const double t80 = cross_compression_0[0] * inverse_compression_0;
+        const double t81 = t80 * cross_compression_0[0];
+        const double t82 = self->predicted_compression_covariance[0] - t81;
+        const double t83 = 0.04 * t80;
+        const double t84 = 0.9921619208254787 * t82;
+        const double t85 = t83 - t84;
+        const double t86 = t85 * t80;
+        const double t87 = t82 + t86;
+        const double t88 = cross_compression_0[1] * inverse_compression_0;
+        const double t89 = t88 * cross_compression_0[0];
+        const double t90 = self->predicted_compression_covariance[1] - t89;
+        const double t91 = 0.04 * t88;
+        const double t92 = 0.9921619208254787 * t90;
+        const double t93 = t91 - t92;
+        const double t94 = t93 * t80;
+        const double t95 = t90 + t94;
+        const double t96 = t88 * cross_compression_0[1];
+        const double t97 = self->predicted_compression_covariance[2] - t96;
+        const double t98 = t93 * t88;
+        const double t99 = t97 + t98;
+        mean_compression[0] = t77;
+        mean_compression[1] = t79;
+        covariance_compression[0] = t87;
+        covariance_compression[1] = t95;
+        covariance_compression[2] = t99;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t68 = covariance_compression[0] + 0.25;
-    pivot_compression_1 = t68;
+    const double t100 = covariance_compression[0] + 0.25;
+    pivot_compression_1 = t100;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t69 = 1.0 / pivot_compression_1;
-        inverse_compression_1 = t69;
-        const double t70 = mean_compression[0] - self->predicted_compression_deviation[0];
-        const double t71 = innovation_compression_1 - t70;
-        const double t72 = t71 * inverse_compression_1;
-        const double t73 = covariance_compression[0] * t72;
-        const double t74 = mean_compression[0] + t73;
-        const double t75 = covariance_compression[1] * t72;
-        const double t76 = mean_compression[1] + t75;
-        const double t77 = covariance_compression[0] * inverse_compression_1;
-        const double t78 = t77 * covariance_compression[0];
-        const double t79 = covariance_compression[0] - t78;
-        const double t80 = covariance_compression[1] * inverse_compression_1;
-        const double t81 = t80 * covariance_compression[0];
-        const double t82 = covariance_compression[1] - t81;
-        const double t83 = t80 * covariance_compression[1];
-        const double t84 = covariance_compression[2] - t83;
-        mean_compression[0] = t74;
-        mean_compression[1] = t76;
-        covariance_compression[0] = t79;
-        covariance_compression[1] = t82;
-        covariance_compression[2] = t84;
+        const double t101 = 1.0 / pivot_compression_1;
+        inverse_compression_1 = t101;
+        const double t102 = mean_compression[0] - self->predicted_compression_deviation[0];
+        const double t103 = innovation_compression_1 - t102;
+        const double t104 = t103 * inverse_compression_1;
+        const double t105 = covariance_compression[0] * t104;
+        const double t106 = mean_compression[0] + t105;
+        const double t107 = covariance_compression[1] * t104;
+        const double t108 = mean_compression[1] + t107;
+        const double t109 = covariance_compression[0] * inverse_compression_1;
+        const double t110 = t109 * covariance_compression[0];
+        const double t111 = covariance_compression[0] - t110;
+        const double t112 = 0.25 * t109;
+        const double t113 = t112 - t111;
+        const double t114 = t113 * t109;
+        const double t115 = t111 + t114;
+        const double t116 = covariance_compression[1] * inverse_compression_1;
+        const double t117 = t116 * covariance_compression[0];
+        const double t118 = covariance_compression[1] - t117;
+        const double t119 = 0.25 * t116;
+        const double t120 = t119 - t118;
+        const double t121 = t120 * t109;
+        const double t122 = t118 + t121;
+        const double t123 = t116 * covariance_compression[1];
+        const double t124 = covariance_compression[2] - t123;
+        const double t125 = t120 * t116;
+        const double t126 = t124 + t125;
+        mean_compression[0] = t106;
+        mean_compression[1] = t108;
+        covariance_compression[0] = t115;
+        covariance_compression[1] = t122;
+        covariance_compression[2] = t126;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t85 = covariance_compression[0] + 9.0;
-    pivot_compression_2 = t85;
+    const double t127 = covariance_compression[0] + 9.0;
+    pivot_compression_2 = t127;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t86 = 1.0 / pivot_compression_2;
-        inverse_compression_2 = t86;
-        const double t87 = mean_compression[0] - self->predicted_compression_deviation[0];
-        const double t88 = innovation_compression_2 - t87;
-        const double t89 = t88 * inverse_compression_2;
-        const double t90 = covariance_compression[0] * t89;
-        const double t91 = mean_compression[0] + t90;
-        const double t92 = covariance_compression[1] * t89;
-        const double t93 = mean_compression[1] + t92;
-        const double t94 = covariance_compression[0] * inverse_compression_2;
-        const double t95 = t94 * covariance_compression[0];
-        const double t96 = covariance_compression[0] - t95;
-        const double t97 = covariance_compression[1] * inverse_compression_2;
-        const double t98 = t97 * covariance_compression[0];
-        const double t99 = covariance_compression[1] - t98;
-        const double t100 = t97 * covariance_compression[1];
-        const double t101 = covariance_compression[2] - t100;
-        mean_compression[0] = t91;
-        mean_compression[1] = t93;
-        covariance_compression[0] = t96;
-        covariance_compression[1] = t99;
-        covariance_compression[2] = t101;
+        const double t128 = 1.0 / pivot_compression_2;
+        inverse_compression_2 = t128;
+        const double t129 = mean_compression[0] - self->predicted_compression_deviation[0];
+        const double t130 = innovation_compression_2 - t129;
+        const double t131 = t130 * inverse_compression_2;
+        const double t132 = covariance_compression[0] * t131;
+        const double t133 = mean_compression[0] + t132;
+        const double t134 = covariance_compression[1] * t131;
+        const double t135 = mean_compression[1] + t134;
+        const double t136 = covariance_compression[0] * inverse_compression_2;
+        const double t137 = t136 * covariance_compression[0];
+        const double t138 = covariance_compression[0] - t137;
+        const double t139 = 9.0 * t136;
+        const double t140 = t139 - t138;
+        const double t141 = t140 * t136;
+        const double t142 = t138 + t141;
+        const double t143 = covariance_compression[1] * inverse_compression_2;
+        const double t144 = t143 * covariance_compression[0];
+        const double t145 = covariance_compression[1] - t144;
+        const double t146 = 9.0 * t143;
+        const double t147 = t146 - t145;
+        const double t148 = t147 * t136;
+        const double t149 = t145 + t148;
+        const double t150 = t143 * covariance_compression[1];
+        const double t151 = covariance_compression[2] - t150;
+        const double t152 = t147 * t143;
+        const double t153 = t151 + t152;
+        mean_compression[0] = t133;
+        mean_compression[1] = t135;
+        covariance_compression[0] = t142;
+        covariance_compression[1] = t149;
+        covariance_compression[2] = t153;
     }
-    const double t102 = mean_compression[0] - mean_host[0];
-    const double t103 = mean_compression[1] - mean_host[1];
-    deviation_compression[0] = t102;
-    deviation_compression[1] = t103;
+    const double t154 = mean_compression[0] - mean_host[0];
+    const double t155 = mean_compression[1] - mean_host[1];
+    deviation_compression[0] = t154;
+    deviation_compression[1] = t155;
 
     /* innovation, row by row */
     if ((present & 0x2u) != 0u)
     {
-        const double t104 = 0.9921619208254787 * self->predicted_compression_deviation[2];
-        const double t105 = innovation_1 - t104;
-        innovation_compression1_0 = t105;
+        const double t156 = 0.9921619208254787 * self->predicted_compression_deviation[2];
+        const double t157 = innovation_1 - t156;
+        innovation_compression1_0 = t157;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t106 = innovation_4 - self->predicted_compression_deviation[2];
-        innovation_compression1_1 = t106;
+        const double t158 = innovation_4 - self->predicted_compression_deviation[2];
+        innovation_compression1_1 = t158;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t107 = innovation_5 - self->predicted_compression_deviation[2];
-        innovation_compression1_2 = t107;
+        const double t159 = innovation_5 - self->predicted_compression_deviation[2];
+        innovation_compression1_2 = t159;
     }
     mean_compression1[0] = self->predicted_compression_deviation[2];
     mean_compression1[1] = self->predicted_compression_deviation[3];
@@ -907,127 +959,159 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression1[2] = self->predicted_compression_covariance[5];
 
     /* row 1 of y, wheel_fr: compression filter */
-    const double t108 = 0.9921619208254787 * self->predicted_compression_covariance[3];
-    const double t109 = 0.9921619208254787 * self->predicted_compression_covariance[4];
-    cross_compression1_0[0] = t108;
-    cross_compression1_0[1] = t109;
-    const double t110 = 0.9921619208254787 * cross_compression1_0[0];
-    const double t111 = t110 + 0.04;
-    pivot_compression1_0 = t111;
+    const double t160 = 0.9921619208254787 * self->predicted_compression_covariance[3];
+    const double t161 = 0.9921619208254787 * self->predicted_compression_covariance[4];
+    cross_compression1_0[0] = t160;
+    cross_compression1_0[1] = t161;
+    const double t162 = 0.9921619208254787 * cross_compression1_0[0];
+    const double t163 = t162 + 0.04;
+    pivot_compression1_0 = t163;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression1_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t112 = 1.0 / pivot_compression1_0;
-        inverse_compression1_0 = t112;
-        const double t113 = innovation_compression1_0 * inverse_compression1_0;
-        const double t114 = cross_compression1_0[0] * t113;
-        const double t115 = self->predicted_compression_deviation[2] + t114;
-        const double t116 = cross_compression1_0[1] * t113;
-        const double t117 = self->predicted_compression_deviation[3] + t116;
-        const double t118 = cross_compression1_0[0] * inverse_compression1_0;
-        const double t119 = t118 * cross_compression1_0[0];
-        const double t120 = self->predicted_compression_covariance[3] - t119;
-        const double t121 = cross_compression1_0[1] * inverse_compression1_0;
-        const double t122 = t121 * cross_compression1_0[0];
-        const double t123 = self->predicted_compression_covariance[4] - t122;
-        const double t124 = t121 * cross_compression1_0[1];
-        const double t125 = self->predicted_compression_covariance[5] - t124;
-        mean_compression1[0] = t115;
-        mean_compression1[1] = t117;
-        covariance_compression1[0] = t120;
-        covariance_compression1[1] = t123;
-        covariance_compression1[2] = t125;
+        const double t164 = 1.0 / pivot_compression1_0;
+        inverse_compression1_0 = t164;
+        const double t165 = innovation_compression1_0 * inverse_compression1_0;
+        const double t166 = cross_compression1_0[0] * t165;
+        const double t167 = self->predicted_compression_deviation[2] + t166;
+        const double t168 = cross_compression1_0[1] * t165;
+        const double t169 = self->predicted_compression_deviation[3] + t168;
+        const double t170 = cross_compression1_0[0] * inverse_compression1_0;
+        const double t171 = t170 * cross_compression1_0[0];
+        const double t172 = self->predicted_compression_covariance[3] - t171;
+        const double t173 = 0.04 * t170;
+        const double t174 = 0.9921619208254787 * t172;
+        const double t175 = t173 - t174;
+        const double t176 = t175 * t170;
+        const double t177 = t172 + t176;
+        const double t178 = cross_compression1_0[1] * inverse_compression1_0;
+        const double t179 = t178 * cross_compression1_0[0];
+        const double t180 = self->predicted_compression_covariance[4] - t179;
+        const double t181 = 0.04 * t178;
+        const double t182 = 0.9921619208254787 * t180;
+        const double t183 = t181 - t182;
+        const double t184 = t183 * t170;
+        const double t185 = t180 + t184;
+        const double t186 = t178 * cross_compression1_0[1];
+        const double t187 = self->predicted_compression_covariance[5] - t186;
+        const double t188 = t183 * t178;
+        const double t189 = t187 + t188;
+        mean_compression1[0] = t167;
+        mean_compression1[1] = t169;
+        covariance_compression1[0] = t177;
+        covariance_compression1[1] = t185;
+        covariance_compression1[2] = t189;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t126 = covariance_compression1[0] + 0.25;
-    pivot_compression1_1 = t126;
+    const double t190 = covariance_compression1[0] + 0.25;
+    pivot_compression1_1 = t190;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression1_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t127 = 1.0 / pivot_compression1_1;
-        inverse_compression1_1 = t127;
-        const double t128 = mean_compression1[0] - self->predicted_compression_deviation[2];
-        const double t129 = innovation_compression1_1 - t128;
-        const double t130 = t129 * inverse_compression1_1;
-        const double t131 = covariance_compression1[0] * t130;
-        const double t132 = mean_compression1[0] + t131;
-        const double t133 = covariance_compression1[1] * t130;
-        const double t134 = mean_compression1[1] + t133;
-        const double t135 = covariance_compression1[0] * inverse_compression1_1;
-        const double t136 = t135 * covariance_compression1[0];
-        const double t137 = covariance_compression1[0] - t136;
-        const double t138 = covariance_compression1[1] * inverse_compression1_1;
-        const double t139 = t138 * covariance_compression1[0];
-        const double t140 = covariance_compression1[1] - t139;
-        const double t141 = t138 * covariance_compression1[1];
-        const double t142 = covariance_compression1[2] - t141;
-        mean_compression1[0] = t132;
-        mean_compression1[1] = t134;
-        covariance_compression1[0] = t137;
-        covariance_compression1[1] = t140;
-        covariance_compression1[2] = t142;
+        const double t191 = 1.0 / pivot_compression1_1;
+        inverse_compression1_1 = t191;
+        const double t192 = mean_compression1[0] - self->predicted_compression_deviation[2];
+        const double t193 = innovation_compression1_1 - t192;
+        const double t194 = t193 * inverse_compression1_1;
+        const double t195 = covariance_compression1[0] * t194;
+        const double t196 = mean_compression1[0] + t195;
+        const double t197 = covariance_compression1[1] * t194;
+        const double t198 = mean_compression1[1] + t197;
+        const double t199 = covariance_compression1[0] * inverse_compression1_1;
+        const double t200 = t199 * covariance_compression1[0];
+        const double t201 = covariance_compression1[0] - t200;
+        const double t202 = 0.25 * t199;
+        const double t203 = t202 - t201;
+        const double t204 = t203 * t199;
+        const double t205 = t201 + t204;
+        const double t206 = covariance_compression1[1] * inverse_compression1_1;
+        const double t207 = t206 * covariance_compression1[0];
+        const double t208 = covariance_compression1[1] - t207;
+        const double t209 = 0.25 * t206;
+        const double t210 = t209 - t208;
+        const double t211 = t210 * t199;
+        const double t212 = t208 + t211;
+        const double t213 = t206 * covariance_compression1[1];
+        const double t214 = covariance_compression1[2] - t213;
+        const double t215 = t210 * t206;
+        const double t216 = t214 + t215;
+        mean_compression1[0] = t196;
+        mean_compression1[1] = t198;
+        covariance_compression1[0] = t205;
+        covariance_compression1[1] = t212;
+        covariance_compression1[2] = t216;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t143 = covariance_compression1[0] + 9.0;
-    pivot_compression1_2 = t143;
+    const double t217 = covariance_compression1[0] + 9.0;
+    pivot_compression1_2 = t217;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression1_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t144 = 1.0 / pivot_compression1_2;
-        inverse_compression1_2 = t144;
-        const double t145 = mean_compression1[0] - self->predicted_compression_deviation[2];
-        const double t146 = innovation_compression1_2 - t145;
-        const double t147 = t146 * inverse_compression1_2;
-        const double t148 = covariance_compression1[0] * t147;
-        const double t149 = mean_compression1[0] + t148;
-        const double t150 = covariance_compression1[1] * t147;
-        const double t151 = mean_compression1[1] + t150;
-        const double t152 = covariance_compression1[0] * inverse_compression1_2;
-        const double t153 = t152 * covariance_compression1[0];
-        const double t154 = covariance_compression1[0] - t153;
-        const double t155 = covariance_compression1[1] * inverse_compression1_2;
-        const double t156 = t155 * covariance_compression1[0];
-        const double t157 = covariance_compression1[1] - t156;
-        const double t158 = t155 * covariance_compression1[1];
-        const double t159 = covariance_compression1[2] - t158;
-        mean_compression1[0] = t149;
-        mean_compression1[1] = t151;
-        covariance_compression1[0] = t154;
-        covariance_compression1[1] = t157;
-        covariance_compression1[2] = t159;
+        const double t218 = 1.0 / pivot_compression1_2;
+        inverse_compression1_2 = t218;
+        const double t219 = mean_compression1[0] - self->predicted_compression_deviation[2];
+        const double t220 = innovation_compression1_2 - t219;
+        const double t221 = t220 * inverse_compression1_2;
+        const double t222 = covariance_compression1[0] * t221;
+        const double t223 = mean_compression1[0] + t222;
+        const double t224 = covariance_compression1[1] * t221;
+        const double t225 = mean_compression1[1] + t224;
+        const double t226 = covariance_compression1[0] * inverse_compression1_2;
+        const double t227 = t226 * covariance_compression1[0];
+        const double t228 = covariance_compression1[0] - t227;
+        const double t229 = 9.0 * t226;
+        const double t230 = t229 - t228;
+        const double t231 = t230 * t226;
+        const double t232 = t228 + t231;
+        const double t233 = covariance_compression1[1] * inverse_compression1_2;
+        const double t234 = t233 * covariance_compression1[0];
+        const double t235 = covariance_compression1[1] - t234;
+        const double t236 = 9.0 * t233;
+        const double t237 = t236 - t235;
+        const double t238 = t237 * t226;
+        const double t239 = t235 + t238;
+        const double t240 = t233 * covariance_compression1[1];
+        const double t241 = covariance_compression1[2] - t240;
+        const double t242 = t237 * t233;
+        const double t243 = t241 + t242;
+        mean_compression1[0] = t223;
+        mean_compression1[1] = t225;
+        covariance_compression1[0] = t232;
+        covariance_compression1[1] = t239;
+        covariance_compression1[2] = t243;
     }
-    const double t160 = mean_compression1[0] - mean_host[0];
-    const double t161 = mean_compression1[1] - mean_host[1];
-    deviation_compression1[0] = t160;
-    deviation_compression1[1] = t161;
+    const double t244 = mean_compression1[0] - mean_host[0];
+    const double t245 = mean_compression1[1] - mean_host[1];
+    deviation_compression1[0] = t244;
+    deviation_compression1[1] = t245;
 
     /* innovation, row by row */
     if ((present & 0x4u) != 0u)
     {
-        const double t162 = 0.9903931860948796 * self->predicted_compression_deviation[4];
-        const double t163 = innovation_2 - t162;
-        innovation_compression2_0 = t163;
+        const double t246 = 0.9903931860948796 * self->predicted_compression_deviation[4];
+        const double t247 = innovation_2 - t246;
+        innovation_compression2_0 = t247;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t164 = innovation_4 - self->predicted_compression_deviation[4];
-        innovation_compression2_1 = t164;
+        const double t248 = innovation_4 - self->predicted_compression_deviation[4];
+        innovation_compression2_1 = t248;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t165 = innovation_5 - self->predicted_compression_deviation[4];
-        innovation_compression2_2 = t165;
+        const double t249 = innovation_5 - self->predicted_compression_deviation[4];
+        innovation_compression2_2 = t249;
     }
     mean_compression2[0] = self->predicted_compression_deviation[4];
     mean_compression2[1] = self->predicted_compression_deviation[5];
@@ -1036,127 +1120,159 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression2[2] = self->predicted_compression_covariance[8];
 
     /* row 2 of y, wheel_rl: compression filter */
-    const double t166 = 0.9903931860948796 * self->predicted_compression_covariance[6];
-    const double t167 = 0.9903931860948796 * self->predicted_compression_covariance[7];
-    cross_compression2_0[0] = t166;
-    cross_compression2_0[1] = t167;
-    const double t168 = 0.9903931860948796 * cross_compression2_0[0];
-    const double t169 = t168 + 0.04;
-    pivot_compression2_0 = t169;
+    const double t250 = 0.9903931860948796 * self->predicted_compression_covariance[6];
+    const double t251 = 0.9903931860948796 * self->predicted_compression_covariance[7];
+    cross_compression2_0[0] = t250;
+    cross_compression2_0[1] = t251;
+    const double t252 = 0.9903931860948796 * cross_compression2_0[0];
+    const double t253 = t252 + 0.04;
+    pivot_compression2_0 = t253;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_compression2_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t170 = 1.0 / pivot_compression2_0;
-        inverse_compression2_0 = t170;
-        const double t171 = innovation_compression2_0 * inverse_compression2_0;
-        const double t172 = cross_compression2_0[0] * t171;
-        const double t173 = self->predicted_compression_deviation[4] + t172;
-        const double t174 = cross_compression2_0[1] * t171;
-        const double t175 = self->predicted_compression_deviation[5] + t174;
-        const double t176 = cross_compression2_0[0] * inverse_compression2_0;
-        const double t177 = t176 * cross_compression2_0[0];
-        const double t178 = self->predicted_compression_covariance[6] - t177;
-        const double t179 = cross_compression2_0[1] * inverse_compression2_0;
-        const double t180 = t179 * cross_compression2_0[0];
-        const double t181 = self->predicted_compression_covariance[7] - t180;
-        const double t182 = t179 * cross_compression2_0[1];
-        const double t183 = self->predicted_compression_covariance[8] - t182;
-        mean_compression2[0] = t173;
-        mean_compression2[1] = t175;
-        covariance_compression2[0] = t178;
-        covariance_compression2[1] = t181;
-        covariance_compression2[2] = t183;
+        const double t254 = 1.0 / pivot_compression2_0;
+        inverse_compression2_0 = t254;
+        const double t255 = innovation_compression2_0 * inverse_compression2_0;
+        const double t256 = cross_compression2_0[0] * t255;
+        const double t257 = self->predicted_compression_deviation[4] + t256;
+        const double t258 = cross_compression2_0[1] * t255;
+        const double t259 = self->predicted_compression_deviation[5] + t258;
+        const double t260 = cross_compression2_0[0] * inverse_compression2_0;
+        const double t261 = t260 * cross_compression2_0[0];
+        const double t262 = self->predicted_compression_covariance[6] - t261;
+        const double t263 = 0.04 * t260;
+        const double t264 = 0.9903931860948796 * t262;
+        const double t265 = t263 - t264;
+        const double t266 = t265 * t260;
+        const double t267 = t262 + t266;
+        const double t268 = cross_compression2_0[1] * inverse_compression2_0;
+        const double t269 = t268 * cross_compression2_0[0];
+        const double t270 = self->predicted_compression_covariance[7] - t269;
+        const double t271 = 0.04 * t268;
+        const double t272 = 0.9903931860948796 * t270;
+        const double t273 = t271 - t272;
+        const double t274 = t273 * t260;
+        const double t275 = t270 + t274;
+        const double t276 = t268 * cross_compression2_0[1];
+        const double t277 = self->predicted_compression_covariance[8] - t276;
+        const double t278 = t273 * t268;
+        const double t279 = t277 + t278;
+        mean_compression2[0] = t257;
+        mean_compression2[1] = t259;
+        covariance_compression2[0] = t267;
+        covariance_compression2[1] = t275;
+        covariance_compression2[2] = t279;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t184 = covariance_compression2[0] + 0.25;
-    pivot_compression2_1 = t184;
+    const double t280 = covariance_compression2[0] + 0.25;
+    pivot_compression2_1 = t280;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression2_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t185 = 1.0 / pivot_compression2_1;
-        inverse_compression2_1 = t185;
-        const double t186 = mean_compression2[0] - self->predicted_compression_deviation[4];
-        const double t187 = innovation_compression2_1 - t186;
-        const double t188 = t187 * inverse_compression2_1;
-        const double t189 = covariance_compression2[0] * t188;
-        const double t190 = mean_compression2[0] + t189;
-        const double t191 = covariance_compression2[1] * t188;
-        const double t192 = mean_compression2[1] + t191;
-        const double t193 = covariance_compression2[0] * inverse_compression2_1;
-        const double t194 = t193 * covariance_compression2[0];
-        const double t195 = covariance_compression2[0] - t194;
-        const double t196 = covariance_compression2[1] * inverse_compression2_1;
-        const double t197 = t196 * covariance_compression2[0];
-        const double t198 = covariance_compression2[1] - t197;
-        const double t199 = t196 * covariance_compression2[1];
-        const double t200 = covariance_compression2[2] - t199;
-        mean_compression2[0] = t190;
-        mean_compression2[1] = t192;
-        covariance_compression2[0] = t195;
-        covariance_compression2[1] = t198;
-        covariance_compression2[2] = t200;
+        const double t281 = 1.0 / pivot_compression2_1;
+        inverse_compression2_1 = t281;
+        const double t282 = mean_compression2[0] - self->predicted_compression_deviation[4];
+        const double t283 = innovation_compression2_1 - t282;
+        const double t284 = t283 * inverse_compression2_1;
+        const double t285 = covariance_compression2[0] * t284;
+        const double t286 = mean_compression2[0] + t285;
+        const double t287 = covariance_compression2[1] * t284;
+        const double t288 = mean_compression2[1] + t287;
+        const double t289 = covariance_compression2[0] * inverse_compression2_1;
+        const double t290 = t289 * covariance_compression2[0];
+        const double t291 = covariance_compression2[0] - t290;
+        const double t292 = 0.25 * t289;
+        const double t293 = t292 - t291;
+        const double t294 = t293 * t289;
+        const double t295 = t291 + t294;
+        const double t296 = covariance_compression2[1] * inverse_compression2_1;
+        const double t297 = t296 * covariance_compression2[0];
+        const double t298 = covariance_compression2[1] - t297;
+        const double t299 = 0.25 * t296;
+        const double t300 = t299 - t298;
+        const double t301 = t300 * t289;
+        const double t302 = t298 + t301;
+        const double t303 = t296 * covariance_compression2[1];
+        const double t304 = covariance_compression2[2] - t303;
+        const double t305 = t300 * t296;
+        const double t306 = t304 + t305;
+        mean_compression2[0] = t286;
+        mean_compression2[1] = t288;
+        covariance_compression2[0] = t295;
+        covariance_compression2[1] = t302;
+        covariance_compression2[2] = t306;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t201 = covariance_compression2[0] + 9.0;
-    pivot_compression2_2 = t201;
+    const double t307 = covariance_compression2[0] + 9.0;
+    pivot_compression2_2 = t307;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression2_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t202 = 1.0 / pivot_compression2_2;
-        inverse_compression2_2 = t202;
-        const double t203 = mean_compression2[0] - self->predicted_compression_deviation[4];
-        const double t204 = innovation_compression2_2 - t203;
-        const double t205 = t204 * inverse_compression2_2;
-        const double t206 = covariance_compression2[0] * t205;
-        const double t207 = mean_compression2[0] + t206;
-        const double t208 = covariance_compression2[1] * t205;
-        const double t209 = mean_compression2[1] + t208;
-        const double t210 = covariance_compression2[0] * inverse_compression2_2;
-        const double t211 = t210 * covariance_compression2[0];
-        const double t212 = covariance_compression2[0] - t211;
-        const double t213 = covariance_compression2[1] * inverse_compression2_2;
-        const double t214 = t213 * covariance_compression2[0];
-        const double t215 = covariance_compression2[1] - t214;
-        const double t216 = t213 * covariance_compression2[1];
-        const double t217 = covariance_compression2[2] - t216;
-        mean_compression2[0] = t207;
-        mean_compression2[1] = t209;
-        covariance_compression2[0] = t212;
-        covariance_compression2[1] = t215;
-        covariance_compression2[2] = t217;
+        const double t308 = 1.0 / pivot_compression2_2;
+        inverse_compression2_2 = t308;
+        const double t309 = mean_compression2[0] - self->predicted_compression_deviation[4];
+        const double t310 = innovation_compression2_2 - t309;
+        const double t311 = t310 * inverse_compression2_2;
+        const double t312 = covariance_compression2[0] * t311;
+        const double t313 = mean_compression2[0] + t312;
+        const double t314 = covariance_compression2[1] * t311;
+        const double t315 = mean_compression2[1] + t314;
+        const double t316 = covariance_compression2[0] * inverse_compression2_2;
+        const double t317 = t316 * covariance_compression2[0];
+        const double t318 = covariance_compression2[0] - t317;
+        const double t319 = 9.0 * t316;
+        const double t320 = t319 - t318;
+        const double t321 = t320 * t316;
+        const double t322 = t318 + t321;
+        const double t323 = covariance_compression2[1] * inverse_compression2_2;
+        const double t324 = t323 * covariance_compression2[0];
+        const double t325 = covariance_compression2[1] - t324;
+        const double t326 = 9.0 * t323;
+        const double t327 = t326 - t325;
+        const double t328 = t327 * t316;
+        const double t329 = t325 + t328;
+        const double t330 = t323 * covariance_compression2[1];
+        const double t331 = covariance_compression2[2] - t330;
+        const double t332 = t327 * t323;
+        const double t333 = t331 + t332;
+        mean_compression2[0] = t313;
+        mean_compression2[1] = t315;
+        covariance_compression2[0] = t322;
+        covariance_compression2[1] = t329;
+        covariance_compression2[2] = t333;
     }
-    const double t218 = mean_compression2[0] - mean_host[0];
-    const double t219 = mean_compression2[1] - mean_host[1];
-    deviation_compression2[0] = t218;
-    deviation_compression2[1] = t219;
+    const double t334 = mean_compression2[0] - mean_host[0];
+    const double t335 = mean_compression2[1] - mean_host[1];
+    deviation_compression2[0] = t334;
+    deviation_compression2[1] = t335;
 
     /* innovation, row by row */
     if ((present & 0x8u) != 0u)
     {
-        const double t220 = 0.9903931860948796 * self->predicted_compression_deviation[6];
-        const double t221 = innovation_3 - t220;
-        innovation_compression3_0 = t221;
+        const double t336 = 0.9903931860948796 * self->predicted_compression_deviation[6];
+        const double t337 = innovation_3 - t336;
+        innovation_compression3_0 = t337;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t222 = innovation_4 - self->predicted_compression_deviation[6];
-        innovation_compression3_1 = t222;
+        const double t338 = innovation_4 - self->predicted_compression_deviation[6];
+        innovation_compression3_1 = t338;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t223 = innovation_5 - self->predicted_compression_deviation[6];
-        innovation_compression3_2 = t223;
+        const double t339 = innovation_5 - self->predicted_compression_deviation[6];
+        innovation_compression3_2 = t339;
     }
     mean_compression3[0] = self->predicted_compression_deviation[6];
     mean_compression3[1] = self->predicted_compression_deviation[7];
@@ -1165,133 +1281,165 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression3[2] = self->predicted_compression_covariance[11];
 
     /* row 3 of y, wheel_rr: compression filter */
-    const double t224 = 0.9903931860948796 * self->predicted_compression_covariance[9];
-    const double t225 = 0.9903931860948796 * self->predicted_compression_covariance[10];
-    cross_compression3_0[0] = t224;
-    cross_compression3_0[1] = t225;
-    const double t226 = 0.9903931860948796 * cross_compression3_0[0];
-    const double t227 = t226 + 0.04;
-    pivot_compression3_0 = t227;
+    const double t340 = 0.9903931860948796 * self->predicted_compression_covariance[9];
+    const double t341 = 0.9903931860948796 * self->predicted_compression_covariance[10];
+    cross_compression3_0[0] = t340;
+    cross_compression3_0[1] = t341;
+    const double t342 = 0.9903931860948796 * cross_compression3_0[0];
+    const double t343 = t342 + 0.04;
+    pivot_compression3_0 = t343;
     if ((present & 0x8u) != 0u)
     {
         if (!(pivot_compression3_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t228 = 1.0 / pivot_compression3_0;
-        inverse_compression3_0 = t228;
-        const double t229 = innovation_compression3_0 * inverse_compression3_0;
-        const double t230 = cross_compression3_0[0] * t229;
-        const double t231 = self->predicted_compression_deviation[6] + t230;
-        const double t232 = cross_compression3_0[1] * t229;
-        const double t233 = self->predicted_compression_deviation[7] + t232;
-        const double t234 = cross_compression3_0[0] * inverse_compression3_0;
-        const double t235 = t234 * cross_compression3_0[0];
-        const double t236 = self->predicted_compression_covariance[9] - t235;
-        const double t237 = cross_compression3_0[1] * inverse_compression3_0;
-        const double t238 = t237 * cross_compression3_0[0];
-        const double t239 = self->predicted_compression_covariance[10] - t238;
-        const double t240 = t237 * cross_compression3_0[1];
-        const double t241 = self->predicted_compression_covariance[11] - t240;
-        mean_compression3[0] = t231;
-        mean_compression3[1] = t233;
-        covariance_compression3[0] = t236;
-        covariance_compression3[1] = t239;
-        covariance_compression3[2] = t241;
+        const double t344 = 1.0 / pivot_compression3_0;
+        inverse_compression3_0 = t344;
+        const double t345 = innovation_compression3_0 * inverse_compression3_0;
+        const double t346 = cross_compression3_0[0] * t345;
+        const double t347 = self->predicted_compression_deviation[6] + t346;
+        const double t348 = cross_compression3_0[1] * t345;
+        const double t349 = self->predicted_compression_deviation[7] + t348;
+        const double t350 = cross_compression3_0[0] * inverse_compression3_0;
+        const double t351 = t350 * cross_compression3_0[0];
+        const double t352 = self->predicted_compression_covariance[9] - t351;
+        const double t353 = 0.04 * t350;
+        const double t354 = 0.9903931860948796 * t352;
+        const double t355 = t353 - t354;
+        const double t356 = t355 * t350;
+        const double t357 = t352 + t356;
+        const double t358 = cross_compression3_0[1] * inverse_compression3_0;
+        const double t359 = t358 * cross_compression3_0[0];
+        const double t360 = self->predicted_compression_covariance[10] - t359;
+        const double t361 = 0.04 * t358;
+        const double t362 = 0.9903931860948796 * t360;
+        const double t363 = t361 - t362;
+        const double t364 = t363 * t350;
+        const double t365 = t360 + t364;
+        const double t366 = t358 * cross_compression3_0[1];
+        const double t367 = self->predicted_compression_covariance[11] - t366;
+        const double t368 = t363 * t358;
+        const double t369 = t367 + t368;
+        mean_compression3[0] = t347;
+        mean_compression3[1] = t349;
+        covariance_compression3[0] = t357;
+        covariance_compression3[1] = t365;
+        covariance_compression3[2] = t369;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t242 = covariance_compression3[0] + 0.25;
-    pivot_compression3_1 = t242;
+    const double t370 = covariance_compression3[0] + 0.25;
+    pivot_compression3_1 = t370;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression3_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t243 = 1.0 / pivot_compression3_1;
-        inverse_compression3_1 = t243;
-        const double t244 = mean_compression3[0] - self->predicted_compression_deviation[6];
-        const double t245 = innovation_compression3_1 - t244;
-        const double t246 = t245 * inverse_compression3_1;
-        const double t247 = covariance_compression3[0] * t246;
-        const double t248 = mean_compression3[0] + t247;
-        const double t249 = covariance_compression3[1] * t246;
-        const double t250 = mean_compression3[1] + t249;
-        const double t251 = covariance_compression3[0] * inverse_compression3_1;
-        const double t252 = t251 * covariance_compression3[0];
-        const double t253 = covariance_compression3[0] - t252;
-        const double t254 = covariance_compression3[1] * inverse_compression3_1;
-        const double t255 = t254 * covariance_compression3[0];
-        const double t256 = covariance_compression3[1] - t255;
-        const double t257 = t254 * covariance_compression3[1];
-        const double t258 = covariance_compression3[2] - t257;
-        mean_compression3[0] = t248;
-        mean_compression3[1] = t250;
-        covariance_compression3[0] = t253;
-        covariance_compression3[1] = t256;
-        covariance_compression3[2] = t258;
+        const double t371 = 1.0 / pivot_compression3_1;
+        inverse_compression3_1 = t371;
+        const double t372 = mean_compression3[0] - self->predicted_compression_deviation[6];
+        const double t373 = innovation_compression3_1 - t372;
+        const double t374 = t373 * inverse_compression3_1;
+        const double t375 = covariance_compression3[0] * t374;
+        const double t376 = mean_compression3[0] + t375;
+        const double t377 = covariance_compression3[1] * t374;
+        const double t378 = mean_compression3[1] + t377;
+        const double t379 = covariance_compression3[0] * inverse_compression3_1;
+        const double t380 = t379 * covariance_compression3[0];
+        const double t381 = covariance_compression3[0] - t380;
+        const double t382 = 0.25 * t379;
+        const double t383 = t382 - t381;
+        const double t384 = t383 * t379;
+        const double t385 = t381 + t384;
+        const double t386 = covariance_compression3[1] * inverse_compression3_1;
+        const double t387 = t386 * covariance_compression3[0];
+        const double t388 = covariance_compression3[1] - t387;
+        const double t389 = 0.25 * t386;
+        const double t390 = t389 - t388;
+        const double t391 = t390 * t379;
+        const double t392 = t388 + t391;
+        const double t393 = t386 * covariance_compression3[1];
+        const double t394 = covariance_compression3[2] - t393;
+        const double t395 = t390 * t386;
+        const double t396 = t394 + t395;
+        mean_compression3[0] = t376;
+        mean_compression3[1] = t378;
+        covariance_compression3[0] = t385;
+        covariance_compression3[1] = t392;
+        covariance_compression3[2] = t396;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t259 = covariance_compression3[0] + 9.0;
-    pivot_compression3_2 = t259;
+    const double t397 = covariance_compression3[0] + 9.0;
+    pivot_compression3_2 = t397;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression3_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t260 = 1.0 / pivot_compression3_2;
-        inverse_compression3_2 = t260;
-        const double t261 = mean_compression3[0] - self->predicted_compression_deviation[6];
-        const double t262 = innovation_compression3_2 - t261;
-        const double t263 = t262 * inverse_compression3_2;
-        const double t264 = covariance_compression3[0] * t263;
-        const double t265 = mean_compression3[0] + t264;
-        const double t266 = covariance_compression3[1] * t263;
-        const double t267 = mean_compression3[1] + t266;
-        const double t268 = covariance_compression3[0] * inverse_compression3_2;
-        const double t269 = t268 * covariance_compression3[0];
-        const double t270 = covariance_compression3[0] - t269;
-        const double t271 = covariance_compression3[1] * inverse_compression3_2;
-        const double t272 = t271 * covariance_compression3[0];
-        const double t273 = covariance_compression3[1] - t272;
-        const double t274 = t271 * covariance_compression3[1];
-        const double t275 = covariance_compression3[2] - t274;
-        mean_compression3[0] = t265;
-        mean_compression3[1] = t267;
-        covariance_compression3[0] = t270;
-        covariance_compression3[1] = t273;
-        covariance_compression3[2] = t275;
+        const double t398 = 1.0 / pivot_compression3_2;
+        inverse_compression3_2 = t398;
+        const double t399 = mean_compression3[0] - self->predicted_compression_deviation[6];
+        const double t400 = innovation_compression3_2 - t399;
+        const double t401 = t400 * inverse_compression3_2;
+        const double t402 = covariance_compression3[0] * t401;
+        const double t403 = mean_compression3[0] + t402;
+        const double t404 = covariance_compression3[1] * t401;
+        const double t405 = mean_compression3[1] + t404;
+        const double t406 = covariance_compression3[0] * inverse_compression3_2;
+        const double t407 = t406 * covariance_compression3[0];
+        const double t408 = covariance_compression3[0] - t407;
+        const double t409 = 9.0 * t406;
+        const double t410 = t409 - t408;
+        const double t411 = t410 * t406;
+        const double t412 = t408 + t411;
+        const double t413 = covariance_compression3[1] * inverse_compression3_2;
+        const double t414 = t413 * covariance_compression3[0];
+        const double t415 = covariance_compression3[1] - t414;
+        const double t416 = 9.0 * t413;
+        const double t417 = t416 - t415;
+        const double t418 = t417 * t406;
+        const double t419 = t415 + t418;
+        const double t420 = t413 * covariance_compression3[1];
+        const double t421 = covariance_compression3[2] - t420;
+        const double t422 = t417 * t413;
+        const double t423 = t421 + t422;
+        mean_compression3[0] = t403;
+        mean_compression3[1] = t405;
+        covariance_compression3[0] = t412;
+        covariance_compression3[1] = t419;
+        covariance_compression3[2] = t423;
     }
-    const double t276 = mean_compression3[0] - mean_host[0];
-    const double t277 = mean_compression3[1] - mean_host[1];
-    deviation_compression3[0] = t276;
-    deviation_compression3[1] = t277;
+    const double t424 = mean_compression3[0] - mean_host[0];
+    const double t425 = mean_compression3[1] - mean_host[1];
+    deviation_compression3[0] = t424;
+    deviation_compression3[1] = t425;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t278 = 0.9921619208254787 * self->predicted_compression_deviation[8];
-        const double t279 = innovation_0 - t278;
-        innovation_compression4_0 = t279;
+        const double t426 = 0.9921619208254787 * self->predicted_compression_deviation[8];
+        const double t427 = innovation_0 - t426;
+        innovation_compression4_0 = t427;
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t280 = 0.9921619208254787 * self->predicted_compression_deviation[8];
-        const double t281 = innovation_1 - t280;
-        innovation_compression4_1 = t281;
+        const double t428 = 0.9921619208254787 * self->predicted_compression_deviation[8];
+        const double t429 = innovation_1 - t428;
+        innovation_compression4_1 = t429;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t282 = innovation_4 - self->predicted_compression_deviation[8];
-        innovation_compression4_2 = t282;
+        const double t430 = innovation_4 - self->predicted_compression_deviation[8];
+        innovation_compression4_2 = t430;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t283 = innovation_5 - self->predicted_compression_deviation[8];
-        innovation_compression4_3 = t283;
+        const double t431 = innovation_5 - self->predicted_compression_deviation[8];
+        innovation_compression4_3 = t431;
     }
     mean_compression4[0] = self->predicted_compression_deviation[8];
     mean_compression4[1] = self->predicted_compression_deviation[9];
@@ -1300,172 +1448,216 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression4[2] = self->predicted_compression_covariance[14];
 
     /* row 0 of y, wheel_fl: compression filter */
-    const double t284 = 0.9921619208254787 * self->predicted_compression_covariance[12];
-    const double t285 = 0.9921619208254787 * self->predicted_compression_covariance[13];
-    cross_compression4_0[0] = t284;
-    cross_compression4_0[1] = t285;
-    const double t286 = 0.9921619208254787 * cross_compression4_0[0];
-    const double t287 = t286 + 0.04;
-    pivot_compression4_0 = t287;
+    const double t432 = 0.9921619208254787 * self->predicted_compression_covariance[12];
+    const double t433 = 0.9921619208254787 * self->predicted_compression_covariance[13];
+    cross_compression4_0[0] = t432;
+    cross_compression4_0[1] = t433;
+    const double t434 = 0.9921619208254787 * cross_compression4_0[0];
+    const double t435 = t434 + 0.04;
+    pivot_compression4_0 = t435;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression4_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t288 = 1.0 / pivot_compression4_0;
-        inverse_compression4_0 = t288;
-        const double t289 = innovation_compression4_0 * inverse_compression4_0;
-        const double t290 = cross_compression4_0[0] * t289;
-        const double t291 = self->predicted_compression_deviation[8] + t290;
-        const double t292 = cross_compression4_0[1] * t289;
-        const double t293 = self->predicted_compression_deviation[9] + t292;
-        const double t294 = cross_compression4_0[0] * inverse_compression4_0;
-        const double t295 = t294 * cross_compression4_0[0];
-        const double t296 = self->predicted_compression_covariance[12] - t295;
-        const double t297 = cross_compression4_0[1] * inverse_compression4_0;
-        const double t298 = t297 * cross_compression4_0[0];
-        const double t299 = self->predicted_compression_covariance[13] - t298;
-        const double t300 = t297 * cross_compression4_0[1];
-        const double t301 = self->predicted_compression_covariance[14] - t300;
-        mean_compression4[0] = t291;
-        mean_compression4[1] = t293;
-        covariance_compression4[0] = t296;
-        covariance_compression4[1] = t299;
-        covariance_compression4[2] = t301;
+        const double t436 = 1.0 / pivot_compression4_0;
+        inverse_compression4_0 = t436;
+        const double t437 = innovation_compression4_0 * inverse_compression4_0;
+        const double t438 = cross_compression4_0[0] * t437;
+        const double t439 = self->predicted_compression_deviation[8] + t438;
+        const double t440 = cross_compression4_0[1] * t437;
+        const double t441 = self->predicted_compression_deviation[9] + t440;
+        const double t442 = cross_compression4_0[0] * inverse_compression4_0;
+        const double t443 = t442 * cross_compression4_0[0];
+        const double t444 = self->predicted_compression_covariance[12] - t443;
+        const double t445 = 0.04 * t442;
+        const double t446 = 0.9921619208254787 * t444;
+        const double t447 = t445 - t446;
+        const double t448 = t447 * t442;
+        const double t449 = t444 + t448;
+        const double t450 = cross_compression4_0[1] * inverse_compression4_0;
+        const double t451 = t450 * cross_compression4_0[0];
+        const double t452 = self->predicted_compression_covariance[13] - t451;
+        const double t453 = 0.04 * t450;
+        const double t454 = 0.9921619208254787 * t452;
+        const double t455 = t453 - t454;
+        const double t456 = t455 * t442;
+        const double t457 = t452 + t456;
+        const double t458 = t450 * cross_compression4_0[1];
+        const double t459 = self->predicted_compression_covariance[14] - t458;
+        const double t460 = t455 * t450;
+        const double t461 = t459 + t460;
+        mean_compression4[0] = t439;
+        mean_compression4[1] = t441;
+        covariance_compression4[0] = t449;
+        covariance_compression4[1] = t457;
+        covariance_compression4[2] = t461;
     }
 
     /* row 1 of y, wheel_fr: compression filter */
-    const double t302 = 0.9921619208254787 * covariance_compression4[0];
-    const double t303 = 0.9921619208254787 * covariance_compression4[1];
-    cross_compression4_1[0] = t302;
-    cross_compression4_1[1] = t303;
-    const double t304 = 0.9921619208254787 * cross_compression4_1[0];
-    const double t305 = t304 + 0.04;
-    pivot_compression4_1 = t305;
+    const double t462 = 0.9921619208254787 * covariance_compression4[0];
+    const double t463 = 0.9921619208254787 * covariance_compression4[1];
+    cross_compression4_1[0] = t462;
+    cross_compression4_1[1] = t463;
+    const double t464 = 0.9921619208254787 * cross_compression4_1[0];
+    const double t465 = t464 + 0.04;
+    pivot_compression4_1 = t465;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression4_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t306 = 1.0 / pivot_compression4_1;
-        inverse_compression4_1 = t306;
-        const double t307 = mean_compression4[0] - self->predicted_compression_deviation[8];
-        const double t308 = 0.9921619208254787 * t307;
-        const double t309 = innovation_compression4_1 - t308;
-        const double t310 = t309 * inverse_compression4_1;
-        const double t311 = cross_compression4_1[0] * t310;
-        const double t312 = mean_compression4[0] + t311;
-        const double t313 = cross_compression4_1[1] * t310;
-        const double t314 = mean_compression4[1] + t313;
-        const double t315 = cross_compression4_1[0] * inverse_compression4_1;
-        const double t316 = t315 * cross_compression4_1[0];
-        const double t317 = covariance_compression4[0] - t316;
-        const double t318 = cross_compression4_1[1] * inverse_compression4_1;
-        const double t319 = t318 * cross_compression4_1[0];
-        const double t320 = covariance_compression4[1] - t319;
-        const double t321 = t318 * cross_compression4_1[1];
-        const double t322 = covariance_compression4[2] - t321;
-        mean_compression4[0] = t312;
-        mean_compression4[1] = t314;
-        covariance_compression4[0] = t317;
-        covariance_compression4[1] = t320;
-        covariance_compression4[2] = t322;
+        const double t466 = 1.0 / pivot_compression4_1;
+        inverse_compression4_1 = t466;
+        const double t467 = mean_compression4[0] - self->predicted_compression_deviation[8];
+        const double t468 = 0.9921619208254787 * t467;
+        const double t469 = innovation_compression4_1 - t468;
+        const double t470 = t469 * inverse_compression4_1;
+        const double t471 = cross_compression4_1[0] * t470;
+        const double t472 = mean_compression4[0] + t471;
+        const double t473 = cross_compression4_1[1] * t470;
+        const double t474 = mean_compression4[1] + t473;
+        const double t475 = cross_compression4_1[0] * inverse_compression4_1;
+        const double t476 = t475 * cross_compression4_1[0];
+        const double t477 = covariance_compression4[0] - t476;
+        const double t478 = 0.04 * t475;
+        const double t479 = 0.9921619208254787 * t477;
+        const double t480 = t478 - t479;
+        const double t481 = t480 * t475;
+        const double t482 = t477 + t481;
+        const double t483 = cross_compression4_1[1] * inverse_compression4_1;
+        const double t484 = t483 * cross_compression4_1[0];
+        const double t485 = covariance_compression4[1] - t484;
+        const double t486 = 0.04 * t483;
+        const double t487 = 0.9921619208254787 * t485;
+        const double t488 = t486 - t487;
+        const double t489 = t488 * t475;
+        const double t490 = t485 + t489;
+        const double t491 = t483 * cross_compression4_1[1];
+        const double t492 = covariance_compression4[2] - t491;
+        const double t493 = t488 * t483;
+        const double t494 = t492 + t493;
+        mean_compression4[0] = t472;
+        mean_compression4[1] = t474;
+        covariance_compression4[0] = t482;
+        covariance_compression4[1] = t490;
+        covariance_compression4[2] = t494;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t323 = covariance_compression4[0] + 0.25;
-    pivot_compression4_2 = t323;
+    const double t495 = covariance_compression4[0] + 0.25;
+    pivot_compression4_2 = t495;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression4_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t324 = 1.0 / pivot_compression4_2;
-        inverse_compression4_2 = t324;
-        const double t325 = mean_compression4[0] - self->predicted_compression_deviation[8];
-        const double t326 = innovation_compression4_2 - t325;
-        const double t327 = t326 * inverse_compression4_2;
-        const double t328 = covariance_compression4[0] * t327;
-        const double t329 = mean_compression4[0] + t328;
-        const double t330 = covariance_compression4[1] * t327;
-        const double t331 = mean_compression4[1] + t330;
-        const double t332 = covariance_compression4[0] * inverse_compression4_2;
-        const double t333 = t332 * covariance_compression4[0];
-        const double t334 = covariance_compression4[0] - t333;
-        const double t335 = covariance_compression4[1] * inverse_compression4_2;
-        const double t336 = t335 * covariance_compression4[0];
-        const double t337 = covariance_compression4[1] - t336;
-        const double t338 = t335 * covariance_compression4[1];
-        const double t339 = covariance_compression4[2] - t338;
-        mean_compression4[0] = t329;
-        mean_compression4[1] = t331;
-        covariance_compression4[0] = t334;
-        covariance_compression4[1] = t337;
-        covariance_compression4[2] = t339;
+        const double t496 = 1.0 / pivot_compression4_2;
+        inverse_compression4_2 = t496;
+        const double t497 = mean_compression4[0] - self->predicted_compression_deviation[8];
+        const double t498 = innovation_compression4_2 - t497;
+        const double t499 = t498 * inverse_compression4_2;
+        const double t500 = covariance_compression4[0] * t499;
+        const double t501 = mean_compression4[0] + t500;
+        const double t502 = covariance_compression4[1] * t499;
+        const double t503 = mean_compression4[1] + t502;
+        const double t504 = covariance_compression4[0] * inverse_compression4_2;
+        const double t505 = t504 * covariance_compression4[0];
+        const double t506 = covariance_compression4[0] - t505;
+        const double t507 = 0.25 * t504;
+        const double t508 = t507 - t506;
+        const double t509 = t508 * t504;
+        const double t510 = t506 + t509;
+        const double t511 = covariance_compression4[1] * inverse_compression4_2;
+        const double t512 = t511 * covariance_compression4[0];
+        const double t513 = covariance_compression4[1] - t512;
+        const double t514 = 0.25 * t511;
+        const double t515 = t514 - t513;
+        const double t516 = t515 * t504;
+        const double t517 = t513 + t516;
+        const double t518 = t511 * covariance_compression4[1];
+        const double t519 = covariance_compression4[2] - t518;
+        const double t520 = t515 * t511;
+        const double t521 = t519 + t520;
+        mean_compression4[0] = t501;
+        mean_compression4[1] = t503;
+        covariance_compression4[0] = t510;
+        covariance_compression4[1] = t517;
+        covariance_compression4[2] = t521;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t340 = covariance_compression4[0] + 9.0;
-    pivot_compression4_3 = t340;
+    const double t522 = covariance_compression4[0] + 9.0;
+    pivot_compression4_3 = t522;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression4_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t341 = 1.0 / pivot_compression4_3;
-        inverse_compression4_3 = t341;
-        const double t342 = mean_compression4[0] - self->predicted_compression_deviation[8];
-        const double t343 = innovation_compression4_3 - t342;
-        const double t344 = t343 * inverse_compression4_3;
-        const double t345 = covariance_compression4[0] * t344;
-        const double t346 = mean_compression4[0] + t345;
-        const double t347 = covariance_compression4[1] * t344;
-        const double t348 = mean_compression4[1] + t347;
-        const double t349 = covariance_compression4[0] * inverse_compression4_3;
-        const double t350 = t349 * covariance_compression4[0];
-        const double t351 = covariance_compression4[0] - t350;
-        const double t352 = covariance_compression4[1] * inverse_compression4_3;
-        const double t353 = t352 * covariance_compression4[0];
-        const double t354 = covariance_compression4[1] - t353;
-        const double t355 = t352 * covariance_compression4[1];
-        const double t356 = covariance_compression4[2] - t355;
-        mean_compression4[0] = t346;
-        mean_compression4[1] = t348;
-        covariance_compression4[0] = t351;
-        covariance_compression4[1] = t354;
-        covariance_compression4[2] = t356;
+        const double t523 = 1.0 / pivot_compression4_3;
+        inverse_compression4_3 = t523;
+        const double t524 = mean_compression4[0] - self->predicted_compression_deviation[8];
+        const double t525 = innovation_compression4_3 - t524;
+        const double t526 = t525 * inverse_compression4_3;
+        const double t527 = covariance_compression4[0] * t526;
+        const double t528 = mean_compression4[0] + t527;
+        const double t529 = covariance_compression4[1] * t526;
+        const double t530 = mean_compression4[1] + t529;
+        const double t531 = covariance_compression4[0] * inverse_compression4_3;
+        const double t532 = t531 * covariance_compression4[0];
+        const double t533 = covariance_compression4[0] - t532;
+        const double t534 = 9.0 * t531;
+        const double t535 = t534 - t533;
+        const double t536 = t535 * t531;
+        const double t537 = t533 + t536;
+        const double t538 = covariance_compression4[1] * inverse_compression4_3;
+        const double t539 = t538 * covariance_compression4[0];
+        const double t540 = covariance_compression4[1] - t539;
+        const double t541 = 9.0 * t538;
+        const double t542 = t541 - t540;
+        const double t543 = t542 * t531;
+        const double t544 = t540 + t543;
+        const double t545 = t538 * covariance_compression4[1];
+        const double t546 = covariance_compression4[2] - t545;
+        const double t547 = t542 * t538;
+        const double t548 = t546 + t547;
+        mean_compression4[0] = t528;
+        mean_compression4[1] = t530;
+        covariance_compression4[0] = t537;
+        covariance_compression4[1] = t544;
+        covariance_compression4[2] = t548;
     }
-    const double t357 = mean_compression4[0] - mean_host[0];
-    const double t358 = mean_compression4[1] - mean_host[1];
-    deviation_compression4[0] = t357;
-    deviation_compression4[1] = t358;
+    const double t549 = mean_compression4[0] - mean_host[0];
+    const double t550 = mean_compression4[1] - mean_host[1];
+    deviation_compression4[0] = t549;
+    deviation_compression4[1] = t550;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t359 = 0.9921619208254787 * self->predicted_compression_deviation[10];
-        const double t360 = innovation_0 - t359;
-        innovation_compression5_0 = t360;
+        const double t551 = 0.9921619208254787 * self->predicted_compression_deviation[10];
+        const double t552 = innovation_0 - t551;
+        innovation_compression5_0 = t552;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t361 = 0.9903931860948796 * self->predicted_compression_deviation[10];
-        const double t362 = innovation_2 - t361;
-        innovation_compression5_1 = t362;
+        const double t553 = 0.9903931860948796 * self->predicted_compression_deviation[10];
+        const double t554 = innovation_2 - t553;
+        innovation_compression5_1 = t554;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t363 = innovation_4 - self->predicted_compression_deviation[10];
-        innovation_compression5_2 = t363;
+        const double t555 = innovation_4 - self->predicted_compression_deviation[10];
+        innovation_compression5_2 = t555;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t364 = innovation_5 - self->predicted_compression_deviation[10];
-        innovation_compression5_3 = t364;
+        const double t556 = innovation_5 - self->predicted_compression_deviation[10];
+        innovation_compression5_3 = t556;
     }
     mean_compression5[0] = self->predicted_compression_deviation[10];
     mean_compression5[1] = self->predicted_compression_deviation[11];
@@ -1474,172 +1666,216 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression5[2] = self->predicted_compression_covariance[17];
 
     /* row 0 of y, wheel_fl: compression filter */
-    const double t365 = 0.9921619208254787 * self->predicted_compression_covariance[15];
-    const double t366 = 0.9921619208254787 * self->predicted_compression_covariance[16];
-    cross_compression5_0[0] = t365;
-    cross_compression5_0[1] = t366;
-    const double t367 = 0.9921619208254787 * cross_compression5_0[0];
-    const double t368 = t367 + 0.04;
-    pivot_compression5_0 = t368;
+    const double t557 = 0.9921619208254787 * self->predicted_compression_covariance[15];
+    const double t558 = 0.9921619208254787 * self->predicted_compression_covariance[16];
+    cross_compression5_0[0] = t557;
+    cross_compression5_0[1] = t558;
+    const double t559 = 0.9921619208254787 * cross_compression5_0[0];
+    const double t560 = t559 + 0.04;
+    pivot_compression5_0 = t560;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression5_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t369 = 1.0 / pivot_compression5_0;
-        inverse_compression5_0 = t369;
-        const double t370 = innovation_compression5_0 * inverse_compression5_0;
-        const double t371 = cross_compression5_0[0] * t370;
-        const double t372 = self->predicted_compression_deviation[10] + t371;
-        const double t373 = cross_compression5_0[1] * t370;
-        const double t374 = self->predicted_compression_deviation[11] + t373;
-        const double t375 = cross_compression5_0[0] * inverse_compression5_0;
-        const double t376 = t375 * cross_compression5_0[0];
-        const double t377 = self->predicted_compression_covariance[15] - t376;
-        const double t378 = cross_compression5_0[1] * inverse_compression5_0;
-        const double t379 = t378 * cross_compression5_0[0];
-        const double t380 = self->predicted_compression_covariance[16] - t379;
-        const double t381 = t378 * cross_compression5_0[1];
-        const double t382 = self->predicted_compression_covariance[17] - t381;
-        mean_compression5[0] = t372;
-        mean_compression5[1] = t374;
-        covariance_compression5[0] = t377;
-        covariance_compression5[1] = t380;
-        covariance_compression5[2] = t382;
+        const double t561 = 1.0 / pivot_compression5_0;
+        inverse_compression5_0 = t561;
+        const double t562 = innovation_compression5_0 * inverse_compression5_0;
+        const double t563 = cross_compression5_0[0] * t562;
+        const double t564 = self->predicted_compression_deviation[10] + t563;
+        const double t565 = cross_compression5_0[1] * t562;
+        const double t566 = self->predicted_compression_deviation[11] + t565;
+        const double t567 = cross_compression5_0[0] * inverse_compression5_0;
+        const double t568 = t567 * cross_compression5_0[0];
+        const double t569 = self->predicted_compression_covariance[15] - t568;
+        const double t570 = 0.04 * t567;
+        const double t571 = 0.9921619208254787 * t569;
+        const double t572 = t570 - t571;
+        const double t573 = t572 * t567;
+        const double t574 = t569 + t573;
+        const double t575 = cross_compression5_0[1] * inverse_compression5_0;
+        const double t576 = t575 * cross_compression5_0[0];
+        const double t577 = self->predicted_compression_covariance[16] - t576;
+        const double t578 = 0.04 * t575;
+        const double t579 = 0.9921619208254787 * t577;
+        const double t580 = t578 - t579;
+        const double t581 = t580 * t567;
+        const double t582 = t577 + t581;
+        const double t583 = t575 * cross_compression5_0[1];
+        const double t584 = self->predicted_compression_covariance[17] - t583;
+        const double t585 = t580 * t575;
+        const double t586 = t584 + t585;
+        mean_compression5[0] = t564;
+        mean_compression5[1] = t566;
+        covariance_compression5[0] = t574;
+        covariance_compression5[1] = t582;
+        covariance_compression5[2] = t586;
     }
 
     /* row 2 of y, wheel_rl: compression filter */
-    const double t383 = 0.9903931860948796 * covariance_compression5[0];
-    const double t384 = 0.9903931860948796 * covariance_compression5[1];
-    cross_compression5_1[0] = t383;
-    cross_compression5_1[1] = t384;
-    const double t385 = 0.9903931860948796 * cross_compression5_1[0];
-    const double t386 = t385 + 0.04;
-    pivot_compression5_1 = t386;
+    const double t587 = 0.9903931860948796 * covariance_compression5[0];
+    const double t588 = 0.9903931860948796 * covariance_compression5[1];
+    cross_compression5_1[0] = t587;
+    cross_compression5_1[1] = t588;
+    const double t589 = 0.9903931860948796 * cross_compression5_1[0];
+    const double t590 = t589 + 0.04;
+    pivot_compression5_1 = t590;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_compression5_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t387 = 1.0 / pivot_compression5_1;
-        inverse_compression5_1 = t387;
-        const double t388 = mean_compression5[0] - self->predicted_compression_deviation[10];
-        const double t389 = 0.9903931860948796 * t388;
-        const double t390 = innovation_compression5_1 - t389;
-        const double t391 = t390 * inverse_compression5_1;
-        const double t392 = cross_compression5_1[0] * t391;
-        const double t393 = mean_compression5[0] + t392;
-        const double t394 = cross_compression5_1[1] * t391;
-        const double t395 = mean_compression5[1] + t394;
-        const double t396 = cross_compression5_1[0] * inverse_compression5_1;
-        const double t397 = t396 * cross_compression5_1[0];
-        const double t398 = covariance_compression5[0] - t397;
-        const double t399 = cross_compression5_1[1] * inverse_compression5_1;
-        const double t400 = t399 * cross_compression5_1[0];
-        const double t401 = covariance_compression5[1] - t400;
-        const double t402 = t399 * cross_compression5_1[1];
-        const double t403 = covariance_compression5[2] - t402;
-        mean_compression5[0] = t393;
-        mean_compression5[1] = t395;
-        covariance_compression5[0] = t398;
-        covariance_compression5[1] = t401;
-        covariance_compression5[2] = t403;
+        const double t591 = 1.0 / pivot_compression5_1;
+        inverse_compression5_1 = t591;
+        const double t592 = mean_compression5[0] - self->predicted_compression_deviation[10];
+        const double t593 = 0.9903931860948796 * t592;
+        const double t594 = innovation_compression5_1 - t593;
+        const double t595 = t594 * inverse_compression5_1;
+        const double t596 = cross_compression5_1[0] * t595;
+        const double t597 = mean_compression5[0] + t596;
+        const double t598 = cross_compression5_1[1] * t595;
+        const double t599 = mean_compression5[1] + t598;
+        const double t600 = cross_compression5_1[0] * inverse_compression5_1;
+        const double t601 = t600 * cross_compression5_1[0];
+        const double t602 = covariance_compression5[0] - t601;
+        const double t603 = 0.04 * t600;
+        const double t604 = 0.9903931860948796 * t602;
+        const double t605 = t603 - t604;
+        const double t606 = t605 * t600;
+        const double t607 = t602 + t606;
+        const double t608 = cross_compression5_1[1] * inverse_compression5_1;
+        const double t609 = t608 * cross_compression5_1[0];
+        const double t610 = covariance_compression5[1] - t609;
+        const double t611 = 0.04 * t608;
+        const double t612 = 0.9903931860948796 * t610;
+        const double t613 = t611 - t612;
+        const double t614 = t613 * t600;
+        const double t615 = t610 + t614;
+        const double t616 = t608 * cross_compression5_1[1];
+        const double t617 = covariance_compression5[2] - t616;
+        const double t618 = t613 * t608;
+        const double t619 = t617 + t618;
+        mean_compression5[0] = t597;
+        mean_compression5[1] = t599;
+        covariance_compression5[0] = t607;
+        covariance_compression5[1] = t615;
+        covariance_compression5[2] = t619;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t404 = covariance_compression5[0] + 0.25;
-    pivot_compression5_2 = t404;
+    const double t620 = covariance_compression5[0] + 0.25;
+    pivot_compression5_2 = t620;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression5_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t405 = 1.0 / pivot_compression5_2;
-        inverse_compression5_2 = t405;
-        const double t406 = mean_compression5[0] - self->predicted_compression_deviation[10];
-        const double t407 = innovation_compression5_2 - t406;
-        const double t408 = t407 * inverse_compression5_2;
-        const double t409 = covariance_compression5[0] * t408;
-        const double t410 = mean_compression5[0] + t409;
-        const double t411 = covariance_compression5[1] * t408;
-        const double t412 = mean_compression5[1] + t411;
-        const double t413 = covariance_compression5[0] * inverse_compression5_2;
-        const double t414 = t413 * covariance_compression5[0];
-        const double t415 = covariance_compression5[0] - t414;
-        const double t416 = covariance_compression5[1] * inverse_compression5_2;
-        const double t417 = t416 * covariance_compression5[0];
-        const double t418 = covariance_compression5[1] - t417;
-        const double t419 = t416 * covariance_compression5[1];
-        const double t420 = covariance_compression5[2] - t419;
-        mean_compression5[0] = t410;
-        mean_compression5[1] = t412;
-        covariance_compression5[0] = t415;
-        covariance_compression5[1] = t418;
-        covariance_compression5[2] = t420;
+        const double t621 = 1.0 / pivot_compression5_2;
+        inverse_compression5_2 = t621;
+        const double t622 = mean_compression5[0] - self->predicted_compression_deviation[10];
+        const double t623 = innovation_compression5_2 - t622;
+        const double t624 = t623 * inverse_compression5_2;
+        const double t625 = covariance_compression5[0] * t624;
+        const double t626 = mean_compression5[0] + t625;
+        const double t627 = covariance_compression5[1] * t624;
+        const double t628 = mean_compression5[1] + t627;
+        const double t629 = covariance_compression5[0] * inverse_compression5_2;
+        const double t630 = t629 * covariance_compression5[0];
+        const double t631 = covariance_compression5[0] - t630;
+        const double t632 = 0.25 * t629;
+        const double t633 = t632 - t631;
+        const double t634 = t633 * t629;
+        const double t635 = t631 + t634;
+        const double t636 = covariance_compression5[1] * inverse_compression5_2;
+        const double t637 = t636 * covariance_compression5[0];
+        const double t638 = covariance_compression5[1] - t637;
+        const double t639 = 0.25 * t636;
+        const double t640 = t639 - t638;
+        const double t641 = t640 * t629;
+        const double t642 = t638 + t641;
+        const double t643 = t636 * covariance_compression5[1];
+        const double t644 = covariance_compression5[2] - t643;
+        const double t645 = t640 * t636;
+        const double t646 = t644 + t645;
+        mean_compression5[0] = t626;
+        mean_compression5[1] = t628;
+        covariance_compression5[0] = t635;
+        covariance_compression5[1] = t642;
+        covariance_compression5[2] = t646;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t421 = covariance_compression5[0] + 9.0;
-    pivot_compression5_3 = t421;
+    const double t647 = covariance_compression5[0] + 9.0;
+    pivot_compression5_3 = t647;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression5_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t422 = 1.0 / pivot_compression5_3;
-        inverse_compression5_3 = t422;
-        const double t423 = mean_compression5[0] - self->predicted_compression_deviation[10];
-        const double t424 = innovation_compression5_3 - t423;
-        const double t425 = t424 * inverse_compression5_3;
-        const double t426 = covariance_compression5[0] * t425;
-        const double t427 = mean_compression5[0] + t426;
-        const double t428 = covariance_compression5[1] * t425;
-        const double t429 = mean_compression5[1] + t428;
-        const double t430 = covariance_compression5[0] * inverse_compression5_3;
-        const double t431 = t430 * covariance_compression5[0];
-        const double t432 = covariance_compression5[0] - t431;
-        const double t433 = covariance_compression5[1] * inverse_compression5_3;
-        const double t434 = t433 * covariance_compression5[0];
-        const double t435 = covariance_compression5[1] - t434;
-        const double t436 = t433 * covariance_compression5[1];
-        const double t437 = covariance_compression5[2] - t436;
-        mean_compression5[0] = t427;
-        mean_compression5[1] = t429;
-        covariance_compression5[0] = t432;
-        covariance_compression5[1] = t435;
-        covariance_compression5[2] = t437;
+        const double t648 = 1.0 / pivot_compression5_3;
+        inverse_compression5_3 = t648;
+        const double t649 = mean_compression5[0] - self->predicted_compression_deviation[10];
+        const double t650 = innovation_compression5_3 - t649;
+        const double t651 = t650 * inverse_compression5_3;
+        const double t652 = covariance_compression5[0] * t651;
+        const double t653 = mean_compression5[0] + t652;
+        const double t654 = covariance_compression5[1] * t651;
+        const double t655 = mean_compression5[1] + t654;
+        const double t656 = covariance_compression5[0] * inverse_compression5_3;
+        const double t657 = t656 * covariance_compression5[0];
+        const double t658 = covariance_compression5[0] - t657;
+        const double t659 = 9.0 * t656;
+        const double t660 = t659 - t658;
+        const double t661 = t660 * t656;
+        const double t662 = t658 + t661;
+        const double t663 = covariance_compression5[1] * inverse_compression5_3;
+        const double t664 = t663 * covariance_compression5[0];
+        const double t665 = covariance_compression5[1] - t664;
+        const double t666 = 9.0 * t663;
+        const double t667 = t666 - t665;
+        const double t668 = t667 * t656;
+        const double t669 = t665 + t668;
+        const double t670 = t663 * covariance_compression5[1];
+        const double t671 = covariance_compression5[2] - t670;
+        const double t672 = t667 * t663;
+        const double t673 = t671 + t672;
+        mean_compression5[0] = t653;
+        mean_compression5[1] = t655;
+        covariance_compression5[0] = t662;
+        covariance_compression5[1] = t669;
+        covariance_compression5[2] = t673;
     }
-    const double t438 = mean_compression5[0] - mean_host[0];
-    const double t439 = mean_compression5[1] - mean_host[1];
-    deviation_compression5[0] = t438;
-    deviation_compression5[1] = t439;
+    const double t674 = mean_compression5[0] - mean_host[0];
+    const double t675 = mean_compression5[1] - mean_host[1];
+    deviation_compression5[0] = t674;
+    deviation_compression5[1] = t675;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t440 = 0.9921619208254787 * self->predicted_compression_deviation[12];
-        const double t441 = innovation_0 - t440;
-        innovation_compression6_0 = t441;
+        const double t676 = 0.9921619208254787 * self->predicted_compression_deviation[12];
+        const double t677 = innovation_0 - t676;
+        innovation_compression6_0 = t677;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t442 = 0.9903931860948796 * self->predicted_compression_deviation[12];
-        const double t443 = innovation_3 - t442;
-        innovation_compression6_1 = t443;
+        const double t678 = 0.9903931860948796 * self->predicted_compression_deviation[12];
+        const double t679 = innovation_3 - t678;
+        innovation_compression6_1 = t679;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t444 = innovation_4 - self->predicted_compression_deviation[12];
-        innovation_compression6_2 = t444;
+        const double t680 = innovation_4 - self->predicted_compression_deviation[12];
+        innovation_compression6_2 = t680;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t445 = innovation_5 - self->predicted_compression_deviation[12];
-        innovation_compression6_3 = t445;
+        const double t681 = innovation_5 - self->predicted_compression_deviation[12];
+        innovation_compression6_3 = t681;
     }
     mean_compression6[0] = self->predicted_compression_deviation[12];
     mean_compression6[1] = self->predicted_compression_deviation[13];
@@ -1648,172 +1884,216 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression6[2] = self->predicted_compression_covariance[20];
 
     /* row 0 of y, wheel_fl: compression filter */
-    const double t446 = 0.9921619208254787 * self->predicted_compression_covariance[18];
-    const double t447 = 0.9921619208254787 * self->predicted_compression_covariance[19];
-    cross_compression6_0[0] = t446;
-    cross_compression6_0[1] = t447;
-    const double t448 = 0.9921619208254787 * cross_compression6_0[0];
-    const double t449 = t448 + 0.04;
-    pivot_compression6_0 = t449;
+    const double t682 = 0.9921619208254787 * self->predicted_compression_covariance[18];
+    const double t683 = 0.9921619208254787 * self->predicted_compression_covariance[19];
+    cross_compression6_0[0] = t682;
+    cross_compression6_0[1] = t683;
+    const double t684 = 0.9921619208254787 * cross_compression6_0[0];
+    const double t685 = t684 + 0.04;
+    pivot_compression6_0 = t685;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression6_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t450 = 1.0 / pivot_compression6_0;
-        inverse_compression6_0 = t450;
-        const double t451 = innovation_compression6_0 * inverse_compression6_0;
-        const double t452 = cross_compression6_0[0] * t451;
-        const double t453 = self->predicted_compression_deviation[12] + t452;
-        const double t454 = cross_compression6_0[1] * t451;
-        const double t455 = self->predicted_compression_deviation[13] + t454;
-        const double t456 = cross_compression6_0[0] * inverse_compression6_0;
-        const double t457 = t456 * cross_compression6_0[0];
-        const double t458 = self->predicted_compression_covariance[18] - t457;
-        const double t459 = cross_compression6_0[1] * inverse_compression6_0;
-        const double t460 = t459 * cross_compression6_0[0];
-        const double t461 = self->predicted_compression_covariance[19] - t460;
-        const double t462 = t459 * cross_compression6_0[1];
-        const double t463 = self->predicted_compression_covariance[20] - t462;
-        mean_compression6[0] = t453;
-        mean_compression6[1] = t455;
-        covariance_compression6[0] = t458;
-        covariance_compression6[1] = t461;
-        covariance_compression6[2] = t463;
+        const double t686 = 1.0 / pivot_compression6_0;
+        inverse_compression6_0 = t686;
+        const double t687 = innovation_compression6_0 * inverse_compression6_0;
+        const double t688 = cross_compression6_0[0] * t687;
+        const double t689 = self->predicted_compression_deviation[12] + t688;
+        const double t690 = cross_compression6_0[1] * t687;
+        const double t691 = self->predicted_compression_deviation[13] + t690;
+        const double t692 = cross_compression6_0[0] * inverse_compression6_0;
+        const double t693 = t692 * cross_compression6_0[0];
+        const double t694 = self->predicted_compression_covariance[18] - t693;
+        const double t695 = 0.04 * t692;
+        const double t696 = 0.9921619208254787 * t694;
+        const double t697 = t695 - t696;
+        const double t698 = t697 * t692;
+        const double t699 = t694 + t698;
+        const double t700 = cross_compression6_0[1] * inverse_compression6_0;
+        const double t701 = t700 * cross_compression6_0[0];
+        const double t702 = self->predicted_compression_covariance[19] - t701;
+        const double t703 = 0.04 * t700;
+        const double t704 = 0.9921619208254787 * t702;
+        const double t705 = t703 - t704;
+        const double t706 = t705 * t692;
+        const double t707 = t702 + t706;
+        const double t708 = t700 * cross_compression6_0[1];
+        const double t709 = self->predicted_compression_covariance[20] - t708;
+        const double t710 = t705 * t700;
+        const double t711 = t709 + t710;
+        mean_compression6[0] = t689;
+        mean_compression6[1] = t691;
+        covariance_compression6[0] = t699;
+        covariance_compression6[1] = t707;
+        covariance_compression6[2] = t711;
     }
 
     /* row 3 of y, wheel_rr: compression filter */
-    const double t464 = 0.9903931860948796 * covariance_compression6[0];
-    const double t465 = 0.9903931860948796 * covariance_compression6[1];
-    cross_compression6_1[0] = t464;
-    cross_compression6_1[1] = t465;
-    const double t466 = 0.9903931860948796 * cross_compression6_1[0];
-    const double t467 = t466 + 0.04;
-    pivot_compression6_1 = t467;
+    const double t712 = 0.9903931860948796 * covariance_compression6[0];
+    const double t713 = 0.9903931860948796 * covariance_compression6[1];
+    cross_compression6_1[0] = t712;
+    cross_compression6_1[1] = t713;
+    const double t714 = 0.9903931860948796 * cross_compression6_1[0];
+    const double t715 = t714 + 0.04;
+    pivot_compression6_1 = t715;
     if ((present & 0x8u) != 0u)
     {
         if (!(pivot_compression6_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t468 = 1.0 / pivot_compression6_1;
-        inverse_compression6_1 = t468;
-        const double t469 = mean_compression6[0] - self->predicted_compression_deviation[12];
-        const double t470 = 0.9903931860948796 * t469;
-        const double t471 = innovation_compression6_1 - t470;
-        const double t472 = t471 * inverse_compression6_1;
-        const double t473 = cross_compression6_1[0] * t472;
-        const double t474 = mean_compression6[0] + t473;
-        const double t475 = cross_compression6_1[1] * t472;
-        const double t476 = mean_compression6[1] + t475;
-        const double t477 = cross_compression6_1[0] * inverse_compression6_1;
-        const double t478 = t477 * cross_compression6_1[0];
-        const double t479 = covariance_compression6[0] - t478;
-        const double t480 = cross_compression6_1[1] * inverse_compression6_1;
-        const double t481 = t480 * cross_compression6_1[0];
-        const double t482 = covariance_compression6[1] - t481;
-        const double t483 = t480 * cross_compression6_1[1];
-        const double t484 = covariance_compression6[2] - t483;
-        mean_compression6[0] = t474;
-        mean_compression6[1] = t476;
-        covariance_compression6[0] = t479;
-        covariance_compression6[1] = t482;
-        covariance_compression6[2] = t484;
+        const double t716 = 1.0 / pivot_compression6_1;
+        inverse_compression6_1 = t716;
+        const double t717 = mean_compression6[0] - self->predicted_compression_deviation[12];
+        const double t718 = 0.9903931860948796 * t717;
+        const double t719 = innovation_compression6_1 - t718;
+        const double t720 = t719 * inverse_compression6_1;
+        const double t721 = cross_compression6_1[0] * t720;
+        const double t722 = mean_compression6[0] + t721;
+        const double t723 = cross_compression6_1[1] * t720;
+        const double t724 = mean_compression6[1] + t723;
+        const double t725 = cross_compression6_1[0] * inverse_compression6_1;
+        const double t726 = t725 * cross_compression6_1[0];
+        const double t727 = covariance_compression6[0] - t726;
+        const double t728 = 0.04 * t725;
+        const double t729 = 0.9903931860948796 * t727;
+        const double t730 = t728 - t729;
+        const double t731 = t730 * t725;
+        const double t732 = t727 + t731;
+        const double t733 = cross_compression6_1[1] * inverse_compression6_1;
+        const double t734 = t733 * cross_compression6_1[0];
+        const double t735 = covariance_compression6[1] - t734;
+        const double t736 = 0.04 * t733;
+        const double t737 = 0.9903931860948796 * t735;
+        const double t738 = t736 - t737;
+        const double t739 = t738 * t725;
+        const double t740 = t735 + t739;
+        const double t741 = t733 * cross_compression6_1[1];
+        const double t742 = covariance_compression6[2] - t741;
+        const double t743 = t738 * t733;
+        const double t744 = t742 + t743;
+        mean_compression6[0] = t722;
+        mean_compression6[1] = t724;
+        covariance_compression6[0] = t732;
+        covariance_compression6[1] = t740;
+        covariance_compression6[2] = t744;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t485 = covariance_compression6[0] + 0.25;
-    pivot_compression6_2 = t485;
+    const double t745 = covariance_compression6[0] + 0.25;
+    pivot_compression6_2 = t745;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression6_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t486 = 1.0 / pivot_compression6_2;
-        inverse_compression6_2 = t486;
-        const double t487 = mean_compression6[0] - self->predicted_compression_deviation[12];
-        const double t488 = innovation_compression6_2 - t487;
-        const double t489 = t488 * inverse_compression6_2;
-        const double t490 = covariance_compression6[0] * t489;
-        const double t491 = mean_compression6[0] + t490;
-        const double t492 = covariance_compression6[1] * t489;
-        const double t493 = mean_compression6[1] + t492;
-        const double t494 = covariance_compression6[0] * inverse_compression6_2;
-        const double t495 = t494 * covariance_compression6[0];
-        const double t496 = covariance_compression6[0] - t495;
-        const double t497 = covariance_compression6[1] * inverse_compression6_2;
-        const double t498 = t497 * covariance_compression6[0];
-        const double t499 = covariance_compression6[1] - t498;
-        const double t500 = t497 * covariance_compression6[1];
-        const double t501 = covariance_compression6[2] - t500;
-        mean_compression6[0] = t491;
-        mean_compression6[1] = t493;
-        covariance_compression6[0] = t496;
-        covariance_compression6[1] = t499;
-        covariance_compression6[2] = t501;
+        const double t746 = 1.0 / pivot_compression6_2;
+        inverse_compression6_2 = t746;
+        const double t747 = mean_compression6[0] - self->predicted_compression_deviation[12];
+        const double t748 = innovation_compression6_2 - t747;
+        const double t749 = t748 * inverse_compression6_2;
+        const double t750 = covariance_compression6[0] * t749;
+        const double t751 = mean_compression6[0] + t750;
+        const double t752 = covariance_compression6[1] * t749;
+        const double t753 = mean_compression6[1] + t752;
+        const double t754 = covariance_compression6[0] * inverse_compression6_2;
+        const double t755 = t754 * covariance_compression6[0];
+        const double t756 = covariance_compression6[0] - t755;
+        const double t757 = 0.25 * t754;
+        const double t758 = t757 - t756;
+        const double t759 = t758 * t754;
+        const double t760 = t756 + t759;
+        const double t761 = covariance_compression6[1] * inverse_compression6_2;
+        const double t762 = t761 * covariance_compression6[0];
+        const double t763 = covariance_compression6[1] - t762;
+        const double t764 = 0.25 * t761;
+        const double t765 = t764 - t763;
+        const double t766 = t765 * t754;
+        const double t767 = t763 + t766;
+        const double t768 = t761 * covariance_compression6[1];
+        const double t769 = covariance_compression6[2] - t768;
+        const double t770 = t765 * t761;
+        const double t771 = t769 + t770;
+        mean_compression6[0] = t751;
+        mean_compression6[1] = t753;
+        covariance_compression6[0] = t760;
+        covariance_compression6[1] = t767;
+        covariance_compression6[2] = t771;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t502 = covariance_compression6[0] + 9.0;
-    pivot_compression6_3 = t502;
+    const double t772 = covariance_compression6[0] + 9.0;
+    pivot_compression6_3 = t772;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression6_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t503 = 1.0 / pivot_compression6_3;
-        inverse_compression6_3 = t503;
-        const double t504 = mean_compression6[0] - self->predicted_compression_deviation[12];
-        const double t505 = innovation_compression6_3 - t504;
-        const double t506 = t505 * inverse_compression6_3;
-        const double t507 = covariance_compression6[0] * t506;
-        const double t508 = mean_compression6[0] + t507;
-        const double t509 = covariance_compression6[1] * t506;
-        const double t510 = mean_compression6[1] + t509;
-        const double t511 = covariance_compression6[0] * inverse_compression6_3;
-        const double t512 = t511 * covariance_compression6[0];
-        const double t513 = covariance_compression6[0] - t512;
-        const double t514 = covariance_compression6[1] * inverse_compression6_3;
-        const double t515 = t514 * covariance_compression6[0];
-        const double t516 = covariance_compression6[1] - t515;
-        const double t517 = t514 * covariance_compression6[1];
-        const double t518 = covariance_compression6[2] - t517;
-        mean_compression6[0] = t508;
-        mean_compression6[1] = t510;
-        covariance_compression6[0] = t513;
-        covariance_compression6[1] = t516;
-        covariance_compression6[2] = t518;
+        const double t773 = 1.0 / pivot_compression6_3;
+        inverse_compression6_3 = t773;
+        const double t774 = mean_compression6[0] - self->predicted_compression_deviation[12];
+        const double t775 = innovation_compression6_3 - t774;
+        const double t776 = t775 * inverse_compression6_3;
+        const double t777 = covariance_compression6[0] * t776;
+        const double t778 = mean_compression6[0] + t777;
+        const double t779 = covariance_compression6[1] * t776;
+        const double t780 = mean_compression6[1] + t779;
+        const double t781 = covariance_compression6[0] * inverse_compression6_3;
+        const double t782 = t781 * covariance_compression6[0];
+        const double t783 = covariance_compression6[0] - t782;
+        const double t784 = 9.0 * t781;
+        const double t785 = t784 - t783;
+        const double t786 = t785 * t781;
+        const double t787 = t783 + t786;
+        const double t788 = covariance_compression6[1] * inverse_compression6_3;
+        const double t789 = t788 * covariance_compression6[0];
+        const double t790 = covariance_compression6[1] - t789;
+        const double t791 = 9.0 * t788;
+        const double t792 = t791 - t790;
+        const double t793 = t792 * t781;
+        const double t794 = t790 + t793;
+        const double t795 = t788 * covariance_compression6[1];
+        const double t796 = covariance_compression6[2] - t795;
+        const double t797 = t792 * t788;
+        const double t798 = t796 + t797;
+        mean_compression6[0] = t778;
+        mean_compression6[1] = t780;
+        covariance_compression6[0] = t787;
+        covariance_compression6[1] = t794;
+        covariance_compression6[2] = t798;
     }
-    const double t519 = mean_compression6[0] - mean_host[0];
-    const double t520 = mean_compression6[1] - mean_host[1];
-    deviation_compression6[0] = t519;
-    deviation_compression6[1] = t520;
+    const double t799 = mean_compression6[0] - mean_host[0];
+    const double t800 = mean_compression6[1] - mean_host[1];
+    deviation_compression6[0] = t799;
+    deviation_compression6[1] = t800;
 
     /* innovation, row by row */
     if ((present & 0x2u) != 0u)
     {
-        const double t521 = 0.9921619208254787 * self->predicted_compression_deviation[14];
-        const double t522 = innovation_1 - t521;
-        innovation_compression7_0 = t522;
+        const double t801 = 0.9921619208254787 * self->predicted_compression_deviation[14];
+        const double t802 = innovation_1 - t801;
+        innovation_compression7_0 = t802;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t523 = 0.9903931860948796 * self->predicted_compression_deviation[14];
-        const double t524 = innovation_2 - t523;
-        innovation_compression7_1 = t524;
+        const double t803 = 0.9903931860948796 * self->predicted_compression_deviation[14];
+        const double t804 = innovation_2 - t803;
+        innovation_compression7_1 = t804;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t525 = innovation_4 - self->predicted_compression_deviation[14];
-        innovation_compression7_2 = t525;
+        const double t805 = innovation_4 - self->predicted_compression_deviation[14];
+        innovation_compression7_2 = t805;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t526 = innovation_5 - self->predicted_compression_deviation[14];
-        innovation_compression7_3 = t526;
+        const double t806 = innovation_5 - self->predicted_compression_deviation[14];
+        innovation_compression7_3 = t806;
     }
     mean_compression7[0] = self->predicted_compression_deviation[14];
     mean_compression7[1] = self->predicted_compression_deviation[15];
@@ -1822,172 +2102,216 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression7[2] = self->predicted_compression_covariance[23];
 
     /* row 1 of y, wheel_fr: compression filter */
-    const double t527 = 0.9921619208254787 * self->predicted_compression_covariance[21];
-    const double t528 = 0.9921619208254787 * self->predicted_compression_covariance[22];
-    cross_compression7_0[0] = t527;
-    cross_compression7_0[1] = t528;
-    const double t529 = 0.9921619208254787 * cross_compression7_0[0];
-    const double t530 = t529 + 0.04;
-    pivot_compression7_0 = t530;
+    const double t807 = 0.9921619208254787 * self->predicted_compression_covariance[21];
+    const double t808 = 0.9921619208254787 * self->predicted_compression_covariance[22];
+    cross_compression7_0[0] = t807;
+    cross_compression7_0[1] = t808;
+    const double t809 = 0.9921619208254787 * cross_compression7_0[0];
+    const double t810 = t809 + 0.04;
+    pivot_compression7_0 = t810;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression7_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t531 = 1.0 / pivot_compression7_0;
-        inverse_compression7_0 = t531;
-        const double t532 = innovation_compression7_0 * inverse_compression7_0;
-        const double t533 = cross_compression7_0[0] * t532;
-        const double t534 = self->predicted_compression_deviation[14] + t533;
-        const double t535 = cross_compression7_0[1] * t532;
-        const double t536 = self->predicted_compression_deviation[15] + t535;
-        const double t537 = cross_compression7_0[0] * inverse_compression7_0;
-        const double t538 = t537 * cross_compression7_0[0];
-        const double t539 = self->predicted_compression_covariance[21] - t538;
-        const double t540 = cross_compression7_0[1] * inverse_compression7_0;
-        const double t541 = t540 * cross_compression7_0[0];
-        const double t542 = self->predicted_compression_covariance[22] - t541;
-        const double t543 = t540 * cross_compression7_0[1];
-        const double t544 = self->predicted_compression_covariance[23] - t543;
-        mean_compression7[0] = t534;
-        mean_compression7[1] = t536;
-        covariance_compression7[0] = t539;
-        covariance_compression7[1] = t542;
-        covariance_compression7[2] = t544;
+        const double t811 = 1.0 / pivot_compression7_0;
+        inverse_compression7_0 = t811;
+        const double t812 = innovation_compression7_0 * inverse_compression7_0;
+        const double t813 = cross_compression7_0[0] * t812;
+        const double t814 = self->predicted_compression_deviation[14] + t813;
+        const double t815 = cross_compression7_0[1] * t812;
+        const double t816 = self->predicted_compression_deviation[15] + t815;
+        const double t817 = cross_compression7_0[0] * inverse_compression7_0;
+        const double t818 = t817 * cross_compression7_0[0];
+        const double t819 = self->predicted_compression_covariance[21] - t818;
+        const double t820 = 0.04 * t817;
+        const double t821 = 0.9921619208254787 * t819;
+        const double t822 = t820 - t821;
+        const double t823 = t822 * t817;
+        const double t824 = t819 + t823;
+        const double t825 = cross_compression7_0[1] * inverse_compression7_0;
+        const double t826 = t825 * cross_compression7_0[0];
+        const double t827 = self->predicted_compression_covariance[22] - t826;
+        const double t828 = 0.04 * t825;
+        const double t829 = 0.9921619208254787 * t827;
+        const double t830 = t828 - t829;
+        const double t831 = t830 * t817;
+        const double t832 = t827 + t831;
+        const double t833 = t825 * cross_compression7_0[1];
+        const double t834 = self->predicted_compression_covariance[23] - t833;
+        const double t835 = t830 * t825;
+        const double t836 = t834 + t835;
+        mean_compression7[0] = t814;
+        mean_compression7[1] = t816;
+        covariance_compression7[0] = t824;
+        covariance_compression7[1] = t832;
+        covariance_compression7[2] = t836;
     }
 
     /* row 2 of y, wheel_rl: compression filter */
-    const double t545 = 0.9903931860948796 * covariance_compression7[0];
-    const double t546 = 0.9903931860948796 * covariance_compression7[1];
-    cross_compression7_1[0] = t545;
-    cross_compression7_1[1] = t546;
-    const double t547 = 0.9903931860948796 * cross_compression7_1[0];
-    const double t548 = t547 + 0.04;
-    pivot_compression7_1 = t548;
+    const double t837 = 0.9903931860948796 * covariance_compression7[0];
+    const double t838 = 0.9903931860948796 * covariance_compression7[1];
+    cross_compression7_1[0] = t837;
+    cross_compression7_1[1] = t838;
+    const double t839 = 0.9903931860948796 * cross_compression7_1[0];
+    const double t840 = t839 + 0.04;
+    pivot_compression7_1 = t840;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_compression7_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t549 = 1.0 / pivot_compression7_1;
-        inverse_compression7_1 = t549;
-        const double t550 = mean_compression7[0] - self->predicted_compression_deviation[14];
-        const double t551 = 0.9903931860948796 * t550;
-        const double t552 = innovation_compression7_1 - t551;
-        const double t553 = t552 * inverse_compression7_1;
-        const double t554 = cross_compression7_1[0] * t553;
-        const double t555 = mean_compression7[0] + t554;
-        const double t556 = cross_compression7_1[1] * t553;
-        const double t557 = mean_compression7[1] + t556;
-        const double t558 = cross_compression7_1[0] * inverse_compression7_1;
-        const double t559 = t558 * cross_compression7_1[0];
-        const double t560 = covariance_compression7[0] - t559;
-        const double t561 = cross_compression7_1[1] * inverse_compression7_1;
-        const double t562 = t561 * cross_compression7_1[0];
-        const double t563 = covariance_compression7[1] - t562;
-        const double t564 = t561 * cross_compression7_1[1];
-        const double t565 = covariance_compression7[2] - t564;
-        mean_compression7[0] = t555;
-        mean_compression7[1] = t557;
-        covariance_compression7[0] = t560;
-        covariance_compression7[1] = t563;
-        covariance_compression7[2] = t565;
+        const double t841 = 1.0 / pivot_compression7_1;
+        inverse_compression7_1 = t841;
+        const double t842 = mean_compression7[0] - self->predicted_compression_deviation[14];
+        const double t843 = 0.9903931860948796 * t842;
+        const double t844 = innovation_compression7_1 - t843;
+        const double t845 = t844 * inverse_compression7_1;
+        const double t846 = cross_compression7_1[0] * t845;
+        const double t847 = mean_compression7[0] + t846;
+        const double t848 = cross_compression7_1[1] * t845;
+        const double t849 = mean_compression7[1] + t848;
+        const double t850 = cross_compression7_1[0] * inverse_compression7_1;
+        const double t851 = t850 * cross_compression7_1[0];
+        const double t852 = covariance_compression7[0] - t851;
+        const double t853 = 0.04 * t850;
+        const double t854 = 0.9903931860948796 * t852;
+        const double t855 = t853 - t854;
+        const double t856 = t855 * t850;
+        const double t857 = t852 + t856;
+        const double t858 = cross_compression7_1[1] * inverse_compression7_1;
+        const double t859 = t858 * cross_compression7_1[0];
+        const double t860 = covariance_compression7[1] - t859;
+        const double t861 = 0.04 * t858;
+        const double t862 = 0.9903931860948796 * t860;
+        const double t863 = t861 - t862;
+        const double t864 = t863 * t850;
+        const double t865 = t860 + t864;
+        const double t866 = t858 * cross_compression7_1[1];
+        const double t867 = covariance_compression7[2] - t866;
+        const double t868 = t863 * t858;
+        const double t869 = t867 + t868;
+        mean_compression7[0] = t847;
+        mean_compression7[1] = t849;
+        covariance_compression7[0] = t857;
+        covariance_compression7[1] = t865;
+        covariance_compression7[2] = t869;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t566 = covariance_compression7[0] + 0.25;
-    pivot_compression7_2 = t566;
+    const double t870 = covariance_compression7[0] + 0.25;
+    pivot_compression7_2 = t870;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression7_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t567 = 1.0 / pivot_compression7_2;
-        inverse_compression7_2 = t567;
-        const double t568 = mean_compression7[0] - self->predicted_compression_deviation[14];
-        const double t569 = innovation_compression7_2 - t568;
-        const double t570 = t569 * inverse_compression7_2;
-        const double t571 = covariance_compression7[0] * t570;
-        const double t572 = mean_compression7[0] + t571;
-        const double t573 = covariance_compression7[1] * t570;
-        const double t574 = mean_compression7[1] + t573;
-        const double t575 = covariance_compression7[0] * inverse_compression7_2;
-        const double t576 = t575 * covariance_compression7[0];
-        const double t577 = covariance_compression7[0] - t576;
-        const double t578 = covariance_compression7[1] * inverse_compression7_2;
-        const double t579 = t578 * covariance_compression7[0];
-        const double t580 = covariance_compression7[1] - t579;
-        const double t581 = t578 * covariance_compression7[1];
-        const double t582 = covariance_compression7[2] - t581;
-        mean_compression7[0] = t572;
-        mean_compression7[1] = t574;
-        covariance_compression7[0] = t577;
-        covariance_compression7[1] = t580;
-        covariance_compression7[2] = t582;
+        const double t871 = 1.0 / pivot_compression7_2;
+        inverse_compression7_2 = t871;
+        const double t872 = mean_compression7[0] - self->predicted_compression_deviation[14];
+        const double t873 = innovation_compression7_2 - t872;
+        const double t874 = t873 * inverse_compression7_2;
+        const double t875 = covariance_compression7[0] * t874;
+        const double t876 = mean_compression7[0] + t875;
+        const double t877 = covariance_compression7[1] * t874;
+        const double t878 = mean_compression7[1] + t877;
+        const double t879 = covariance_compression7[0] * inverse_compression7_2;
+        const double t880 = t879 * covariance_compression7[0];
+        const double t881 = covariance_compression7[0] - t880;
+        const double t882 = 0.25 * t879;
+        const double t883 = t882 - t881;
+        const double t884 = t883 * t879;
+        const double t885 = t881 + t884;
+        const double t886 = covariance_compression7[1] * inverse_compression7_2;
+        const double t887 = t886 * covariance_compression7[0];
+        const double t888 = covariance_compression7[1] - t887;
+        const double t889 = 0.25 * t886;
+        const double t890 = t889 - t888;
+        const double t891 = t890 * t879;
+        const double t892 = t888 + t891;
+        const double t893 = t886 * covariance_compression7[1];
+        const double t894 = covariance_compression7[2] - t893;
+        const double t895 = t890 * t886;
+        const double t896 = t894 + t895;
+        mean_compression7[0] = t876;
+        mean_compression7[1] = t878;
+        covariance_compression7[0] = t885;
+        covariance_compression7[1] = t892;
+        covariance_compression7[2] = t896;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t583 = covariance_compression7[0] + 9.0;
-    pivot_compression7_3 = t583;
+    const double t897 = covariance_compression7[0] + 9.0;
+    pivot_compression7_3 = t897;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression7_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t584 = 1.0 / pivot_compression7_3;
-        inverse_compression7_3 = t584;
-        const double t585 = mean_compression7[0] - self->predicted_compression_deviation[14];
-        const double t586 = innovation_compression7_3 - t585;
-        const double t587 = t586 * inverse_compression7_3;
-        const double t588 = covariance_compression7[0] * t587;
-        const double t589 = mean_compression7[0] + t588;
-        const double t590 = covariance_compression7[1] * t587;
-        const double t591 = mean_compression7[1] + t590;
-        const double t592 = covariance_compression7[0] * inverse_compression7_3;
-        const double t593 = t592 * covariance_compression7[0];
-        const double t594 = covariance_compression7[0] - t593;
-        const double t595 = covariance_compression7[1] * inverse_compression7_3;
-        const double t596 = t595 * covariance_compression7[0];
-        const double t597 = covariance_compression7[1] - t596;
-        const double t598 = t595 * covariance_compression7[1];
-        const double t599 = covariance_compression7[2] - t598;
-        mean_compression7[0] = t589;
-        mean_compression7[1] = t591;
-        covariance_compression7[0] = t594;
-        covariance_compression7[1] = t597;
-        covariance_compression7[2] = t599;
+        const double t898 = 1.0 / pivot_compression7_3;
+        inverse_compression7_3 = t898;
+        const double t899 = mean_compression7[0] - self->predicted_compression_deviation[14];
+        const double t900 = innovation_compression7_3 - t899;
+        const double t901 = t900 * inverse_compression7_3;
+        const double t902 = covariance_compression7[0] * t901;
+        const double t903 = mean_compression7[0] + t902;
+        const double t904 = covariance_compression7[1] * t901;
+        const double t905 = mean_compression7[1] + t904;
+        const double t906 = covariance_compression7[0] * inverse_compression7_3;
+        const double t907 = t906 * covariance_compression7[0];
+        const double t908 = covariance_compression7[0] - t907;
+        const double t909 = 9.0 * t906;
+        const double t910 = t909 - t908;
+        const double t911 = t910 * t906;
+        const double t912 = t908 + t911;
+        const double t913 = covariance_compression7[1] * inverse_compression7_3;
+        const double t914 = t913 * covariance_compression7[0];
+        const double t915 = covariance_compression7[1] - t914;
+        const double t916 = 9.0 * t913;
+        const double t917 = t916 - t915;
+        const double t918 = t917 * t906;
+        const double t919 = t915 + t918;
+        const double t920 = t913 * covariance_compression7[1];
+        const double t921 = covariance_compression7[2] - t920;
+        const double t922 = t917 * t913;
+        const double t923 = t921 + t922;
+        mean_compression7[0] = t903;
+        mean_compression7[1] = t905;
+        covariance_compression7[0] = t912;
+        covariance_compression7[1] = t919;
+        covariance_compression7[2] = t923;
     }
-    const double t600 = mean_compression7[0] - mean_host[0];
-    const double t601 = mean_compression7[1] - mean_host[1];
-    deviation_compression7[0] = t600;
-    deviation_compression7[1] = t601;
+    const double t924 = mean_compression7[0] - mean_host[0];
+    const double t925 = mean_compression7[1] - mean_host[1];
+    deviation_compression7[0] = t924;
+    deviation_compression7[1] = t925;
 
     /* innovation, row by row */
     if ((present & 0x2u) != 0u)
     {
-        const double t602 = 0.9921619208254787 * self->predicted_compression_deviation[16];
-        const double t603 = innovation_1 - t602;
-        innovation_compression8_0 = t603;
+        const double t926 = 0.9921619208254787 * self->predicted_compression_deviation[16];
+        const double t927 = innovation_1 - t926;
+        innovation_compression8_0 = t927;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t604 = 0.9903931860948796 * self->predicted_compression_deviation[16];
-        const double t605 = innovation_3 - t604;
-        innovation_compression8_1 = t605;
+        const double t928 = 0.9903931860948796 * self->predicted_compression_deviation[16];
+        const double t929 = innovation_3 - t928;
+        innovation_compression8_1 = t929;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t606 = innovation_4 - self->predicted_compression_deviation[16];
-        innovation_compression8_2 = t606;
+        const double t930 = innovation_4 - self->predicted_compression_deviation[16];
+        innovation_compression8_2 = t930;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t607 = innovation_5 - self->predicted_compression_deviation[16];
-        innovation_compression8_3 = t607;
+        const double t931 = innovation_5 - self->predicted_compression_deviation[16];
+        innovation_compression8_3 = t931;
     }
     mean_compression8[0] = self->predicted_compression_deviation[16];
     mean_compression8[1] = self->predicted_compression_deviation[17];
@@ -1996,172 +2320,216 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression8[2] = self->predicted_compression_covariance[26];
 
     /* row 1 of y, wheel_fr: compression filter */
-    const double t608 = 0.9921619208254787 * self->predicted_compression_covariance[24];
-    const double t609 = 0.9921619208254787 * self->predicted_compression_covariance[25];
-    cross_compression8_0[0] = t608;
-    cross_compression8_0[1] = t609;
-    const double t610 = 0.9921619208254787 * cross_compression8_0[0];
-    const double t611 = t610 + 0.04;
-    pivot_compression8_0 = t611;
+    const double t932 = 0.9921619208254787 * self->predicted_compression_covariance[24];
+    const double t933 = 0.9921619208254787 * self->predicted_compression_covariance[25];
+    cross_compression8_0[0] = t932;
+    cross_compression8_0[1] = t933;
+    const double t934 = 0.9921619208254787 * cross_compression8_0[0];
+    const double t935 = t934 + 0.04;
+    pivot_compression8_0 = t935;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression8_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t612 = 1.0 / pivot_compression8_0;
-        inverse_compression8_0 = t612;
-        const double t613 = innovation_compression8_0 * inverse_compression8_0;
-        const double t614 = cross_compression8_0[0] * t613;
-        const double t615 = self->predicted_compression_deviation[16] + t614;
-        const double t616 = cross_compression8_0[1] * t613;
-        const double t617 = self->predicted_compression_deviation[17] + t616;
-        const double t618 = cross_compression8_0[0] * inverse_compression8_0;
-        const double t619 = t618 * cross_compression8_0[0];
-        const double t620 = self->predicted_compression_covariance[24] - t619;
-        const double t621 = cross_compression8_0[1] * inverse_compression8_0;
-        const double t622 = t621 * cross_compression8_0[0];
-        const double t623 = self->predicted_compression_covariance[25] - t622;
-        const double t624 = t621 * cross_compression8_0[1];
-        const double t625 = self->predicted_compression_covariance[26] - t624;
-        mean_compression8[0] = t615;
-        mean_compression8[1] = t617;
-        covariance_compression8[0] = t620;
-        covariance_compression8[1] = t623;
-        covariance_compression8[2] = t625;
+        const double t936 = 1.0 / pivot_compression8_0;
+        inverse_compression8_0 = t936;
+        const double t937 = innovation_compression8_0 * inverse_compression8_0;
+        const double t938 = cross_compression8_0[0] * t937;
+        const double t939 = self->predicted_compression_deviation[16] + t938;
+        const double t940 = cross_compression8_0[1] * t937;
+        const double t941 = self->predicted_compression_deviation[17] + t940;
+        const double t942 = cross_compression8_0[0] * inverse_compression8_0;
+        const double t943 = t942 * cross_compression8_0[0];
+        const double t944 = self->predicted_compression_covariance[24] - t943;
+        const double t945 = 0.04 * t942;
+        const double t946 = 0.9921619208254787 * t944;
+        const double t947 = t945 - t946;
+        const double t948 = t947 * t942;
+        const double t949 = t944 + t948;
+        const double t950 = cross_compression8_0[1] * inverse_compression8_0;
+        const double t951 = t950 * cross_compression8_0[0];
+        const double t952 = self->predicted_compression_covariance[25] - t951;
+        const double t953 = 0.04 * t950;
+        const double t954 = 0.9921619208254787 * t952;
+        const double t955 = t953 - t954;
+        const double t956 = t955 * t942;
+        const double t957 = t952 + t956;
+        const double t958 = t950 * cross_compression8_0[1];
+        const double t959 = self->predicted_compression_covariance[26] - t958;
+        const double t960 = t955 * t950;
+        const double t961 = t959 + t960;
+        mean_compression8[0] = t939;
+        mean_compression8[1] = t941;
+        covariance_compression8[0] = t949;
+        covariance_compression8[1] = t957;
+        covariance_compression8[2] = t961;
     }
 
     /* row 3 of y, wheel_rr: compression filter */
-    const double t626 = 0.9903931860948796 * covariance_compression8[0];
-    const double t627 = 0.9903931860948796 * covariance_compression8[1];
-    cross_compression8_1[0] = t626;
-    cross_compression8_1[1] = t627;
-    const double t628 = 0.9903931860948796 * cross_compression8_1[0];
-    const double t629 = t628 + 0.04;
-    pivot_compression8_1 = t629;
+    const double t962 = 0.9903931860948796 * covariance_compression8[0];
+    const double t963 = 0.9903931860948796 * covariance_compression8[1];
+    cross_compression8_1[0] = t962;
+    cross_compression8_1[1] = t963;
+    const double t964 = 0.9903931860948796 * cross_compression8_1[0];
+    const double t965 = t964 + 0.04;
+    pivot_compression8_1 = t965;
     if ((present & 0x8u) != 0u)
     {
         if (!(pivot_compression8_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t630 = 1.0 / pivot_compression8_1;
-        inverse_compression8_1 = t630;
-        const double t631 = mean_compression8[0] - self->predicted_compression_deviation[16];
-        const double t632 = 0.9903931860948796 * t631;
-        const double t633 = innovation_compression8_1 - t632;
-        const double t634 = t633 * inverse_compression8_1;
-        const double t635 = cross_compression8_1[0] * t634;
-        const double t636 = mean_compression8[0] + t635;
-        const double t637 = cross_compression8_1[1] * t634;
-        const double t638 = mean_compression8[1] + t637;
-        const double t639 = cross_compression8_1[0] * inverse_compression8_1;
-        const double t640 = t639 * cross_compression8_1[0];
-        const double t641 = covariance_compression8[0] - t640;
-        const double t642 = cross_compression8_1[1] * inverse_compression8_1;
-        const double t643 = t642 * cross_compression8_1[0];
-        const double t644 = covariance_compression8[1] - t643;
-        const double t645 = t642 * cross_compression8_1[1];
-        const double t646 = covariance_compression8[2] - t645;
-        mean_compression8[0] = t636;
-        mean_compression8[1] = t638;
-        covariance_compression8[0] = t641;
-        covariance_compression8[1] = t644;
-        covariance_compression8[2] = t646;
+        const double t966 = 1.0 / pivot_compression8_1;
+        inverse_compression8_1 = t966;
+        const double t967 = mean_compression8[0] - self->predicted_compression_deviation[16];
+        const double t968 = 0.9903931860948796 * t967;
+        const double t969 = innovation_compression8_1 - t968;
+        const double t970 = t969 * inverse_compression8_1;
+        const double t971 = cross_compression8_1[0] * t970;
+        const double t972 = mean_compression8[0] + t971;
+        const double t973 = cross_compression8_1[1] * t970;
+        const double t974 = mean_compression8[1] + t973;
+        const double t975 = cross_compression8_1[0] * inverse_compression8_1;
+        const double t976 = t975 * cross_compression8_1[0];
+        const double t977 = covariance_compression8[0] - t976;
+        const double t978 = 0.04 * t975;
+        const double t979 = 0.9903931860948796 * t977;
+        const double t980 = t978 - t979;
+        const double t981 = t980 * t975;
+        const double t982 = t977 + t981;
+        const double t983 = cross_compression8_1[1] * inverse_compression8_1;
+        const double t984 = t983 * cross_compression8_1[0];
+        const double t985 = covariance_compression8[1] - t984;
+        const double t986 = 0.04 * t983;
+        const double t987 = 0.9903931860948796 * t985;
+        const double t988 = t986 - t987;
+        const double t989 = t988 * t975;
+        const double t990 = t985 + t989;
+        const double t991 = t983 * cross_compression8_1[1];
+        const double t992 = covariance_compression8[2] - t991;
+        const double t993 = t988 * t983;
+        const double t994 = t992 + t993;
+        mean_compression8[0] = t972;
+        mean_compression8[1] = t974;
+        covariance_compression8[0] = t982;
+        covariance_compression8[1] = t990;
+        covariance_compression8[2] = t994;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t647 = covariance_compression8[0] + 0.25;
-    pivot_compression8_2 = t647;
+    const double t995 = covariance_compression8[0] + 0.25;
+    pivot_compression8_2 = t995;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression8_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t648 = 1.0 / pivot_compression8_2;
-        inverse_compression8_2 = t648;
-        const double t649 = mean_compression8[0] - self->predicted_compression_deviation[16];
-        const double t650 = innovation_compression8_2 - t649;
-        const double t651 = t650 * inverse_compression8_2;
-        const double t652 = covariance_compression8[0] * t651;
-        const double t653 = mean_compression8[0] + t652;
-        const double t654 = covariance_compression8[1] * t651;
-        const double t655 = mean_compression8[1] + t654;
-        const double t656 = covariance_compression8[0] * inverse_compression8_2;
-        const double t657 = t656 * covariance_compression8[0];
-        const double t658 = covariance_compression8[0] - t657;
-        const double t659 = covariance_compression8[1] * inverse_compression8_2;
-        const double t660 = t659 * covariance_compression8[0];
-        const double t661 = covariance_compression8[1] - t660;
-        const double t662 = t659 * covariance_compression8[1];
-        const double t663 = covariance_compression8[2] - t662;
-        mean_compression8[0] = t653;
-        mean_compression8[1] = t655;
-        covariance_compression8[0] = t658;
-        covariance_compression8[1] = t661;
-        covariance_compression8[2] = t663;
+        const double t996 = 1.0 / pivot_compression8_2;
+        inverse_compression8_2 = t996;
+        const double t997 = mean_compression8[0] - self->predicted_compression_deviation[16];
+        const double t998 = innovation_compression8_2 - t997;
+        const double t999 = t998 * inverse_compression8_2;
+        const double t1000 = covariance_compression8[0] * t999;
+        const double t1001 = mean_compression8[0] + t1000;
+        const double t1002 = covariance_compression8[1] * t999;
+        const double t1003 = mean_compression8[1] + t1002;
+        const double t1004 = covariance_compression8[0] * inverse_compression8_2;
+        const double t1005 = t1004 * covariance_compression8[0];
+        const double t1006 = covariance_compression8[0] - t1005;
+        const double t1007 = 0.25 * t1004;
+        const double t1008 = t1007 - t1006;
+        const double t1009 = t1008 * t1004;
+        const double t1010 = t1006 + t1009;
+        const double t1011 = covariance_compression8[1] * inverse_compression8_2;
+        const double t1012 = t1011 * covariance_compression8[0];
+        const double t1013 = covariance_compression8[1] - t1012;
+        const double t1014 = 0.25 * t1011;
+        const double t1015 = t1014 - t1013;
+        const double t1016 = t1015 * t1004;
+        const double t1017 = t1013 + t1016;
+        const double t1018 = t1011 * covariance_compression8[1];
+        const double t1019 = covariance_compression8[2] - t1018;
+        const double t1020 = t1015 * t1011;
+        const double t1021 = t1019 + t1020;
+        mean_compression8[0] = t1001;
+        mean_compression8[1] = t1003;
+        covariance_compression8[0] = t1010;
+        covariance_compression8[1] = t1017;
+        covariance_compression8[2] = t1021;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t664 = covariance_compression8[0] + 9.0;
-    pivot_compression8_3 = t664;
+    const double t1022 = covariance_compression8[0] + 9.0;
+    pivot_compression8_3 = t1022;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression8_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t665 = 1.0 / pivot_compression8_3;
-        inverse_compression8_3 = t665;
-        const double t666 = mean_compression8[0] - self->predicted_compression_deviation[16];
-        const double t667 = innovation_compression8_3 - t666;
-        const double t668 = t667 * inverse_compression8_3;
-        const double t669 = covariance_compression8[0] * t668;
-        const double t670 = mean_compression8[0] + t669;
-        const double t671 = covariance_compression8[1] * t668;
-        const double t672 = mean_compression8[1] + t671;
-        const double t673 = covariance_compression8[0] * inverse_compression8_3;
-        const double t674 = t673 * covariance_compression8[0];
-        const double t675 = covariance_compression8[0] - t674;
-        const double t676 = covariance_compression8[1] * inverse_compression8_3;
-        const double t677 = t676 * covariance_compression8[0];
-        const double t678 = covariance_compression8[1] - t677;
-        const double t679 = t676 * covariance_compression8[1];
-        const double t680 = covariance_compression8[2] - t679;
-        mean_compression8[0] = t670;
-        mean_compression8[1] = t672;
-        covariance_compression8[0] = t675;
-        covariance_compression8[1] = t678;
-        covariance_compression8[2] = t680;
+        const double t1023 = 1.0 / pivot_compression8_3;
+        inverse_compression8_3 = t1023;
+        const double t1024 = mean_compression8[0] - self->predicted_compression_deviation[16];
+        const double t1025 = innovation_compression8_3 - t1024;
+        const double t1026 = t1025 * inverse_compression8_3;
+        const double t1027 = covariance_compression8[0] * t1026;
+        const double t1028 = mean_compression8[0] + t1027;
+        const double t1029 = covariance_compression8[1] * t1026;
+        const double t1030 = mean_compression8[1] + t1029;
+        const double t1031 = covariance_compression8[0] * inverse_compression8_3;
+        const double t1032 = t1031 * covariance_compression8[0];
+        const double t1033 = covariance_compression8[0] - t1032;
+        const double t1034 = 9.0 * t1031;
+        const double t1035 = t1034 - t1033;
+        const double t1036 = t1035 * t1031;
+        const double t1037 = t1033 + t1036;
+        const double t1038 = covariance_compression8[1] * inverse_compression8_3;
+        const double t1039 = t1038 * covariance_compression8[0];
+        const double t1040 = covariance_compression8[1] - t1039;
+        const double t1041 = 9.0 * t1038;
+        const double t1042 = t1041 - t1040;
+        const double t1043 = t1042 * t1031;
+        const double t1044 = t1040 + t1043;
+        const double t1045 = t1038 * covariance_compression8[1];
+        const double t1046 = covariance_compression8[2] - t1045;
+        const double t1047 = t1042 * t1038;
+        const double t1048 = t1046 + t1047;
+        mean_compression8[0] = t1028;
+        mean_compression8[1] = t1030;
+        covariance_compression8[0] = t1037;
+        covariance_compression8[1] = t1044;
+        covariance_compression8[2] = t1048;
     }
-    const double t681 = mean_compression8[0] - mean_host[0];
-    const double t682 = mean_compression8[1] - mean_host[1];
-    deviation_compression8[0] = t681;
-    deviation_compression8[1] = t682;
+    const double t1049 = mean_compression8[0] - mean_host[0];
+    const double t1050 = mean_compression8[1] - mean_host[1];
+    deviation_compression8[0] = t1049;
+    deviation_compression8[1] = t1050;
 
     /* innovation, row by row */
     if ((present & 0x4u) != 0u)
     {
-        const double t683 = 0.9903931860948796 * self->predicted_compression_deviation[18];
-        const double t684 = innovation_2 - t683;
-        innovation_compression9_0 = t684;
+        const double t1051 = 0.9903931860948796 * self->predicted_compression_deviation[18];
+        const double t1052 = innovation_2 - t1051;
+        innovation_compression9_0 = t1052;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t685 = 0.9903931860948796 * self->predicted_compression_deviation[18];
-        const double t686 = innovation_3 - t685;
-        innovation_compression9_1 = t686;
+        const double t1053 = 0.9903931860948796 * self->predicted_compression_deviation[18];
+        const double t1054 = innovation_3 - t1053;
+        innovation_compression9_1 = t1054;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t687 = innovation_4 - self->predicted_compression_deviation[18];
-        innovation_compression9_2 = t687;
+        const double t1055 = innovation_4 - self->predicted_compression_deviation[18];
+        innovation_compression9_2 = t1055;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t688 = innovation_5 - self->predicted_compression_deviation[18];
-        innovation_compression9_3 = t688;
+        const double t1056 = innovation_5 - self->predicted_compression_deviation[18];
+        innovation_compression9_3 = t1056;
     }
     mean_compression9[0] = self->predicted_compression_deviation[18];
     mean_compression9[1] = self->predicted_compression_deviation[19];
@@ -2170,178 +2538,222 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression9[2] = self->predicted_compression_covariance[29];
 
     /* row 2 of y, wheel_rl: compression filter */
-    const double t689 = 0.9903931860948796 * self->predicted_compression_covariance[27];
-    const double t690 = 0.9903931860948796 * self->predicted_compression_covariance[28];
-    cross_compression9_0[0] = t689;
-    cross_compression9_0[1] = t690;
-    const double t691 = 0.9903931860948796 * cross_compression9_0[0];
-    const double t692 = t691 + 0.04;
-    pivot_compression9_0 = t692;
+    const double t1057 = 0.9903931860948796 * self->predicted_compression_covariance[27];
+    const double t1058 = 0.9903931860948796 * self->predicted_compression_covariance[28];
+    cross_compression9_0[0] = t1057;
+    cross_compression9_0[1] = t1058;
+    const double t1059 = 0.9903931860948796 * cross_compression9_0[0];
+    const double t1060 = t1059 + 0.04;
+    pivot_compression9_0 = t1060;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_compression9_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t693 = 1.0 / pivot_compression9_0;
-        inverse_compression9_0 = t693;
-        const double t694 = innovation_compression9_0 * inverse_compression9_0;
-        const double t695 = cross_compression9_0[0] * t694;
-        const double t696 = self->predicted_compression_deviation[18] + t695;
-        const double t697 = cross_compression9_0[1] * t694;
-        const double t698 = self->predicted_compression_deviation[19] + t697;
-        const double t699 = cross_compression9_0[0] * inverse_compression9_0;
-        const double t700 = t699 * cross_compression9_0[0];
-        const double t701 = self->predicted_compression_covariance[27] - t700;
-        const double t702 = cross_compression9_0[1] * inverse_compression9_0;
-        const double t703 = t702 * cross_compression9_0[0];
-        const double t704 = self->predicted_compression_covariance[28] - t703;
-        const double t705 = t702 * cross_compression9_0[1];
-        const double t706 = self->predicted_compression_covariance[29] - t705;
-        mean_compression9[0] = t696;
-        mean_compression9[1] = t698;
-        covariance_compression9[0] = t701;
-        covariance_compression9[1] = t704;
-        covariance_compression9[2] = t706;
+        const double t1061 = 1.0 / pivot_compression9_0;
+        inverse_compression9_0 = t1061;
+        const double t1062 = innovation_compression9_0 * inverse_compression9_0;
+        const double t1063 = cross_compression9_0[0] * t1062;
+        const double t1064 = self->predicted_compression_deviation[18] + t1063;
+        const double t1065 = cross_compression9_0[1] * t1062;
+        const double t1066 = self->predicted_compression_deviation[19] + t1065;
+        const double t1067 = cross_compression9_0[0] * inverse_compression9_0;
+        const double t1068 = t1067 * cross_compression9_0[0];
+        const double t1069 = self->predicted_compression_covariance[27] - t1068;
+        const double t1070 = 0.04 * t1067;
+        const double t1071 = 0.9903931860948796 * t1069;
+        const double t1072 = t1070 - t1071;
+        const double t1073 = t1072 * t1067;
+        const double t1074 = t1069 + t1073;
+        const double t1075 = cross_compression9_0[1] * inverse_compression9_0;
+        const double t1076 = t1075 * cross_compression9_0[0];
+        const double t1077 = self->predicted_compression_covariance[28] - t1076;
+        const double t1078 = 0.04 * t1075;
+        const double t1079 = 0.9903931860948796 * t1077;
+        const double t1080 = t1078 - t1079;
+        const double t1081 = t1080 * t1067;
+        const double t1082 = t1077 + t1081;
+        const double t1083 = t1075 * cross_compression9_0[1];
+        const double t1084 = self->predicted_compression_covariance[29] - t1083;
+        const double t1085 = t1080 * t1075;
+        const double t1086 = t1084 + t1085;
+        mean_compression9[0] = t1064;
+        mean_compression9[1] = t1066;
+        covariance_compression9[0] = t1074;
+        covariance_compression9[1] = t1082;
+        covariance_compression9[2] = t1086;
     }
 
     /* row 3 of y, wheel_rr: compression filter */
-    const double t707 = 0.9903931860948796 * covariance_compression9[0];
-    const double t708 = 0.9903931860948796 * covariance_compression9[1];
-    cross_compression9_1[0] = t707;
-    cross_compression9_1[1] = t708;
-    const double t709 = 0.9903931860948796 * cross_compression9_1[0];
-    const double t710 = t709 + 0.04;
-    pivot_compression9_1 = t710;
+    const double t1087 = 0.9903931860948796 * covariance_compression9[0];
+    const double t1088 = 0.9903931860948796 * covariance_compression9[1];
+    cross_compression9_1[0] = t1087;
+    cross_compression9_1[1] = t1088;
+    const double t1089 = 0.9903931860948796 * cross_compression9_1[0];
+    const double t1090 = t1089 + 0.04;
+    pivot_compression9_1 = t1090;
     if ((present & 0x8u) != 0u)
     {
         if (!(pivot_compression9_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t711 = 1.0 / pivot_compression9_1;
-        inverse_compression9_1 = t711;
-        const double t712 = mean_compression9[0] - self->predicted_compression_deviation[18];
-        const double t713 = 0.9903931860948796 * t712;
-        const double t714 = innovation_compression9_1 - t713;
-        const double t715 = t714 * inverse_compression9_1;
-        const double t716 = cross_compression9_1[0] * t715;
-        const double t717 = mean_compression9[0] + t716;
-        const double t718 = cross_compression9_1[1] * t715;
-        const double t719 = mean_compression9[1] + t718;
-        const double t720 = cross_compression9_1[0] * inverse_compression9_1;
-        const double t721 = t720 * cross_compression9_1[0];
-        const double t722 = covariance_compression9[0] - t721;
-        const double t723 = cross_compression9_1[1] * inverse_compression9_1;
-        const double t724 = t723 * cross_compression9_1[0];
-        const double t725 = covariance_compression9[1] - t724;
-        const double t726 = t723 * cross_compression9_1[1];
-        const double t727 = covariance_compression9[2] - t726;
-        mean_compression9[0] = t717;
-        mean_compression9[1] = t719;
-        covariance_compression9[0] = t722;
-        covariance_compression9[1] = t725;
-        covariance_compression9[2] = t727;
+        const double t1091 = 1.0 / pivot_compression9_1;
+        inverse_compression9_1 = t1091;
+        const double t1092 = mean_compression9[0] - self->predicted_compression_deviation[18];
+        const double t1093 = 0.9903931860948796 * t1092;
+        const double t1094 = innovation_compression9_1 - t1093;
+        const double t1095 = t1094 * inverse_compression9_1;
+        const double t1096 = cross_compression9_1[0] * t1095;
+        const double t1097 = mean_compression9[0] + t1096;
+        const double t1098 = cross_compression9_1[1] * t1095;
+        const double t1099 = mean_compression9[1] + t1098;
+        const double t1100 = cross_compression9_1[0] * inverse_compression9_1;
+        const double t1101 = t1100 * cross_compression9_1[0];
+        const double t1102 = covariance_compression9[0] - t1101;
+        const double t1103 = 0.04 * t1100;
+        const double t1104 = 0.9903931860948796 * t1102;
+        const double t1105 = t1103 - t1104;
+        const double t1106 = t1105 * t1100;
+        const double t1107 = t1102 + t1106;
+        const double t1108 = cross_compression9_1[1] * inverse_compression9_1;
+        const double t1109 = t1108 * cross_compression9_1[0];
+        const double t1110 = covariance_compression9[1] - t1109;
+        const double t1111 = 0.04 * t1108;
+        const double t1112 = 0.9903931860948796 * t1110;
+        const double t1113 = t1111 - t1112;
+        const double t1114 = t1113 * t1100;
+        const double t1115 = t1110 + t1114;
+        const double t1116 = t1108 * cross_compression9_1[1];
+        const double t1117 = covariance_compression9[2] - t1116;
+        const double t1118 = t1113 * t1108;
+        const double t1119 = t1117 + t1118;
+        mean_compression9[0] = t1097;
+        mean_compression9[1] = t1099;
+        covariance_compression9[0] = t1107;
+        covariance_compression9[1] = t1115;
+        covariance_compression9[2] = t1119;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t728 = covariance_compression9[0] + 0.25;
-    pivot_compression9_2 = t728;
+    const double t1120 = covariance_compression9[0] + 0.25;
+    pivot_compression9_2 = t1120;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression9_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t729 = 1.0 / pivot_compression9_2;
-        inverse_compression9_2 = t729;
-        const double t730 = mean_compression9[0] - self->predicted_compression_deviation[18];
-        const double t731 = innovation_compression9_2 - t730;
-        const double t732 = t731 * inverse_compression9_2;
-        const double t733 = covariance_compression9[0] * t732;
-        const double t734 = mean_compression9[0] + t733;
-        const double t735 = covariance_compression9[1] * t732;
-        const double t736 = mean_compression9[1] + t735;
-        const double t737 = covariance_compression9[0] * inverse_compression9_2;
-        const double t738 = t737 * covariance_compression9[0];
-        const double t739 = covariance_compression9[0] - t738;
-        const double t740 = covariance_compression9[1] * inverse_compression9_2;
-        const double t741 = t740 * covariance_compression9[0];
-        const double t742 = covariance_compression9[1] - t741;
-        const double t743 = t740 * covariance_compression9[1];
-        const double t744 = covariance_compression9[2] - t743;
-        mean_compression9[0] = t734;
-        mean_compression9[1] = t736;
-        covariance_compression9[0] = t739;
-        covariance_compression9[1] = t742;
-        covariance_compression9[2] = t744;
+        const double t1121 = 1.0 / pivot_compression9_2;
+        inverse_compression9_2 = t1121;
+        const double t1122 = mean_compression9[0] - self->predicted_compression_deviation[18];
+        const double t1123 = innovation_compression9_2 - t1122;
+        const double t1124 = t1123 * inverse_compression9_2;
+        const double t1125 = covariance_compression9[0] * t1124;
+        const double t1126 = mean_compression9[0] + t1125;
+        const double t1127 = covariance_compression9[1] * t1124;
+        const double t1128 = mean_compression9[1] + t1127;
+        const double t1129 = covariance_compression9[0] * inverse_compression9_2;
+        const double t1130 = t1129 * covariance_compression9[0];
+        const double t1131 = covariance_compression9[0] - t1130;
+        const double t1132 = 0.25 * t1129;
+        const double t1133 = t1132 - t1131;
+        const double t1134 = t1133 * t1129;
+        const double t1135 = t1131 + t1134;
+        const double t1136 = covariance_compression9[1] * inverse_compression9_2;
+        const double t1137 = t1136 * covariance_compression9[0];
+        const double t1138 = covariance_compression9[1] - t1137;
+        const double t1139 = 0.25 * t1136;
+        const double t1140 = t1139 - t1138;
+        const double t1141 = t1140 * t1129;
+        const double t1142 = t1138 + t1141;
+        const double t1143 = t1136 * covariance_compression9[1];
+        const double t1144 = covariance_compression9[2] - t1143;
+        const double t1145 = t1140 * t1136;
+        const double t1146 = t1144 + t1145;
+        mean_compression9[0] = t1126;
+        mean_compression9[1] = t1128;
+        covariance_compression9[0] = t1135;
+        covariance_compression9[1] = t1142;
+        covariance_compression9[2] = t1146;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t745 = covariance_compression9[0] + 9.0;
-    pivot_compression9_3 = t745;
+    const double t1147 = covariance_compression9[0] + 9.0;
+    pivot_compression9_3 = t1147;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression9_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t746 = 1.0 / pivot_compression9_3;
-        inverse_compression9_3 = t746;
-        const double t747 = mean_compression9[0] - self->predicted_compression_deviation[18];
-        const double t748 = innovation_compression9_3 - t747;
-        const double t749 = t748 * inverse_compression9_3;
-        const double t750 = covariance_compression9[0] * t749;
-        const double t751 = mean_compression9[0] + t750;
-        const double t752 = covariance_compression9[1] * t749;
-        const double t753 = mean_compression9[1] + t752;
-        const double t754 = covariance_compression9[0] * inverse_compression9_3;
-        const double t755 = t754 * covariance_compression9[0];
-        const double t756 = covariance_compression9[0] - t755;
-        const double t757 = covariance_compression9[1] * inverse_compression9_3;
-        const double t758 = t757 * covariance_compression9[0];
-        const double t759 = covariance_compression9[1] - t758;
-        const double t760 = t757 * covariance_compression9[1];
-        const double t761 = covariance_compression9[2] - t760;
-        mean_compression9[0] = t751;
-        mean_compression9[1] = t753;
-        covariance_compression9[0] = t756;
-        covariance_compression9[1] = t759;
-        covariance_compression9[2] = t761;
+        const double t1148 = 1.0 / pivot_compression9_3;
+        inverse_compression9_3 = t1148;
+        const double t1149 = mean_compression9[0] - self->predicted_compression_deviation[18];
+        const double t1150 = innovation_compression9_3 - t1149;
+        const double t1151 = t1150 * inverse_compression9_3;
+        const double t1152 = covariance_compression9[0] * t1151;
+        const double t1153 = mean_compression9[0] + t1152;
+        const double t1154 = covariance_compression9[1] * t1151;
+        const double t1155 = mean_compression9[1] + t1154;
+        const double t1156 = covariance_compression9[0] * inverse_compression9_3;
+        const double t1157 = t1156 * covariance_compression9[0];
+        const double t1158 = covariance_compression9[0] - t1157;
+        const double t1159 = 9.0 * t1156;
+        const double t1160 = t1159 - t1158;
+        const double t1161 = t1160 * t1156;
+        const double t1162 = t1158 + t1161;
+        const double t1163 = covariance_compression9[1] * inverse_compression9_3;
+        const double t1164 = t1163 * covariance_compression9[0];
+        const double t1165 = covariance_compression9[1] - t1164;
+        const double t1166 = 9.0 * t1163;
+        const double t1167 = t1166 - t1165;
+        const double t1168 = t1167 * t1156;
+        const double t1169 = t1165 + t1168;
+        const double t1170 = t1163 * covariance_compression9[1];
+        const double t1171 = covariance_compression9[2] - t1170;
+        const double t1172 = t1167 * t1163;
+        const double t1173 = t1171 + t1172;
+        mean_compression9[0] = t1153;
+        mean_compression9[1] = t1155;
+        covariance_compression9[0] = t1162;
+        covariance_compression9[1] = t1169;
+        covariance_compression9[2] = t1173;
     }
-    const double t762 = mean_compression9[0] - mean_host[0];
-    const double t763 = mean_compression9[1] - mean_host[1];
-    deviation_compression9[0] = t762;
-    deviation_compression9[1] = t763;
+    const double t1174 = mean_compression9[0] - mean_host[0];
+    const double t1175 = mean_compression9[1] - mean_host[1];
+    deviation_compression9[0] = t1174;
+    deviation_compression9[1] = t1175;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t764 = 0.9921619208254787 * self->predicted_compression_deviation[20];
-        const double t765 = innovation_0 - t764;
-        innovation_compression10_0 = t765;
+        const double t1176 = 0.9921619208254787 * self->predicted_compression_deviation[20];
+        const double t1177 = innovation_0 - t1176;
+        innovation_compression10_0 = t1177;
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t766 = 0.9921619208254787 * self->predicted_compression_deviation[20];
-        const double t767 = innovation_1 - t766;
-        innovation_compression10_1 = t767;
+        const double t1178 = 0.9921619208254787 * self->predicted_compression_deviation[20];
+        const double t1179 = innovation_1 - t1178;
+        innovation_compression10_1 = t1179;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t768 = 0.9903931860948796 * self->predicted_compression_deviation[20];
-        const double t769 = innovation_2 - t768;
-        innovation_compression10_2 = t769;
+        const double t1180 = 0.9903931860948796 * self->predicted_compression_deviation[20];
+        const double t1181 = innovation_2 - t1180;
+        innovation_compression10_2 = t1181;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t770 = innovation_4 - self->predicted_compression_deviation[20];
-        innovation_compression10_3 = t770;
+        const double t1182 = innovation_4 - self->predicted_compression_deviation[20];
+        innovation_compression10_3 = t1182;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t771 = innovation_5 - self->predicted_compression_deviation[20];
-        innovation_compression10_4 = t771;
+        const double t1183 = innovation_5 - self->predicted_compression_deviation[20];
+        innovation_compression10_4 = t1183;
     }
     mean_compression10[0] = self->predicted_compression_deviation[20];
     mean_compression10[1] = self->predicted_compression_deviation[21];
@@ -2350,217 +2762,273 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression10[2] = self->predicted_compression_covariance[32];
 
     /* row 0 of y, wheel_fl: compression filter */
-    const double t772 = 0.9921619208254787 * self->predicted_compression_covariance[30];
-    const double t773 = 0.9921619208254787 * self->predicted_compression_covariance[31];
-    cross_compression10_0[0] = t772;
-    cross_compression10_0[1] = t773;
-    const double t774 = 0.9921619208254787 * cross_compression10_0[0];
-    const double t775 = t774 + 0.04;
-    pivot_compression10_0 = t775;
+    const double t1184 = 0.9921619208254787 * self->predicted_compression_covariance[30];
+    const double t1185 = 0.9921619208254787 * self->predicted_compression_covariance[31];
+    cross_compression10_0[0] = t1184;
+    cross_compression10_0[1] = t1185;
+    const double t1186 = 0.9921619208254787 * cross_compression10_0[0];
+    const double t1187 = t1186 + 0.04;
+    pivot_compression10_0 = t1187;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression10_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t776 = 1.0 / pivot_compression10_0;
-        inverse_compression10_0 = t776;
-        const double t777 = innovation_compression10_0 * inverse_compression10_0;
-        const double t778 = cross_compression10_0[0] * t777;
-        const double t779 = self->predicted_compression_deviation[20] + t778;
-        const double t780 = cross_compression10_0[1] * t777;
-        const double t781 = self->predicted_compression_deviation[21] + t780;
-        const double t782 = cross_compression10_0[0] * inverse_compression10_0;
-        const double t783 = t782 * cross_compression10_0[0];
-        const double t784 = self->predicted_compression_covariance[30] - t783;
-        const double t785 = cross_compression10_0[1] * inverse_compression10_0;
-        const double t786 = t785 * cross_compression10_0[0];
-        const double t787 = self->predicted_compression_covariance[31] - t786;
-        const double t788 = t785 * cross_compression10_0[1];
-        const double t789 = self->predicted_compression_covariance[32] - t788;
-        mean_compression10[0] = t779;
-        mean_compression10[1] = t781;
-        covariance_compression10[0] = t784;
-        covariance_compression10[1] = t787;
-        covariance_compression10[2] = t789;
+        const double t1188 = 1.0 / pivot_compression10_0;
+        inverse_compression10_0 = t1188;
+        const double t1189 = innovation_compression10_0 * inverse_compression10_0;
+        const double t1190 = cross_compression10_0[0] * t1189;
+        const double t1191 = self->predicted_compression_deviation[20] + t1190;
+        const double t1192 = cross_compression10_0[1] * t1189;
+        const double t1193 = self->predicted_compression_deviation[21] + t1192;
+        const double t1194 = cross_compression10_0[0] * inverse_compression10_0;
+        const double t1195 = t1194 * cross_compression10_0[0];
+        const double t1196 = self->predicted_compression_covariance[30] - t1195;
+        const double t1197 = 0.04 * t1194;
+        const double t1198 = 0.9921619208254787 * t1196;
+        const double t1199 = t1197 - t1198;
+        const double t1200 = t1199 * t1194;
+        const double t1201 = t1196 + t1200;
+        const double t1202 = cross_compression10_0[1] * inverse_compression10_0;
+        const double t1203 = t1202 * cross_compression10_0[0];
+        const double t1204 = self->predicted_compression_covariance[31] - t1203;
+        const double t1205 = 0.04 * t1202;
+        const double t1206 = 0.9921619208254787 * t1204;
+        const double t1207 = t1205 - t1206;
+        const double t1208 = t1207 * t1194;
+        const double t1209 = t1204 + t1208;
+        const double t1210 = t1202 * cross_compression10_0[1];
+        const double t1211 = self->predicted_compression_covariance[32] - t1210;
+        const double t1212 = t1207 * t1202;
+        const double t1213 = t1211 + t1212;
+        mean_compression10[0] = t1191;
+        mean_compression10[1] = t1193;
+        covariance_compression10[0] = t1201;
+        covariance_compression10[1] = t1209;
+        covariance_compression10[2] = t1213;
     }
 
     /* row 1 of y, wheel_fr: compression filter */
-    const double t790 = 0.9921619208254787 * covariance_compression10[0];
-    const double t791 = 0.9921619208254787 * covariance_compression10[1];
-    cross_compression10_1[0] = t790;
-    cross_compression10_1[1] = t791;
-    const double t792 = 0.9921619208254787 * cross_compression10_1[0];
-    const double t793 = t792 + 0.04;
-    pivot_compression10_1 = t793;
+    const double t1214 = 0.9921619208254787 * covariance_compression10[0];
+    const double t1215 = 0.9921619208254787 * covariance_compression10[1];
+    cross_compression10_1[0] = t1214;
+    cross_compression10_1[1] = t1215;
+    const double t1216 = 0.9921619208254787 * cross_compression10_1[0];
+    const double t1217 = t1216 + 0.04;
+    pivot_compression10_1 = t1217;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression10_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t794 = 1.0 / pivot_compression10_1;
-        inverse_compression10_1 = t794;
-        const double t795 = mean_compression10[0] - self->predicted_compression_deviation[20];
-        const double t796 = 0.9921619208254787 * t795;
-        const double t797 = innovation_compression10_1 - t796;
-        const double t798 = t797 * inverse_compression10_1;
-        const double t799 = cross_compression10_1[0] * t798;
-        const double t800 = mean_compression10[0] + t799;
-        const double t801 = cross_compression10_1[1] * t798;
-        const double t802 = mean_compression10[1] + t801;
-        const double t803 = cross_compression10_1[0] * inverse_compression10_1;
-        const double t804 = t803 * cross_compression10_1[0];
-        const double t805 = covariance_compression10[0] - t804;
-        const double t806 = cross_compression10_1[1] * inverse_compression10_1;
-        const double t807 = t806 * cross_compression10_1[0];
-        const double t808 = covariance_compression10[1] - t807;
-        const double t809 = t806 * cross_compression10_1[1];
-        const double t810 = covariance_compression10[2] - t809;
-        mean_compression10[0] = t800;
-        mean_compression10[1] = t802;
-        covariance_compression10[0] = t805;
-        covariance_compression10[1] = t808;
-        covariance_compression10[2] = t810;
+        const double t1218 = 1.0 / pivot_compression10_1;
+        inverse_compression10_1 = t1218;
+        const double t1219 = mean_compression10[0] - self->predicted_compression_deviation[20];
+        const double t1220 = 0.9921619208254787 * t1219;
+        const double t1221 = innovation_compression10_1 - t1220;
+        const double t1222 = t1221 * inverse_compression10_1;
+        const double t1223 = cross_compression10_1[0] * t1222;
+        const double t1224 = mean_compression10[0] + t1223;
+        const double t1225 = cross_compression10_1[1] * t1222;
+        const double t1226 = mean_compression10[1] + t1225;
+        const double t1227 = cross_compression10_1[0] * inverse_compression10_1;
+        const double t1228 = t1227 * cross_compression10_1[0];
+        const double t1229 = covariance_compression10[0] - t1228;
+        const double t1230 = 0.04 * t1227;
+        const double t1231 = 0.9921619208254787 * t1229;
+        const double t1232 = t1230 - t1231;
+        const double t1233 = t1232 * t1227;
+        const double t1234 = t1229 + t1233;
+        const double t1235 = cross_compression10_1[1] * inverse_compression10_1;
+        const double t1236 = t1235 * cross_compression10_1[0];
+        const double t1237 = covariance_compression10[1] - t1236;
+        const double t1238 = 0.04 * t1235;
+        const double t1239 = 0.9921619208254787 * t1237;
+        const double t1240 = t1238 - t1239;
+        const double t1241 = t1240 * t1227;
+        const double t1242 = t1237 + t1241;
+        const double t1243 = t1235 * cross_compression10_1[1];
+        const double t1244 = covariance_compression10[2] - t1243;
+        const double t1245 = t1240 * t1235;
+        const double t1246 = t1244 + t1245;
+        mean_compression10[0] = t1224;
+        mean_compression10[1] = t1226;
+        covariance_compression10[0] = t1234;
+        covariance_compression10[1] = t1242;
+        covariance_compression10[2] = t1246;
     }
 
     /* row 2 of y, wheel_rl: compression filter */
-    const double t811 = 0.9903931860948796 * covariance_compression10[0];
-    const double t812 = 0.9903931860948796 * covariance_compression10[1];
-    cross_compression10_2[0] = t811;
-    cross_compression10_2[1] = t812;
-    const double t813 = 0.9903931860948796 * cross_compression10_2[0];
-    const double t814 = t813 + 0.04;
-    pivot_compression10_2 = t814;
+    const double t1247 = 0.9903931860948796 * covariance_compression10[0];
+    const double t1248 = 0.9903931860948796 * covariance_compression10[1];
+    cross_compression10_2[0] = t1247;
+    cross_compression10_2[1] = t1248;
+    const double t1249 = 0.9903931860948796 * cross_compression10_2[0];
+    const double t1250 = t1249 + 0.04;
+    pivot_compression10_2 = t1250;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_compression10_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t815 = 1.0 / pivot_compression10_2;
-        inverse_compression10_2 = t815;
-        const double t816 = mean_compression10[0] - self->predicted_compression_deviation[20];
-        const double t817 = 0.9903931860948796 * t816;
-        const double t818 = innovation_compression10_2 - t817;
-        const double t819 = t818 * inverse_compression10_2;
-        const double t820 = cross_compression10_2[0] * t819;
-        const double t821 = mean_compression10[0] + t820;
-        const double t822 = cross_compression10_2[1] * t819;
-        const double t823 = mean_compression10[1] + t822;
-        const double t824 = cross_compression10_2[0] * inverse_compression10_2;
-        const double t825 = t824 * cross_compression10_2[0];
-        const double t826 = covariance_compression10[0] - t825;
-        const double t827 = cross_compression10_2[1] * inverse_compression10_2;
-        const double t828 = t827 * cross_compression10_2[0];
-        const double t829 = covariance_compression10[1] - t828;
-        const double t830 = t827 * cross_compression10_2[1];
-        const double t831 = covariance_compression10[2] - t830;
-        mean_compression10[0] = t821;
-        mean_compression10[1] = t823;
-        covariance_compression10[0] = t826;
-        covariance_compression10[1] = t829;
-        covariance_compression10[2] = t831;
+        const double t1251 = 1.0 / pivot_compression10_2;
+        inverse_compression10_2 = t1251;
+        const double t1252 = mean_compression10[0] - self->predicted_compression_deviation[20];
+        const double t1253 = 0.9903931860948796 * t1252;
+        const double t1254 = innovation_compression10_2 - t1253;
+        const double t1255 = t1254 * inverse_compression10_2;
+        const double t1256 = cross_compression10_2[0] * t1255;
+        const double t1257 = mean_compression10[0] + t1256;
+        const double t1258 = cross_compression10_2[1] * t1255;
+        const double t1259 = mean_compression10[1] + t1258;
+        const double t1260 = cross_compression10_2[0] * inverse_compression10_2;
+        const double t1261 = t1260 * cross_compression10_2[0];
+        const double t1262 = covariance_compression10[0] - t1261;
+        const double t1263 = 0.04 * t1260;
+        const double t1264 = 0.9903931860948796 * t1262;
+        const double t1265 = t1263 - t1264;
+        const double t1266 = t1265 * t1260;
+        const double t1267 = t1262 + t1266;
+        const double t1268 = cross_compression10_2[1] * inverse_compression10_2;
+        const double t1269 = t1268 * cross_compression10_2[0];
+        const double t1270 = covariance_compression10[1] - t1269;
+        const double t1271 = 0.04 * t1268;
+        const double t1272 = 0.9903931860948796 * t1270;
+        const double t1273 = t1271 - t1272;
+        const double t1274 = t1273 * t1260;
+        const double t1275 = t1270 + t1274;
+        const double t1276 = t1268 * cross_compression10_2[1];
+        const double t1277 = covariance_compression10[2] - t1276;
+        const double t1278 = t1273 * t1268;
+        const double t1279 = t1277 + t1278;
+        mean_compression10[0] = t1257;
+        mean_compression10[1] = t1259;
+        covariance_compression10[0] = t1267;
+        covariance_compression10[1] = t1275;
+        covariance_compression10[2] = t1279;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t832 = covariance_compression10[0] + 0.25;
-    pivot_compression10_3 = t832;
+    const double t1280 = covariance_compression10[0] + 0.25;
+    pivot_compression10_3 = t1280;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression10_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t833 = 1.0 / pivot_compression10_3;
-        inverse_compression10_3 = t833;
-        const double t834 = mean_compression10[0] - self->predicted_compression_deviation[20];
-        const double t835 = innovation_compression10_3 - t834;
-        const double t836 = t835 * inverse_compression10_3;
-        const double t837 = covariance_compression10[0] * t836;
-        const double t838 = mean_compression10[0] + t837;
-        const double t839 = covariance_compression10[1] * t836;
-        const double t840 = mean_compression10[1] + t839;
-        const double t841 = covariance_compression10[0] * inverse_compression10_3;
-        const double t842 = t841 * covariance_compression10[0];
-        const double t843 = covariance_compression10[0] - t842;
-        const double t844 = covariance_compression10[1] * inverse_compression10_3;
-        const double t845 = t844 * covariance_compression10[0];
-        const double t846 = covariance_compression10[1] - t845;
-        const double t847 = t844 * covariance_compression10[1];
-        const double t848 = covariance_compression10[2] - t847;
-        mean_compression10[0] = t838;
-        mean_compression10[1] = t840;
-        covariance_compression10[0] = t843;
-        covariance_compression10[1] = t846;
-        covariance_compression10[2] = t848;
+        const double t1281 = 1.0 / pivot_compression10_3;
+        inverse_compression10_3 = t1281;
+        const double t1282 = mean_compression10[0] - self->predicted_compression_deviation[20];
+        const double t1283 = innovation_compression10_3 - t1282;
+        const double t1284 = t1283 * inverse_compression10_3;
+        const double t1285 = covariance_compression10[0] * t1284;
+        const double t1286 = mean_compression10[0] + t1285;
+        const double t1287 = covariance_compression10[1] * t1284;
+        const double t1288 = mean_compression10[1] + t1287;
+        const double t1289 = covariance_compression10[0] * inverse_compression10_3;
+        const double t1290 = t1289 * covariance_compression10[0];
+        const double t1291 = covariance_compression10[0] - t1290;
+        const double t1292 = 0.25 * t1289;
+        const double t1293 = t1292 - t1291;
+        const double t1294 = t1293 * t1289;
+        const double t1295 = t1291 + t1294;
+        const double t1296 = covariance_compression10[1] * inverse_compression10_3;
+        const double t1297 = t1296 * covariance_compression10[0];
+        const double t1298 = covariance_compression10[1] - t1297;
+        const double t1299 = 0.25 * t1296;
+        const double t1300 = t1299 - t1298;
+        const double t1301 = t1300 * t1289;
+        const double t1302 = t1298 + t1301;
+        const double t1303 = t1296 * covariance_compression10[1];
+        const double t1304 = covariance_compression10[2] - t1303;
+        const double t1305 = t1300 * t1296;
+        const double t1306 = t1304 + t1305;
+        mean_compression10[0] = t1286;
+        mean_compression10[1] = t1288;
+        covariance_compression10[0] = t1295;
+        covariance_compression10[1] = t1302;
+        covariance_compression10[2] = t1306;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t849 = covariance_compression10[0] + 9.0;
-    pivot_compression10_4 = t849;
+    const double t1307 = covariance_compression10[0] + 9.0;
+    pivot_compression10_4 = t1307;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression10_4 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t850 = 1.0 / pivot_compression10_4;
-        inverse_compression10_4 = t850;
-        const double t851 = mean_compression10[0] - self->predicted_compression_deviation[20];
-        const double t852 = innovation_compression10_4 - t851;
-        const double t853 = t852 * inverse_compression10_4;
-        const double t854 = covariance_compression10[0] * t853;
-        const double t855 = mean_compression10[0] + t854;
-        const double t856 = covariance_compression10[1] * t853;
-        const double t857 = mean_compression10[1] + t856;
-        const double t858 = covariance_compression10[0] * inverse_compression10_4;
-        const double t859 = t858 * covariance_compression10[0];
-        const double t860 = covariance_compression10[0] - t859;
-        const double t861 = covariance_compression10[1] * inverse_compression10_4;
-        const double t862 = t861 * covariance_compression10[0];
-        const double t863 = covariance_compression10[1] - t862;
-        const double t864 = t861 * covariance_compression10[1];
-        const double t865 = covariance_compression10[2] - t864;
-        mean_compression10[0] = t855;
-        mean_compression10[1] = t857;
-        covariance_compression10[0] = t860;
-        covariance_compression10[1] = t863;
-        covariance_compression10[2] = t865;
+        const double t1308 = 1.0 / pivot_compression10_4;
+        inverse_compression10_4 = t1308;
+        const double t1309 = mean_compression10[0] - self->predicted_compression_deviation[20];
+        const double t1310 = innovation_compression10_4 - t1309;
+        const double t1311 = t1310 * inverse_compression10_4;
+        const double t1312 = covariance_compression10[0] * t1311;
+        const double t1313 = mean_compression10[0] + t1312;
+        const double t1314 = covariance_compression10[1] * t1311;
+        const double t1315 = mean_compression10[1] + t1314;
+        const double t1316 = covariance_compression10[0] * inverse_compression10_4;
+        const double t1317 = t1316 * covariance_compression10[0];
+        const double t1318 = covariance_compression10[0] - t1317;
+        const double t1319 = 9.0 * t1316;
+        const double t1320 = t1319 - t1318;
+        const double t1321 = t1320 * t1316;
+        const double t1322 = t1318 + t1321;
+        const double t1323 = covariance_compression10[1] * inverse_compression10_4;
+        const double t1324 = t1323 * covariance_compression10[0];
+        const double t1325 = covariance_compression10[1] - t1324;
+        const double t1326 = 9.0 * t1323;
+        const double t1327 = t1326 - t1325;
+        const double t1328 = t1327 * t1316;
+        const double t1329 = t1325 + t1328;
+        const double t1330 = t1323 * covariance_compression10[1];
+        const double t1331 = covariance_compression10[2] - t1330;
+        const double t1332 = t1327 * t1323;
+        const double t1333 = t1331 + t1332;
+        mean_compression10[0] = t1313;
+        mean_compression10[1] = t1315;
+        covariance_compression10[0] = t1322;
+        covariance_compression10[1] = t1329;
+        covariance_compression10[2] = t1333;
     }
-    const double t866 = mean_compression10[0] - mean_host[0];
-    const double t867 = mean_compression10[1] - mean_host[1];
-    deviation_compression10[0] = t866;
-    deviation_compression10[1] = t867;
+    const double t1334 = mean_compression10[0] - mean_host[0];
+    const double t1335 = mean_compression10[1] - mean_host[1];
+    deviation_compression10[0] = t1334;
+    deviation_compression10[1] = t1335;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t868 = 0.9921619208254787 * self->predicted_compression_deviation[22];
-        const double t869 = innovation_0 - t868;
-        innovation_compression11_0 = t869;
+        const double t1336 = 0.9921619208254787 * self->predicted_compression_deviation[22];
+        const double t1337 = innovation_0 - t1336;
+        innovation_compression11_0 = t1337;
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t870 = 0.9921619208254787 * self->predicted_compression_deviation[22];
-        const double t871 = innovation_1 - t870;
-        innovation_compression11_1 = t871;
+        const double t1338 = 0.9921619208254787 * self->predicted_compression_deviation[22];
+        const double t1339 = innovation_1 - t1338;
+        innovation_compression11_1 = t1339;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t872 = 0.9903931860948796 * self->predicted_compression_deviation[22];
-        const double t873 = innovation_3 - t872;
-        innovation_compression11_2 = t873;
+        const double t1340 = 0.9903931860948796 * self->predicted_compression_deviation[22];
+        const double t1341 = innovation_3 - t1340;
+        innovation_compression11_2 = t1341;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t874 = innovation_4 - self->predicted_compression_deviation[22];
-        innovation_compression11_3 = t874;
+        const double t1342 = innovation_4 - self->predicted_compression_deviation[22];
+        innovation_compression11_3 = t1342;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t875 = innovation_5 - self->predicted_compression_deviation[22];
-        innovation_compression11_4 = t875;
+        const double t1343 = innovation_5 - self->predicted_compression_deviation[22];
+        innovation_compression11_4 = t1343;
     }
     mean_compression11[0] = self->predicted_compression_deviation[22];
     mean_compression11[1] = self->predicted_compression_deviation[23];
@@ -2569,217 +3037,273 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression11[2] = self->predicted_compression_covariance[35];
 
     /* row 0 of y, wheel_fl: compression filter */
-    const double t876 = 0.9921619208254787 * self->predicted_compression_covariance[33];
-    const double t877 = 0.9921619208254787 * self->predicted_compression_covariance[34];
-    cross_compression11_0[0] = t876;
-    cross_compression11_0[1] = t877;
-    const double t878 = 0.9921619208254787 * cross_compression11_0[0];
-    const double t879 = t878 + 0.04;
-    pivot_compression11_0 = t879;
+    const double t1344 = 0.9921619208254787 * self->predicted_compression_covariance[33];
+    const double t1345 = 0.9921619208254787 * self->predicted_compression_covariance[34];
+    cross_compression11_0[0] = t1344;
+    cross_compression11_0[1] = t1345;
+    const double t1346 = 0.9921619208254787 * cross_compression11_0[0];
+    const double t1347 = t1346 + 0.04;
+    pivot_compression11_0 = t1347;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression11_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t880 = 1.0 / pivot_compression11_0;
-        inverse_compression11_0 = t880;
-        const double t881 = innovation_compression11_0 * inverse_compression11_0;
-        const double t882 = cross_compression11_0[0] * t881;
-        const double t883 = self->predicted_compression_deviation[22] + t882;
-        const double t884 = cross_compression11_0[1] * t881;
-        const double t885 = self->predicted_compression_deviation[23] + t884;
-        const double t886 = cross_compression11_0[0] * inverse_compression11_0;
-        const double t887 = t886 * cross_compression11_0[0];
-        const double t888 = self->predicted_compression_covariance[33] - t887;
-        const double t889 = cross_compression11_0[1] * inverse_compression11_0;
-        const double t890 = t889 * cross_compression11_0[0];
-        const double t891 = self->predicted_compression_covariance[34] - t890;
-        const double t892 = t889 * cross_compression11_0[1];
-        const double t893 = self->predicted_compression_covariance[35] - t892;
-        mean_compression11[0] = t883;
-        mean_compression11[1] = t885;
-        covariance_compression11[0] = t888;
-        covariance_compression11[1] = t891;
-        covariance_compression11[2] = t893;
+        const double t1348 = 1.0 / pivot_compression11_0;
+        inverse_compression11_0 = t1348;
+        const double t1349 = innovation_compression11_0 * inverse_compression11_0;
+        const double t1350 = cross_compression11_0[0] * t1349;
+        const double t1351 = self->predicted_compression_deviation[22] + t1350;
+        const double t1352 = cross_compression11_0[1] * t1349;
+        const double t1353 = self->predicted_compression_deviation[23] + t1352;
+        const double t1354 = cross_compression11_0[0] * inverse_compression11_0;
+        const double t1355 = t1354 * cross_compression11_0[0];
+        const double t1356 = self->predicted_compression_covariance[33] - t1355;
+        const double t1357 = 0.04 * t1354;
+        const double t1358 = 0.9921619208254787 * t1356;
+        const double t1359 = t1357 - t1358;
+        const double t1360 = t1359 * t1354;
+        const double t1361 = t1356 + t1360;
+        const double t1362 = cross_compression11_0[1] * inverse_compression11_0;
+        const double t1363 = t1362 * cross_compression11_0[0];
+        const double t1364 = self->predicted_compression_covariance[34] - t1363;
+        const double t1365 = 0.04 * t1362;
+        const double t1366 = 0.9921619208254787 * t1364;
+        const double t1367 = t1365 - t1366;
+        const double t1368 = t1367 * t1354;
+        const double t1369 = t1364 + t1368;
+        const double t1370 = t1362 * cross_compression11_0[1];
+        const double t1371 = self->predicted_compression_covariance[35] - t1370;
+        const double t1372 = t1367 * t1362;
+        const double t1373 = t1371 + t1372;
+        mean_compression11[0] = t1351;
+        mean_compression11[1] = t1353;
+        covariance_compression11[0] = t1361;
+        covariance_compression11[1] = t1369;
+        covariance_compression11[2] = t1373;
     }
 
     /* row 1 of y, wheel_fr: compression filter */
-    const double t894 = 0.9921619208254787 * covariance_compression11[0];
-    const double t895 = 0.9921619208254787 * covariance_compression11[1];
-    cross_compression11_1[0] = t894;
-    cross_compression11_1[1] = t895;
-    const double t896 = 0.9921619208254787 * cross_compression11_1[0];
-    const double t897 = t896 + 0.04;
-    pivot_compression11_1 = t897;
+    const double t1374 = 0.9921619208254787 * covariance_compression11[0];
+    const double t1375 = 0.9921619208254787 * covariance_compression11[1];
+    cross_compression11_1[0] = t1374;
+    cross_compression11_1[1] = t1375;
+    const double t1376 = 0.9921619208254787 * cross_compression11_1[0];
+    const double t1377 = t1376 + 0.04;
+    pivot_compression11_1 = t1377;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression11_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t898 = 1.0 / pivot_compression11_1;
-        inverse_compression11_1 = t898;
-        const double t899 = mean_compression11[0] - self->predicted_compression_deviation[22];
-        const double t900 = 0.9921619208254787 * t899;
-        const double t901 = innovation_compression11_1 - t900;
-        const double t902 = t901 * inverse_compression11_1;
-        const double t903 = cross_compression11_1[0] * t902;
-        const double t904 = mean_compression11[0] + t903;
-        const double t905 = cross_compression11_1[1] * t902;
-        const double t906 = mean_compression11[1] + t905;
-        const double t907 = cross_compression11_1[0] * inverse_compression11_1;
-        const double t908 = t907 * cross_compression11_1[0];
-        const double t909 = covariance_compression11[0] - t908;
-        const double t910 = cross_compression11_1[1] * inverse_compression11_1;
-        const double t911 = t910 * cross_compression11_1[0];
-        const double t912 = covariance_compression11[1] - t911;
-        const double t913 = t910 * cross_compression11_1[1];
-        const double t914 = covariance_compression11[2] - t913;
-        mean_compression11[0] = t904;
-        mean_compression11[1] = t906;
-        covariance_compression11[0] = t909;
-        covariance_compression11[1] = t912;
-        covariance_compression11[2] = t914;
+        const double t1378 = 1.0 / pivot_compression11_1;
+        inverse_compression11_1 = t1378;
+        const double t1379 = mean_compression11[0] - self->predicted_compression_deviation[22];
+        const double t1380 = 0.9921619208254787 * t1379;
+        const double t1381 = innovation_compression11_1 - t1380;
+        const double t1382 = t1381 * inverse_compression11_1;
+        const double t1383 = cross_compression11_1[0] * t1382;
+        const double t1384 = mean_compression11[0] + t1383;
+        const double t1385 = cross_compression11_1[1] * t1382;
+        const double t1386 = mean_compression11[1] + t1385;
+        const double t1387 = cross_compression11_1[0] * inverse_compression11_1;
+        const double t1388 = t1387 * cross_compression11_1[0];
+        const double t1389 = covariance_compression11[0] - t1388;
+        const double t1390 = 0.04 * t1387;
+        const double t1391 = 0.9921619208254787 * t1389;
+        const double t1392 = t1390 - t1391;
+        const double t1393 = t1392 * t1387;
+        const double t1394 = t1389 + t1393;
+        const double t1395 = cross_compression11_1[1] * inverse_compression11_1;
+        const double t1396 = t1395 * cross_compression11_1[0];
+        const double t1397 = covariance_compression11[1] - t1396;
+        const double t1398 = 0.04 * t1395;
+        const double t1399 = 0.9921619208254787 * t1397;
+        const double t1400 = t1398 - t1399;
+        const double t1401 = t1400 * t1387;
+        const double t1402 = t1397 + t1401;
+        const double t1403 = t1395 * cross_compression11_1[1];
+        const double t1404 = covariance_compression11[2] - t1403;
+        const double t1405 = t1400 * t1395;
+        const double t1406 = t1404 + t1405;
+        mean_compression11[0] = t1384;
+        mean_compression11[1] = t1386;
+        covariance_compression11[0] = t1394;
+        covariance_compression11[1] = t1402;
+        covariance_compression11[2] = t1406;
     }
 
     /* row 3 of y, wheel_rr: compression filter */
-    const double t915 = 0.9903931860948796 * covariance_compression11[0];
-    const double t916 = 0.9903931860948796 * covariance_compression11[1];
-    cross_compression11_2[0] = t915;
-    cross_compression11_2[1] = t916;
-    const double t917 = 0.9903931860948796 * cross_compression11_2[0];
-    const double t918 = t917 + 0.04;
-    pivot_compression11_2 = t918;
+    const double t1407 = 0.9903931860948796 * covariance_compression11[0];
+    const double t1408 = 0.9903931860948796 * covariance_compression11[1];
+    cross_compression11_2[0] = t1407;
+    cross_compression11_2[1] = t1408;
+    const double t1409 = 0.9903931860948796 * cross_compression11_2[0];
+    const double t1410 = t1409 + 0.04;
+    pivot_compression11_2 = t1410;
     if ((present & 0x8u) != 0u)
     {
         if (!(pivot_compression11_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t919 = 1.0 / pivot_compression11_2;
-        inverse_compression11_2 = t919;
-        const double t920 = mean_compression11[0] - self->predicted_compression_deviation[22];
-        const double t921 = 0.9903931860948796 * t920;
-        const double t922 = innovation_compression11_2 - t921;
-        const double t923 = t922 * inverse_compression11_2;
-        const double t924 = cross_compression11_2[0] * t923;
-        const double t925 = mean_compression11[0] + t924;
-        const double t926 = cross_compression11_2[1] * t923;
-        const double t927 = mean_compression11[1] + t926;
-        const double t928 = cross_compression11_2[0] * inverse_compression11_2;
-        const double t929 = t928 * cross_compression11_2[0];
-        const double t930 = covariance_compression11[0] - t929;
-        const double t931 = cross_compression11_2[1] * inverse_compression11_2;
-        const double t932 = t931 * cross_compression11_2[0];
-        const double t933 = covariance_compression11[1] - t932;
-        const double t934 = t931 * cross_compression11_2[1];
-        const double t935 = covariance_compression11[2] - t934;
-        mean_compression11[0] = t925;
-        mean_compression11[1] = t927;
-        covariance_compression11[0] = t930;
-        covariance_compression11[1] = t933;
-        covariance_compression11[2] = t935;
+        const double t1411 = 1.0 / pivot_compression11_2;
+        inverse_compression11_2 = t1411;
+        const double t1412 = mean_compression11[0] - self->predicted_compression_deviation[22];
+        const double t1413 = 0.9903931860948796 * t1412;
+        const double t1414 = innovation_compression11_2 - t1413;
+        const double t1415 = t1414 * inverse_compression11_2;
+        const double t1416 = cross_compression11_2[0] * t1415;
+        const double t1417 = mean_compression11[0] + t1416;
+        const double t1418 = cross_compression11_2[1] * t1415;
+        const double t1419 = mean_compression11[1] + t1418;
+        const double t1420 = cross_compression11_2[0] * inverse_compression11_2;
+        const double t1421 = t1420 * cross_compression11_2[0];
+        const double t1422 = covariance_compression11[0] - t1421;
+        const double t1423 = 0.04 * t1420;
+        const double t1424 = 0.9903931860948796 * t1422;
+        const double t1425 = t1423 - t1424;
+        const double t1426 = t1425 * t1420;
+        const double t1427 = t1422 + t1426;
+        const double t1428 = cross_compression11_2[1] * inverse_compression11_2;
+        const double t1429 = t1428 * cross_compression11_2[0];
+        const double t1430 = covariance_compression11[1] - t1429;
+        const double t1431 = 0.04 * t1428;
+        const double t1432 = 0.9903931860948796 * t1430;
+        const double t1433 = t1431 - t1432;
+        const double t1434 = t1433 * t1420;
+        const double t1435 = t1430 + t1434;
+        const double t1436 = t1428 * cross_compression11_2[1];
+        const double t1437 = covariance_compression11[2] - t1436;
+        const double t1438 = t1433 * t1428;
+        const double t1439 = t1437 + t1438;
+        mean_compression11[0] = t1417;
+        mean_compression11[1] = t1419;
+        covariance_compression11[0] = t1427;
+        covariance_compression11[1] = t1435;
+        covariance_compression11[2] = t1439;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t936 = covariance_compression11[0] + 0.25;
-    pivot_compression11_3 = t936;
+    const double t1440 = covariance_compression11[0] + 0.25;
+    pivot_compression11_3 = t1440;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression11_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t937 = 1.0 / pivot_compression11_3;
-        inverse_compression11_3 = t937;
-        const double t938 = mean_compression11[0] - self->predicted_compression_deviation[22];
-        const double t939 = innovation_compression11_3 - t938;
-        const double t940 = t939 * inverse_compression11_3;
-        const double t941 = covariance_compression11[0] * t940;
-        const double t942 = mean_compression11[0] + t941;
-        const double t943 = covariance_compression11[1] * t940;
-        const double t944 = mean_compression11[1] + t943;
-        const double t945 = covariance_compression11[0] * inverse_compression11_3;
-        const double t946 = t945 * covariance_compression11[0];
-        const double t947 = covariance_compression11[0] - t946;
-        const double t948 = covariance_compression11[1] * inverse_compression11_3;
-        const double t949 = t948 * covariance_compression11[0];
-        const double t950 = covariance_compression11[1] - t949;
-        const double t951 = t948 * covariance_compression11[1];
-        const double t952 = covariance_compression11[2] - t951;
-        mean_compression11[0] = t942;
-        mean_compression11[1] = t944;
-        covariance_compression11[0] = t947;
-        covariance_compression11[1] = t950;
-        covariance_compression11[2] = t952;
+        const double t1441 = 1.0 / pivot_compression11_3;
+        inverse_compression11_3 = t1441;
+        const double t1442 = mean_compression11[0] - self->predicted_compression_deviation[22];
+        const double t1443 = innovation_compression11_3 - t1442;
+        const double t1444 = t1443 * inverse_compression11_3;
+        const double t1445 = covariance_compression11[0] * t1444;
+        const double t1446 = mean_compression11[0] + t1445;
+        const double t1447 = covariance_compression11[1] * t1444;
+        const double t1448 = mean_compression11[1] + t1447;
+        const double t1449 = covariance_compression11[0] * inverse_compression11_3;
+        const double t1450 = t1449 * covariance_compression11[0];
+        const double t1451 = covariance_compression11[0] - t1450;
+        const double t1452 = 0.25 * t1449;
+        const double t1453 = t1452 - t1451;
+        const double t1454 = t1453 * t1449;
+        const double t1455 = t1451 + t1454;
+        const double t1456 = covariance_compression11[1] * inverse_compression11_3;
+        const double t1457 = t1456 * covariance_compression11[0];
+        const double t1458 = covariance_compression11[1] - t1457;
+        const double t1459 = 0.25 * t1456;
+        const double t1460 = t1459 - t1458;
+        const double t1461 = t1460 * t1449;
+        const double t1462 = t1458 + t1461;
+        const double t1463 = t1456 * covariance_compression11[1];
+        const double t1464 = covariance_compression11[2] - t1463;
+        const double t1465 = t1460 * t1456;
+        const double t1466 = t1464 + t1465;
+        mean_compression11[0] = t1446;
+        mean_compression11[1] = t1448;
+        covariance_compression11[0] = t1455;
+        covariance_compression11[1] = t1462;
+        covariance_compression11[2] = t1466;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t953 = covariance_compression11[0] + 9.0;
-    pivot_compression11_4 = t953;
+    const double t1467 = covariance_compression11[0] + 9.0;
+    pivot_compression11_4 = t1467;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression11_4 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t954 = 1.0 / pivot_compression11_4;
-        inverse_compression11_4 = t954;
-        const double t955 = mean_compression11[0] - self->predicted_compression_deviation[22];
-        const double t956 = innovation_compression11_4 - t955;
-        const double t957 = t956 * inverse_compression11_4;
-        const double t958 = covariance_compression11[0] * t957;
-        const double t959 = mean_compression11[0] + t958;
-        const double t960 = covariance_compression11[1] * t957;
-        const double t961 = mean_compression11[1] + t960;
-        const double t962 = covariance_compression11[0] * inverse_compression11_4;
-        const double t963 = t962 * covariance_compression11[0];
-        const double t964 = covariance_compression11[0] - t963;
-        const double t965 = covariance_compression11[1] * inverse_compression11_4;
-        const double t966 = t965 * covariance_compression11[0];
-        const double t967 = covariance_compression11[1] - t966;
-        const double t968 = t965 * covariance_compression11[1];
-        const double t969 = covariance_compression11[2] - t968;
-        mean_compression11[0] = t959;
-        mean_compression11[1] = t961;
-        covariance_compression11[0] = t964;
-        covariance_compression11[1] = t967;
-        covariance_compression11[2] = t969;
+        const double t1468 = 1.0 / pivot_compression11_4;
+        inverse_compression11_4 = t1468;
+        const double t1469 = mean_compression11[0] - self->predicted_compression_deviation[22];
+        const double t1470 = innovation_compression11_4 - t1469;
+        const double t1471 = t1470 * inverse_compression11_4;
+        const double t1472 = covariance_compression11[0] * t1471;
+        const double t1473 = mean_compression11[0] + t1472;
+        const double t1474 = covariance_compression11[1] * t1471;
+        const double t1475 = mean_compression11[1] + t1474;
+        const double t1476 = covariance_compression11[0] * inverse_compression11_4;
+        const double t1477 = t1476 * covariance_compression11[0];
+        const double t1478 = covariance_compression11[0] - t1477;
+        const double t1479 = 9.0 * t1476;
+        const double t1480 = t1479 - t1478;
+        const double t1481 = t1480 * t1476;
+        const double t1482 = t1478 + t1481;
+        const double t1483 = covariance_compression11[1] * inverse_compression11_4;
+        const double t1484 = t1483 * covariance_compression11[0];
+        const double t1485 = covariance_compression11[1] - t1484;
+        const double t1486 = 9.0 * t1483;
+        const double t1487 = t1486 - t1485;
+        const double t1488 = t1487 * t1476;
+        const double t1489 = t1485 + t1488;
+        const double t1490 = t1483 * covariance_compression11[1];
+        const double t1491 = covariance_compression11[2] - t1490;
+        const double t1492 = t1487 * t1483;
+        const double t1493 = t1491 + t1492;
+        mean_compression11[0] = t1473;
+        mean_compression11[1] = t1475;
+        covariance_compression11[0] = t1482;
+        covariance_compression11[1] = t1489;
+        covariance_compression11[2] = t1493;
     }
-    const double t970 = mean_compression11[0] - mean_host[0];
-    const double t971 = mean_compression11[1] - mean_host[1];
-    deviation_compression11[0] = t970;
-    deviation_compression11[1] = t971;
+    const double t1494 = mean_compression11[0] - mean_host[0];
+    const double t1495 = mean_compression11[1] - mean_host[1];
+    deviation_compression11[0] = t1494;
+    deviation_compression11[1] = t1495;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t972 = 0.9921619208254787 * self->predicted_compression_deviation[24];
-        const double t973 = innovation_0 - t972;
-        innovation_compression12_0 = t973;
+        const double t1496 = 0.9921619208254787 * self->predicted_compression_deviation[24];
+        const double t1497 = innovation_0 - t1496;
+        innovation_compression12_0 = t1497;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t974 = 0.9903931860948796 * self->predicted_compression_deviation[24];
-        const double t975 = innovation_2 - t974;
-        innovation_compression12_1 = t975;
+        const double t1498 = 0.9903931860948796 * self->predicted_compression_deviation[24];
+        const double t1499 = innovation_2 - t1498;
+        innovation_compression12_1 = t1499;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t976 = 0.9903931860948796 * self->predicted_compression_deviation[24];
-        const double t977 = innovation_3 - t976;
-        innovation_compression12_2 = t977;
+        const double t1500 = 0.9903931860948796 * self->predicted_compression_deviation[24];
+        const double t1501 = innovation_3 - t1500;
+        innovation_compression12_2 = t1501;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t978 = innovation_4 - self->predicted_compression_deviation[24];
-        innovation_compression12_3 = t978;
+        const double t1502 = innovation_4 - self->predicted_compression_deviation[24];
+        innovation_compression12_3 = t1502;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t979 = innovation_5 - self->predicted_compression_deviation[24];
-        innovation_compression12_4 = t979;
+        const double t1503 = innovation_5 - self->predicted_compression_deviation[24];
+        innovation_compression12_4 = t1503;
     }
     mean_compression12[0] = self->predicted_compression_deviation[24];
     mean_compression12[1] = self->predicted_compression_deviation[25];
@@ -2788,217 +3312,273 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression12[2] = self->predicted_compression_covariance[38];
 
     /* row 0 of y, wheel_fl: compression filter */
-    const double t980 = 0.9921619208254787 * self->predicted_compression_covariance[36];
-    const double t981 = 0.9921619208254787 * self->predicted_compression_covariance[37];
-    cross_compression12_0[0] = t980;
-    cross_compression12_0[1] = t981;
-    const double t982 = 0.9921619208254787 * cross_compression12_0[0];
-    const double t983 = t982 + 0.04;
-    pivot_compression12_0 = t983;
+    const double t1504 = 0.9921619208254787 * self->predicted_compression_covariance[36];
+    const double t1505 = 0.9921619208254787 * self->predicted_compression_covariance[37];
+    cross_compression12_0[0] = t1504;
+    cross_compression12_0[1] = t1505;
+    const double t1506 = 0.9921619208254787 * cross_compression12_0[0];
+    const double t1507 = t1506 + 0.04;
+    pivot_compression12_0 = t1507;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression12_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t984 = 1.0 / pivot_compression12_0;
-        inverse_compression12_0 = t984;
-        const double t985 = innovation_compression12_0 * inverse_compression12_0;
-        const double t986 = cross_compression12_0[0] * t985;
-        const double t987 = self->predicted_compression_deviation[24] + t986;
-        const double t988 = cross_compression12_0[1] * t985;
-        const double t989 = self->predicted_compression_deviation[25] + t988;
-        const double t990 = cross_compression12_0[0] * inverse_compression12_0;
-        const double t991 = t990 * cross_compression12_0[0];
-        const double t992 = self->predicted_compression_covariance[36] - t991;
-        const double t993 = cross_compression12_0[1] * inverse_compression12_0;
-        const double t994 = t993 * cross_compression12_0[0];
-        const double t995 = self->predicted_compression_covariance[37] - t994;
-        const double t996 = t993 * cross_compression12_0[1];
-        const double t997 = self->predicted_compression_covariance[38] - t996;
-        mean_compression12[0] = t987;
-        mean_compression12[1] = t989;
-        covariance_compression12[0] = t992;
-        covariance_compression12[1] = t995;
-        covariance_compression12[2] = t997;
+        const double t1508 = 1.0 / pivot_compression12_0;
+        inverse_compression12_0 = t1508;
+        const double t1509 = innovation_compression12_0 * inverse_compression12_0;
+        const double t1510 = cross_compression12_0[0] * t1509;
+        const double t1511 = self->predicted_compression_deviation[24] + t1510;
+        const double t1512 = cross_compression12_0[1] * t1509;
+        const double t1513 = self->predicted_compression_deviation[25] + t1512;
+        const double t1514 = cross_compression12_0[0] * inverse_compression12_0;
+        const double t1515 = t1514 * cross_compression12_0[0];
+        const double t1516 = self->predicted_compression_covariance[36] - t1515;
+        const double t1517 = 0.04 * t1514;
+        const double t1518 = 0.9921619208254787 * t1516;
+        const double t1519 = t1517 - t1518;
+        const double t1520 = t1519 * t1514;
+        const double t1521 = t1516 + t1520;
+        const double t1522 = cross_compression12_0[1] * inverse_compression12_0;
+        const double t1523 = t1522 * cross_compression12_0[0];
+        const double t1524 = self->predicted_compression_covariance[37] - t1523;
+        const double t1525 = 0.04 * t1522;
+        const double t1526 = 0.9921619208254787 * t1524;
+        const double t1527 = t1525 - t1526;
+        const double t1528 = t1527 * t1514;
+        const double t1529 = t1524 + t1528;
+        const double t1530 = t1522 * cross_compression12_0[1];
+        const double t1531 = self->predicted_compression_covariance[38] - t1530;
+        const double t1532 = t1527 * t1522;
+        const double t1533 = t1531 + t1532;
+        mean_compression12[0] = t1511;
+        mean_compression12[1] = t1513;
+        covariance_compression12[0] = t1521;
+        covariance_compression12[1] = t1529;
+        covariance_compression12[2] = t1533;
     }
 
     /* row 2 of y, wheel_rl: compression filter */
-    const double t998 = 0.9903931860948796 * covariance_compression12[0];
-    const double t999 = 0.9903931860948796 * covariance_compression12[1];
-    cross_compression12_1[0] = t998;
-    cross_compression12_1[1] = t999;
-    const double t1000 = 0.9903931860948796 * cross_compression12_1[0];
-    const double t1001 = t1000 + 0.04;
-    pivot_compression12_1 = t1001;
+    const double t1534 = 0.9903931860948796 * covariance_compression12[0];
+    const double t1535 = 0.9903931860948796 * covariance_compression12[1];
+    cross_compression12_1[0] = t1534;
+    cross_compression12_1[1] = t1535;
+    const double t1536 = 0.9903931860948796 * cross_compression12_1[0];
+    const double t1537 = t1536 + 0.04;
+    pivot_compression12_1 = t1537;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_compression12_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1002 = 1.0 / pivot_compression12_1;
-        inverse_compression12_1 = t1002;
-        const double t1003 = mean_compression12[0] - self->predicted_compression_deviation[24];
-        const double t1004 = 0.9903931860948796 * t1003;
-        const double t1005 = innovation_compression12_1 - t1004;
-        const double t1006 = t1005 * inverse_compression12_1;
-        const double t1007 = cross_compression12_1[0] * t1006;
-        const double t1008 = mean_compression12[0] + t1007;
-        const double t1009 = cross_compression12_1[1] * t1006;
-        const double t1010 = mean_compression12[1] + t1009;
-        const double t1011 = cross_compression12_1[0] * inverse_compression12_1;
-        const double t1012 = t1011 * cross_compression12_1[0];
-        const double t1013 = covariance_compression12[0] - t1012;
-        const double t1014 = cross_compression12_1[1] * inverse_compression12_1;
-        const double t1015 = t1014 * cross_compression12_1[0];
-        const double t1016 = covariance_compression12[1] - t1015;
-        const double t1017 = t1014 * cross_compression12_1[1];
-        const double t1018 = covariance_compression12[2] - t1017;
-        mean_compression12[0] = t1008;
-        mean_compression12[1] = t1010;
-        covariance_compression12[0] = t1013;
-        covariance_compression12[1] = t1016;
-        covariance_compression12[2] = t1018;
+        const double t1538 = 1.0 / pivot_compression12_1;
+        inverse_compression12_1 = t1538;
+        const double t1539 = mean_compression12[0] - self->predicted_compression_deviation[24];
+        const double t1540 = 0.9903931860948796 * t1539;
+        const double t1541 = innovation_compression12_1 - t1540;
+        const double t1542 = t1541 * inverse_compression12_1;
+        const double t1543 = cross_compression12_1[0] * t1542;
+        const double t1544 = mean_compression12[0] + t1543;
+        const double t1545 = cross_compression12_1[1] * t1542;
+        const double t1546 = mean_compression12[1] + t1545;
+        const double t1547 = cross_compression12_1[0] * inverse_compression12_1;
+        const double t1548 = t1547 * cross_compression12_1[0];
+        const double t1549 = covariance_compression12[0] - t1548;
+        const double t1550 = 0.04 * t1547;
+        const double t1551 = 0.9903931860948796 * t1549;
+        const double t1552 = t1550 - t1551;
+        const double t1553 = t1552 * t1547;
+        const double t1554 = t1549 + t1553;
+        const double t1555 = cross_compression12_1[1] * inverse_compression12_1;
+        const double t1556 = t1555 * cross_compression12_1[0];
+        const double t1557 = covariance_compression12[1] - t1556;
+        const double t1558 = 0.04 * t1555;
+        const double t1559 = 0.9903931860948796 * t1557;
+        const double t1560 = t1558 - t1559;
+        const double t1561 = t1560 * t1547;
+        const double t1562 = t1557 + t1561;
+        const double t1563 = t1555 * cross_compression12_1[1];
+        const double t1564 = covariance_compression12[2] - t1563;
+        const double t1565 = t1560 * t1555;
+        const double t1566 = t1564 + t1565;
+        mean_compression12[0] = t1544;
+        mean_compression12[1] = t1546;
+        covariance_compression12[0] = t1554;
+        covariance_compression12[1] = t1562;
+        covariance_compression12[2] = t1566;
     }
 
     /* row 3 of y, wheel_rr: compression filter */
-    const double t1019 = 0.9903931860948796 * covariance_compression12[0];
-    const double t1020 = 0.9903931860948796 * covariance_compression12[1];
-    cross_compression12_2[0] = t1019;
-    cross_compression12_2[1] = t1020;
-    const double t1021 = 0.9903931860948796 * cross_compression12_2[0];
-    const double t1022 = t1021 + 0.04;
-    pivot_compression12_2 = t1022;
+    const double t1567 = 0.9903931860948796 * covariance_compression12[0];
+    const double t1568 = 0.9903931860948796 * covariance_compression12[1];
+    cross_compression12_2[0] = t1567;
+    cross_compression12_2[1] = t1568;
+    const double t1569 = 0.9903931860948796 * cross_compression12_2[0];
+    const double t1570 = t1569 + 0.04;
+    pivot_compression12_2 = t1570;
     if ((present & 0x8u) != 0u)
     {
         if (!(pivot_compression12_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1023 = 1.0 / pivot_compression12_2;
-        inverse_compression12_2 = t1023;
-        const double t1024 = mean_compression12[0] - self->predicted_compression_deviation[24];
-        const double t1025 = 0.9903931860948796 * t1024;
-        const double t1026 = innovation_compression12_2 - t1025;
-        const double t1027 = t1026 * inverse_compression12_2;
-        const double t1028 = cross_compression12_2[0] * t1027;
-        const double t1029 = mean_compression12[0] + t1028;
-        const double t1030 = cross_compression12_2[1] * t1027;
-        const double t1031 = mean_compression12[1] + t1030;
-        const double t1032 = cross_compression12_2[0] * inverse_compression12_2;
-        const double t1033 = t1032 * cross_compression12_2[0];
-        const double t1034 = covariance_compression12[0] - t1033;
-        const double t1035 = cross_compression12_2[1] * inverse_compression12_2;
-        const double t1036 = t1035 * cross_compression12_2[0];
-        const double t1037 = covariance_compression12[1] - t1036;
-        const double t1038 = t1035 * cross_compression12_2[1];
-        const double t1039 = covariance_compression12[2] - t1038;
-        mean_compression12[0] = t1029;
-        mean_compression12[1] = t1031;
-        covariance_compression12[0] = t1034;
-        covariance_compression12[1] = t1037;
-        covariance_compression12[2] = t1039;
+        const double t1571 = 1.0 / pivot_compression12_2;
+        inverse_compression12_2 = t1571;
+        const double t1572 = mean_compression12[0] - self->predicted_compression_deviation[24];
+        const double t1573 = 0.9903931860948796 * t1572;
+        const double t1574 = innovation_compression12_2 - t1573;
+        const double t1575 = t1574 * inverse_compression12_2;
+        const double t1576 = cross_compression12_2[0] * t1575;
+        const double t1577 = mean_compression12[0] + t1576;
+        const double t1578 = cross_compression12_2[1] * t1575;
+        const double t1579 = mean_compression12[1] + t1578;
+        const double t1580 = cross_compression12_2[0] * inverse_compression12_2;
+        const double t1581 = t1580 * cross_compression12_2[0];
+        const double t1582 = covariance_compression12[0] - t1581;
+        const double t1583 = 0.04 * t1580;
+        const double t1584 = 0.9903931860948796 * t1582;
+        const double t1585 = t1583 - t1584;
+        const double t1586 = t1585 * t1580;
+        const double t1587 = t1582 + t1586;
+        const double t1588 = cross_compression12_2[1] * inverse_compression12_2;
+        const double t1589 = t1588 * cross_compression12_2[0];
+        const double t1590 = covariance_compression12[1] - t1589;
+        const double t1591 = 0.04 * t1588;
+        const double t1592 = 0.9903931860948796 * t1590;
+        const double t1593 = t1591 - t1592;
+        const double t1594 = t1593 * t1580;
+        const double t1595 = t1590 + t1594;
+        const double t1596 = t1588 * cross_compression12_2[1];
+        const double t1597 = covariance_compression12[2] - t1596;
+        const double t1598 = t1593 * t1588;
+        const double t1599 = t1597 + t1598;
+        mean_compression12[0] = t1577;
+        mean_compression12[1] = t1579;
+        covariance_compression12[0] = t1587;
+        covariance_compression12[1] = t1595;
+        covariance_compression12[2] = t1599;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t1040 = covariance_compression12[0] + 0.25;
-    pivot_compression12_3 = t1040;
+    const double t1600 = covariance_compression12[0] + 0.25;
+    pivot_compression12_3 = t1600;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression12_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1041 = 1.0 / pivot_compression12_3;
-        inverse_compression12_3 = t1041;
-        const double t1042 = mean_compression12[0] - self->predicted_compression_deviation[24];
-        const double t1043 = innovation_compression12_3 - t1042;
-        const double t1044 = t1043 * inverse_compression12_3;
-        const double t1045 = covariance_compression12[0] * t1044;
-        const double t1046 = mean_compression12[0] + t1045;
-        const double t1047 = covariance_compression12[1] * t1044;
-        const double t1048 = mean_compression12[1] + t1047;
-        const double t1049 = covariance_compression12[0] * inverse_compression12_3;
-        const double t1050 = t1049 * covariance_compression12[0];
-        const double t1051 = covariance_compression12[0] - t1050;
-        const double t1052 = covariance_compression12[1] * inverse_compression12_3;
-        const double t1053 = t1052 * covariance_compression12[0];
-        const double t1054 = covariance_compression12[1] - t1053;
-        const double t1055 = t1052 * covariance_compression12[1];
-        const double t1056 = covariance_compression12[2] - t1055;
-        mean_compression12[0] = t1046;
-        mean_compression12[1] = t1048;
-        covariance_compression12[0] = t1051;
-        covariance_compression12[1] = t1054;
-        covariance_compression12[2] = t1056;
+        const double t1601 = 1.0 / pivot_compression12_3;
+        inverse_compression12_3 = t1601;
+        const double t1602 = mean_compression12[0] - self->predicted_compression_deviation[24];
+        const double t1603 = innovation_compression12_3 - t1602;
+        const double t1604 = t1603 * inverse_compression12_3;
+        const double t1605 = covariance_compression12[0] * t1604;
+        const double t1606 = mean_compression12[0] + t1605;
+        const double t1607 = covariance_compression12[1] * t1604;
+        const double t1608 = mean_compression12[1] + t1607;
+        const double t1609 = covariance_compression12[0] * inverse_compression12_3;
+        const double t1610 = t1609 * covariance_compression12[0];
+        const double t1611 = covariance_compression12[0] - t1610;
+        const double t1612 = 0.25 * t1609;
+        const double t1613 = t1612 - t1611;
+        const double t1614 = t1613 * t1609;
+        const double t1615 = t1611 + t1614;
+        const double t1616 = covariance_compression12[1] * inverse_compression12_3;
+        const double t1617 = t1616 * covariance_compression12[0];
+        const double t1618 = covariance_compression12[1] - t1617;
+        const double t1619 = 0.25 * t1616;
+        const double t1620 = t1619 - t1618;
+        const double t1621 = t1620 * t1609;
+        const double t1622 = t1618 + t1621;
+        const double t1623 = t1616 * covariance_compression12[1];
+        const double t1624 = covariance_compression12[2] - t1623;
+        const double t1625 = t1620 * t1616;
+        const double t1626 = t1624 + t1625;
+        mean_compression12[0] = t1606;
+        mean_compression12[1] = t1608;
+        covariance_compression12[0] = t1615;
+        covariance_compression12[1] = t1622;
+        covariance_compression12[2] = t1626;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t1057 = covariance_compression12[0] + 9.0;
-    pivot_compression12_4 = t1057;
+    const double t1627 = covariance_compression12[0] + 9.0;
+    pivot_compression12_4 = t1627;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression12_4 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1058 = 1.0 / pivot_compression12_4;
-        inverse_compression12_4 = t1058;
-        const double t1059 = mean_compression12[0] - self->predicted_compression_deviation[24];
-        const double t1060 = innovation_compression12_4 - t1059;
-        const double t1061 = t1060 * inverse_compression12_4;
-        const double t1062 = covariance_compression12[0] * t1061;
-        const double t1063 = mean_compression12[0] + t1062;
-        const double t1064 = covariance_compression12[1] * t1061;
-        const double t1065 = mean_compression12[1] + t1064;
-        const double t1066 = covariance_compression12[0] * inverse_compression12_4;
-        const double t1067 = t1066 * covariance_compression12[0];
-        const double t1068 = covariance_compression12[0] - t1067;
-        const double t1069 = covariance_compression12[1] * inverse_compression12_4;
-        const double t1070 = t1069 * covariance_compression12[0];
-        const double t1071 = covariance_compression12[1] - t1070;
-        const double t1072 = t1069 * covariance_compression12[1];
-        const double t1073 = covariance_compression12[2] - t1072;
-        mean_compression12[0] = t1063;
-        mean_compression12[1] = t1065;
-        covariance_compression12[0] = t1068;
-        covariance_compression12[1] = t1071;
-        covariance_compression12[2] = t1073;
+        const double t1628 = 1.0 / pivot_compression12_4;
+        inverse_compression12_4 = t1628;
+        const double t1629 = mean_compression12[0] - self->predicted_compression_deviation[24];
+        const double t1630 = innovation_compression12_4 - t1629;
+        const double t1631 = t1630 * inverse_compression12_4;
+        const double t1632 = covariance_compression12[0] * t1631;
+        const double t1633 = mean_compression12[0] + t1632;
+        const double t1634 = covariance_compression12[1] * t1631;
+        const double t1635 = mean_compression12[1] + t1634;
+        const double t1636 = covariance_compression12[0] * inverse_compression12_4;
+        const double t1637 = t1636 * covariance_compression12[0];
+        const double t1638 = covariance_compression12[0] - t1637;
+        const double t1639 = 9.0 * t1636;
+        const double t1640 = t1639 - t1638;
+        const double t1641 = t1640 * t1636;
+        const double t1642 = t1638 + t1641;
+        const double t1643 = covariance_compression12[1] * inverse_compression12_4;
+        const double t1644 = t1643 * covariance_compression12[0];
+        const double t1645 = covariance_compression12[1] - t1644;
+        const double t1646 = 9.0 * t1643;
+        const double t1647 = t1646 - t1645;
+        const double t1648 = t1647 * t1636;
+        const double t1649 = t1645 + t1648;
+        const double t1650 = t1643 * covariance_compression12[1];
+        const double t1651 = covariance_compression12[2] - t1650;
+        const double t1652 = t1647 * t1643;
+        const double t1653 = t1651 + t1652;
+        mean_compression12[0] = t1633;
+        mean_compression12[1] = t1635;
+        covariance_compression12[0] = t1642;
+        covariance_compression12[1] = t1649;
+        covariance_compression12[2] = t1653;
     }
-    const double t1074 = mean_compression12[0] - mean_host[0];
-    const double t1075 = mean_compression12[1] - mean_host[1];
-    deviation_compression12[0] = t1074;
-    deviation_compression12[1] = t1075;
+    const double t1654 = mean_compression12[0] - mean_host[0];
+    const double t1655 = mean_compression12[1] - mean_host[1];
+    deviation_compression12[0] = t1654;
+    deviation_compression12[1] = t1655;
 
     /* innovation, row by row */
     if ((present & 0x2u) != 0u)
     {
-        const double t1076 = 0.9921619208254787 * self->predicted_compression_deviation[26];
-        const double t1077 = innovation_1 - t1076;
-        innovation_compression13_0 = t1077;
+        const double t1656 = 0.9921619208254787 * self->predicted_compression_deviation[26];
+        const double t1657 = innovation_1 - t1656;
+        innovation_compression13_0 = t1657;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t1078 = 0.9903931860948796 * self->predicted_compression_deviation[26];
-        const double t1079 = innovation_2 - t1078;
-        innovation_compression13_1 = t1079;
+        const double t1658 = 0.9903931860948796 * self->predicted_compression_deviation[26];
+        const double t1659 = innovation_2 - t1658;
+        innovation_compression13_1 = t1659;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t1080 = 0.9903931860948796 * self->predicted_compression_deviation[26];
-        const double t1081 = innovation_3 - t1080;
-        innovation_compression13_2 = t1081;
+        const double t1660 = 0.9903931860948796 * self->predicted_compression_deviation[26];
+        const double t1661 = innovation_3 - t1660;
+        innovation_compression13_2 = t1661;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t1082 = innovation_4 - self->predicted_compression_deviation[26];
-        innovation_compression13_3 = t1082;
+        const double t1662 = innovation_4 - self->predicted_compression_deviation[26];
+        innovation_compression13_3 = t1662;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t1083 = innovation_5 - self->predicted_compression_deviation[26];
-        innovation_compression13_4 = t1083;
+        const double t1663 = innovation_5 - self->predicted_compression_deviation[26];
+        innovation_compression13_4 = t1663;
     }
     mean_compression13[0] = self->predicted_compression_deviation[26];
     mean_compression13[1] = self->predicted_compression_deviation[27];
@@ -3007,223 +3587,279 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression13[2] = self->predicted_compression_covariance[41];
 
     /* row 1 of y, wheel_fr: compression filter */
-    const double t1084 = 0.9921619208254787 * self->predicted_compression_covariance[39];
-    const double t1085 = 0.9921619208254787 * self->predicted_compression_covariance[40];
-    cross_compression13_0[0] = t1084;
-    cross_compression13_0[1] = t1085;
-    const double t1086 = 0.9921619208254787 * cross_compression13_0[0];
-    const double t1087 = t1086 + 0.04;
-    pivot_compression13_0 = t1087;
+    const double t1664 = 0.9921619208254787 * self->predicted_compression_covariance[39];
+    const double t1665 = 0.9921619208254787 * self->predicted_compression_covariance[40];
+    cross_compression13_0[0] = t1664;
+    cross_compression13_0[1] = t1665;
+    const double t1666 = 0.9921619208254787 * cross_compression13_0[0];
+    const double t1667 = t1666 + 0.04;
+    pivot_compression13_0 = t1667;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression13_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1088 = 1.0 / pivot_compression13_0;
-        inverse_compression13_0 = t1088;
-        const double t1089 = innovation_compression13_0 * inverse_compression13_0;
-        const double t1090 = cross_compression13_0[0] * t1089;
-        const double t1091 = self->predicted_compression_deviation[26] + t1090;
-        const double t1092 = cross_compression13_0[1] * t1089;
-        const double t1093 = self->predicted_compression_deviation[27] + t1092;
-        const double t1094 = cross_compression13_0[0] * inverse_compression13_0;
-        const double t1095 = t1094 * cross_compression13_0[0];
-        const double t1096 = self->predicted_compression_covariance[39] - t1095;
-        const double t1097 = cross_compression13_0[1] * inverse_compression13_0;
-        const double t1098 = t1097 * cross_compression13_0[0];
-        const double t1099 = self->predicted_compression_covariance[40] - t1098;
-        const double t1100 = t1097 * cross_compression13_0[1];
-        const double t1101 = self->predicted_compression_covariance[41] - t1100;
-        mean_compression13[0] = t1091;
-        mean_compression13[1] = t1093;
-        covariance_compression13[0] = t1096;
-        covariance_compression13[1] = t1099;
-        covariance_compression13[2] = t1101;
+        const double t1668 = 1.0 / pivot_compression13_0;
+        inverse_compression13_0 = t1668;
+        const double t1669 = innovation_compression13_0 * inverse_compression13_0;
+        const double t1670 = cross_compression13_0[0] * t1669;
+        const double t1671 = self->predicted_compression_deviation[26] + t1670;
+        const double t1672 = cross_compression13_0[1] * t1669;
+        const double t1673 = self->predicted_compression_deviation[27] + t1672;
+        const double t1674 = cross_compression13_0[0] * inverse_compression13_0;
+        const double t1675 = t1674 * cross_compression13_0[0];
+        const double t1676 = self->predicted_compression_covariance[39] - t1675;
+        const double t1677 = 0.04 * t1674;
+        const double t1678 = 0.9921619208254787 * t1676;
+        const double t1679 = t1677 - t1678;
+        const double t1680 = t1679 * t1674;
+        const double t1681 = t1676 + t1680;
+        const double t1682 = cross_compression13_0[1] * inverse_compression13_0;
+        const double t1683 = t1682 * cross_compression13_0[0];
+        const double t1684 = self->predicted_compression_covariance[40] - t1683;
+        const double t1685 = 0.04 * t1682;
+        const double t1686 = 0.9921619208254787 * t1684;
+        const double t1687 = t1685 - t1686;
+        const double t1688 = t1687 * t1674;
+        const double t1689 = t1684 + t1688;
+        const double t1690 = t1682 * cross_compression13_0[1];
+        const double t1691 = self->predicted_compression_covariance[41] - t1690;
+        const double t1692 = t1687 * t1682;
+        const double t1693 = t1691 + t1692;
+        mean_compression13[0] = t1671;
+        mean_compression13[1] = t1673;
+        covariance_compression13[0] = t1681;
+        covariance_compression13[1] = t1689;
+        covariance_compression13[2] = t1693;
     }
 
     /* row 2 of y, wheel_rl: compression filter */
-    const double t1102 = 0.9903931860948796 * covariance_compression13[0];
-    const double t1103 = 0.9903931860948796 * covariance_compression13[1];
-    cross_compression13_1[0] = t1102;
-    cross_compression13_1[1] = t1103;
-    const double t1104 = 0.9903931860948796 * cross_compression13_1[0];
-    const double t1105 = t1104 + 0.04;
-    pivot_compression13_1 = t1105;
+    const double t1694 = 0.9903931860948796 * covariance_compression13[0];
+    const double t1695 = 0.9903931860948796 * covariance_compression13[1];
+    cross_compression13_1[0] = t1694;
+    cross_compression13_1[1] = t1695;
+    const double t1696 = 0.9903931860948796 * cross_compression13_1[0];
+    const double t1697 = t1696 + 0.04;
+    pivot_compression13_1 = t1697;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_compression13_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1106 = 1.0 / pivot_compression13_1;
-        inverse_compression13_1 = t1106;
-        const double t1107 = mean_compression13[0] - self->predicted_compression_deviation[26];
-        const double t1108 = 0.9903931860948796 * t1107;
-        const double t1109 = innovation_compression13_1 - t1108;
-        const double t1110 = t1109 * inverse_compression13_1;
-        const double t1111 = cross_compression13_1[0] * t1110;
-        const double t1112 = mean_compression13[0] + t1111;
-        const double t1113 = cross_compression13_1[1] * t1110;
-        const double t1114 = mean_compression13[1] + t1113;
-        const double t1115 = cross_compression13_1[0] * inverse_compression13_1;
-        const double t1116 = t1115 * cross_compression13_1[0];
-        const double t1117 = covariance_compression13[0] - t1116;
-        const double t1118 = cross_compression13_1[1] * inverse_compression13_1;
-        const double t1119 = t1118 * cross_compression13_1[0];
-        const double t1120 = covariance_compression13[1] - t1119;
-        const double t1121 = t1118 * cross_compression13_1[1];
-        const double t1122 = covariance_compression13[2] - t1121;
-        mean_compression13[0] = t1112;
-        mean_compression13[1] = t1114;
-        covariance_compression13[0] = t1117;
-        covariance_compression13[1] = t1120;
-        covariance_compression13[2] = t1122;
+        const double t1698 = 1.0 / pivot_compression13_1;
+        inverse_compression13_1 = t1698;
+        const double t1699 = mean_compression13[0] - self->predicted_compression_deviation[26];
+        const double t1700 = 0.9903931860948796 * t1699;
+        const double t1701 = innovation_compression13_1 - t1700;
+        const double t1702 = t1701 * inverse_compression13_1;
+        const double t1703 = cross_compression13_1[0] * t1702;
+        const double t1704 = mean_compression13[0] + t1703;
+        const double t1705 = cross_compression13_1[1] * t1702;
+        const double t1706 = mean_compression13[1] + t1705;
+        const double t1707 = cross_compression13_1[0] * inverse_compression13_1;
+        const double t1708 = t1707 * cross_compression13_1[0];
+        const double t1709 = covariance_compression13[0] - t1708;
+        const double t1710 = 0.04 * t1707;
+        const double t1711 = 0.9903931860948796 * t1709;
+        const double t1712 = t1710 - t1711;
+        const double t1713 = t1712 * t1707;
+        const double t1714 = t1709 + t1713;
+        const double t1715 = cross_compression13_1[1] * inverse_compression13_1;
+        const double t1716 = t1715 * cross_compression13_1[0];
+        const double t1717 = covariance_compression13[1] - t1716;
+        const double t1718 = 0.04 * t1715;
+        const double t1719 = 0.9903931860948796 * t1717;
+        const double t1720 = t1718 - t1719;
+        const double t1721 = t1720 * t1707;
+        const double t1722 = t1717 + t1721;
+        const double t1723 = t1715 * cross_compression13_1[1];
+        const double t1724 = covariance_compression13[2] - t1723;
+        const double t1725 = t1720 * t1715;
+        const double t1726 = t1724 + t1725;
+        mean_compression13[0] = t1704;
+        mean_compression13[1] = t1706;
+        covariance_compression13[0] = t1714;
+        covariance_compression13[1] = t1722;
+        covariance_compression13[2] = t1726;
     }
 
     /* row 3 of y, wheel_rr: compression filter */
-    const double t1123 = 0.9903931860948796 * covariance_compression13[0];
-    const double t1124 = 0.9903931860948796 * covariance_compression13[1];
-    cross_compression13_2[0] = t1123;
-    cross_compression13_2[1] = t1124;
-    const double t1125 = 0.9903931860948796 * cross_compression13_2[0];
-    const double t1126 = t1125 + 0.04;
-    pivot_compression13_2 = t1126;
+    const double t1727 = 0.9903931860948796 * covariance_compression13[0];
+    const double t1728 = 0.9903931860948796 * covariance_compression13[1];
+    cross_compression13_2[0] = t1727;
+    cross_compression13_2[1] = t1728;
+    const double t1729 = 0.9903931860948796 * cross_compression13_2[0];
+    const double t1730 = t1729 + 0.04;
+    pivot_compression13_2 = t1730;
     if ((present & 0x8u) != 0u)
     {
         if (!(pivot_compression13_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1127 = 1.0 / pivot_compression13_2;
-        inverse_compression13_2 = t1127;
-        const double t1128 = mean_compression13[0] - self->predicted_compression_deviation[26];
-        const double t1129 = 0.9903931860948796 * t1128;
-        const double t1130 = innovation_compression13_2 - t1129;
-        const double t1131 = t1130 * inverse_compression13_2;
-        const double t1132 = cross_compression13_2[0] * t1131;
-        const double t1133 = mean_compression13[0] + t1132;
-        const double t1134 = cross_compression13_2[1] * t1131;
-        const double t1135 = mean_compression13[1] + t1134;
-        const double t1136 = cross_compression13_2[0] * inverse_compression13_2;
-        const double t1137 = t1136 * cross_compression13_2[0];
-        const double t1138 = covariance_compression13[0] - t1137;
-        const double t1139 = cross_compression13_2[1] * inverse_compression13_2;
-        const double t1140 = t1139 * cross_compression13_2[0];
-        const double t1141 = covariance_compression13[1] - t1140;
-        const double t1142 = t1139 * cross_compression13_2[1];
-        const double t1143 = covariance_compression13[2] - t1142;
-        mean_compression13[0] = t1133;
-        mean_compression13[1] = t1135;
-        covariance_compression13[0] = t1138;
-        covariance_compression13[1] = t1141;
-        covariance_compression13[2] = t1143;
+        const double t1731 = 1.0 / pivot_compression13_2;
+        inverse_compression13_2 = t1731;
+        const double t1732 = mean_compression13[0] - self->predicted_compression_deviation[26];
+        const double t1733 = 0.9903931860948796 * t1732;
+        const double t1734 = innovation_compression13_2 - t1733;
+        const double t1735 = t1734 * inverse_compression13_2;
+        const double t1736 = cross_compression13_2[0] * t1735;
+        const double t1737 = mean_compression13[0] + t1736;
+        const double t1738 = cross_compression13_2[1] * t1735;
+        const double t1739 = mean_compression13[1] + t1738;
+        const double t1740 = cross_compression13_2[0] * inverse_compression13_2;
+        const double t1741 = t1740 * cross_compression13_2[0];
+        const double t1742 = covariance_compression13[0] - t1741;
+        const double t1743 = 0.04 * t1740;
+        const double t1744 = 0.9903931860948796 * t1742;
+        const double t1745 = t1743 - t1744;
+        const double t1746 = t1745 * t1740;
+        const double t1747 = t1742 + t1746;
+        const double t1748 = cross_compression13_2[1] * inverse_compression13_2;
+        const double t1749 = t1748 * cross_compression13_2[0];
+        const double t1750 = covariance_compression13[1] - t1749;
+        const double t1751 = 0.04 * t1748;
+        const double t1752 = 0.9903931860948796 * t1750;
+        const double t1753 = t1751 - t1752;
+        const double t1754 = t1753 * t1740;
+        const double t1755 = t1750 + t1754;
+        const double t1756 = t1748 * cross_compression13_2[1];
+        const double t1757 = covariance_compression13[2] - t1756;
+        const double t1758 = t1753 * t1748;
+        const double t1759 = t1757 + t1758;
+        mean_compression13[0] = t1737;
+        mean_compression13[1] = t1739;
+        covariance_compression13[0] = t1747;
+        covariance_compression13[1] = t1755;
+        covariance_compression13[2] = t1759;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t1144 = covariance_compression13[0] + 0.25;
-    pivot_compression13_3 = t1144;
+    const double t1760 = covariance_compression13[0] + 0.25;
+    pivot_compression13_3 = t1760;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression13_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1145 = 1.0 / pivot_compression13_3;
-        inverse_compression13_3 = t1145;
-        const double t1146 = mean_compression13[0] - self->predicted_compression_deviation[26];
-        const double t1147 = innovation_compression13_3 - t1146;
-        const double t1148 = t1147 * inverse_compression13_3;
-        const double t1149 = covariance_compression13[0] * t1148;
-        const double t1150 = mean_compression13[0] + t1149;
-        const double t1151 = covariance_compression13[1] * t1148;
-        const double t1152 = mean_compression13[1] + t1151;
-        const double t1153 = covariance_compression13[0] * inverse_compression13_3;
-        const double t1154 = t1153 * covariance_compression13[0];
-        const double t1155 = covariance_compression13[0] - t1154;
-        const double t1156 = covariance_compression13[1] * inverse_compression13_3;
-        const double t1157 = t1156 * covariance_compression13[0];
-        const double t1158 = covariance_compression13[1] - t1157;
-        const double t1159 = t1156 * covariance_compression13[1];
-        const double t1160 = covariance_compression13[2] - t1159;
-        mean_compression13[0] = t1150;
-        mean_compression13[1] = t1152;
-        covariance_compression13[0] = t1155;
-        covariance_compression13[1] = t1158;
-        covariance_compression13[2] = t1160;
+        const double t1761 = 1.0 / pivot_compression13_3;
+        inverse_compression13_3 = t1761;
+        const double t1762 = mean_compression13[0] - self->predicted_compression_deviation[26];
+        const double t1763 = innovation_compression13_3 - t1762;
+        const double t1764 = t1763 * inverse_compression13_3;
+        const double t1765 = covariance_compression13[0] * t1764;
+        const double t1766 = mean_compression13[0] + t1765;
+        const double t1767 = covariance_compression13[1] * t1764;
+        const double t1768 = mean_compression13[1] + t1767;
+        const double t1769 = covariance_compression13[0] * inverse_compression13_3;
+        const double t1770 = t1769 * covariance_compression13[0];
+        const double t1771 = covariance_compression13[0] - t1770;
+        const double t1772 = 0.25 * t1769;
+        const double t1773 = t1772 - t1771;
+        const double t1774 = t1773 * t1769;
+        const double t1775 = t1771 + t1774;
+        const double t1776 = covariance_compression13[1] * inverse_compression13_3;
+        const double t1777 = t1776 * covariance_compression13[0];
+        const double t1778 = covariance_compression13[1] - t1777;
+        const double t1779 = 0.25 * t1776;
+        const double t1780 = t1779 - t1778;
+        const double t1781 = t1780 * t1769;
+        const double t1782 = t1778 + t1781;
+        const double t1783 = t1776 * covariance_compression13[1];
+        const double t1784 = covariance_compression13[2] - t1783;
+        const double t1785 = t1780 * t1776;
+        const double t1786 = t1784 + t1785;
+        mean_compression13[0] = t1766;
+        mean_compression13[1] = t1768;
+        covariance_compression13[0] = t1775;
+        covariance_compression13[1] = t1782;
+        covariance_compression13[2] = t1786;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t1161 = covariance_compression13[0] + 9.0;
-    pivot_compression13_4 = t1161;
+    const double t1787 = covariance_compression13[0] + 9.0;
+    pivot_compression13_4 = t1787;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression13_4 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1162 = 1.0 / pivot_compression13_4;
-        inverse_compression13_4 = t1162;
-        const double t1163 = mean_compression13[0] - self->predicted_compression_deviation[26];
-        const double t1164 = innovation_compression13_4 - t1163;
-        const double t1165 = t1164 * inverse_compression13_4;
-        const double t1166 = covariance_compression13[0] * t1165;
-        const double t1167 = mean_compression13[0] + t1166;
-        const double t1168 = covariance_compression13[1] * t1165;
-        const double t1169 = mean_compression13[1] + t1168;
-        const double t1170 = covariance_compression13[0] * inverse_compression13_4;
-        const double t1171 = t1170 * covariance_compression13[0];
-        const double t1172 = covariance_compression13[0] - t1171;
-        const double t1173 = covariance_compression13[1] * inverse_compression13_4;
-        const double t1174 = t1173 * covariance_compression13[0];
-        const double t1175 = covariance_compression13[1] - t1174;
-        const double t1176 = t1173 * covariance_compression13[1];
-        const double t1177 = covariance_compression13[2] - t1176;
-        mean_compression13[0] = t1167;
-        mean_compression13[1] = t1169;
-        covariance_compression13[0] = t1172;
-        covariance_compression13[1] = t1175;
-        covariance_compression13[2] = t1177;
+        const double t1788 = 1.0 / pivot_compression13_4;
+        inverse_compression13_4 = t1788;
+        const double t1789 = mean_compression13[0] - self->predicted_compression_deviation[26];
+        const double t1790 = innovation_compression13_4 - t1789;
+        const double t1791 = t1790 * inverse_compression13_4;
+        const double t1792 = covariance_compression13[0] * t1791;
+        const double t1793 = mean_compression13[0] + t1792;
+        const double t1794 = covariance_compression13[1] * t1791;
+        const double t1795 = mean_compression13[1] + t1794;
+        const double t1796 = covariance_compression13[0] * inverse_compression13_4;
+        const double t1797 = t1796 * covariance_compression13[0];
+        const double t1798 = covariance_compression13[0] - t1797;
+        const double t1799 = 9.0 * t1796;
+        const double t1800 = t1799 - t1798;
+        const double t1801 = t1800 * t1796;
+        const double t1802 = t1798 + t1801;
+        const double t1803 = covariance_compression13[1] * inverse_compression13_4;
+        const double t1804 = t1803 * covariance_compression13[0];
+        const double t1805 = covariance_compression13[1] - t1804;
+        const double t1806 = 9.0 * t1803;
+        const double t1807 = t1806 - t1805;
+        const double t1808 = t1807 * t1796;
+        const double t1809 = t1805 + t1808;
+        const double t1810 = t1803 * covariance_compression13[1];
+        const double t1811 = covariance_compression13[2] - t1810;
+        const double t1812 = t1807 * t1803;
+        const double t1813 = t1811 + t1812;
+        mean_compression13[0] = t1793;
+        mean_compression13[1] = t1795;
+        covariance_compression13[0] = t1802;
+        covariance_compression13[1] = t1809;
+        covariance_compression13[2] = t1813;
     }
-    const double t1178 = mean_compression13[0] - mean_host[0];
-    const double t1179 = mean_compression13[1] - mean_host[1];
-    deviation_compression13[0] = t1178;
-    deviation_compression13[1] = t1179;
+    const double t1814 = mean_compression13[0] - mean_host[0];
+    const double t1815 = mean_compression13[1] - mean_host[1];
+    deviation_compression13[0] = t1814;
+    deviation_compression13[1] = t1815;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t1180 = 0.9921619208254787 * self->predicted_compression_deviation[28];
-        const double t1181 = innovation_0 - t1180;
-        innovation_compression14_0 = t1181;
+        const double t1816 = 0.9921619208254787 * self->predicted_compression_deviation[28];
+        const double t1817 = innovation_0 - t1816;
+        innovation_compression14_0 = t1817;
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t1182 = 0.9921619208254787 * self->predicted_compression_deviation[28];
-        const double t1183 = innovation_1 - t1182;
-        innovation_compression14_1 = t1183;
+        const double t1818 = 0.9921619208254787 * self->predicted_compression_deviation[28];
+        const double t1819 = innovation_1 - t1818;
+        innovation_compression14_1 = t1819;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t1184 = 0.9903931860948796 * self->predicted_compression_deviation[28];
-        const double t1185 = innovation_2 - t1184;
-        innovation_compression14_2 = t1185;
+        const double t1820 = 0.9903931860948796 * self->predicted_compression_deviation[28];
+        const double t1821 = innovation_2 - t1820;
+        innovation_compression14_2 = t1821;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t1186 = 0.9903931860948796 * self->predicted_compression_deviation[28];
-        const double t1187 = innovation_3 - t1186;
-        innovation_compression14_3 = t1187;
+        const double t1822 = 0.9903931860948796 * self->predicted_compression_deviation[28];
+        const double t1823 = innovation_3 - t1822;
+        innovation_compression14_3 = t1823;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t1188 = innovation_4 - self->predicted_compression_deviation[28];
-        innovation_compression14_4 = t1188;
+        const double t1824 = innovation_4 - self->predicted_compression_deviation[28];
+        innovation_compression14_4 = t1824;
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t1189 = innovation_5 - self->predicted_compression_deviation[28];
-        innovation_compression14_5 = t1189;
+        const double t1825 = innovation_5 - self->predicted_compression_deviation[28];
+        innovation_compression14_5 = t1825;
     }
     mean_compression14[0] = self->predicted_compression_deviation[28];
     mean_compression14[1] = self->predicted_compression_deviation[29];
@@ -3232,227 +3868,295 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     covariance_compression14[2] = self->predicted_compression_covariance[44];
 
     /* row 0 of y, wheel_fl: compression filter */
-    const double t1190 = 0.9921619208254787 * self->predicted_compression_covariance[42];
-    const double t1191 = 0.9921619208254787 * self->predicted_compression_covariance[43];
-    cross_compression14_0[0] = t1190;
-    cross_compression14_0[1] = t1191;
-    const double t1192 = 0.9921619208254787 * cross_compression14_0[0];
-    const double t1193 = t1192 + 0.04;
-    pivot_compression14_0 = t1193;
+    const double t1826 = 0.9921619208254787 * self->predicted_compression_covariance[42];
+    const double t1827 = 0.9921619208254787 * self->predicted_compression_covariance[43];
+    cross_compression14_0[0] = t1826;
+    cross_compression14_0[1] = t1827;
+    const double t1828 = 0.9921619208254787 * cross_compression14_0[0];
+    const double t1829 = t1828 + 0.04;
+    pivot_compression14_0 = t1829;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression14_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1194 = 1.0 / pivot_compression14_0;
-        inverse_compression14_0 = t1194;
-        const double t1195 = innovation_compression14_0 * inverse_compression14_0;
-        const double t1196 = cross_compression14_0[0] * t1195;
-        const double t1197 = self->predicted_compression_deviation[28] + t1196;
-        const double t1198 = cross_compression14_0[1] * t1195;
-        const double t1199 = self->predicted_compression_deviation[29] + t1198;
-        const double t1200 = cross_compression14_0[0] * inverse_compression14_0;
-        const double t1201 = t1200 * cross_compression14_0[0];
-        const double t1202 = self->predicted_compression_covariance[42] - t1201;
-        const double t1203 = cross_compression14_0[1] * inverse_compression14_0;
-        const double t1204 = t1203 * cross_compression14_0[0];
-        const double t1205 = self->predicted_compression_covariance[43] - t1204;
-        const double t1206 = t1203 * cross_compression14_0[1];
-        const double t1207 = self->predicted_compression_covariance[44] - t1206;
-        mean_compression14[0] = t1197;
-        mean_compression14[1] = t1199;
-        covariance_compression14[0] = t1202;
-        covariance_compression14[1] = t1205;
-        covariance_compression14[2] = t1207;
+        const double t1830 = 1.0 / pivot_compression14_0;
+        inverse_compression14_0 = t1830;
+        const double t1831 = innovation_compression14_0 * inverse_compression14_0;
+        const double t1832 = cross_compression14_0[0] * t1831;
+        const double t1833 = self->predicted_compression_deviation[28] + t1832;
+        const double t1834 = cross_compression14_0[1] * t1831;
+        const double t1835 = self->predicted_compression_deviation[29] + t1834;
+        const double t1836 = cross_compression14_0[0] * inverse_compression14_0;
+        const double t1837 = t1836 * cross_compression14_0[0];
+        const double t1838 = self->predicted_compression_covariance[42] - t1837;
+        const double t1839 = 0.04 * t1836;
+        const double t1840 = 0.9921619208254787 * t1838;
+        const double t1841 = t1839 - t1840;
+        const double t1842 = t1841 * t1836;
+        const double t1843 = t1838 + t1842;
+        const double t1844 = cross_compression14_0[1] * inverse_compression14_0;
+        const double t1845 = t1844 * cross_compression14_0[0];
+        const double t1846 = self->predicted_compression_covariance[43] - t1845;
+        const double t1847 = 0.04 * t1844;
+        const double t1848 = 0.9921619208254787 * t1846;
+        const double t1849 = t1847 - t1848;
+        const double t1850 = t1849 * t1836;
+        const double t1851 = t1846 + t1850;
+        const double t1852 = t1844 * cross_compression14_0[1];
+        const double t1853 = self->predicted_compression_covariance[44] - t1852;
+        const double t1854 = t1849 * t1844;
+        const double t1855 = t1853 + t1854;
+        mean_compression14[0] = t1833;
+        mean_compression14[1] = t1835;
+        covariance_compression14[0] = t1843;
+        covariance_compression14[1] = t1851;
+        covariance_compression14[2] = t1855;
     }
 
     /* row 1 of y, wheel_fr: compression filter */
-    const double t1208 = 0.9921619208254787 * covariance_compression14[0];
-    const double t1209 = 0.9921619208254787 * covariance_compression14[1];
-    cross_compression14_1[0] = t1208;
-    cross_compression14_1[1] = t1209;
-    const double t1210 = 0.9921619208254787 * cross_compression14_1[0];
-    const double t1211 = t1210 + 0.04;
-    pivot_compression14_1 = t1211;
+    const double t1856 = 0.9921619208254787 * covariance_compression14[0];
+    const double t1857 = 0.9921619208254787 * covariance_compression14[1];
+    cross_compression14_1[0] = t1856;
+    cross_compression14_1[1] = t1857;
+    const double t1858 = 0.9921619208254787 * cross_compression14_1[0];
+    const double t1859 = t1858 + 0.04;
+    pivot_compression14_1 = t1859;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression14_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1212 = 1.0 / pivot_compression14_1;
-        inverse_compression14_1 = t1212;
-        const double t1213 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1214 = 0.9921619208254787 * t1213;
-        const double t1215 = innovation_compression14_1 - t1214;
-        const double t1216 = t1215 * inverse_compression14_1;
-        const double t1217 = cross_compression14_1[0] * t1216;
-        const double t1218 = mean_compression14[0] + t1217;
-        const double t1219 = cross_compression14_1[1] * t1216;
-        const double t1220 = mean_compression14[1] + t1219;
-        const double t1221 = cross_compression14_1[0] * inverse_compression14_1;
-        const double t1222 = t1221 * cross_compression14_1[0];
-        const double t1223 = covariance_compression14[0] - t1222;
-        const double t1224 = cross_compression14_1[1] * inverse_compression14_1;
-        const double t1225 = t1224 * cross_compression14_1[0];
-        const double t1226 = covariance_compression14[1] - t1225;
-        const double t1227 = t1224 * cross_compression14_1[1];
-        const double t1228 = covariance_compression14[2] - t1227;
-        mean_compression14[0] = t1218;
-        mean_compression14[1] = t1220;
-        covariance_compression14[0] = t1223;
-        covariance_compression14[1] = t1226;
-        covariance_compression14[2] = t1228;
+        const double t1860 = 1.0 / pivot_compression14_1;
+        inverse_compression14_1 = t1860;
+        const double t1861 = mean_compression14[0] - self->predicted_compression_deviation[28];
+        const double t1862 = 0.9921619208254787 * t1861;
+        const double t1863 = innovation_compression14_1 - t1862;
+        const double t1864 = t1863 * inverse_compression14_1;
+        const double t1865 = cross_compression14_1[0] * t1864;
+        const double t1866 = mean_compression14[0] + t1865;
+        const double t1867 = cross_compression14_1[1] * t1864;
+        const double t1868 = mean_compression14[1] + t1867;
+        const double t1869 = cross_compression14_1[0] * inverse_compression14_1;
+        const double t1870 = t1869 * cross_compression14_1[0];
+        const double t1871 = covariance_compression14[0] - t1870;
+        const double t1872 = 0.04 * t1869;
+        const double t1873 = 0.9921619208254787 * t1871;
+        const double t1874 = t1872 - t1873;
+        const double t1875 = t1874 * t1869;
+        const double t1876 = t1871 + t1875;
+        const double t1877 = cross_compression14_1[1] * inverse_compression14_1;
+        const double t1878 = t1877 * cross_compression14_1[0];
+        const double t1879 = covariance_compression14[1] - t1878;
+        const double t1880 = 0.04 * t1877;
+        const double t1881 = 0.9921619208254787 * t1879;
+        const double t1882 = t1880 - t1881;
+        const double t1883 = t1882 * t1869;
+        const double t1884 = t1879 + t1883;
+        const double t1885 = t1877 * cross_compression14_1[1];
+        const double t1886 = covariance_compression14[2] - t1885;
+        const double t1887 = t1882 * t1877;
+        const double t1888 = t1886 + t1887;
+        mean_compression14[0] = t1866;
+        mean_compression14[1] = t1868;
+        covariance_compression14[0] = t1876;
+        covariance_compression14[1] = t1884;
+        covariance_compression14[2] = t1888;
     }
 
     /* row 2 of y, wheel_rl: compression filter */
-    const double t1229 = 0.9903931860948796 * covariance_compression14[0];
-    const double t1230 = 0.9903931860948796 * covariance_compression14[1];
-    cross_compression14_2[0] = t1229;
-    cross_compression14_2[1] = t1230;
-    const double t1231 = 0.9903931860948796 * cross_compression14_2[0];
-    const double t1232 = t1231 + 0.04;
-    pivot_compression14_2 = t1232;
+    const double t1889 = 0.9903931860948796 * covariance_compression14[0];
+    const double t1890 = 0.9903931860948796 * covariance_compression14[1];
+    cross_compression14_2[0] = t1889;
+    cross_compression14_2[1] = t1890;
+    const double t1891 = 0.9903931860948796 * cross_compression14_2[0];
+    const double t1892 = t1891 + 0.04;
+    pivot_compression14_2 = t1892;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_compression14_2 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1233 = 1.0 / pivot_compression14_2;
-        inverse_compression14_2 = t1233;
-        const double t1234 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1235 = 0.9903931860948796 * t1234;
-        const double t1236 = innovation_compression14_2 - t1235;
-        const double t1237 = t1236 * inverse_compression14_2;
-        const double t1238 = cross_compression14_2[0] * t1237;
-        const double t1239 = mean_compression14[0] + t1238;
-        const double t1240 = cross_compression14_2[1] * t1237;
-        const double t1241 = mean_compression14[1] + t1240;
-        const double t1242 = cross_compression14_2[0] * inverse_compression14_2;
-        const double t1243 = t1242 * cross_compression14_2[0];
-        const double t1244 = covariance_compression14[0] - t1243;
-        const double t1245 = cross_compression14_2[1] * inverse_compression14_2;
-        const double t1246 = t1245 * cross_compression14_2[0];
-        const double t1247 = covariance_compression14[1] - t1246;
-        const double t1248 = t1245 * cross_compression14_2[1];
-        const double t1249 = covariance_compression14[2] - t1248;
-        mean_compression14[0] = t1239;
-        mean_compression14[1] = t1241;
-        covariance_compression14[0] = t1244;
-        covariance_compression14[1] = t1247;
-        covariance_compression14[2] = t1249;
+        const double t1893 = 1.0 / pivot_compression14_2;
+        inverse_compression14_2 = t1893;
+        const double t1894 = mean_compression14[0] - self->predicted_compression_deviation[28];
+        const double t1895 = 0.9903931860948796 * t1894;
+        const double t1896 = innovation_compression14_2 - t1895;
+        const double t1897 = t1896 * inverse_compression14_2;
+        const double t1898 = cross_compression14_2[0] * t1897;
+        const double t1899 = mean_compression14[0] + t1898;
+        const double t1900 = cross_compression14_2[1] * t1897;
+        const double t1901 = mean_compression14[1] + t1900;
+        const double t1902 = cross_compression14_2[0] * inverse_compression14_2;
+        const double t1903 = t1902 * cross_compression14_2[0];
+        const double t1904 = covariance_compression14[0] - t1903;
+        const double t1905 = 0.04 * t1902;
+        const double t1906 = 0.9903931860948796 * t1904;
+        const double t1907 = t1905 - t1906;
+        const double t1908 = t1907 * t1902;
+        const double t1909 = t1904 + t1908;
+        const double t1910 = cross_compression14_2[1] * inverse_compression14_2;
+        const double t1911 = t1910 * cross_compression14_2[0];
+        const double t1912 = covariance_compression14[1] - t1911;
+        const double t1913 = 0.04 * t1910;
+        const double t1914 = 0.9903931860948796 * t1912;
+        const double t1915 = t1913 - t1914;
+        const double t1916 = t1915 * t1902;
+        const double t1917 = t1912 + t1916;
+        const double t1918 = t1910 * cross_compression14_2[1];
+        const double t1919 = covariance_compression14[2] - t1918;
+        const double t1920 = t1915 * t1910;
+        const double t1921 = t1919 + t1920;
+        mean_compression14[0] = t1899;
+        mean_compression14[1] = t1901;
+        covariance_compression14[0] = t1909;
+        covariance_compression14[1] = t1917;
+        covariance_compression14[2] = t1921;
     }
 
     /* row 3 of y, wheel_rr: compression filter */
-    const double t1250 = 0.9903931860948796 * covariance_compression14[0];
-    const double t1251 = 0.9903931860948796 * covariance_compression14[1];
-    cross_compression14_3[0] = t1250;
-    cross_compression14_3[1] = t1251;
-    const double t1252 = 0.9903931860948796 * cross_compression14_3[0];
-    const double t1253 = t1252 + 0.04;
-    pivot_compression14_3 = t1253;
+    const double t1922 = 0.9903931860948796 * covariance_compression14[0];
+    const double t1923 = 0.9903931860948796 * covariance_compression14[1];
+    cross_compression14_3[0] = t1922;
+    cross_compression14_3[1] = t1923;
+    const double t1924 = 0.9903931860948796 * cross_compression14_3[0];
+    const double t1925 = t1924 + 0.04;
+    pivot_compression14_3 = t1925;
     if ((present & 0x8u) != 0u)
     {
         if (!(pivot_compression14_3 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1254 = 1.0 / pivot_compression14_3;
-        inverse_compression14_3 = t1254;
-        const double t1255 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1256 = 0.9903931860948796 * t1255;
-        const double t1257 = innovation_compression14_3 - t1256;
-        const double t1258 = t1257 * inverse_compression14_3;
-        const double t1259 = cross_compression14_3[0] * t1258;
-        const double t1260 = mean_compression14[0] + t1259;
-        const double t1261 = cross_compression14_3[1] * t1258;
-        const double t1262 = mean_compression14[1] + t1261;
-        const double t1263 = cross_compression14_3[0] * inverse_compression14_3;
-        const double t1264 = t1263 * cross_compression14_3[0];
-        const double t1265 = covariance_compression14[0] - t1264;
-        const double t1266 = cross_compression14_3[1] * inverse_compression14_3;
-        const double t1267 = t1266 * cross_compression14_3[0];
-        const double t1268 = covariance_compression14[1] - t1267;
-        const double t1269 = t1266 * cross_compression14_3[1];
-        const double t1270 = covariance_compression14[2] - t1269;
-        mean_compression14[0] = t1260;
-        mean_compression14[1] = t1262;
-        covariance_compression14[0] = t1265;
-        covariance_compression14[1] = t1268;
-        covariance_compression14[2] = t1270;
+        const double t1926 = 1.0 / pivot_compression14_3;
+        inverse_compression14_3 = t1926;
+        const double t1927 = mean_compression14[0] - self->predicted_compression_deviation[28];
+        const double t1928 = 0.9903931860948796 * t1927;
+        const double t1929 = innovation_compression14_3 - t1928;
+        const double t1930 = t1929 * inverse_compression14_3;
+        const double t1931 = cross_compression14_3[0] * t1930;
+        const double t1932 = mean_compression14[0] + t1931;
+        const double t1933 = cross_compression14_3[1] * t1930;
+        const double t1934 = mean_compression14[1] + t1933;
+        const double t1935 = cross_compression14_3[0] * inverse_compression14_3;
+        const double t1936 = t1935 * cross_compression14_3[0];
+        const double t1937 = covariance_compression14[0] - t1936;
+        const double t1938 = 0.04 * t1935;
+        const double t1939 = 0.9903931860948796 * t1937;
+        const double t1940 = t1938 - t1939;
+        const double t1941 = t1940 * t1935;
+        const double t1942 = t1937 + t1941;
+        const double t1943 = cross_compression14_3[1] * inverse_compression14_3;
+        const double t1944 = t1943 * cross_compression14_3[0];
+        const double t1945 = covariance_compression14[1] - t1944;
+        const double t1946 = 0.04 * t1943;
+        const double t1947 = 0.9903931860948796 * t1945;
+        const double t1948 = t1946 - t1947;
+        const double t1949 = t1948 * t1935;
+        const double t1950 = t1945 + t1949;
+        const double t1951 = t1943 * cross_compression14_3[1];
+        const double t1952 = covariance_compression14[2] - t1951;
+        const double t1953 = t1948 * t1943;
+        const double t1954 = t1952 + t1953;
+        mean_compression14[0] = t1932;
+        mean_compression14[1] = t1934;
+        covariance_compression14[0] = t1942;
+        covariance_compression14[1] = t1950;
+        covariance_compression14[2] = t1954;
     }
 
     /* row 4 of y, ublox: compression filter */
-    const double t1271 = covariance_compression14[0] + 0.25;
-    pivot_compression14_4 = t1271;
+    const double t1955 = covariance_compression14[0] + 0.25;
+    pivot_compression14_4 = t1955;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_compression14_4 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1272 = 1.0 / pivot_compression14_4;
-        inverse_compression14_4 = t1272;
-        const double t1273 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1274 = innovation_compression14_4 - t1273;
-        const double t1275 = t1274 * inverse_compression14_4;
-        const double t1276 = covariance_compression14[0] * t1275;
-        const double t1277 = mean_compression14[0] + t1276;
-        const double t1278 = covariance_compression14[1] * t1275;
-        const double t1279 = mean_compression14[1] + t1278;
-        const double t1280 = covariance_compression14[0] * inverse_compression14_4;
-        const double t1281 = t1280 * covariance_compression14[0];
-        const double t1282 = covariance_compression14[0] - t1281;
-        const double t1283 = covariance_compression14[1] * inverse_compression14_4;
-        const double t1284 = t1283 * covariance_compression14[0];
-        const double t1285 = covariance_compression14[1] - t1284;
-        const double t1286 = t1283 * covariance_compression14[1];
-        const double t1287 = covariance_compression14[2] - t1286;
-        mean_compression14[0] = t1277;
-        mean_compression14[1] = t1279;
-        covariance_compression14[0] = t1282;
-        covariance_compression14[1] = t1285;
-        covariance_compression14[2] = t1287;
+        const double t1956 = 1.0 / pivot_compression14_4;
+        inverse_compression14_4 = t1956;
+        const double t1957 = mean_compression14[0] - self->predicted_compression_deviation[28];
+        const double t1958 = innovation_compression14_4 - t1957;
+        const double t1959 = t1958 * inverse_compression14_4;
+        const double t1960 = covariance_compression14[0] * t1959;
+        const double t1961 = mean_compression14[0] + t1960;
+        const double t1962 = covariance_compression14[1] * t1959;
+        const double t1963 = mean_compression14[1] + t1962;
+        const double t1964 = covariance_compression14[0] * inverse_compression14_4;
+        const double t1965 = t1964 * covariance_compression14[0];
+        const double t1966 = covariance_compression14[0] - t1965;
+        const double t1967 = 0.25 * t1964;
+        const double t1968 = t1967 - t1966;
+        const double t1969 = t1968 * t1964;
+        const double t1970 = t1966 + t1969;
+        const double t1971 = covariance_compression14[1] * inverse_compression14_4;
+        const double t1972 = t1971 * covariance_compression14[0];
+        const double t1973 = covariance_compression14[1] - t1972;
+        const double t1974 = 0.25 * t1971;
+        const double t1975 = t1974 - t1973;
+        const double t1976 = t1975 * t1964;
+        const double t1977 = t1973 + t1976;
+        const double t1978 = t1971 * covariance_compression14[1];
+        const double t1979 = covariance_compression14[2] - t1978;
+        const double t1980 = t1975 * t1971;
+        const double t1981 = t1979 + t1980;
+        mean_compression14[0] = t1961;
+        mean_compression14[1] = t1963;
+        covariance_compression14[0] = t1970;
+        covariance_compression14[1] = t1977;
+        covariance_compression14[2] = t1981;
     }
 
     /* row 5 of y, qcom: compression filter */
-    const double t1288 = covariance_compression14[0] + 9.0;
-    pivot_compression14_5 = t1288;
+    const double t1982 = covariance_compression14[0] + 9.0;
+    pivot_compression14_5 = t1982;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_compression14_5 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t1289 = 1.0 / pivot_compression14_5;
-        inverse_compression14_5 = t1289;
-        const double t1290 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1291 = innovation_compression14_5 - t1290;
-        const double t1292 = t1291 * inverse_compression14_5;
-        const double t1293 = covariance_compression14[0] * t1292;
-        const double t1294 = mean_compression14[0] + t1293;
-        const double t1295 = covariance_compression14[1] * t1292;
-        const double t1296 = mean_compression14[1] + t1295;
-        const double t1297 = covariance_compression14[0] * inverse_compression14_5;
-        const double t1298 = t1297 * covariance_compression14[0];
-        const double t1299 = covariance_compression14[0] - t1298;
-        const double t1300 = covariance_compression14[1] * inverse_compression14_5;
-        const double t1301 = t1300 * covariance_compression14[0];
-        const double t1302 = covariance_compression14[1] - t1301;
-        const double t1303 = t1300 * covariance_compression14[1];
-        const double t1304 = covariance_compression14[2] - t1303;
-        mean_compression14[0] = t1294;
-        mean_compression14[1] = t1296;
-        covariance_compression14[0] = t1299;
-        covariance_compression14[1] = t1302;
-        covariance_compression14[2] = t1304;
+        const double t1983 = 1.0 / pivot_compression14_5;
+        inverse_compression14_5 = t1983;
+        const double t1984 = mean_compression14[0] - self->predicted_compression_deviation[28];
+        const double t1985 = innovation_compression14_5 - t1984;
+        const double t1986 = t1985 * inverse_compression14_5;
+        const double t1987 = covariance_compression14[0] * t1986;
+        const double t1988 = mean_compression14[0] + t1987;
+        const double t1989 = covariance_compression14[1] * t1986;
+        const double t1990 = mean_compression14[1] + t1989;
+        const double t1991 = covariance_compression14[0] * inverse_compression14_5;
+        const double t1992 = t1991 * covariance_compression14[0];
+        const double t1993 = covariance_compression14[0] - t1992;
+        const double t1994 = 9.0 * t1991;
+        const double t1995 = t1994 - t1993;
+        const double t1996 = t1995 * t1991;
+        const double t1997 = t1993 + t1996;
+        const double t1998 = covariance_compression14[1] * inverse_compression14_5;
+        const double t1999 = t1998 * covariance_compression14[0];
+        const double t2000 = covariance_compression14[1] - t1999;
+        const double t2001 = 9.0 * t1998;
+        const double t2002 = t2001 - t2000;
+        const double t2003 = t2002 * t1991;
+        const double t2004 = t2000 + t2003;
+        const double t2005 = t1998 * covariance_compression14[1];
+        const double t2006 = covariance_compression14[2] - t2005;
+        const double t2007 = t2002 * t1998;
+        const double t2008 = t2006 + t2007;
+        mean_compression14[0] = t1988;
+        mean_compression14[1] = t1990;
+        covariance_compression14[0] = t1997;
+        covariance_compression14[1] = t2004;
+        covariance_compression14[2] = t2008;
     }
-    const double t1305 = mean_compression14[0] - mean_host[0];
-    const double t1306 = mean_compression14[1] - mean_host[1];
-    deviation_compression14[0] = t1305;
-    deviation_compression14[1] = t1306;
+    const double t2009 = mean_compression14[0] - mean_host[0];
+    const double t2010 = mean_compression14[1] - mean_host[1];
+    deviation_compression14[0] = t2009;
+    deviation_compression14[1] = t2010;
     if (!((host_state[0] - host_state[0]) + (host_state[1] - host_state[1]) + (deviation_compression[0] - deviation_compression[0]) + (deviation_compression[1] - deviation_compression[1]) +
             (deviation_compression1[0] - deviation_compression1[0]) + (deviation_compression1[1] - deviation_compression1[1]) + (deviation_compression2[0] - deviation_compression2[0]) + (deviation_compression2[1] - deviation_compression2[1]) +
             (deviation_compression3[0] - deviation_compression3[0]) + (deviation_compression3[1] - deviation_compression3[1]) + (deviation_compression4[0] - deviation_compression4[0]) + (deviation_compression4[1] - deviation_compression4[1]) +
@@ -3488,34 +4192,34 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     }
 
     /* results of the update */
-    const double t1307 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t1308 = t1307 + 0.04;
-    const double t1309 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t1310 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t1311 = t1310 + 0.04;
-    const double t1312 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t1313 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t1314 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t1315 = t1314 + 0.04;
-    const double t1316 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t1317 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t1318 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t1319 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t1320 = t1319 + 0.04;
-    const double t1321 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t1322 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t1323 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t1324 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t1325 = self->predicted_covariance[0] + 0.25;
-    const double t1326 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t1327 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t1328 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t1329 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t1330 = self->predicted_covariance[0] + 9.0;
-    const double t1331 = wheel_drift_log(determinant_host_0);
-    const double t1332 = log_constant_host + t1331;
-    const double t1333 = quadratic_host + t1332;
-    const double t1334 = -0.5 * t1333;
+    const double t2011 = 0.9843852771361035 * self->predicted_covariance[0];
+    const double t2012 = t2011 + 0.04;
+    const double t2013 = 0.9843852771361035 * self->predicted_covariance[0];
+    const double t2014 = 0.9843852771361035 * self->predicted_covariance[0];
+    const double t2015 = t2014 + 0.04;
+    const double t2016 = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t2017 = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t2018 = 0.9808786630631667 * self->predicted_covariance[0];
+    const double t2019 = t2018 + 0.04;
+    const double t2020 = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t2021 = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t2022 = 0.9808786630631667 * self->predicted_covariance[0];
+    const double t2023 = 0.9808786630631667 * self->predicted_covariance[0];
+    const double t2024 = t2023 + 0.04;
+    const double t2025 = 0.9921619208254787 * self->predicted_covariance[0];
+    const double t2026 = 0.9921619208254787 * self->predicted_covariance[0];
+    const double t2027 = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t2028 = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t2029 = self->predicted_covariance[0] + 0.25;
+    const double t2030 = 0.9921619208254787 * self->predicted_covariance[0];
+    const double t2031 = 0.9921619208254787 * self->predicted_covariance[0];
+    const double t2032 = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t2033 = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t2034 = self->predicted_covariance[0] + 9.0;
+    const double t2035 = wheel_drift_log(determinant_host_0);
+    const double t2036 = log_constant_host + t2035;
+    const double t2037 = quadratic_host + t2036;
+    const double t2038 = -0.5 * t2037;
     next->filtered_state[0] = host_state[0];
     next->filtered_state[1] = host_state[1];
     next->filtered_covariance[0] = covariance_host[0];
@@ -3602,29 +4306,29 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     next->innovation[3] = innovation_3;
     next->innovation[4] = innovation_4;
     next->innovation[5] = innovation_5;
-    next->innovation_covariance[0] = t1308;
-    next->innovation_covariance[1] = t1309;
-    next->innovation_covariance[2] = t1311;
-    next->innovation_covariance[3] = t1312;
-    next->innovation_covariance[4] = t1313;
-    next->innovation_covariance[5] = t1315;
-    next->innovation_covariance[6] = t1316;
-    next->innovation_covariance[7] = t1317;
-    next->innovation_covariance[8] = t1318;
-    next->innovation_covariance[9] = t1320;
-    next->innovation_covariance[10] = t1321;
-    next->innovation_covariance[11] = t1322;
-    next->innovation_covariance[12] = t1323;
-    next->innovation_covariance[13] = t1324;
-    next->innovation_covariance[14] = t1325;
-    next->innovation_covariance[15] = t1326;
-    next->innovation_covariance[16] = t1327;
-    next->innovation_covariance[17] = t1328;
-    next->innovation_covariance[18] = t1329;
+    next->innovation_covariance[0] = t2012;
+    next->innovation_covariance[1] = t2013;
+    next->innovation_covariance[2] = t2015;
+    next->innovation_covariance[3] = t2016;
+    next->innovation_covariance[4] = t2017;
+    next->innovation_covariance[5] = t2019;
+    next->innovation_covariance[6] = t2020;
+    next->innovation_covariance[7] = t2021;
+    next->innovation_covariance[8] = t2022;
+    next->innovation_covariance[9] = t2024;
+    next->innovation_covariance[10] = t2025;
+    next->innovation_covariance[11] = t2026;
+    next->innovation_covariance[12] = t2027;
+    next->innovation_covariance[13] = t2028;
+    next->innovation_covariance[14] = t2029;
+    next->innovation_covariance[15] = t2030;
+    next->innovation_covariance[16] = t2031;
+    next->innovation_covariance[17] = t2032;
+    next->innovation_covariance[18] = t2033;
     next->innovation_covariance[19] = self->predicted_covariance[0];
-    next->innovation_covariance[20] = t1330;
+    next->innovation_covariance[20] = t2034;
     next->nis = quadratic_host;
-    next->log_likelihood = t1334;
+    next->log_likelihood = t2038;
     next->window_left = self->predicted_window_left;
     next->collecting[0] = collecting_0;
     next->collecting[1] = collecting_1;
@@ -4845,7 +5549,7 @@ wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_p
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? WHEEL_DRIFT_OK : WHEEL_DRIFT_SKIPPED;
+    return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) || (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) || (self->fault_declared[3] > 0.5)) ? WHEEL_DRIFT_FAULT_DECLARED : WHEEL_DRIFT_OK) : WHEEL_DRIFT_SKIPPED;
 }
 
 wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_params_t *params, const double u[1])
@@ -4906,5 +5610,5 @@ wheel_drift_status_t wheel_drift_step(wheel_drift_t *self, const wheel_drift_par
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? WHEEL_DRIFT_OK : WHEEL_DRIFT_SKIPPED;
+    return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) || (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) || (self->fault_declared[3] > 0.5)) ? WHEEL_DRIFT_FAULT_DECLARED : WHEEL_DRIFT_OK) : WHEEL_DRIFT_SKIPPED;
 }
