@@ -22,10 +22,11 @@ demo: ## generate, compile and run a filter on an example
 	$(setup) run
 	$(bin)/fkgen demo
 
-# Workers share the cores, so the linear algebra below them takes one thread each.
+# Workers share the cores, so the linear algebra below them takes one thread each; a file stays with
+# one worker, which then builds its filters once.
 test: ## run all tests
 	$(setup) test
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(WORKERS) $(PYTEST_ARGS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 bench: ## measure speed, next to other libraries
 	$(setup) bench
