@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scripts import scripts_of
 
 import fkgen
 
@@ -18,19 +17,14 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "gps_glitch"
 NAMES = ("prepare", "run")  # other examples call their scripts so, too
 
 
-def forget(names):
-    for name in names:
-        sys.modules.pop(name, None)
-
-
 @pytest.fixture(scope="module")
 def glitch():
     """The scripts of the example, its flight, and what two filters make of it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLE))
-        forget(NAMES)
-        prepare, run = (import_module(name) for name in NAMES)
-        forget(NAMES)
+    with scripts_of("gps_glitch", *NAMES) as (prepare, run):
+        yield flown(prepare, run)
+
+
+def flown(prepare, run):
     flight = prepare.read()
     results = {
         family: run.run(fkgen.build(run.specification(family)), flight) for family in run.FAMILIES

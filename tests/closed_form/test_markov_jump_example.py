@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scripts import scripts_of
 
 import fkgen
 
@@ -23,12 +22,8 @@ RUNS, SEED = 400, 11
 def example():
     """The scripts of the example."""
     names = ("losses", "figure", "reproduce")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLE))
-        found = {name: import_module(name) for name in names}
-        for name in names:
-            sys.modules.pop(name, None)
-    return SimpleNamespace(**found)
+    with scripts_of("markov_jump", *names) as found:
+        yield SimpleNamespace(**dict(zip(names, found, strict=True)))
 
 
 #: RMS of the nonlinear filters over 1000 runs with other random numbers, and its standard error, by

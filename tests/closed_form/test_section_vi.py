@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scripts import scripts_of
 
 import fkgen
 
@@ -35,10 +35,8 @@ SETTLED = 300  # samples; the slowest mode of the filter is 0.78
 @pytest.fixture(scope="module")
 def vi():
     """The example: its simulation, its filters, and its NumPy filter."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLE))
-        modules = [import_module(name) for name in ("section_vi", "errors", "slips")]
-    return SimpleNamespace(**{name: value for m in modules for name, value in vars(m).items()})
+    with scripts_of("sensor_faults", "section_vi", "errors", "slips") as found:
+        yield SimpleNamespace(**{name: value for m in found for name, value in vars(m).items()})
 
 
 def law_of(study):

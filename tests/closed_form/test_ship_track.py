@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scripts import scripts_of
 
 import fkgen
 
@@ -19,20 +18,11 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "ship_track"
 NAMES = ("prepare", "figure", "run")  # other examples call their scripts so, too
 
 
-def forget():
-    for name in NAMES:
-        sys.modules.pop(name, None)
-
-
 @pytest.fixture(scope="module")
 def ships():
     """The scripts of the example, and its filters."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLE))
-        forget()
-        prepare, _, run = (import_module(name) for name in NAMES)
-        forget()
-    return SimpleNamespace(prepare=prepare, script=run, specs=run.filters())
+    with scripts_of("ship_track", *NAMES) as (prepare, _, run):
+        yield SimpleNamespace(prepare=prepare, script=run, specs=run.filters())
 
 
 def table(title):

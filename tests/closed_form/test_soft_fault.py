@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import csv
 import re
-import sys
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scripts import scripts_of
 
 import fkgen
 
@@ -47,12 +46,8 @@ SIGMAS = 4.0
 @pytest.fixture(scope="module")
 def example():
     """The modules of the example."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLE))
-        for name in ("simulation", "outcome", "noiseless", "figure", "reproduce"):
-            patch.delitem(sys.modules, name, raising=False)  # another example may have such a one
-        names = ("simulation", "outcome", "noiseless", "reproduce")
-        sim, outcome, noiseless, reproduce = (import_module(name) for name in names)
+    names = ("simulation", "outcome", "noiseless", "reproduce")
+    with scripts_of("soft_fault", *names) as (sim, outcome, noiseless, reproduce):
         quiet = dict(zip(("DFCF", "CPCF", "PAPER"), sim.NO_TEST, strict=True)) | {"KF": sim.KF}
         yield SimpleNamespace(
             sim=sim, outcome=outcome, noiseless=noiseless, reproduce=reproduce, quiet=quiet

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from effect_models import MODELS, paper
+from scripts import scripts_of
 
 import fkgen
 from fkgen.profiles import pulse
@@ -46,9 +47,8 @@ INPUT_STEPS = {
 
 @pytest.fixture(scope="module")
 def example():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLE))
-        yield import_module("song_hu")
+    with scripts_of("fault_effect", "song_hu", "printed") as (song_hu, printed):
+        yield SimpleNamespace(**vars(song_hu), as_printed=printed.as_printed)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -106,11 +106,8 @@ def test_a_pulse_soon_after_the_start(example):
 
 
 def test_the_gain_as_printed_is_of_no_use(example):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLE))
-        as_printed = import_module("printed").as_printed
     for name in "ACD":
-        found = as_printed(name)
+        found = example.as_printed(name)
         assert found.gain > 1e3
         assert found.eigenvalue < 0.0
         assert found.radius > 1.0

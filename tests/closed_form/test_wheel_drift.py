@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-import sys
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scripts import scripts_of
 
 pytestmark = pytest.mark.compiled
 
@@ -17,11 +16,8 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "wheel_drift"
 
 @pytest.fixture(scope="module")
 def script():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXAMPLE))
-        module = import_module("drift")
-        sys.modules.pop("drift")
-    return module
+    with scripts_of("wheel_drift", "drift") as (drift,):
+        yield drift
 
 
 @pytest.fixture(scope="module")
