@@ -26,38 +26,39 @@ if TYPE_CHECKING:
     from fkgen import profiles
     from fkgen.backend.source import Source
     from fkgen.pipeline import build, compile, generate, validate
-    from fkgen.proof import Claim, Validated
+    from fkgen.problem import Spec, load
     from fkgen.runtime.compiled import CompiledFilter
     from fkgen.runtime.results import Run, Snapshot
-    from fkgen.spec import Spec, load
-    from fkgen.study.check import Finding, Report, check
     from fkgen.study.comparisons.comparison import compare
     from fkgen.study.comparisons.ranking import Comparison
+    from fkgen.study.diagnostics.check import Finding, Report, check
     from fkgen.study.effects.detectability import Detectability, detectability
-    from fkgen.study.effects.fault_effect import FaultEffect, fault_effect
-    from fkgen.study.simulation import Simulation, simulate
+    from fkgen.study.effects.effect import FaultEffect
+    from fkgen.study.effects.fault_effect import fault_effect
+    from fkgen.symbolic.validated import Claim, Validated
+    from fkgen.trials.simulation import Simulation, simulate
 
 #: Where the lazily loaded names live.
 _HOMES = {
-    "Spec": "fkgen.spec",
-    "load": "fkgen.spec",
+    "Spec": "fkgen.problem",
+    "load": "fkgen.problem",
     "validate": "fkgen.pipeline",
     "generate": "fkgen.pipeline",
     "compile": "fkgen.pipeline",
     "build": "fkgen.pipeline",
-    "check": "fkgen.study.check",
-    "Report": "fkgen.study.check",
-    "Finding": "fkgen.study.check",
-    "simulate": "fkgen.study.simulation",
-    "Simulation": "fkgen.study.simulation",
+    "check": "fkgen.study.diagnostics.check",
+    "Report": "fkgen.study.diagnostics.check",
+    "Finding": "fkgen.study.diagnostics.check",
+    "simulate": "fkgen.trials.simulation",
+    "Simulation": "fkgen.trials.simulation",
     "compare": "fkgen.study.comparisons.comparison",
     "Comparison": "fkgen.study.comparisons.ranking",
     "fault_effect": "fkgen.study.effects.fault_effect",
-    "FaultEffect": "fkgen.study.effects.fault_effect",
+    "FaultEffect": "fkgen.study.effects.effect",
     "detectability": "fkgen.study.effects.detectability",
     "Detectability": "fkgen.study.effects.detectability",
-    "Claim": "fkgen.proof",
-    "Validated": "fkgen.proof",
+    "Claim": "fkgen.symbolic.validated",
+    "Validated": "fkgen.symbolic.validated",
     "Source": "fkgen.backend.source",
     "CompiledFilter": "fkgen.runtime.compiled",
     "Run": "fkgen.runtime.results",

@@ -1,14 +1,18 @@
-"""Tables on the terminal: texts as they are, plain where nobody looks."""
+"""Tables and progress on the terminal: texts as they are, plain where nobody looks."""
 
 from __future__ import annotations
 
 # ruff: noqa: PLC0415 - rich takes long to import
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+#: Called with the number of pieces that were done since the last call.
+Advance = Callable[[int], object]
 
 
 def console(*, err: bool = False) -> Console:
@@ -31,3 +35,38 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[Any]], **justify: A
     for row in rows:
         table.add_row(*row)
     console().print(table)
+
+
+def _silent(_: int) -> None:
+    return
+
+
+@contextmanager
+def progressing(title: str, total: int, *, shown: bool) -> Iterator[Advance]:
+    """A function to call with the number of pieces that were done since the last call.
+
+    Parameters
+    ----------
+    title : str
+        What is done.
+    total : int
+        Number of pieces.
+    shown : bool
+        If somebody is there to see it: nothing is written into files and pipes.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not (shown and (console.is_terminal or console.is_jupyter)):
+        yield _silent
+        return
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(title, total=total)
+        yield lambda done: bar.advance(task, done)

@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 
 import fkgen
-from fkgen.study.comparisons.comparison_plot import draw_comparison
-from fkgen.study.comparisons.comparison_table import markdown
-from fkgen.study.plots import rendered
-from fkgen.study.table import read_table
+from fkgen.study.comparisons.report import draw_comparison, markdown
+from fkgen.study.records.table import read_table
+from fkgen.study.reports.plots import rendered
 
 HERE = Path(__file__).resolve().parent
 EXAMPLES = HERE.parent

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
+from fkgen.backend.check import verify
 from fkgen.backend.ir import (
     Assign,
     Copy,
@@ -30,7 +31,6 @@ from fkgen.backend.ir import (
     operands,
     walk,
 )
-from fkgen.backend.verify import verify
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.interface import Port

@@ -6,11 +6,11 @@ only propagates (Kerr 1980). It is ``dfcf`` without rows of the host; given some
 
 from __future__ import annotations
 
-from fkgen.closed_form import COMPRESSION_IDENTITIES
+from fkgen.estimators.windows.compression import compression_filter
 from fkgen.families.family import Family
-from fkgen.families.soft_evidence import ACCEPTED, REJECTED, WINDOWS
-from fkgen.spec import Spec
-from fkgen.symbolic.compression import compression_filter
+from fkgen.oracle import COMPRESSION_IDENTITIES
+from fkgen.oracle.claims.compression import ACCEPTED, REJECTED, WINDOWS
+from fkgen.problem import Spec
 from fkgen.symbolic.recursion import Recursion
 
 

@@ -7,11 +7,11 @@ some information lost.
 
 from __future__ import annotations
 
-from fkgen.closed_form import PARTIAL_IDENTITIES
+from fkgen.estimators.windows.partial import partial_compression_filter
 from fkgen.families.family import Family
-from fkgen.families.partial_evidence import CONTRADICTED, HOST_ALONE, PRIMITIVE_NOISES
-from fkgen.spec import Spec
-from fkgen.symbolic.partial_compression import partial_compression_filter
+from fkgen.oracle import PARTIAL_IDENTITIES
+from fkgen.oracle.claims.partial_compression import CONTRADICTED, HOST_ALONE, PRIMITIVE_NOISES
+from fkgen.problem import Spec
 from fkgen.symbolic.recursion import Recursion
 
 

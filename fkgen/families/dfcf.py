@@ -7,11 +7,11 @@ rejects them.
 
 from __future__ import annotations
 
-from fkgen.closed_form import COMPRESSION_IDENTITIES
+from fkgen.estimators.windows.compression import compression_filter
 from fkgen.families.family import Family
-from fkgen.families.soft_evidence import ACCEPTED, REJECTED, WINDOWS
-from fkgen.spec import Spec
-from fkgen.symbolic.compression import compression_filter
+from fkgen.oracle import COMPRESSION_IDENTITIES
+from fkgen.oracle.claims.compression import ACCEPTED, REJECTED, WINDOWS
+from fkgen.problem import Spec
 from fkgen.symbolic.recursion import Recursion
 
 

@@ -7,10 +7,10 @@ Sigalov & Oshman, sec. VI: no filter that has to find them out can be better. ``
 from __future__ import annotations
 
 from fkgen.errors import InternalError
-from fkgen.families.evidence import BATCH, RICCATI
+from fkgen.estimators.lmmse.kalman import linear_filter
 from fkgen.families.family import Family
-from fkgen.spec import Spec
-from fkgen.symbolic.linear_filter import linear_filter
+from fkgen.oracle.claims.gaussian import BATCH, RICCATI
+from fkgen.problem import Spec
 from fkgen.symbolic.recursion import Recursion
 
 

@@ -12,29 +12,29 @@ from functools import partial
 
 import casadi as ca
 
-from fkgen.families.family import Family
-from fkgen.families.sensor_caveats import three_modes
-from fkgen.families.sensor_evidence import ENUMERATION, IMM
-from fkgen.spec import Spec
-from fkgen.symbolic.actuation import certain
-from fkgen.symbolic.estimate import (
+from fkgen.estimators.gaussian.actuation import certain
+from fkgen.estimators.gaussian.estimate import (
     demand_finite,
     demand_positive,
     estimated,
     finite,
     propagate,
 )
+from fkgen.estimators.models.markov import Prediction, advance
+from fkgen.estimators.models.merge import Mixer
+from fkgen.estimators.models.modes import Modes, mean_noise, move_alike
+from fkgen.estimators.models.switching import Switching
+from fkgen.estimators.models.weights import TINY
+from fkgen.families.family import Family
+from fkgen.oracle.claims.caveats import three_modes
+from fkgen.oracle.claims.sensor import ENUMERATION, IMM
+from fkgen.problem import Spec
+from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.linalg import column
-from fkgen.symbolic.markov import Prediction, advance
-from fkgen.symbolic.mixture import Mixer
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
-from fkgen.symbolic.script import Script
-from fkgen.symbolic.switching import Switching
-from fkgen.symbolic.switching_modes import Modes, mean_noise, move_alike
-from fkgen.symbolic.weights import TINY
 
 #: Timing of the modes where they move the state.
 JUMPING = "the mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k)"

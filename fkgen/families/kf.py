@@ -6,10 +6,10 @@ One step corrects the prediction for sample k with y[k] and predicts sample k + 
 
 from __future__ import annotations
 
-from fkgen.families.evidence import BATCH, RICCATI
+from fkgen.estimators.lmmse.kalman import linear_filter
 from fkgen.families.family import Family
-from fkgen.spec import Spec
-from fkgen.symbolic.linear_filter import linear_filter
+from fkgen.oracle.claims.gaussian import BATCH, RICCATI
+from fkgen.problem import Spec
 from fkgen.symbolic.recursion import Recursion
 
 

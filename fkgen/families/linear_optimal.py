@@ -7,13 +7,13 @@ best linear filter for any Markov gamma (Costa 1994).
 
 from __future__ import annotations
 
+from fkgen.estimators.lmmse.augmented import augmented_filter
+from fkgen.estimators.lmmse.lemma2 import uncertain_filter
 from fkgen.families.family import Family
-from fkgen.families.sensor_caveats import lemma_2
-from fkgen.families.sensor_evidence import LEMMA_2_FORM, LINEAR_BATCH, LINEAR_IDENTITIES
-from fkgen.spec import Spec
-from fkgen.symbolic.augmented import augmented_filter
+from fkgen.oracle.claims.caveats import lemma_2
+from fkgen.oracle.claims.sensor import LEMMA_2_FORM, LINEAR_BATCH, LINEAR_IDENTITIES
+from fkgen.problem import Spec
 from fkgen.symbolic.recursion import Recursion
-from fkgen.symbolic.uncertain import uncertain_filter
 
 
 def build(spec: Spec) -> Recursion:

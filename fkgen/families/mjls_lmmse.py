@@ -6,11 +6,11 @@ a test, a rejected sample replaced by its prediction.
 
 from __future__ import annotations
 
+from fkgen.estimators.lmmse.jump import jump_filter
+from fkgen.estimators.lmmse.stationary import stationary_filter
 from fkgen.families.family import Family
-from fkgen.families.jump_evidence import PATHS, TEXTBOOK
-from fkgen.spec import Spec
-from fkgen.symbolic.jump_filter import jump_filter
-from fkgen.symbolic.jump_stationary import stationary_filter
+from fkgen.oracle.claims.jump import PATHS, TEXTBOOK
+from fkgen.problem import Spec
 from fkgen.symbolic.recursion import Recursion
 
 SOURCE = "Costa 1994, sec. III; Costa, Fragoso & Marques 2005, sec. 5.4; Nahi 1969, eq. (13)"

@@ -7,10 +7,10 @@ faults.
 
 from __future__ import annotations
 
-from fkgen.families.evidence import BATCH, IDENTITIES, OPTIMAL_GAIN, RICCATI
+from fkgen.estimators.lmmse.kalman import linear_filter
 from fkgen.families.family import Family
-from fkgen.spec import Spec
-from fkgen.symbolic.linear_filter import linear_filter
+from fkgen.oracle.claims.gaussian import BATCH, IDENTITIES, OPTIMAL_GAIN, RICCATI
+from fkgen.problem import Spec
 from fkgen.symbolic.recursion import Recursion
 
 

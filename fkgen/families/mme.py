@@ -9,13 +9,9 @@ from __future__ import annotations
 
 import casadi as ca
 
-from fkgen.families.evidence import IDENTITIES, MME_BATCH, MME_TEXTBOOK
-from fkgen.families.family import Family
-from fkgen.spec import Spec
-from fkgen.symbolic.bank import Bank
-from fkgen.symbolic.conditioning import Conditioned
-from fkgen.symbolic.elimination import whiten
-from fkgen.symbolic.estimate import (
+from fkgen.estimators.gaussian.conditioning import Conditioned
+from fkgen.estimators.gaussian.elimination import whiten
+from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
     correct,
@@ -24,14 +20,18 @@ from fkgen.symbolic.estimate import (
     finite,
     propagate,
 )
+from fkgen.estimators.lmmse.kalman import by_rows
+from fkgen.estimators.models.bank import Bank
+from fkgen.estimators.models.merge import combined_innovation
+from fkgen.estimators.models.weights import Weights, log_prior, log_sum_exp, patterns, reweigh
+from fkgen.families.family import Family
+from fkgen.oracle.claims.gaussian import IDENTITIES, MME_BATCH, MME_TEXTBOOK
+from fkgen.problem import Spec
+from fkgen.symbolic.builder import Script
 from fkgen.symbolic.linalg import congruence, pack, spread, unpack, weighted_sum
-from fkgen.symbolic.linear_filter import by_rows
-from fkgen.symbolic.mixture import combined_innovation
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
-from fkgen.symbolic.script import Script
-from fkgen.symbolic.weights import Weights, log_prior, log_sum_exp, patterns, reweigh
 
 
 def build(spec: Spec) -> Recursion:

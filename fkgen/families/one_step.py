@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from fkgen.families.family import Family
-from fkgen.families.sensor_evidence import ENUMERATION, ONE_STEP
-from fkgen.spec import Spec
-from fkgen.symbolic.actuation import certain
-from fkgen.symbolic.estimate import (
+from fkgen.estimators.gaussian.actuation import certain
+from fkgen.estimators.gaussian.estimate import (
     bound,
     demand_finite,
     demand_positive,
@@ -21,13 +18,16 @@ from fkgen.symbolic.estimate import (
     finite,
     propagate,
 )
+from fkgen.estimators.models.markov import advance
+from fkgen.estimators.models.switching import ModeUpdate, Switching
+from fkgen.families.family import Family
+from fkgen.oracle.claims.sensor import ENUMERATION, ONE_STEP
+from fkgen.problem import Spec
+from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.linalg import spread, weighted_sum
-from fkgen.symbolic.markov import advance
 from fkgen.symbolic.ports import prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
-from fkgen.symbolic.script import Script
-from fkgen.symbolic.switching import ModeUpdate, Switching
 
 MODES = 4
 

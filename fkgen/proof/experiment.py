@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.closed_form import LinearSystem, draw_record
-from fkgen.families.family import Array, Record
-from fkgen.spec import Spec
+from fkgen.oracle import LinearSystem, draw_record
+from fkgen.oracle.claims.claim import Array, Record
+from fkgen.problem import Spec
 
 #: Ratio of prior to measurement variance beyond which a milder prior takes the place of the spec's.
 MILD = 1e4

@@ -6,8 +6,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
-#: Called with the number of pieces that were done since the last call.
-Advance = Callable[[int], object]
+from fkgen.console import Advance
 
 
 def cores() -> int:

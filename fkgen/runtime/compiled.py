@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.console import Advance
 from fkgen.errors import DataError, InternalError, StepRefused
 from fkgen.runtime import record
-from fkgen.runtime.blocks import Advance, in_blocks
+from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
 from fkgen.symbolic.interface import Port, Status

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from fkgen.runtime import cache
 from fkgen.runtime.compiled import CompiledFilter
-from fkgen.runtime.compiler import Compiler, compile_shared
+from fkgen.runtime.compiler import Compiler, compile_shared, find_compiler
 from fkgen.runtime.layout import Layout, layout_of
 
 if TYPE_CHECKING:
@@ -28,6 +28,21 @@ def make(key: str, source: Source, compiler: Compiler) -> Path:
         (folder / cache.LAYOUT).write_text(layout.to_json(), encoding="utf-8")
 
     return cache.store(key, fill)
+
+
+def compile_source(source: Source) -> CompiledFilter:
+    """Compile generated code into a filter that runs from Python; cached by content.
+
+    Raises
+    ------
+    CompilerError
+        If there is no C compiler or it refuses the code.
+    OutputError
+        If the cache folder cannot be written.
+    """
+    compiler = find_compiler()
+    key = cache.key_of(source.record, *source.files.values(), compiler.identity)
+    return load(cache.find(key) or make(key, source, compiler))
 
 
 def load(entry: Path) -> CompiledFilter:

@@ -92,3 +92,11 @@ def spread(weights: ca.SX, means: list[ca.SX], mean: ca.SX) -> ca.SX:
         deviation = each - mean
         total += outer_lower(weights[i] * deviation, deviation)
     return total
+
+
+def total(matrices: list[ca.SX]) -> ca.SX:
+    """Sum of matrices of one shape."""
+    result = matrices[0]
+    for matrix in matrices[1:]:
+        result = result + matrix
+    return result

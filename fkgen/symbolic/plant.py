@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fkgen.errors import InternalError
-from fkgen.spec import Expression, Matrix, Name, Number, Operation, Spec
-from fkgen.spec.covariance import is_singular
+from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
+from fkgen.problem.covariance import is_singular
 
 _ARITHMETIC: dict[str, Callable[..., ca.SX]] = {
     "+": arithmetic.add,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from fkgen.spec import Spec
+from fkgen.problem import Spec
 from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant

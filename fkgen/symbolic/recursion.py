@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from fkgen.spec import Spec
+from fkgen.problem import Spec
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status
 
 

@@ -15,11 +15,18 @@ import pytest
 
 import fkgen
 from fkgen.families import NAMES, family
-from fkgen.spec.faults import SECTIONS
+from fkgen.problem.filter import SECTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "fkgen"
-JUDGED = ("casadi", "fkgen.symbolic", "fkgen.families", "fkgen.backend", "fkgen.proof")
+JUDGED = (
+    "casadi",
+    "fkgen.symbolic",
+    "fkgen.estimators",
+    "fkgen.families",
+    "fkgen.backend",
+    "fkgen.proof",
+)
 
 
 def imports(path):
@@ -44,7 +51,7 @@ def loaded_by(statement):
 
 
 @pytest.mark.parametrize(
-    "path", sorted((PACKAGE / "closed_form").glob("*.py")), ids=lambda path: path.stem
+    "path", sorted((PACKAGE / "oracle").rglob("*.py")), ids=lambda path: path.stem
 )
 def test_a_closed_form_imports_nothing_of_what_it_judges(path):
     judged = [name for name in imports(path) if name.startswith(JUDGED)]
@@ -54,8 +61,8 @@ def test_a_closed_form_imports_nothing_of_what_it_judges(path):
 def test_the_closed_forms_run_without_casadi():
     statement = (
         "import numpy as np, fkgen\n"
-        "from fkgen.closed_form import LinearSystem, batch_lmmse, simulate, textbook_mme\n"
-        "from fkgen.closed_form import stationary_prediction, batch_posterior\n"
+        "from fkgen.oracle import LinearSystem, batch_lmmse, simulate, textbook_mme\n"
+        "from fkgen.oracle import stationary_prediction, batch_posterior\n"
         "one = [[1.0]]\n"
         "model = dict(A=[[0.5]], C=one, Q=one, R=one, x0=[0.0], P0=one)\n"
         "table = dict(name='a', filter=dict(family='kf'), model=model)\n"
@@ -72,8 +79,8 @@ def test_the_closed_forms_run_without_casadi():
 
 
 def test_a_recursion_imports_no_oracle():
-    for path in (PACKAGE / "symbolic").glob("*.py"):
-        assert not [name for name in imports(path) if name.startswith("fkgen.closed_form")]
+    for path in (*(PACKAGE / "symbolic").glob("*.py"), *(PACKAGE / "estimators").rglob("*.py")):
+        assert not [name for name in imports(path) if name.startswith("fkgen.oracle")]
 
 
 HEAVY = ("casadi", "sympy", "control", "matplotlib", "scipy", "jinja2")

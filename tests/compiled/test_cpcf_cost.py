@@ -10,7 +10,7 @@ from partial_models import PAPER, cpcf
 
 from fkgen.backend.lower import lower
 from fkgen.families import family
-from fkgen.study.starters import resource
+from fkgen.study.reports.starters import resource
 
 #: FLOPs of a sample that ends no window, over those of the Kalman filter of the same rows.
 MOST = 1.6

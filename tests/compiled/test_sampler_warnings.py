@@ -10,8 +10,8 @@ import pytest
 from sensor_models import SCALAR
 from toolchain import BITS, FLAGS, c_compilers
 
-from fkgen.backend.sampler import lower_sampling, render_sampler
-from fkgen.symbolic.sampling import sampling_of
+from fkgen.trials.lowering import lower_sampling, render_sampler
+from fkgen.trials.sampling import sampling_of
 
 MOMENTS = {"problem": "moments", "gamma_rate": 0.6, "gamma_persistence": 0.8}
 SPECS = {

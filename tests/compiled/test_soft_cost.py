@@ -12,7 +12,7 @@ from soft_models import PAPER, soft
 
 from fkgen.backend.lower import lower
 from fkgen.families import family
-from fkgen.study.starters import resource
+from fkgen.study.reports.starters import resource
 
 SHAPES = [
     (n, p, host)

@@ -11,8 +11,8 @@ from models import built, distance, interpreted, random_model
 from sensor_models import DENSE, EVERY, SWITCHING, chain, every, plane, sensed
 
 import fkgen
-from fkgen.closed_form import LinearSystem, SensorLaw, enumerate_modes
 from fkgen.errors import StepRefused
+from fkgen.oracle import LinearSystem, SensorLaw, enumerate_modes
 
 WEIGHING = ("one_step", "one_step_paper", "imm", "imm_zeros", "imm_product", "imm3", "imm_jump")
 GAUSSIAN = ("one_step", "imm")

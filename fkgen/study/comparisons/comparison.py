@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.console import progressing
 from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.pipeline import build
+from fkgen.problem import Spec
 from fkgen.runtime.compiled import CompiledFilter
-from fkgen.spec import Spec
-from fkgen.study.comparisons.contenders import (
+from fkgen.study.comparisons.candidates import (
     Contender,
     contenders_of,
     default_families,
@@ -25,8 +26,7 @@ from fkgen.study.comparisons.experiment import Experiment
 from fkgen.study.comparisons.footprint import footprint
 from fkgen.study.comparisons.ranking import Comparison, Entry, judged
 from fkgen.study.comparisons.scores import Scores, score
-from fkgen.study.progress import progressing
-from fkgen.study.simulation import counted, simulate
+from fkgen.trials.simulation import counted, simulate
 
 #: Samples that are simulated and filtered before the next ones: what they take in memory.
 CHUNK = 400_000

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.runtime.results import Run
-from fkgen.study.simulation import Simulation
+from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

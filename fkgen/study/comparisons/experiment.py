@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from fkgen.errors import DataError
-from fkgen.study.demands import probability
-from fkgen.study.simulation import counted
+from fkgen.problem.numbers import probability
+from fkgen.trials.simulation import counted
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
-from fkgen.study.comparisons.contenders import Told, healthy_modes
+from fkgen.study.comparisons.candidates import Told, healthy_modes
 from fkgen.study.comparisons.detection import Detection, declared, detection, faulty, tested
-from fkgen.study.simulation import Simulation
 from fkgen.symbolic.interface import Status
+from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError
-from fkgen.study.demands import probability
+from fkgen.problem.numbers import probability
 from fkgen.study.effects.power import detection_power
 
 Array = NDArray[np.float64]

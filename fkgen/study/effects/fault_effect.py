@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from numpy.typing import ArrayLike
 
-from fkgen.spec import Spec
+from fkgen.problem import Spec
 from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.effects.paired import RUNS, differenced_response, paired_response
 from fkgen.study.effects.question import ask

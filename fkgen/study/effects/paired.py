@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.closed_form import draw_record, simulate
 from fkgen.errors import DataError
+from fkgen.oracle import draw_record, simulate
 from fkgen.pipeline import build
+from fkgen.problem import Code, Spec
+from fkgen.problem.filter import SECTIONS
+from fkgen.problem.numbers import whole
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
-from fkgen.spec import Code, Spec
-from fkgen.spec.faults import SECTIONS
-from fkgen.study.demands import whole
 from fkgen.study.effects.effect import FaultEffect, Kind
 from fkgen.study.effects.question import Question
 

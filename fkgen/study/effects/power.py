@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError
-from fkgen.study.demands import probability
+from fkgen.problem.numbers import probability
 
 Array = NDArray[np.float64]
 

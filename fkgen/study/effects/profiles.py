@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
-from fkgen.study.demands import whole
-from fkgen.study.table import read_columns
+from fkgen.problem.numbers import whole
+from fkgen.study.records.table import read_columns
 
 __all__ = ["drift", "from_csv", "pulse", "ramp", "step"]
 

@@ -9,10 +9,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.closed_form import LinearSystem
 from fkgen.errors import DataError
+from fkgen.oracle import LinearSystem
+from fkgen.problem import Signal, Spec
 from fkgen.runtime.record import choice, numbers, signal
-from fkgen.spec import Signal, Spec
 
 Array = NDArray[np.float64]
 

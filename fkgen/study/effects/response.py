@@ -16,13 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.closed_form.gaussian import square_root
 from fkgen.errors import DataError
+from fkgen.faults import Faults
+from fkgen.oracle.exact.gaussian import square_root
 from fkgen.pipeline import build
+from fkgen.problem import Code, Expression, Filter, Matrix, Name, Number, Signal, Spec
+from fkgen.problem.spec import Parameter
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
-from fkgen.spec import Code, Expression, Faults, Filter, Matrix, Name, Number, Signal, Spec
-from fkgen.spec.definition import Parameter
 from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.effects.question import Mode, Question
 from fkgen.symbolic.interface import Status

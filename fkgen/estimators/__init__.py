@@ -1,0 +1,1 @@
+"""The estimators: from modes and measurements to the blocks of a recursion."""

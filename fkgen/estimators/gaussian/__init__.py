@@ -1,0 +1,1 @@
+"""One Gaussian: update with the rows present, propagation, rank decisions."""

@@ -1,0 +1,73 @@
+"""Inputs that work now and then: u reaches the plant as gamma .* u with a random gamma in {0, 1}.
+
+Strandt, Schneider & Yaz, eqs. (1), (3), and their extension to several actuators. The part of
+gamma that is not its mean is carried as r extra components of the state while y is processed,
+because the same gamma stands in x[k+1] and in y[k]: conditioning (x, gamma - xi) on y gives (11)
+and (12) without subtracting large numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from fkgen.errors import InternalError
+from fkgen.faults import ActuatorFaults
+from fkgen.symbolic.linalg import is_zero, sparse
+from fkgen.symbolic.plant import Plant, lift, lift_expression
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Actuation:
+    """What reaches the plant.
+
+    Attributes
+    ----------
+    mean : (q,) SX
+        xi .* u.
+    through : (q, r) SX
+        Input per unit of deviation of gamma from its mean; r = 0 if nothing is random.
+    covariance : (r, r) SX
+        Covariance of the deviations.
+    """
+
+    mean: ca.SX
+    through: ca.SX
+    covariance: ca.SX
+
+    @property
+    def size(self) -> int:
+        """Number r of random components."""
+        return int(self.through.shape[1])
+
+
+def certain(u: ca.SX) -> Actuation:
+    """Inputs that always work."""
+    return Actuation(mean=u, through=ca.SX(u.numel(), 0), covariance=ca.SX(0, 0))
+
+
+def rates_of(faults: ActuatorFaults, plant: Plant) -> list[ca.SX]:
+    """Success rates of a spec as SX, one (common) or q."""
+    return [lift_expression(rate, plant.parameters) for rate in faults.success_rate]
+
+
+def intermittent(faults: ActuatorFaults, rates: list[ca.SX], u: ca.SX, plant: Plant) -> Actuation:
+    """Inputs with the given success rates; components without variance are left out."""
+    q = u.numel()
+    variances = [sparse(rate * (1 - rate)) for rate in rates]
+    match faults.dependence:
+        case "common":
+            mean, through, covariance = rates[0] * u, u, variances[0]
+        case "independent":
+            mean = ca.vertcat(*rates) * u
+            through, covariance = ca.diag(u), ca.diag(ca.vertcat(*variances))
+        case "covariance":
+            if faults.covariance is None:
+                raise InternalError("dependence covariance without a covariance")
+            mean, through = ca.vertcat(*rates) * u, ca.diag(u)
+            covariance = lift(faults.covariance, plant.parameters)
+    kept = [i for i in range(through.shape[1]) if not is_zero(covariance[i, i])]
+    if not kept:
+        return Actuation(mean=mean, through=ca.SX(q, 0), covariance=ca.SX(0, 0))
+    return Actuation(mean=mean, through=through[:, kept], covariance=sparse(covariance[kept, kept]))

@@ -1,0 +1,125 @@
+"""Decorrelate measurement noise: LDL' elimination on R over the rows of y that are present.
+
+Eliminating row j from the rows below it subtracts a multiple of row j from each of them, so that
+the noises left over are uncorrelated and rows can be processed one by one. A missing row is
+skipped, which is the elimination of the R that is left without it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from fkgen.symbolic.builder import Script
+from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.linalg import is_zero, sparse
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measurement:
+    """y = C z + offset + w for the state z that is to be conditioned, Cov(w) = R.
+
+    ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out,
+    as the pseudo-inverse does. ``pivots_per_log`` pivots may be multiplied before their logarithm.
+    ``at`` says which rows of y these are.
+    """
+
+    C: ca.SX
+    offset: ca.SX
+    R: ca.SX
+    y: ca.SX
+    rows: tuple[str, ...]
+    at: tuple[int, ...]
+    rank_tolerance: float | None
+    pivots_per_log: int
+
+    def only(self, rows: tuple[int, ...]) -> Measurement:
+        """Some of the rows, as if there were no others."""
+        which = list(rows)
+        return replace(
+            self,
+            C=self.C[which, :],
+            offset=self.offset[which],
+            R=self.R[which, which],
+            y=self.y[which],
+            rows=tuple(self.rows[i] for i in which),
+            at=tuple(self.at[i] for i in which),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One decorrelated row.
+
+    Attributes
+    ----------
+    c : (m, 1) SX
+        What it measures of the state.
+    innovation, variance : SX
+        Its innovation with respect to the prior, and the variance of its noise.
+    of_y : (p, 1) SX
+        The combination of the rows of y that it is.
+    """
+
+    c: ca.SX
+    innovation: ca.SX
+    variance: ca.SX
+    of_y: ca.SX
+
+
+def decorrelate(
+    script: Script, measurement: Measurement, innovation: list[ca.SX], tag: str
+) -> list[Row]:
+    """Write the blocks of the elimination; a diagonal R passes through without any."""
+    p = measurement.C.shape[0]
+    C = [sparse(measurement.C[i, :].T) for i in range(p)]
+    of_y = [ca.SX.eye(p)[:, i] for i in range(p)]
+    e = list(innovation)
+    R = {(i, j): measurement.R[i, j] for i in range(p) for j in range(i + 1)}
+    tolerance = measurement.rank_tolerance
+    for j in range(p):
+        later = [i for i in range(j + 1, p) if not is_zero(R[i, j])]
+        if not later or is_zero(R[j, j]):
+            continue
+        pivot, coupling = R[j, j], {i: R[i, j] for i in later}
+        positive = None if tolerance is None else pivot - tolerance * measurement.R[j, j]
+        revision = _Revision(script, measurement.at[j], positive)
+        with script.titled(f"noise of {measurement.rows[j]} out of the rows below"):
+            if tolerance is None:
+                with script.when(measurement.at[j]):
+                    script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
+            for i in later:
+                name = f"{tag}_{j}_{i}"
+                share = script.let(f"share{name}", coupling[i] / pivot)
+                C[i] = revision.of(f"sensed{name}", C[i], C[i] - share * C[j])
+                e[i] = revision.of(f"decorrelated{name}", e[i], e[i] - share * e[j])
+                of_y[i] = revision.of(f"combined{name}", of_y[i], of_y[i] - share * of_y[j])
+                for k in [k for k in later if k <= i]:
+                    R[i, k] = revision.of(
+                        f"noise{name}_{k}", R[i, k], R[i, k] - share * coupling[k]
+                    )
+    if tolerance is not None:
+        R = {key: v if v.is_constant() else ca.fmax(v, 0) for key, v in R.items()}
+    return [Row(C[i], e[i], R[i, i], of_y[i]) for i in range(p)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Revision:
+    """Values that change if one row is present (and its pivot above rank tolerance)."""
+
+    script: Script
+    row: int
+    positive: ca.SX | None
+
+    def of(self, name: str, old: ca.SX, new: ca.SX) -> ca.SX:
+        """The new value where the row is present, the old one elsewhere."""
+        pattern = new.sparsity()
+        if pattern.nnz() == 0:
+            return new
+        before = ca.project(old, pattern)
+        symbol = self.script.local(name, pattern.nnz())
+        self.script.put({name: ca.vertcat(before.nz[:])})
+        with self.script.when(self.row, self.positive):
+            self.script.put({name: ca.vertcat(new.nz[:])})
+        return ca.SX(pattern, symbol)

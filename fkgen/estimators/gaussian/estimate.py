@@ -1,0 +1,233 @@
+"""The two halves of every filter here: correct with y[k], propagate to k + 1.
+
+The Kalman filter is the case in which no input is random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from fkgen.estimators.gaussian.actuation import Actuation
+from fkgen.estimators.gaussian.conditioning import (
+    PIVOTS_PER_LOG,
+    RANK_TOLERANCE,
+    Conditioned,
+    condition,
+)
+from fkgen.estimators.gaussian.decorrelation import Measurement
+from fkgen.estimators.gaussian.sequential import Form
+from fkgen.faults import JumpMode
+from fkgen.problem import Model, Spec
+from fkgen.symbolic.builder import Script
+from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.linalg import column, congruence, is_zero, pack, unpack
+from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.recursion import Guard
+
+#: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
+SHORT_FORM_RATIO = 1e6
+
+#: The same for families whose statistic divides by a difference of two covariances.
+DIFFERENCE_RATIO = 1e2
+_DIFFERENCES = ("compression_full", "dfcf")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posterior:
+    """(x, gamma - xi) given y[0..k], in blocks; the deviation is empty unless y depends on gamma.
+
+    Attributes
+    ----------
+    state : (n,) SX
+    covariance : (n (n + 1) / 2,) SX
+        Packed.
+    deviation : (r,) SX
+    deviation_covariance : (r (r + 1) / 2,) SX
+        Packed.
+    cross_covariance : (r, n) SX
+    """
+
+    state: ca.SX
+    covariance: ca.SX
+    deviation: ca.SX
+    deviation_covariance: ca.SX
+    cross_covariance: ca.SX
+
+
+def senses_actuation(plant: Plant, actuation: Actuation) -> bool:
+    """Whether y[k] depends on the random part of the input (D gamma u with D != 0)."""
+    return bool(actuation.size and plant.D.nnz())
+
+
+def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
+    """The covariance update of ``code.update``; "auto" decides on the digits at stake."""
+    if spec.code.update != "auto":
+        return spec.code.update
+    if spec.code.scalar == "float" or plant.noise_free or augmented:
+        return "joseph"
+    ratio = DIFFERENCE_RATIO if spec.filter.family in _DIFFERENCES else SHORT_FORM_RATIO
+    return "short" if prior_to_noise(spec) <= ratio else "joseph"
+
+
+def prior_to_noise(spec: Spec) -> float:
+    """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
+    plants = (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
+    return max(_prior_to_noise(spec, each) for each in plants)
+
+
+def _prior_to_noise(spec: Spec, plant: Model | JumpMode) -> float:
+    P0 = spec.model.P0.values()
+    C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
+    noise = np.diag(R)
+    prior = np.diag(C @ (P0 + Q) @ C.T)
+    if np.any((noise <= 0.0) & (prior > 0.0)):
+        return float("inf")
+    return float(np.max(np.divide(prior, noise, where=noise > 0.0, out=np.zeros_like(prior))))
+
+
+def correct(
+    script: Script,
+    plant: Plant,
+    actuation: Actuation,
+    prior: tuple[ca.SX, ca.SX],
+    *,
+    y: ca.SX,
+    scalar: str,
+    form: Form,
+    tag: str = "",
+    with_gain: bool = False,
+) -> tuple[Conditioned, Posterior]:
+    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11)."""
+    state, packed = prior
+    n, r = plant.nx, 0
+    covariance, C = unpack(packed, n), plant.C
+    if senses_actuation(plant, actuation):
+        r = actuation.size
+        state = ca.vertcat(state, ca.SX.zeros(r))
+        covariance = ca.diagcat(covariance, actuation.covariance)
+        C = ca.horzcat(C, plant.D @ actuation.through)
+    measurement = measurement_of(
+        plant, scalar=scalar, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R
+    )
+    found = condition(
+        script, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
+    )
+    P = unpack(found.covariance, n + r)
+    posterior = Posterior(
+        state=found.mean[:n, 0],
+        covariance=pack(P[:n, :n]),
+        deviation=found.mean[n:, 0],
+        deviation_covariance=pack(P[n:, n:]),
+        cross_covariance=P[n:, :n],
+    )
+    return found, posterior
+
+
+def measurement_of(
+    plant: Plant,
+    *,
+    scalar: str,
+    y: ca.SX,
+    C: ca.SX,
+    offset: ca.SX,
+    R: ca.SX,
+) -> Measurement:
+    """Y = C z + offset + w as this plant measures it, with what rank and logarithms need."""
+    return Measurement(
+        C=C,
+        offset=offset,
+        R=R,
+        y=y,
+        rows=plant.rows,
+        at=tuple(range(plant.ny)),
+        rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
+        pivots_per_log=PIVOTS_PER_LOG[scalar],
+    )
+
+
+def propagate(
+    plant: Plant, actuation: Actuation, posterior: Posterior
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Predicted state, packed covariance and the map [A, B u~]: Strandt et al., eqs. (4), (12)."""
+    n = plant.nx
+    B = plant.B @ actuation.through
+    state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
+    P = unpack(posterior.covariance, n)
+    if posterior.deviation.numel() == 0:
+        covariance = congruence(plant.A, P) + pack(plant.Q)
+        if actuation.size:
+            covariance += congruence(B, actuation.covariance)
+        return state, covariance, plant.A
+    r = actuation.size
+    cross = posterior.cross_covariance
+    joint = ca.blockcat(P, cross.T, cross, unpack(posterior.deviation_covariance, r))
+    through = ca.horzcat(plant.A, B)
+    return state + B @ posterior.deviation, congruence(through, joint) + pack(plant.Q), through
+
+
+def estimated(state: ca.SX, covariance: ca.SX) -> Posterior:
+    """A filtered estimate in which nothing is known of random inputs."""
+    none = ca.SX(0, 1)
+    return Posterior(
+        state=state,
+        covariance=covariance,
+        deviation=none,
+        deviation_covariance=none,
+        cross_covariance=ca.SX(0, state.numel()),
+    )
+
+
+def bound(script: Script, plant: Plant, letters: str) -> Plant:
+    """The plant with its computed entries named; variances below zero are refused."""
+    return bound_all(script, (plant,), letters)[0]
+
+
+def bound_all(script: Script, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
+    """The same for several plants; a matrix that is the same object in some is named once."""
+    named: dict[int, Any] = {}
+    for letter in letters:
+        own = {id(matrix): matrix for matrix in (getattr(plant, letter) for plant in plants)}
+        named |= zip(own, script.name_all(letter, [*own.values()]), strict=True)
+        if letter in {"Q", "R"}:
+            for matrix in (named[key] for key in own):
+                diagonal = [matrix[i, i] for i in range(matrix.shape[0])]
+                variances = [value for value in diagonal if not is_zero(value)]
+                script.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+    return tuple(
+        replace(plant, **{letter: named[id(getattr(plant, letter))] for letter in letters})
+        for plant in plants
+    )
+
+
+def demand_rates(script: Script, rates: list[ca.SX]) -> None:
+    """Refuse success rates outside [0, 1] that come from run-time parameters."""
+    for rate in rates:
+        script.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
+
+
+def finite(state: ca.SX, packed: ca.SX) -> Guard:
+    """Refuse the sample unless the state and the variances are finite."""
+    n = state.numel()
+    values = [state[i] for i in range(n)] + [packed[i * (i + 3) // 2] for i in range(n)]
+    return Guard(column(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
+
+
+def demand_finite(script: Script, state: ca.SX) -> None:
+    """Refuse the sample unless the corrected state is finite.
+
+    Its variances are then finite too: none is larger than before the correction, and a pivot whose
+    reciprocal overflows spoils the state along with them.
+    """
+    values = [state[i] for i in range(state.numel())]
+    script.demand(Kind.FINITE, values, Status.RESULT_NOT_FINITE)
+
+
+def demand_positive(script: Script, packed: ca.SX, n: int) -> None:
+    """Refuse to go on from a covariance with a negative variance."""
+    variances = [packed[i * (i + 3) // 2] for i in range(n)]
+    script.demand(Kind.NONNEGATIVE, variances, Status.NOT_POSITIVE_DEFINITE)

@@ -1,0 +1,1 @@
+"""Best linear estimators of a chain of plants: Kalman, Lemma 2, jumps."""

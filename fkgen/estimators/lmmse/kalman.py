@@ -1,0 +1,183 @@
+"""The linear filter with one mean and one covariance: kf, mkf and genie."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
+from fkgen.estimators.gaussian.estimate import (
+    Posterior,
+    bound,
+    correct,
+    demand_finite,
+    demand_positive,
+    demand_rates,
+    finite,
+    propagate,
+    update_form,
+)
+from fkgen.estimators.gaussian.sensing import demand_indicators, observed
+from fkgen.estimators.gaussian.sequential import Form
+from fkgen.problem import Spec
+from fkgen.symbolic.builder import Script
+from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.recursion import Phase, Recursion
+
+
+def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
+    """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
+    plant = plant_of(spec)
+    size = _actuation(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
+    ports = (
+        *state_ports(spec),
+        *(_deviation_ports(plant.nx, size) if size else ()),
+        *innovation_ports(spec),
+        *(_gain_ports(plant, size) if with_gain else ()),
+    )
+    symbols = symbols_of(spec, plant, ports)
+    form = update_form(spec, plant, augmented=size > 0)
+    start = dict(zip(("state", "covariance"), prior_of(spec), strict=True))
+    return Recursion(
+        spec=spec,
+        source=source,
+        ports=ports,
+        initial={
+            f"{of}_{what}": v for what, v in start.items() for of in ("predicted", "filtered")
+        },
+        update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
+        predict=_predict(spec, plant, symbols, with_gain=with_gain),
+        notes=(f"covariance update: {form} form",),
+    )
+
+
+def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
+    faults = spec.faults.actuator
+    return certain(u) if faults is None else intermittent(faults, rates_of(faults, plant), u, plant)
+
+
+def _demand_rates(script: Script, spec: Spec, plant: Plant) -> None:
+    if spec.faults.actuator is not None:
+        demand_rates(script, rates_of(spec.faults.actuator, plant))
+
+
+def _update(
+    spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
+) -> Phase:
+    script = Script(symbols)
+    demand_positive(script, symbols["predicted_covariance"], plant.nx)
+    _demand_rates(script, spec, plant)
+    if spec.faults.sensor is not None:
+        demand_indicators(script, plant, spec.faults.sensor)
+        plant = observed(plant, spec.faults.sensor)
+    plant = bound(script, plant, "CDR")
+    found, posterior = correct(
+        script,
+        plant,
+        _actuation(spec, plant, symbols["u"]),
+        (symbols["predicted_state"], symbols["predicted_covariance"]),
+        y=symbols["y"],
+        scalar=spec.code.scalar,
+        form=form,
+        with_gain=with_gain,
+    )
+    demand_finite(script, posterior.state)
+    assign = {
+        "filtered_state": posterior.state,
+        "filtered_covariance": posterior.covariance,
+        "actuation_deviation": posterior.deviation,
+        "actuation_covariance": posterior.deviation_covariance,
+        "actuation_cross_covariance": by_rows(posterior.cross_covariance),
+        "innovation": found.innovation,
+        "innovation_covariance": found.innovation_covariance,
+        "nis": found.nis,
+        "log_likelihood": found.log_likelihood,
+    }
+    if found.gain is not None:
+        assign["filtered_gain"] = by_rows(found.gain[: plant.nx, :])
+        assign["actuation_gain"] = by_rows(found.gain[plant.nx :, :])
+    with script.titled("results of the update"):
+        script.put({name: value for name, value in assign.items() if value.numel()})
+    return script.phase()
+
+
+def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
+    script = Script(symbols)
+    _demand_rates(script, spec, plant)
+    plant = bound(script, plant, "ABQ")
+    actuation = _actuation(spec, plant, symbols["u"])
+    r = symbols["actuation_deviation"].numel() if "actuation_deviation" in symbols else 0
+    posterior = Posterior(
+        state=symbols["filtered_state"],
+        covariance=symbols["filtered_covariance"],
+        deviation=symbols["actuation_deviation"] if r else ca.SX(0, 1),
+        deviation_covariance=symbols["actuation_covariance"] if r else ca.SX(0, 1),
+        cross_covariance=from_rows(symbols["actuation_cross_covariance"], r) if r else ca.SX(0, 0),
+    )
+    state, covariance, through = propagate(plant, actuation, posterior)
+    assign = {"predicted_state": state, "predicted_covariance": covariance}
+    if with_gain:
+        gain = from_rows(symbols["filtered_gain"], plant.nx)
+        if r:
+            gain = ca.vertcat(gain, from_rows(symbols["actuation_gain"], r))
+        assign["gain"] = by_rows(through @ gain)
+    with script.titled("prediction of the next sample"):
+        script.put(assign, [finite(state, covariance)])
+    return script.phase()
+
+
+def by_rows(matrix: ca.SX) -> ca.SX:
+    """Entries of a matrix row by row: the one place where CasADi's column order is turned."""
+    return ca.densify(ca.reshape(matrix.T, matrix.numel(), 1))
+
+
+def from_rows(values: ca.SX, rows: int) -> ca.SX:
+    """The matrix with this many rows whose entries are given row by row."""
+    return ca.reshape(values, values.numel() // rows, rows).T
+
+
+def _deviation_ports(n: int, r: int) -> tuple[Port, ...]:
+    return (
+        Port(
+            name="actuation_deviation",
+            shape=(r,),
+            role=Role.STATE,
+            meaning="E[gamma[k] | y[0..k]] minus the success rate, per random component",
+        ),
+        Port(
+            name="actuation_covariance",
+            shape=(r, r),
+            role=Role.STATE,
+            symmetric=True,
+            meaning="covariance of gamma[k] given y[0..k]",
+        ),
+        Port(
+            name="actuation_cross_covariance",
+            shape=(r, n),
+            role=Role.STATE,
+            meaning="covariance of gamma[k] with the state given y[0..k]",
+        ),
+    )
+
+
+def _gain_ports(plant: Plant, r: int) -> tuple[Port, ...]:
+    n, p = plant.nx, plant.ny
+    gains = (
+        Port(
+            name="gain",
+            shape=(n, p),
+            role=Role.OUTPUT,
+            meaning="K: d x(k+1|k) / d y[k]; columns of missing rows are 0",
+        ),
+        Port(
+            name="filtered_gain",
+            shape=(n, p),
+            role=Role.OUTPUT,
+            meaning="Kf: d x(k|k) / d y[k]; columns of missing rows are 0",
+        ),
+    )
+    if not r:
+        return gains
+    meaning = "d E[gamma[k] | y[0..k]] / d y[k]; columns of missing rows are 0"
+    return (*gains, Port(name="actuation_gain", shape=(r, p), role=Role.OUTPUT, meaning=meaning))

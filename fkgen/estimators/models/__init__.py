@@ -1,0 +1,1 @@
+"""Multiple models: banks, mode probabilities, ways to merge."""

@@ -1,0 +1,208 @@
+"""Sensors that drift slowly: which rows of y the host filter trusts at once, and which wait."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from fkgen.faults.partial_state import check_partial_state
+from fkgen.problem.covariance import is_singular, nearby
+from fkgen.problem.model import Model
+from fkgen.problem.signals import Signal, read_row
+from fkgen.problem.table.place import Place, show
+from fkgen.problem.table.section import Section, as_list, as_number
+
+#: Longest window: a float counts samples exactly up to 2^24.
+LONGEST_WINDOW = 10_000_000
+
+#: Most groups: every set of accepted groups needs a filter of its own.
+MOST_GROUPS = 4
+
+Rows = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SoftFaults:
+    """Rows of y of the host filter and of the compression filters: Lee & Lee, eqs. (26), (27).
+
+    Parameters
+    ----------
+    host : tuple of int
+        Rows of y that the host filter uses at once, ascending; empty: it only propagates.
+    groups : tuple of tuple of int
+        Rows of y of each compression filter, ascending; with ``host``, every row just once.
+    window : int
+        The host takes over compressed measurements at samples k > 0 with k mod window = 0.
+    false_alarm : float
+        Probability that a compression filter without fault is rejected, in (0, 1).
+    """
+
+    host: Rows
+    groups: tuple[Rows, ...]
+    window: int
+    false_alarm: float = 0.05
+
+    @property
+    def compressed(self) -> Rows:
+        """The rows of all groups, ascending."""
+        return tuple(sorted(row for group in self.groups for row in group))
+
+    def plain(self) -> dict[str, object]:
+        """Return the table a spec file would hold."""
+        return {
+            "host": list(self.host),
+            "window": self.window,
+            "false_alarm": self.false_alarm,
+            "groups": [list(group) for group in self.groups],
+        }
+
+
+def read_soft_faults(
+    table: object, place: Place, defaults: Mapping[str, float], family: str, model: Model
+) -> SoftFaults:
+    """Return the soft faults that a table describes.
+
+    Parameters
+    ----------
+    table : object
+        What stands under ``faults.soft``.
+    place : Place
+        Where.
+    defaults : mapping of str to float
+        The parameters and their default values.
+    family : str
+        ``compression_full``, ``dfcf`` or ``cpcf``.
+    model : Model
+        The plant; its R must not correlate host and groups.
+
+    Raises
+    ------
+    SpecError
+        If a key is missing or unknown, a group is empty, rows are out of range or named twice, the
+        noises of two groups are correlated, or the group of ``cpcf`` is not phi [I 0] T x.
+    """
+    section = Section(table, place, known=("host", "window", "false_alarm", "groups"))
+    host = _host(section, family, model.outputs)
+    groups = _groups(section, host, family, model.outputs)
+    faults = SoftFaults(host, groups, _window(section), _false_alarm(section))
+    _check_noise(faults, model, place, defaults, family)
+    if family == "cpcf":
+        check_partial_state(model, faults.compressed, Place(place.file).entry("model"), defaults)
+    return faults
+
+
+def _host(section: Section, family: str, outputs: Sequence[Signal]) -> Rows:
+    place = section.place.entry("host")
+    names = ", ".join(signal.name for signal in outputs)
+    expected = f"a list of rows of y, out of 0..{len(outputs) - 1} ({names}), that drift never"
+    if family == "compression_full" and "host" not in section:
+        return ()
+    rows = _rows(section.require("host", expected), place, expected, outputs)
+    if not rows and family == "dfcf":
+        raise place.error(
+            "an empty list", f"{expected}; a host that only propagates is compression_full"
+        )
+    if len(rows) == len(outputs):
+        raise place.error("every row of y", "at least one row left for the compression filter")
+    return rows
+
+
+def _groups(
+    section: Section, host: Rows, family: str, outputs: Sequence[Signal]
+) -> tuple[Rows, ...]:
+    others = tuple(i for i in range(len(outputs)) if i not in host)
+    if "groups" not in section:
+        return (others,)
+    place = section.place.entry("groups")
+    expected = "a list of groups of rows, such as [[1], [2, 3]], every row that is not host's once"
+    entries = as_list(section.table["groups"], place, expected)
+    if not entries:
+        raise place.error("an empty list", f"{expected}; leave the key out for one group")
+    most = 1 if family == "cpcf" else MOST_GROUPS
+    if len(entries) > most:
+        reason = (
+            "cpcf has one compression filter; dfcf has one per group"
+            if family == "cpcf"
+            else f"each of the {2 ** len(entries) - 1} sets of accepted groups needs a filter"
+        )
+        raise place.error(f"{len(entries)} groups", f"at most {most}: {reason}")
+    taken = dict.fromkeys(host, "a row of the host")
+    groups = []
+    for i, entry in enumerate(entries):
+        groups.append(_group(entry, place.item(i), taken, outputs))
+        taken |= dict.fromkeys(groups[-1], "in another group too")
+    for row in others:
+        if row not in taken:
+            raise place.error(
+                f"groups without row {row} ({outputs[row].name})", "every row in host or a group"
+            )
+    return tuple(groups)
+
+
+def _group(
+    entry: object, place: Place, taken: Mapping[int, str], outputs: Sequence[Signal]
+) -> Rows:
+    group = _rows(entry, place, "a list of rows of y", outputs)
+    if not group:
+        raise place.error("an empty group", "at least one row of y")
+    for row in group:
+        if row in taken:
+            raise place.error(f"row {row}, {taken[row]}", "every row once, in host or in a group")
+    return group
+
+
+def _rows(given: object, place: Place, expected: str, outputs: Sequence[Signal]) -> Rows:
+    names = [signal.name for signal in outputs]
+    entries = as_list(given, place, expected)
+    rows = [read_row(entry, place.item(i), names) for i, entry in enumerate(entries)]
+    for i, row in enumerate(rows):
+        if row in rows[:i]:
+            raise place.item(i).error(f"row {row} a second time", "every row once")
+    return tuple(sorted(rows))
+
+
+def _window(section: Section) -> int:
+    place = section.place.entry("window")
+    expected = f"a whole number of samples, 1 to {LONGEST_WINDOW}, between updates of the host"
+    number = as_number(section.require("window", expected), place, expected)
+    if number != int(number) or not 1 <= number <= LONGEST_WINDOW:
+        raise place.error(show(number), expected)
+    return int(number)
+
+
+def _false_alarm(section: Section) -> float:
+    place = section.place.entry("false_alarm")
+    expected = "a probability between 0 and 1, both excluded"
+    number = as_number(section.table.get("false_alarm", 0.05), place, expected)
+    if not 0.0 < number < 1.0:
+        raise place.error(show(number), expected)
+    return number
+
+
+def _check_noise(
+    faults: SoftFaults, model: Model, place: Place, defaults: Mapping[str, float], family: str
+) -> None:
+    """Refuse noise that two groups share: Lee & Lee, (27), have a block-diagonal r."""
+    label = dict.fromkeys(faults.host, -1)
+    label |= {row: at for at, group in enumerate(faults.groups) for row in group}
+    where = Place(place.file).entry("model").entry("R")
+    for point in [defaults] if model.R.is_constant else nearby(defaults):
+        try:
+            R = model.R.values(point)
+        except ArithmeticError:  # outside the domain of an entry: this point says nothing
+            continue
+        for i in range(model.ny):
+            for j in range(i):
+                if label[i] != label[j] and R[i, j] != 0.0:
+                    raise where.error(
+                        f"entry [{i}][{j}] = {float(R[i, j]):.6g} for rows of different filters",
+                        "0: noise that host and compression filter (or two groups) share would be"
+                        " counted twice; put such rows into one group",
+                    )
+    if family == "cpcf":
+        rows = list(faults.compressed)
+        if is_singular(model.R.values(defaults)[rows][:, rows]):
+            raise where.error(
+                "a singular block for the rows of the compression filter",
+                "a regular one: cpcf weighs by its inverse, eq. (46); dfcf does not need it",
+            )

@@ -1,0 +1,219 @@
+"""Closed forms that families share: what `fkgen.oracle` says about a spec and a record."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fkgen.faults import JumpMode
+from fkgen.oracle import (
+    IDENTITIES,
+    LinearSystem,
+    batch_lmmse,
+    batch_posterior,
+    constant_input_noise,
+    informed,
+    stationary_prediction,
+    textbook_mme,
+)
+from fkgen.oracle.claims.claim import Array, ClosedForm, Record
+from fkgen.problem import Model, Spec
+from fkgen.problem.covariance import is_singular
+
+__all__ = ["BATCH", "IDENTITIES", "MME_BATCH", "MME_TEXTBOOK", "OPTIMAL_GAIN", "RICCATI"]
+
+#: Relative error that well-conditioned double arithmetic stays far below, and no wrong formula
+#: does.
+EXACT = 1e-9
+
+PAPER = "Strandt, Schneider & Yaz"
+
+
+#: Where S may be singular, both sides decide on a rank, and a rank decision has a tolerance.
+RANK_DEFICIENT = 1e-6
+
+
+def _plants(spec: Spec) -> tuple[Model | JumpMode, ...]:
+    """The matrices of every mode."""
+    return (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
+
+
+def has_exact_rows(spec: Spec) -> bool:
+    """Whether some combination of the rows of y carries no noise."""
+    return any(is_singular(each.R.values(spec.defaults)) for each in _plants(spec))
+
+
+def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None) -> LinearSystem:
+    """The linear system of a record, with the record's prior."""
+    system = LinearSystem.from_spec(spec, len(record.y), record.parameters, rates)
+    faults = spec.faults.sensor
+    if faults is not None and spec.filter.family == "genie":
+        gamma, delta = (np.asarray(record.parameters[name]) for name in ("gamma", "delta"))
+        system = informed(system, faults, gamma, delta)
+    return dataclasses.replace(system, P0=record.P0)
+
+
+def digits_at_stake(spec: Spec, record: Record) -> float:
+    """`EXACT`, or what the ratio of state to measurement noise leaves of double precision."""
+    if has_exact_rows(spec):
+        return RANK_DEFICIENT
+    ratio = max(_state_to_noise(spec, each, record.P0) for each in _plants(spec))
+    growth = _growth(spec) ** (2 * len(record.y))
+    return float(max(EXACT, 1e3 * np.finfo(float).eps * ratio * growth))
+
+
+def _state_to_noise(spec: Spec, plant: Model | JumpMode, P0: Array) -> float:
+    C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
+    return float(np.max(np.diag(C @ (P0 + Q) @ C.T) / np.diag(R)))
+
+
+def _growth(spec: Spec) -> float:
+    """By how much an unstable plant amplifies in a sample what is not known exactly."""
+    dynamics = [each.A.values(spec.defaults) for each in _plants(spec)]
+    return float(max(1.0, *(np.abs(np.linalg.eigvals(A)).max() for A in dynamics)))
+
+
+def _batch(spec: Spec, record: Record) -> Mapping[str, Array]:
+    result = batch_lmmse(system_of(spec, record), record.y, record.u)
+    ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+    if has_exact_rows(spec):  # a density on a subspace depends on the coordinates chosen there
+        del ports["log_likelihood"]
+    return ports
+
+
+BATCH = ClosedForm(
+    claim="estimates, innovations and likelihoods are those of the joint distribution",
+    source="linear minimum mean square error estimate from second moments",
+    tolerance=digits_at_stake,
+    expected=_batch,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Stationary:
+    covariance: Array
+    innovation_covariance: Array
+
+
+def _stationary(spec: Spec, record: Record) -> _Stationary | None:
+    system = system_of(spec, record)
+    A, C = system.A[0], system.C[0]
+    Q, R, S = constant_input_noise(system, record.u[0])
+    found = stationary_prediction(A, C, Q, R, S)
+    if found is None:
+        return None
+    covariance = found[0]
+    return _Stationary(covariance, C @ covariance @ C.T + R)
+
+
+def _fixed_point(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+    found = _stationary(spec, record)
+    if found is None:
+        return None
+    T = len(record.y)
+    return {
+        "predicted_covariance": np.tile(found.covariance, (T, 1, 1)),
+        "innovation_covariance": np.tile(found.innovation_covariance, (T, 1, 1)),
+    }
+
+
+def _at_the_fixed_point(spec: Spec, record: Record) -> Mapping[str, Array]:
+    found = _stationary(spec, record)
+    return {} if found is None else {"predicted_covariance": found.covariance}
+
+
+def _riccati_tolerance(spec: Spec, record: Record) -> float:
+    """A Riccati solver keeps about half of the digits of an ill-conditioned equation."""
+    return max(1e-7 * _growth(spec) ** 4, digits_at_stake(spec, record))
+
+
+RICCATI = ClosedForm(
+    claim="the stabilising solution of the Riccati equation is where the covariance comes to rest",
+    source="Anderson & Moore 1979, sec. 4.4; (12) and (22) in the limit",
+    tolerance=_riccati_tolerance,
+    expected=_fixed_point,
+    start=_at_the_fixed_point,
+    steady=True,
+)
+
+
+def _optimal_gain(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+    """Solve (11), K Om = A P C' + B N D', with P from the batch estimate of the past."""
+    system = system_of(spec, record)
+    batch = batch_lmmse(system, record.y, record.u)
+    P = np.concatenate([record.P0[np.newaxis], batch.predicted_covariance[:-1]])
+    gains = np.zeros((len(record.y), system.nx, system.ny))
+    for k, y in enumerate(record.y):
+        rows = np.flatnonzero(~np.isnan(y))
+        _, R, S = constant_input_noise(system, record.u[k], k)
+        C = system.C[k][rows]
+        cross = system.A[k] @ P[k] @ C.T + S[:, rows]
+        Om = C @ P[k] @ C.T + R[np.ix_(rows, rows)]
+        if rows.size:
+            if np.linalg.matrix_rank(Om, hermitian=True) < rows.size:
+                return None
+            gains[k][:, rows] = np.linalg.solve(Om, cross.T).T
+    return {"gain": gains}
+
+
+OPTIMAL_GAIN = ClosedForm(
+    claim="the gain is K = (A P C' + B N D') Om^-1, which minimises the error covariance",
+    source=f"{PAPER}, eqs. (9)-(11)",
+    tolerance=digits_at_stake,
+    expected=_optimal_gain,
+)
+
+
+def _systems(spec: Spec, record: Record) -> list[LinearSystem]:
+    return [system_of(spec, record, rates) for rates in spec.filter.hypotheses]
+
+
+def _textbook(spec: Spec, record: Record) -> Mapping[str, Array]:
+    result = textbook_mme(
+        _systems(spec, record),
+        np.array(spec.filter.prior),
+        record.y,
+        record.u,
+        weight_floor=spec.filter.weight_floor,
+        likelihood=spec.filter.likelihood,
+    )
+    ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+    rates = len(spec.filter.hypotheses[0])
+    if rates > 1:
+        estimate = ports["success_rate_estimate"].reshape(len(record.y), -1)
+        ports["success_rate_estimate"] = np.broadcast_to(estimate, (len(record.y), rates))
+    return ports
+
+
+def _likelihood_tolerance(spec: Spec, record: Record) -> float:
+    """Weights are exponentials: they lose the digits that the exponent has before the point."""
+    return 1e2 * digits_at_stake(spec, record)
+
+
+MME_TEXTBOOK = ClosedForm(
+    claim="estimates and weights are those of matrix filters with plain probabilities",
+    source=f"{PAPER}, eqs. (4), (9)-(18)",
+    tolerance=_likelihood_tolerance,
+    expected=_textbook,
+)
+
+
+def _posterior(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+    D = spec.model.D
+    direct = not D.is_constant or D.values().any()
+    gaussian = spec.filter.likelihood == "gaussian" or not direct
+    if spec.filter.weight_floor > 0.0 or not gaussian:
+        return None
+    prior = np.array(spec.filter.prior)
+    return {"mode_probability": batch_posterior(_systems(spec, record), prior, record.y, record.u)}
+
+
+MME_BATCH = ClosedForm(
+    claim="weights are the posterior from the joint density of all samples",
+    source=f"{PAPER}, eqs. (14)-(16), without recursion",
+    tolerance=_likelihood_tolerance,
+    expected=_posterior,
+)

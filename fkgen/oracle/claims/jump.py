@@ -1,0 +1,169 @@
+"""Closed forms for filters of jumping plants: every path of modes, and whole matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+
+import numpy as np
+
+from fkgen.oracle import (
+    JumpResult,
+    JumpSystem,
+    LossTest,
+    SteadyState,
+    composite,
+    enumerate_paths,
+    stationary_jumps,
+    textbook_jumps,
+)
+from fkgen.oracle.claims.claim import Array, ClosedForm, Record
+from fkgen.oracle.claims.gaussian import EXACT, RANK_DEFICIENT
+from fkgen.problem import Spec
+from fkgen.problem.covariance import is_singular
+
+__all__ = ["PATHS", "TEXTBOOK"]
+
+#: Paths of modes that are written side by side.
+MANY_PATHS = 1000
+
+#: Times the unit round-off: some thirty roundings of every entry; the errors found stay below a
+#: tenth of this.
+LOST_DIGITS = 30.0
+
+#: A comparison that allows a larger error than this decides nothing.
+NO_DIGITS = 1e-3
+
+#: What a detector alone shows.
+VERDICT = (
+    *("fault_declared", "test_statistic", "test_threshold", "test_dof"),
+    "consecutive_rejections",
+)
+
+
+def jump_system(spec: Spec, record: Record) -> JumpSystem:
+    """The plant of a record as the filter understands it."""
+    system = JumpSystem.from_spec(spec, len(record.y), record.parameters)
+    faults = spec.faults.jump
+    unknown = faults is not None and faults.arrival == "unknown"
+    if not unknown or spec.filter.detector != "none":
+        system = system.always_arriving()
+    return replace(system, P0=record.P0)
+
+
+def loss_test(spec: Spec) -> LossTest | None:
+    """The test of a spec, with nothing seen yet."""
+    faults = spec.faults.jump
+    if faults is None or spec.filter.detector == "none":
+        return None
+    rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
+    return LossTest(options=spec.filter, rate=rate)
+
+
+def exact_modes(spec: Spec) -> bool:
+    """Whether some combination of the rows of y carries no noise in some mode."""
+    faults = spec.faults.jump
+    return faults is not None and any(
+        is_singular(mode.R.values(spec.defaults)) for mode in faults.modes
+    )
+
+
+def _ports(spec: Spec, result: JumpResult) -> dict[str, Array]:
+    leave_out = set() if spec.filter.detector != "none" else set(VERDICT)
+    if exact_modes(spec):  # a density on a subspace depends on the coordinates chosen there
+        leave_out.add("log_likelihood")
+    found = {f.name: getattr(result, f.name) for f in fields(result) if f.name not in leave_out}
+    infinite = np.isinf(found.get("test_statistic", np.zeros(1)))
+    if infinite.any():  # a rate of 0 or 1: the filter has a large number in place of infinity
+        del found["test_statistic"]
+    return found
+
+
+def _tolerance(spec: Spec, record: Record) -> float:
+    """Digits that S costs beside R: what a sample may have to take away from an estimate."""
+    if exact_modes(spec):
+        return RANK_DEFICIENT
+    system = _first(jump_system(spec, record))
+    T = system.length
+    found = enumerate_paths(system, record.y[:T], record.u[:T], loss_test(spec))
+    S = np.diagonal(found.innovation_covariance, axis1=-2, axis2=-1)
+    noise = np.diagonal(system.R, axis1=-2, axis2=-1).min(axis=1)
+    lost = LOST_DIGITS * np.finfo(float).eps * np.max(S / noise)
+    return float(min(max(EXACT, lost), NO_DIGITS))
+
+
+def _first(system: JumpSystem) -> JumpSystem:
+    """As many samples as there can be paths of."""
+    samples = int(np.log(MANY_PATHS) / np.log(max(2, system.count)))
+    return system.first(max(1, min(samples, system.length)))
+
+
+def _difference_tolerance(spec: Spec, record: Record) -> float:
+    """The same, and what is left of V as a difference of second moments of the state."""
+    if exact_modes(spec):
+        return RANK_DEFICIENT
+    system = jump_system(spec, record)
+    x0 = system.x0
+    growth = np.abs(system.A).sum(axis=-1).max() ** 2
+    state = np.trace(system.P0) + x0 @ x0 + np.trace(system.Q, axis1=-2, axis2=-1).max()
+    added = np.abs(system.offsets(record.u)[0]).max() ** 2
+    signal = np.abs(system.C).max() ** 2 * (state + added) * max(1.0, growth)
+    noise = np.diagonal(system.R, axis1=-2, axis2=-1).min()
+    return float(max(EXACT, 10.0 * LOST_DIGITS * np.finfo(float).eps * signal / noise))
+
+
+def _paths(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+    if spec.filter.gain == "stationary":
+        return None
+    system = _first(jump_system(spec, record))
+    T = system.length
+    found = enumerate_paths(system, record.y[:T], record.u[:T], loss_test(spec))
+    return _ports(spec, found)
+
+
+PATHS = ClosedForm(
+    claim="estimates are the best linear ones: projections over all paths of modes and arrivals",
+    source="projection on exact second moments, path by path",
+    tolerance=_tolerance,
+    expected=_paths,
+)
+
+
+def unobserved_chain(spec: Spec) -> bool:
+    """Whether gamma is a Markov chain that the filter does not see."""
+    faults = spec.faults.jump
+    if faults is None or spec.filter.detector != "none" or faults.arrival != "unknown":
+        return False
+    return bool(faults.arrival_chain)
+
+
+def steady_state(spec: Spec, system: JumpSystem) -> SteadyState | None:
+    """Where the filter of a spec comes to rest; ``system`` is what it takes the plant for."""
+    chain = unobserved_chain(spec)
+    rate = float(system.arrival_initial[1])
+    return stationary_jumps(composite(system)) if chain else stationary_jumps(system, rate)
+
+
+def _textbook(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+    system, chain = jump_system(spec, record), unobserved_chain(spec)
+    steady = steady_state(spec, system) if spec.filter.gain == "stationary" else None
+    if chain:
+        system = composite(system)
+    if spec.filter.gain == "stationary" and steady is None:
+        return None
+    if _difference_tolerance(spec, record) > NO_DIGITS:
+        return None
+    test = loss_test(spec)
+    result = textbook_jumps(system, record.y, record.u, test=test, steady=steady)
+    if chain:
+        law = result.mode_law.reshape(len(record.y), 2, -1).sum(axis=1)
+        result = replace(result, mode_law=law)
+    return _ports(spec, result)
+
+
+TEXTBOOK = ClosedForm(
+    claim="estimates and covariances are those of whole matrices over the split state",
+    source="Costa 1994; Sun, Zhao & Yin, Lemma 3 and Theorem 6",
+    tolerance=_difference_tolerance,
+    expected=_textbook,
+)

@@ -1,0 +1,1 @@
+"""Answers from definitions: joint distributions and exact enumeration, no recursion."""

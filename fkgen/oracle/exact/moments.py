@@ -1,0 +1,280 @@
+"""First and second moments of sensor faults over a record: all that a linear filter can see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from fkgen.errors import DataError
+from fkgen.oracle.exact.gaussian import Array, square_root
+from fkgen.oracle.plants.sensor import SAME_PROBABILITY, SensorLaw
+from fkgen.problem import Spec
+
+#: gamma of the four modes.
+GAMMA = np.array([1.0, 1.0, 0.0, 0.0])
+
+#: Samples over which Lemma 2 is examined. The condition on neighbours i and i + 1 is a quadratic
+#: form in the law of four modes, and those have ten dimensions: by then it holds for ever.
+LEMMA_HORIZON = 24
+
+#: A variance of gamma below this is the rounding of zero: gamma is certain.
+CERTAIN = 1e-14
+
+#: Relative size of a negative eigenvalue that no rounding explains.
+INDEFINITE = 1e-9
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FaultMoments:
+    """Moments of gamma and delta; y = G (C x + D u) + v with Cov v = T R T, eq. (1)-(2).
+
+    Attributes
+    ----------
+    gamma : (T,) ndarray
+        E[gamma_k].
+    gamma_pair : (T, T) ndarray
+        E[gamma_k gamma_i].
+    delta : (T,) ndarray
+        E[delta_k].
+    root_delta : (T,) ndarray
+        E[sqrt(delta_k)]: the covariance of a faulty row's noise with a healthy one's.
+    rows : tuple of int
+        Rows of y that are subject to faults.
+
+    References
+    ----------
+    Sigalov, Oshman, A New Formulation of Fault-Tolerant Estimation Problems and Some Solutions,
+    sec. V.
+    """
+
+    gamma: Array
+    gamma_pair: Array
+    delta: Array
+    root_delta: Array
+    rows: tuple[int, ...]
+
+    @classmethod
+    def from_law(cls, law: SensorLaw, T: int) -> Self:
+        """Follow a chain of modes through T samples.
+
+        Parameters
+        ----------
+        law : SensorLaw
+            Kernel and initial law, noise factor, rows.
+        T : int
+            Number of samples.
+
+        Returns
+        -------
+        FaultMoments
+        """
+        laws = _laws(law.initial, law.kernel, T)
+        again = (laws * GAMMA) @ _returns(law.kernel, T).T  # Pr(gamma_i = 1, gamma_(i + lag) = 1)
+        sample = np.arange(T)
+        earlier = np.minimum(sample[:, None], sample)
+        pair = again[earlier, np.abs(sample[:, None] - sample)]
+        delta = np.array([1.0, law.noise_factor, 1.0, law.noise_factor])
+        return cls(
+            gamma=laws @ GAMMA,
+            gamma_pair=pair,
+            delta=laws @ delta,
+            root_delta=laws @ np.sqrt(delta),
+            rows=law.rows,
+        )
+
+    @classmethod
+    def from_rates(
+        cls,
+        gamma_rate: Array | float,
+        gamma_persistence: Array | float,
+        delta_nominal_rate: Array | float,
+        *,
+        T: int,
+        rows: tuple[int, ...],
+        noise_factor: float = 1.0,
+    ) -> Self:
+        """Take Lemma 2 for granted: E[gamma_k gamma_i] = p11(k) E[gamma_i] for all i < k.
+
+        Parameters
+        ----------
+        gamma_rate, gamma_persistence : float or (T,) ndarray
+            E[gamma_k] and p11(k); p11(0) is of no account.
+        delta_nominal_rate : float or (T,) ndarray
+            Pr(delta_k = 1).
+        T : int
+            Number of samples.
+        rows : tuple of int
+            Rows of y that are subject to faults.
+        noise_factor : float
+            The value C that delta takes beside 1.
+
+        Returns
+        -------
+        FaultMoments
+            Whether a process with these moments exists is asked where they are used.
+        """
+        gamma, persistence, nominal = (
+            np.array(np.broadcast_to(np.asarray(rate, dtype=float), (T,)))
+            for rate in (gamma_rate, gamma_persistence, delta_nominal_rate)
+        )
+        earlier = np.tril(np.outer(persistence, gamma), -1)
+        return cls(
+            gamma=gamma,
+            gamma_pair=earlier + earlier.T + np.diag(gamma),
+            delta=nominal + (1.0 - nominal) * noise_factor,
+            root_delta=nominal + (1.0 - nominal) * np.sqrt(noise_factor),
+            rows=rows,
+        )
+
+    @classmethod
+    def from_spec(cls, spec: Spec, T: int) -> Self:
+        """Take the moments from the section ``faults.sensor`` of a spec, chain or numbers.
+
+        Parameters
+        ----------
+        spec : Spec
+            Its sensor faults.
+        T : int
+            Number of samples.
+
+        Returns
+        -------
+        FaultMoments
+
+        Raises
+        ------
+        DataError
+            If the spec has no law of sensor faults.
+        """
+        faults = spec.faults.sensor
+        if faults is None or faults.moments is None:
+            return cls.from_law(SensorLaw.from_spec(spec), T)
+        return cls.from_rates(
+            faults.moments.gamma_rate,
+            faults.moments.gamma_persistence,
+            faults.moments.delta_nominal_rate,
+            T=T,
+            rows=faults.rows,
+            noise_factor=faults.noise_factor,
+        )
+
+    @property
+    def length(self) -> int:
+        """Number of samples, T."""
+        return int(self.gamma.shape[0])
+
+    @property
+    def persistence(self) -> Array:
+        """p11(k) = Pr(gamma_k = 1 | gamma_i = 1) of the last i < k where that is defined, (T,).
+
+        E[gamma_k] where no measurement before k can carry a signal, so in p11(0).
+        """
+        p11 = self.gamma.copy()
+        for k in range(1, self.length):
+            seen = np.flatnonzero(self.gamma[:k] > SAME_PROBABILITY)
+            if seen.size:
+                p11[k] = self.gamma_pair[k, seen[-1]] / self.gamma[seen[-1]]
+        return p11
+
+    @property
+    def gamma_root(self) -> Array:
+        """Square root of the covariance of gamma_0, ..., gamma_{T-1}, (T, T).
+
+        Raises
+        ------
+        DataError
+            If that is indefinite: no sequence of zeros and ones has these moments.
+        """
+        variance = self.gamma * (1.0 - self.gamma)
+        random = variance > CERTAIN
+        covariance = np.where(
+            np.outer(random, random), self.gamma_pair - np.outer(self.gamma, self.gamma), 0.0
+        )
+        lowest = float(np.linalg.eigvalsh(covariance).min(initial=0.0))
+        if lowest < -INDEFINITE * variance.sum():
+            raise DataError(
+                "moments of gamma",
+                given=f"a covariance with the eigenvalue {lowest:.6g}",
+                expected="those of a sequence of zeros and ones",
+            )
+        return square_root(covariance)
+
+    def faulty(self, p: int) -> Array:
+        """Ones at the rows subject to faults, zeros elsewhere, (p,)."""
+        mask = np.zeros(p)
+        mask[list(self.rows)] = 1.0
+        return mask
+
+    def gains(self, p: int) -> Array:
+        """E[diag G_k], (T, p)."""
+        faulty = self.faulty(p)
+        return self.gamma[:, None] * faulty + (1.0 - faulty)
+
+    def noise(self, R: Array) -> Array:
+        """E[T_k R_k T_k], (T, p, p), from R of that shape."""
+        faulty = self.faulty(R.shape[-1])
+        both, none = np.outer(faulty, faulty), np.outer(1.0 - faulty, 1.0 - faulty)
+        delta, root = self.delta[:, None, None], self.root_delta[:, None, None]
+        weighted: Array = R * (delta * both + none + root * (1.0 - both - none))
+        return weighted
+
+
+def satisfies_lemma_2(
+    kernel: Array, initial: Array, *, horizon: int = LEMMA_HORIZON
+) -> tuple[bool, float]:
+    """Whether Pr(gamma_k = 1 | gamma_i = 1) does not depend on i < k, as Lemma 2 asks.
+
+    Samples i at which gamma = 1 has no probability are not asked.
+
+    Parameters
+    ----------
+    kernel, initial : (4, 4), (4,) ndarray
+        Law of the modes.
+    horizon : int
+        Samples examined.
+
+    Returns
+    -------
+    holds : bool
+        Whether the difference is zero but for rounding.
+    difference : float
+        The largest one between two i, over all k.
+
+    References
+    ----------
+    Sigalov, Oshman, Lemma 2.
+    """
+    differences = [float(np.ptp(row)) for row in _conditionals(kernel, initial, horizon)]
+    largest = max(differences, default=0.0)
+    return largest <= SAME_PROBABILITY, largest
+
+
+def _conditionals(kernel: Array, initial: Array, horizon: int) -> Iterator[Array]:
+    """For each k the probabilities Pr(gamma_k = 1 | gamma_i = 1) of all i < k that have one."""
+    laws, returns = _laws(initial, kernel, horizon), _returns(kernel, horizon)
+    given = [i for i in range(horizon) if laws[i] @ GAMMA > SAME_PROBABILITY]
+    for k in range(1, horizon):
+        row = [(laws[i] * GAMMA) @ returns[k - i] / (laws[i] @ GAMMA) for i in given if i < k]
+        if row:
+            yield np.array(row)
+
+
+def _laws(initial: Array, kernel: Array, T: int) -> Array:
+    """Law of the mode at each of T samples, (T, 4)."""
+    laws = np.empty((T, 4))
+    now = np.asarray(initial, dtype=float)
+    for k in range(T):
+        laws[k], now = now, now @ kernel
+    return laws
+
+
+def _returns(kernel: Array, T: int) -> Array:
+    """Pr(gamma = 1 after `lag` steps | mode), (T, 4), lag 0 first."""
+    returns = np.empty((T, 4))
+    now = GAMMA
+    for lag in range(T):
+        returns[lag], now = now, kernel @ now
+    return returns

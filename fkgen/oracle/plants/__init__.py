@@ -1,0 +1,1 @@
+"""Plants with faults as NumPy sees them: systems, laws of faults, simulation."""

@@ -1,0 +1,362 @@
+"""A plant with intermittent actuator faults over a record, and its simulation, eq. (1)-(3).
+
+Actuators that fail now and then: the covariance of their states and their enumeration.
+
+``gamma`` in {0, 1}^q says which actuators work in a sample; its mean is the success rate, eq. (3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Self
+
+import numpy as np
+
+from fkgen.errors import DataError
+from fkgen.faults import ActuatorFaults
+from fkgen.oracle.exact.gaussian import Array, square_root
+from fkgen.problem import Spec, evaluate
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinearSystem:
+    """x[k+1] = A x + B g u + v,  y[k] = C x + D g u + w with one g = diag(gamma) for both, eq. (1).
+
+    Attributes
+    ----------
+    A, B, C, D : (T, n, n), (T, n, q), (T, p, n), (T, p, q) ndarray
+        The plant at each sample; q may be 0.
+    Q, R : (T, n, n), (T, p, p) ndarray
+        Covariances of v and w as they enter x and y (F V F' and G W G' of the paper).
+    x0, P0 : (n,), (n, n) ndarray
+        Mean and covariance of x[0], eq. (2).
+    rate : (T, q) ndarray
+        Mean of gamma; ones where nothing fails.
+    fault_covariance : (T, q, q) ndarray
+        Covariance of gamma; zeros where nothing fails.
+
+    References
+    ----------
+    Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, eq.
+    (1)-(3).
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    Q: Array
+    R: Array
+    x0: Array
+    P0: Array
+    rate: Array
+    fault_covariance: Array
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that do not fit, which NumPy would broadcast in silence."""
+        T, n, p, q = self.length, self.nx, self.ny, self.nu
+        for name, expected in {
+            "A": (T, n, n), "B": (T, n, q), "C": (T, p, n), "D": (T, p, q),
+            "Q": (T, n, n), "R": (T, p, p), "x0": (n,), "P0": (n, n),
+            "rate": (T, q), "fault_covariance": (T, q, q),
+        }.items():  # fmt: skip
+            actual = getattr(self, name).shape
+            if actual != expected:
+                raise DataError(
+                    f"{name} of a LinearSystem", given=f"shape {actual}", expected=f"{expected}"
+                )
+
+    @property
+    def length(self) -> int:
+        """Number of samples, T."""
+        return int(self.A.shape[0])
+
+    @property
+    def nx(self) -> int:
+        """Number of states, n."""
+        return int(self.A.shape[-1])
+
+    @property
+    def ny(self) -> int:
+        """Number of measurements, p."""
+        return int(self.C.shape[-2])
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs, q."""
+        return int(self.B.shape[-1])
+
+    def inputs(self, u: Array | None) -> Array:
+        """Check the inputs of a record and supply them for a plant that has none.
+
+        Parameters
+        ----------
+        u : (T, q) ndarray or None
+            None is allowed for q = 0.
+
+        Returns
+        -------
+        (T, q) ndarray
+
+        Raises
+        ------
+        DataError
+            If the shape is another one.
+        """
+        expected = (self.length, self.nu)
+        record = np.zeros((self.length, 0)) if u is None else np.asarray(u, dtype=float)
+        if record.shape != expected:
+            raise DataError("u", given=f"shape {record.shape}", expected=f"shape {expected}")
+        return record
+
+    def first(self, samples: int) -> Self:
+        """The same plant over its first samples."""
+        varying = ("A", "B", "C", "D", "Q", "R", "rate", "fault_covariance")
+        return replace(self, **{name: getattr(self, name)[:samples] for name in varying})
+
+    @classmethod
+    def from_spec(
+        cls,
+        spec: Spec,
+        T: int,
+        params: Mapping[str, Array | float] | None = None,
+        rates: tuple[float, ...] | None = None,
+    ) -> Self:
+        """Sample the plant of a spec.
+
+        Parameters
+        ----------
+        spec : Spec
+            The plant and its actuator faults, if any.
+        T : int
+            Number of samples.
+        params : mapping of str to float or (T,) ndarray, optional
+            Run-time parameters; those not named keep their defaults.
+        rates : tuple of float, optional
+            One hypothesis in place of the spec's success rate: one rate for all inputs, or one per
+            input.
+
+        Returns
+        -------
+        LinearSystem
+        """
+        samples, which = parameter_samples(spec, T, params)
+        model = spec.model
+        plant = {
+            name: np.array([getattr(model, name).values(sample) for sample in samples])[which]
+            for name in ("A", "B", "C", "D", "Q", "R")
+        }
+        faults = [
+            _fault_moments(spec.faults.actuator, model.nu, sample, rates) for sample in samples
+        ]
+        return cls(
+            **plant,
+            x0=model.x0.values()[:, 0],
+            P0=model.P0.values(),
+            rate=np.array([rate for rate, _ in faults])[which],
+            fault_covariance=np.array([covariance for _, covariance in faults])[which],
+        )
+
+
+def parameter_samples(
+    spec: Spec, T: int, params: Mapping[str, Array | float] | None
+) -> tuple[list[dict[str, float]], list[int]]:
+    """Distinct values of all parameters, and which of them holds at each of T samples."""
+    given = {**spec.defaults, **(params or {})}
+    records = [np.broadcast_to(np.asarray(value, dtype=float), (T,)) for value in given.values()]
+    rows = [tuple(float(record[k]) for record in records) for k in range(T)]
+    position = {row: index for index, row in enumerate(dict.fromkeys(rows))}
+    return [dict(zip(given, row, strict=True)) for row in position], [position[row] for row in rows]
+
+
+def _fault_moments(
+    faults: ActuatorFaults | None,
+    q: int,
+    sample: Mapping[str, float],
+    rates: tuple[float, ...] | None,
+) -> tuple[Array, Array]:
+    """Mean (q,) and covariance (q, q) of gamma at one sample."""
+    if faults is None and rates is None:
+        return np.ones(q), np.zeros((q, q))
+    if rates is None and faults is not None:
+        rates = tuple(evaluate(expression, sample) for expression in faults.success_rate)
+    if not rates:
+        raise DataError(
+            "success rate", given="none", expected="a rate in the spec or one hypothesis in `rates`"
+        )
+    rate = np.array(np.broadcast_to(np.asarray(rates, dtype=float), (q,)))
+    if faults is None:
+        return rate, fault_covariance("common", rate)
+    given = None if faults.covariance is None else faults.covariance.values(sample)
+    return rate, fault_covariance(faults.dependence, rate, given)
+
+
+def simulate(
+    system: LinearSystem, u: Array | None, rng: np.random.Generator, *, missing: float = 0.0
+) -> Array:
+    """Draw one record of measurements.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The plant; x[0], v and w are Gaussian, gamma is in {0, 1} (see `draw_gamma`).
+    u : (T, q) ndarray or None
+        Inputs as commanded.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+    missing : float
+        Probability of each entry of y to be NaN.
+
+    Returns
+    -------
+    (T, p) ndarray
+    """
+    T, n, p = system.length, system.nx, system.ny
+    effective = draw_gamma(system, rng) * system.inputs(u)
+    v = np.einsum("kij,kj->ki", square_root(system.Q), rng.standard_normal((T, n)))
+    w = np.einsum("kij,kj->ki", square_root(system.R), rng.standard_normal((T, p)))
+    x = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
+    y = np.empty((T, p))
+    for k in range(T):
+        y[k] = system.C[k] @ x + system.D[k] @ effective[k] + w[k]
+        x = system.A[k] @ x + system.B[k] @ effective[k] + v[k]
+    y[rng.random(y.shape) < missing] = np.nan
+    return y
+
+
+def draw_gamma(system: LinearSystem, rng: np.random.Generator) -> Array:
+    """Draw which actuators work in each sample.
+
+    One coin where all inputs fail together, q coins where they fail independently, the exact joint
+    distribution for two correlated inputs. For more than two correlated inputs the binary
+    distribution is not determined by mean and covariance: a Gaussian vector of the same two moments
+    takes its place, which a linear filter cannot tell apart.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        Gives mean and covariance of gamma.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    (T, q) ndarray
+    """
+    T, q = system.rate.shape
+    moments = np.hstack([system.rate, system.fault_covariance.reshape(T, q * q)])
+    distinct, group = np.unique(moments, axis=0, return_inverse=True)
+    gamma = np.empty((T, q))
+    for index, row in enumerate(distinct):
+        chosen = np.flatnonzero(group.ravel() == index)
+        gamma[chosen] = _draw(row[:q], row[q:].reshape(q, q), chosen.size, rng)
+    return gamma
+
+
+def _draw(rate: Array, covariance: Array, count: int, rng: np.random.Generator) -> Array:
+    """Draw `count` vectors gamma of one distribution, (count, q)."""
+    q = rate.size
+    if q == 0 or not covariance.any():
+        return np.broadcast_to(rate, (count, q))
+    if is_independent(covariance):
+        return (rng.random((count, q)) < rate).astype(float)
+    if is_common(rate, covariance):
+        return np.repeat((rng.random((count, 1)) < rate[0]).astype(float), q, axis=1)
+    if q == 2:  # the last case that two moments determine
+        patterns, probabilities = pair_patterns(rate, covariance)
+        drawn: Array = patterns[
+            rng.choice(len(patterns), size=count, p=probabilities / probabilities.sum())
+        ]
+        return drawn
+    return rate + rng.standard_normal((count, q)) @ square_root(covariance).T
+
+
+def fault_covariance(dependence: str, rate: Array, given: Array | None = None) -> Array:
+    """Covariance of ``gamma`` in one sample.
+
+    Parameters
+    ----------
+    dependence : {"common", "independent", "covariance"}
+        One coin for all inputs, one coin per input, or the covariance as given.
+    rate : (q,) ndarray
+        Success rate of each input.
+    given : (q, q) ndarray, optional
+        The covariance, where the dependence is ``"covariance"``.
+
+    Returns
+    -------
+    (q, q) ndarray
+    """
+    if given is not None and dependence == "covariance":
+        return given
+    variance = rate * (1.0 - rate)
+    if dependence == "common":
+        return np.full((rate.size, rate.size), variance[0] if rate.size else 0.0)
+    return np.diag(variance)
+
+
+def is_common(rate: Array, covariance: Array) -> bool:
+    """Whether one coin decides for all inputs; true also if equal rates leave nothing to chance."""
+    return bool(np.all(rate == rate[:1]) and np.all(covariance == covariance[:1, :1]))
+
+
+def is_independent(covariance: Array) -> bool:
+    """Whether the inputs fail independently: no covariance off the diagonal."""
+    return bool(np.all(covariance == np.diag(np.diagonal(covariance))))
+
+
+def common_patterns(rate: Array) -> tuple[Array, Array]:
+    """Both states of inputs that fail together.
+
+    Parameters
+    ----------
+    rate : (q,) ndarray
+        q equal success rates, q > 0.
+
+    Returns
+    -------
+    patterns : (2, q) ndarray
+    probabilities : (2,) ndarray
+    """
+    return np.array([np.zeros(rate.size), np.ones(rate.size)]), np.array([1.0 - rate[0], rate[0]])
+
+
+def independent_patterns(rate: Array) -> tuple[Array, Array]:
+    """All states of inputs that fail independently.
+
+    Parameters
+    ----------
+    rate : (q,) ndarray
+        Success rates.
+
+    Returns
+    -------
+    patterns : (2**q, q) ndarray
+    probabilities : (2**q,) ndarray
+    """
+    patterns = np.array(list(product((0.0, 1.0), repeat=rate.size))).reshape(-1, rate.size)
+    return patterns, np.prod(np.where(patterns > 0.0, rate, 1.0 - rate), axis=1)
+
+
+def pair_patterns(rate: Array, covariance: Array) -> tuple[Array, Array]:
+    """Enumerate two correlated inputs: Pr(both work) = Cov_12 + xi_1 xi_2.
+
+    Parameters
+    ----------
+    rate : (2,) ndarray
+        Success rates.
+    covariance : (2, 2) ndarray
+        Covariance of ``gamma``.
+
+    Returns
+    -------
+    patterns : (4, 2) ndarray
+    probabilities : (4,) ndarray
+    """
+    both = covariance[0, 1] + rate[0] * rate[1]
+    patterns = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+    probabilities = np.array([1.0 - rate.sum() + both, rate[1] - both, rate[0] - both, both])
+    # A boundary case (say both = xi_1) may round to -1e-17, which is no probability.
+    return patterns, np.clip(probabilities, 0.0, 1.0)

@@ -1,0 +1,205 @@
+"""A plant that jumps between modes over a record, its channel, and its simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fkgen.errors import DataError
+from fkgen.oracle.exact.gaussian import Array, square_root
+from fkgen.oracle.plants.actuator import parameter_samples
+from fkgen.problem import Spec
+
+_LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JumpSystem:
+    """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u) + v, with i = mode[k].
+
+    Attributes
+    ----------
+    A, B, C, D : (T, N, n, n), (T, N, n, q), (T, N, p, n), (T, N, p, q) ndarray
+        The plant at each sample in each mode; q may be 0.
+    Q, R : (T, N, n, n), (T, N, p, p) ndarray
+        Covariances of w and v.
+    c : (T, N, n) ndarray
+        Known offsets.
+    x0, P0 : (n,), (n, n) ndarray
+        Mean and covariance of x[0].
+    transition, initial : (N, N), (N,) ndarray
+        Pr(j at k+1 | i at k), and the law of mode[0].
+    arrival, arrival_initial : (2, 2), (2,) ndarray
+        The same for gamma, states (0, 1); independent of the modes.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    Q: Array
+    R: Array
+    c: Array
+    x0: Array
+    P0: Array
+    transition: Array
+    initial: Array
+    arrival: Array
+    arrival_initial: Array
+
+    @property
+    def length(self) -> int:
+        """Number of samples, T."""
+        return int(self.A.shape[0])
+
+    @property
+    def count(self) -> int:
+        """Number of modes, N."""
+        return int(self.A.shape[1])
+
+    @property
+    def nx(self) -> int:
+        """Number of states, n."""
+        return int(self.A.shape[-1])
+
+    @property
+    def ny(self) -> int:
+        """Number of measurements, p."""
+        return int(self.C.shape[-2])
+
+    def first(self, samples: int) -> Self:
+        """The same plant over its first samples."""
+        return replace(self, **{name: getattr(self, name)[:samples] for name in _LETTERS})
+
+    def offsets(self, u: Array) -> tuple[Array, Array]:
+        """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u, (T, N, p)."""
+        return (
+            np.einsum("kiab,kb->kia", self.B, u) + self.c,
+            np.einsum("kiab,kb->kia", self.D, u),
+        )
+
+    def mode_law(self) -> Array:
+        """Law of mode[k] by powers of the transition matrix, (T, N)."""
+        P = self.transition
+        return np.array([self.initial @ np.linalg.matrix_power(P, k) for k in range(self.length)])
+
+    def without_inputs(self) -> Self:
+        """The same plant at u = 0."""
+        return replace(self, B=self.B[..., :0], D=self.D[..., :0])
+
+    def always_arriving(self) -> Self:
+        """The same plant without losses."""
+        return replace(self, arrival=np.array([[0.0, 1.0]] * 2), arrival_initial=np.array([0.0, 1]))
+
+    @classmethod
+    def from_spec(
+        cls, spec: Spec, T: int, params: Mapping[str, Array | float] | None = None
+    ) -> Self:
+        """Sample the plant of a spec.
+
+        Parameters
+        ----------
+        spec : Spec
+            With the section ``faults.jump``.
+        T : int
+            Number of samples.
+        params : mapping of str to float or (T,) ndarray, optional
+            Run-time parameters; those not named keep their defaults.
+
+        Raises
+        ------
+        DataError
+            If the spec has no such section.
+        """
+        faults = spec.faults.jump
+        if faults is None:
+            raise DataError("faults.jump", given="nothing", expected="modes and their chain")
+        samples, which = parameter_samples(spec, T, params)
+        plant = {
+            name: np.array(
+                [[getattr(mode, name).values(at) for mode in faults.modes] for at in samples]
+            )[which]
+            for name in _LETTERS
+        }
+        plant["c"] = plant["c"][..., 0]
+        rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
+        arrival = np.array(faults.arrival_chain or [[1.0 - rate, rate]] * 2)
+        start = lasting_law(arrival) if faults.arrival_chain else arrival[0]
+        return cls(
+            **plant,
+            x0=spec.model.x0.values()[:, 0],
+            P0=spec.model.P0.values(),
+            transition=np.array(faults.transition),
+            initial=np.array(faults.initial),
+            arrival=arrival,
+            arrival_initial=start,
+        )
+
+
+def lasting_law(transition: Array) -> Array:
+    """The law that a chain keeps: the solution of law (P - I) = 0 that sums to one."""
+    N = len(transition)
+    equations = np.vstack([transition.T - np.eye(N), np.ones(N)])
+    law: Array = np.linalg.lstsq(equations, np.append(np.zeros(N), 1.0), rcond=None)[0]
+    return np.maximum(law, 0.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JumpRecord:
+    """A simulated record.
+
+    Attributes
+    ----------
+    y, x : (T, p), (T, n) ndarray
+        Measurements and the states behind them; a lost sample is noise alone.
+    mode : (T,) ndarray of int
+    arrived : (T,) ndarray of bool
+        gamma.
+    """
+
+    y: Array
+    x: Array
+    mode: NDArray[np.int64]
+    arrived: NDArray[np.bool_]
+
+
+def simulate_jumps(system: JumpSystem, u: Array, rng: np.random.Generator) -> JumpRecord:
+    """Draw one record.
+
+    Parameters
+    ----------
+    system : JumpSystem
+        The plant; x[0], w and v are Gaussian.
+    u : (T, q) ndarray
+        Known inputs.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+    """
+    T, n, p = system.length, system.nx, system.ny
+    mode = draw_chain(system.transition, system.initial, T, rng)
+    arrived = draw_chain(system.arrival, system.arrival_initial, T, rng) == 1
+    added, sensed = system.offsets(u)
+    x, y = np.empty((T + 1, n)), np.empty((T, p))
+    x[0] = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
+    at = (np.arange(T), mode)
+    roots = {name: square_root(getattr(system, name)[at]) for name in ("Q", "R")}
+    for k, i in enumerate(mode):
+        noise = roots["R"][k] @ rng.standard_normal(p)
+        y[k] = arrived[k] * (system.C[k, i] @ x[k] + sensed[k, i]) + noise
+        x[k + 1] = system.A[k, i] @ x[k] + added[k, i] + roots["Q"][k] @ rng.standard_normal(n)
+    return JumpRecord(y=y, x=x[:T], mode=mode, arrived=arrived)
+
+
+def draw_chain(
+    transition: Array, initial: Array, T: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Draw a path of T states of a Markov chain."""
+    path, law = np.zeros(T, dtype=np.int64), initial
+    for k in range(T):
+        path[k] = rng.choice(len(law), p=law / law.sum())
+        law = transition[path[k]]
+    return path

@@ -1,0 +1,284 @@
+"""A plant whose sensors lose their signal (gamma) or gain noise (delta), eq. (1)-(2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fkgen.errors import DataError
+from fkgen.oracle.exact.gaussian import Array, square_root
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.problem import Spec
+
+#: Probabilities closer than this are the same: rounding of sums of four numbers up to one.
+SAME_PROBABILITY = 1e-12
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SensorLaw:
+    """The Markov law of (gamma, delta), and the rows of y that it strikes.
+
+    The modes are (1, 1), (1, C), (0, 1) and (0, C) as (gamma, delta), in this order.
+
+    Attributes
+    ----------
+    kernel : (4, 4) ndarray
+        Pr(mode at k+1 is j | mode at k is i), eq. (14); (11)-(13) are special cases.
+    initial : (4,) ndarray
+        Law of the mode at sample 0, before y[0].
+    noise_factor : float
+        The value C that delta takes beside 1.
+    rows : tuple of int
+        Rows of y that are subject to faults.
+
+    Raises
+    ------
+    DataError
+        If a shape is another one or probabilities do not sum to one.
+
+    References
+    ----------
+    Sigalov, Oshman, A New Formulation of Fault-Tolerant Estimation Problems and Some Solutions,
+    sec. II.
+    """
+
+    kernel: Array
+    initial: Array
+    noise_factor: float
+    rows: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a law of four modes."""
+        for name, expected in {"kernel": (4, 4), "initial": (4,)}.items():
+            values = getattr(self, name)
+            if values.shape != expected:
+                raise DataError(
+                    f"{name} of a SensorLaw", given=f"shape {values.shape}", expected=f"{expected}"
+                )
+            if (values < 0.0).any() or not np.allclose(values.sum(axis=-1), 1.0, rtol=1e-9):
+                raise DataError(
+                    f"{name} of a SensorLaw", given=f"{values}", expected="probabilities"
+                )
+
+    @classmethod
+    def from_spec(cls, spec: Spec) -> Self:
+        """Take the law from the section ``faults.sensor`` of a spec.
+
+        Raises
+        ------
+        DataError
+            If the spec has no sensor faults, or gives them without the law of a chain.
+        """
+        faults = spec.faults.sensor
+        if faults is None or not faults.kernel:
+            raise DataError(
+                "faults.sensor", given="no law of the modes", expected="problem 1, 2, 3 or 4"
+            )
+        return cls(
+            kernel=np.array(faults.kernel),
+            initial=np.array(faults.initial),
+            noise_factor=faults.noise_factor,
+            rows=faults.rows,
+        )
+
+
+def mode_plant(
+    system: LinearSystem, law: SensorLaw, k: int, mode: int
+) -> tuple[Array, Array, Array]:
+    """The measurement of one mode: y = G C x + G D u + v with Cov v = T R T, eq. (2).
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The plant; its actuators do not fail.
+    law : SensorLaw
+        Gives the rows and the noise factor.
+    k : int
+        Sample.
+    mode : int
+        0 to 3.
+
+    Returns
+    -------
+    tuple of (p, n), (p, q) and (p, p) ndarray
+        G C, G D and T R T.
+    """
+    gamma, delta = gamma_delta(law, np.array([mode]))
+    signal, noise = np.ones(system.ny), np.ones(system.ny)
+    signal[list(law.rows)] = gamma[0]
+    noise[list(law.rows)] = np.sqrt(delta[0])
+    G, T = np.diag(signal), np.diag(noise)
+    return G @ system.C[k], G @ system.D[k], T @ system.R[k] @ T
+
+
+def sensed_modes(system: LinearSystem, law: SensorLaw) -> JumpSystem:
+    """The four conditions of the sensor as modes that all move alike."""
+    T = system.length
+    plants = [[mode_plant(system, law, k, mode) for mode in range(4)] for k in range(T)]
+    measured = {
+        letter: np.array([[plant[at] for plant in row] for row in plants])
+        for at, letter in enumerate("CDR")
+    }
+    moving = {
+        letter: np.repeat(getattr(system, letter)[:, np.newaxis], 4, axis=1) for letter in "ABQ"
+    }
+    return JumpSystem(
+        **measured,
+        **moving,
+        c=np.zeros((T, 4, system.nx)),
+        x0=system.x0,
+        P0=system.P0,
+        transition=law.kernel,
+        initial=law.initial,
+        arrival=np.array([[0.0, 1.0]] * 2),
+        arrival_initial=np.array([0.0, 1.0]),
+    )
+
+
+def gamma_delta(law: SensorLaw, modes: NDArray[np.int64]) -> tuple[Array, Array]:
+    """The fault indicators of modes.
+
+    Parameters
+    ----------
+    law : SensorLaw
+        Gives the noise factor.
+    modes : (T,) ndarray of int
+        0 to 3.
+
+    Returns
+    -------
+    tuple of two (T,) ndarray
+        gamma in {0, 1} and delta in {1, C}.
+    """
+    gamma = np.array([1.0, 1.0, 0.0, 0.0])[modes]
+    delta = np.array([1.0, law.noise_factor, 1.0, law.noise_factor])[modes]
+    return gamma, delta
+
+
+def draw_modes(law: SensorLaw, T: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Draw the modes of T samples.
+
+    Returns
+    -------
+    (T,) ndarray of int
+    """
+    modes = np.zeros(T, dtype=np.int64)
+    now = law.initial
+    for k in range(T):
+        modes[k] = rng.choice(4, p=now / now.sum())
+        now = law.kernel[modes[k]]
+    return modes
+
+
+def simulate_sensor(
+    system: LinearSystem, law: SensorLaw, u: Array | None, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.int64]]:
+    """Draw one record of measurements and the modes behind it, eq. (1)-(2).
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The plant; x[0], w and v are Gaussian.
+    law : SensorLaw
+        The law of the modes.
+    u : (T, q) ndarray or None
+        Known inputs.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    y : (T, p) ndarray
+        Measurements.
+    modes : (T,) ndarray of int
+        Modes.
+    """
+    T, n, p = system.length, system.nx, system.ny
+    u = system.inputs(u)
+    modes = draw_modes(law, T, rng)
+    x = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
+    y = np.empty((T, p))
+    for k in range(T):
+        C, D, R = mode_plant(system, law, k, int(modes[k]))
+        y[k] = C @ x + D @ u[k] + square_root(R) @ rng.standard_normal(p)
+        noise = square_root(system.Q[k]) @ rng.standard_normal(n)
+        x = system.A[k] @ x + system.B[k] @ u[k] + noise
+    return y, modes
+
+
+def nominal_share(law: SensorLaw) -> float:
+    """Pr(delta = 1 | gamma = 0) under the stationary law: the constant that three modes need.
+
+    Where the kernel has several stationary laws, or its only one excludes gamma = 0, the initial
+    law takes its place, then the sum of all ways that lead from visited modes to gamma = 0; where
+    that is impossible as well the answer is 1.
+    """
+    visited = np.atleast_1d(_reaches(law.kernel)[law.initial > 0.0].any(axis=0))
+    ways = law.kernel[visited].sum(axis=0)
+    for now in (_stationary_law(law.kernel), law.initial, ways):
+        if now is not None and now[2] + now[3] > 0.0:
+            return float(now[2] / (now[2] + now[3]))
+    return 1.0
+
+
+def aggregate(law: SensorLaw) -> tuple[Array, Array]:
+    """Kernel and initial law of the three modes (1, 1), (1, C) and {gamma = 0}, sec. IV.
+
+    Returns
+    -------
+    tuple of (3, 3) and (3,) ndarray
+    """
+    share = nominal_share(law)
+    within = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, share, 1.0 - share]])
+    members = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 1]])
+    return within @ law.kernel @ members, law.initial @ members
+
+
+def is_lumpable(law: SensorLaw) -> tuple[bool, float]:
+    """Whether delta is of no account while gamma = 0, so that three modes do as well as four.
+
+    That is so if (0, 1) and (0, C) have the same successors, and if gamma = 0 comes with delta = 1
+    in the same share whatever the mode before it was, and at the start. Modes that cannot be
+    reached from the initial law are not asked.
+
+    Parameters
+    ----------
+    law : SensorLaw
+        Kernel and initial law.
+
+    Returns
+    -------
+    lumpable : bool
+        Whether the size is zero but for rounding.
+    size : float
+        The largest difference between probabilities that ought to be equal.
+    """
+    share = nominal_share(law)
+    visited = np.atleast_1d(_reaches(law.kernel)[law.initial > 0.0].any(axis=0))
+    laws = np.vstack([law.initial, law.kernel[visited]])
+    size = float(np.abs(laws[:, 2] - share * (laws[:, 2] + laws[:, 3])).max())
+    if visited[2] and visited[3]:
+        size = max(size, float(np.abs(law.kernel[2] - law.kernel[3]).max()))
+    return size <= SAME_PROBABILITY, size
+
+
+def _stationary_law(kernel: Array) -> Array | None:
+    """The law with law @ kernel == law; None if there are several."""
+    common = np.asarray(_reaches(kernel).all(axis=0))  # the class that no start avoids for ever
+    if not common.any():
+        return None
+    inside = kernel[np.ix_(common, common)]
+    equations = np.vstack([inside.T - np.eye(len(inside)), np.ones(len(inside))])
+    law = np.zeros(4)
+    law[common] = np.linalg.lstsq(equations, np.append(np.zeros(len(inside)), 1.0), rcond=None)[0]
+    return law
+
+
+def _reaches(kernel: Array) -> NDArray[np.bool_]:
+    """Whether mode j can follow mode i in any number of samples, none included."""
+    paths = np.linalg.matrix_power(np.eye(4) + (kernel > 0.0), 4)
+    return np.asarray(paths > 0.0)

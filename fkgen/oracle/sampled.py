@@ -1,0 +1,103 @@
+"""Records drawn from what a spec says: its plant, and the faults that its family is about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from fkgen.faults import SensorFaults
+from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
+from fkgen.oracle.plants.jump import JumpSystem, simulate_jumps
+from fkgen.oracle.plants.sensor import SensorLaw, gamma_delta, simulate_sensor
+from fkgen.problem import Spec
+
+#: All four modes equally often: for a yardstick that is told them, and states no law.
+UNIFORM = np.full((4, 4), 0.25)
+
+
+def draw_record(
+    spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
+) -> tuple[Array, dict[str, Array]]:
+    """Draw the measurements of one record.
+
+    Parameters
+    ----------
+    spec : Spec
+        Plant and faults; of hypotheses about a rate the first is taken for true.
+    parameters : mapping of str to (T,) ndarray
+        Run-time parameters of the plant.
+    u : (T, q) ndarray
+        Inputs as commanded.
+    rng : numpy.random.Generator
+        Source of the random numbers.
+
+    Returns
+    -------
+    y : (T, p) ndarray
+    parameters : dict of str to (T,) ndarray
+        Those given, with the indicators of the faults for a family that is told them.
+    """
+    T, faults = len(u), spec.faults.sensor
+    if spec.faults.jump is not None:
+        return _jump_record(spec, parameters, u, rng), {**parameters}
+    if faults is None:
+        hypotheses = spec.filter.hypotheses
+        rates = hypotheses[0] if hypotheses else None
+        return simulate(LinearSystem.from_spec(spec, T, parameters, rates), u, rng), {**parameters}
+    law = _law(faults)
+    y, modes = simulate_sensor(LinearSystem.from_spec(spec, T, parameters), law, u, rng)
+    gamma, delta = gamma_delta(law, modes)
+    told = {"gamma": gamma, "delta": delta} if spec.filter.family == "genie" else {}
+    return y, {**parameters, **told}
+
+
+def _jump_record(
+    spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
+) -> Array:
+    """Measurements of a jumping plant; what was lost is NaN for a filter that knows it."""
+    record = simulate_jumps(JumpSystem.from_spec(spec, len(u), parameters), u, rng)
+    if spec.faults.jump is not None and spec.faults.jump.arrival == "known":
+        record.y[~record.arrived] = np.nan
+    return record.y
+
+
+def informed(
+    system: LinearSystem, faults: SensorFaults, gamma: Array, delta: Array
+) -> LinearSystem:
+    """The plant of one who knows gamma and delta of every sample.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The plant over T samples.
+    faults : SensorFaults
+        Gives the rows.
+    gamma, delta : (T,) ndarray
+        Indicators.
+    """
+    rows = list(faults.rows)
+    signal, noise = np.ones((2, system.length, system.ny))
+    signal[:, rows], noise[:, rows] = gamma[:, None], np.sqrt(delta)[:, None]
+    return replace(
+        system,
+        C=signal[:, :, None] * system.C,
+        D=signal[:, :, None] * system.D,
+        R=noise[:, :, None] * system.R * noise[:, None, :],
+    )
+
+
+def _law(faults: SensorFaults) -> SensorLaw:
+    """The law of a spec; moments as independent samples."""
+    kernel, initial = UNIFORM, UNIFORM[0]
+    if faults.kernel:
+        kernel, initial = np.array(faults.kernel), np.array(faults.initial)
+    elif faults.moments is not None:
+        g, d = faults.moments.gamma_rate, faults.moments.delta_nominal_rate
+        initial = np.outer([g, 1.0 - g], [d, 1.0 - d]).ravel()
+        kernel = np.tile(initial, (4, 1))
+    return SensorLaw(
+        kernel=kernel, initial=initial, noise_factor=faults.noise_factor, rows=faults.rows
+    )

@@ -1,0 +1,1 @@
+"""Filters as the literature prints them, in whole matrices."""

@@ -1,0 +1,146 @@
+"""How a fault spreads in a Kalman filter, as products of matrices: Song & Hu 2019, eqs. (6)-(26).
+
+Products run in DESCENDING order, the newest factor on the left, and are the identity if empty; the
+gain stands outside of them; a step is on at k0, ..., k0 + i INCLUSIVE. The paper leaves all three
+open. Index k of `gains` is the sample that is corrected; ``M[k]`` carries sample k to k + 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.textbook.mkf import scaled_pseudo_inverse
+from fkgen.oracle.textbook.riccati import constant_input_noise
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Gains:
+    """What a Kalman filter does at each of T samples.
+
+    Attributes
+    ----------
+    K : (T, n, p) ndarray
+        Gain of x(k|k), eq. (4) with Q and with C of the sample; columns of missing rows are zero.
+    M : (T - 1, n, n) ndarray
+        (I - K[k+1] C[k+1]) A[k].
+    filtered : (T, n, n) ndarray
+        P(k|k).
+    innovation : (T, p, p) ndarray
+        S[k] of all rows.
+    """
+
+    K: Array
+    M: Array
+    filtered: Array
+    innovation: Array
+
+
+def gains(system: LinearSystem, u: Array | None = None, y: Array | None = None) -> Gains:
+    """Run the Riccati recursion (3), (4) in matrices, in Joseph form.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        D = 0, or no random inputs: with both, x and y share noise and M is another matrix.
+    u : (T, q) ndarray, optional
+        Inputs, of which lost commands make noise; zero if left out.
+    y : (T, p) ndarray, optional
+        Record of which only the missing rows matter.
+
+    Returns
+    -------
+    Gains
+    """
+    T, n, p = system.length, system.nx, system.ny
+    inputs = np.zeros((T, system.nu)) if u is None else u
+    P = system.P0
+    K, filtered, S = np.zeros((T, n, p)), np.zeros((T, n, n)), np.zeros((T, p, p))
+    for k in range(T):
+        C = system.C[k]
+        Q, R, _ = constant_input_noise(system, inputs[k], k)
+        rows = np.arange(p) if y is None else np.flatnonzero(~np.isnan(y[k]))
+        S[k] = C @ P @ C.T + R
+        inverse = scaled_pseudo_inverse(S[k][np.ix_(rows, rows)])
+        K[k][:, rows] = P @ C[rows].T @ inverse
+        E = np.eye(n) - K[k] @ C
+        filtered[k] = E @ P @ E.T + K[k] @ R @ K[k].T
+        P = system.A[k] @ filtered[k] @ system.A[k].T + Q
+    kept = np.eye(n) - K[1:] @ system.C[1:]
+    return Gains(K=K, M=kept @ system.A[:-1], filtered=filtered, innovation=S)
+
+
+def product(M: Array, lo: int, hi: int) -> Array:
+    """M[hi] M[hi-1] ... M[lo]; the identity if hi < lo."""
+    result = np.eye(M.shape[-1])
+    for k in range(lo, hi + 1):
+        result = M[k] @ result
+    return result
+
+
+def after_pulse(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
+    """Deviation at k0 + i of a pulse ``a`` at k0, eqs. (9) and (20).
+
+    Parameters
+    ----------
+    M : (T - 1, n, n) ndarray
+        `Gains.M` for a sensor, A for an input that plant and filter get.
+    entry : (T, n, m) ndarray
+        How the fault of sample k enters x(k|k): K[k] for a sensor, B[k-1] for an input of sample
+        k - 1.
+    k0, i : int
+        Sample of the pulse, and samples after it.
+    a : (m,) ndarray
+        Its size.
+
+    Returns
+    -------
+    (n,) ndarray
+    """
+    moved: Array = product(M, k0, k0 + i - 1) @ entry[k0] @ a
+    return moved
+
+
+def within_step(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
+    """Deviation at k0 + i of a step ``a`` that is on at k0, ..., k0 + i, eqs. (12) and (23).
+
+    Parameters
+    ----------
+    M, entry, k0, a
+        As for `after_pulse`.
+    i : int
+        The step has i + 1 samples so far.
+
+    Returns
+    -------
+    (n,) ndarray
+    """
+    total = entry[k0 + i].copy()
+    for c in range(1, i + 1):
+        total += product(M, k0 + c - 1, k0 + i - 1) @ entry[k0 + c - 1]
+    moved: Array = total @ a
+    return moved
+
+
+def after_step(M: Array, entry: Array, span: tuple[int, int], j: int, a: Array) -> Array:
+    """Deviation j samples after the last faulty one, eqs. (15) and (26).
+
+    Parameters
+    ----------
+    M, entry, a
+        As for `after_pulse`.
+    span : pair of int
+        k0 and i: the step was on at k0, ..., k0 + i.
+    j : int
+        At least 0, which gives `within_step`.
+
+    Returns
+    -------
+    (n,) ndarray
+    """
+    k0, i = span
+    moved: Array = product(M, k0 + i, k0 + i + j - 1) @ within_step(M, entry, k0, i, a)
+    return moved

@@ -1,0 +1,348 @@
+"""LMMSE filter of a jumping plant in whole matrices, as the literature writes it.
+
+The state of mode i is (x, 1) 1{mode = i}: Costa 1994, with the constant as one more state, so that
+known offsets are exact. Nothing is spared: full matrices, a pseudo-inverse, the covariance of the
+split noise as a difference (Costa, Fragoso & Marques 2005, sec. 5.4).
+
+Where a jumping plant and its filter come to rest: powers of an operator, a Riccati equation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.exact.paths import JumpResult
+from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.oracle.textbook.loss_tests import LossTest
+from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
+
+
+def composite(system: JumpSystem) -> JumpSystem:
+    """The plant whose modes are (mode, gamma): first all that arrive, then all that are lost.
+
+    A Markov gamma that is not observed is a mode like any other, with C = 0 and D = 0 where it is
+    zero.
+    """
+    twice = {
+        name: np.concatenate([getattr(system, name)] * 2, axis=1) for name in ("A", "B", "Q", "R")
+    }
+    signal = {
+        name: np.concatenate([getattr(system, name), 0.0 * getattr(system, name)], axis=1)
+        for name in ("C", "D")
+    }
+    lost, arrived = system.arrival_initial
+    return replace(
+        system.always_arriving(),
+        **twice,
+        **signal,
+        c=np.concatenate([system.c] * 2, axis=1),
+        transition=np.asarray(np.kron(system.arrival[::-1, ::-1], system.transition), float),
+        initial=np.asarray(np.kron([arrived, lost], system.initial), float),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """The split plant at one sample: everything that the filter equations need.
+
+    Attributes
+    ----------
+    F, L : (M, M), (p, M) ndarray
+        z[k+1] = F z[k] + noise, E[y | z] = rho L z, M = N (n + 1).
+    moved : (M, M) ndarray
+        Second moment of z[k+1], block-diagonal.
+    now : (M, M) ndarray
+        Second moment of z[k], block-diagonal.
+    R : (p, p) ndarray
+        Mean covariance of v.
+    signal : (p, p) ndarray
+        Second moment of the signal.
+    """
+
+    F: Array
+    L: Array
+    moved: Array
+    now: Array
+    R: Array
+    signal: Array
+
+    @property
+    def noise(self) -> Array:
+        """Covariance of the split noise, V + Qbar = Z(k+1) - F Z(k) F'."""
+        difference: Array = self.moved - self.F @ self.now @ self.F.T
+        return difference
+
+    def innovation_covariance(self, X: Array, rate: float) -> Array:
+        """S = p^2 L X L' + p (1 - p) E[s s'] + R: Nahi 1969; p = 1 if a signal is certain."""
+        doubt = rate * (1.0 - rate) * self.signal
+        covariance: Array = rate**2 * self.L @ X @ self.L.T + doubt + self.R
+        return covariance
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """(N, m, m) as one (N m, N m) matrix."""
+    N, m, _ = blocks.shape
+    whole = np.zeros((N, m, N, m))
+    whole[np.arange(N), :, np.arange(N), :] = blocks
+    return whole.reshape(N * m, N * m)
+
+
+def start_of(system: JumpSystem) -> tuple[Array, Array]:
+    """Mean of z[0], and the second moments of its blocks, (N, n + 1, n + 1)."""
+    one = np.append(system.x0, 1.0)
+    second = np.outer(one, one)
+    second[:-1, :-1] += system.P0
+    return np.kron(system.initial, one), system.initial[:, None, None] * second
+
+
+def split_at(system: JumpSystem, u: Array, k: int, moments: Array, law: Array) -> Split:
+    """The split plant at sample k: Costa 1994, Lemma 3 of Sun & Zhao & Yin for the moments."""
+    N, n, P = system.count, system.nx, system.transition
+    added, sensed = system.offsets(u)
+    A, Q = np.zeros((2, N, n + 1, n + 1))
+    A[:, :n, :n], A[:, :n, n], A[:, n, n] = system.A[k], added[k], 1.0
+    Q[:, :n, :n] = system.Q[k]
+    signal = np.concatenate([system.C[k], sensed[k][:, :, None]], axis=2)
+    F = np.block([[P[i, j] * A[i] for i in range(N)] for j in range(N)])
+    each = A @ moments @ A.transpose(0, 2, 1) + law[:, None, None] * Q
+    return Split(
+        F=F,
+        L=np.concatenate(list(signal), axis=1),
+        moved=block_diagonal(np.einsum("ij,iab->jab", P, each)),
+        now=block_diagonal(moments),
+        R=np.einsum("i,iab->ab", law, system.R[k]),
+        signal=np.einsum("iab,ibc,idc->ad", signal, moments, signal),
+    )
+
+
+def diagonal_blocks(matrix: Array, N: int) -> Array:
+    """The (N, m, m) blocks on the diagonal."""
+    m = len(matrix) // N
+    blocks: Array = matrix.reshape(N, m, N, m)[np.arange(N), :, np.arange(N), :]
+    return blocks
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SteadyState:
+    """A filter whose covariances have come to rest.
+
+    Attributes
+    ----------
+    split : Split
+        The split plant with stationary moments.
+    covariance : (M, M) ndarray
+        Error covariance of z(k|k-1).
+    innovation_covariance : (p, p) ndarray
+    gain : (M, p) ndarray
+        From the innovation to the correction.
+    closed_loop_radius : float
+        Spectral radius of the error from sample to sample.
+    """
+
+    split: Split
+    covariance: Array
+    innovation_covariance: Array
+    gain: Array
+    closed_loop_radius: float
+
+    @property
+    def filtered(self) -> Array:
+        """Error covariance of z(k|k)."""
+        filtered: Array = self.covariance - self.gain @ self.innovation_covariance @ self.gain.T
+        return filtered
+
+    @property
+    def expected_squares(self) -> tuple[float, float]:
+        """E |r|^2 with a signal, J1, and without one, J0, of a filter that trusts a signal."""
+        predicted = self.split.L @ self.covariance @ self.split.L.T
+        J1 = float(np.trace(predicted + self.split.R))
+        return J1, float(np.trace(self.split.R + self.split.signal - predicted))
+
+    def at(self, split: Split) -> Split:
+        """The plant of a sample, with the stationary moments."""
+        return replace(self.split, F=split.F, L=split.L)
+
+
+@dataclass(slots=True)
+class _Memory:
+    """What is carried from sample to sample."""
+
+    z: Array
+    X: Array
+    q: Array
+    moments: Array
+    run: int = 0
+
+    @classmethod
+    def of(cls, system: JumpSystem) -> _Memory:
+        """Before sample 0."""
+        start, blocks = start_of(system)
+        return cls(start, block_diagonal(blocks) - np.outer(start, start), start, blocks)
+
+
+def textbook_jumps(
+    system: JumpSystem,
+    y: Array,
+    u: Array,
+    *,
+    test: LossTest | None = None,
+    steady: SteadyState | None = None,
+) -> JumpResult:
+    """Filter a record.
+
+    Parameters
+    ----------
+    system : JumpSystem
+        The plant; its arrivals are independent from sample to sample (else see `composite`).
+    y, u : (T, p), (T, q) ndarray
+        Measurements, NaN = missing, and inputs.
+    test : LossTest, optional
+        What it rejects is replaced by its prediction; what it accepts holds a signal. Its options
+        say when a lock-out starts the filter again.
+    steady : SteadyState, optional
+        Constants in place of all covariances, from sample 0 on.
+    """
+    T, n, N, p = system.length, system.nx, system.count, system.ny
+    rate, laws = float(system.arrival_initial[1]), system.mode_law()
+    memory = _Memory.of(system)
+    result = JumpResult.blank(T, n, p, laws)
+    E = np.tile(np.eye(n, n + 1), N)
+    for k in range(T):
+        split = split_at(system, u, k, memory.moments, laws[k])
+        L, X, S = rate * split.L, memory.X, split.innovation_covariance(memory.X, rate)
+        if steady is not None:
+            X, S, split = steady.covariance, steady.innovation_covariance, steady.at(split)
+        r = y[k] - L @ memory.z
+        result.innovation[k], result.innovation_covariance[k] = r, S
+        rows = np.flatnonzero(np.isfinite(y[k]))
+        _look(result, k, rows)
+        restart = _judged(result, k, (y[k], split.R), memory, test)
+        accepted = rows[:0] if result.fault_declared[k] else rows
+        inverse = np.linalg.pinv(S[np.ix_(accepted, accepted)], rcond=1e-13, hermitian=True)
+        K = X @ L[accepted].T @ inverse if steady is None else steady.gain[:, accepted]
+        z, X = memory.z + K @ r[accepted], X - K @ L[accepted] @ X
+        if restart:
+            z, X = memory.q, split.now - np.outer(memory.q, memory.q)
+        memory.z, memory.X = split.F @ z, split.F @ X @ split.F.T + split.noise
+        if steady is not None:
+            X, memory.X = steady.filtered, steady.covariance
+        result.filtered_state[k], result.filtered_covariance[k] = E @ z, E @ X @ E.T
+        memory.q, memory.moments = split.F @ memory.q, diagonal_blocks(split.moved, N)
+        result.predicted_state[k], result.predicted_covariance[k] = E @ memory.z, E @ memory.X @ E.T
+    return result
+
+
+def _look(result: JumpResult, k: int, rows: NDArray[np.intp]) -> None:
+    """Fill in how well the rows present fit their prediction."""
+    if rows.size:
+        r, S = result.innovation[k][rows], result.innovation_covariance[k][np.ix_(rows, rows)]
+        result.nis[k] = r @ np.linalg.pinv(S, rcond=1e-13, hermitian=True) @ r
+        determinant = np.linalg.slogdet(2.0 * np.pi * S)[1]
+        result.log_likelihood[k] = -0.5 * (result.nis[k] + determinant)
+
+
+def _judged(
+    result: JumpResult,
+    k: int,
+    sample: tuple[Array, Array],
+    memory: _Memory,
+    test: LossTest | None,
+) -> bool:
+    """Test a sample, ``(y, R)``, and fill in the verdict; return whether to start again."""
+    y, R = sample
+    rows = np.flatnonzero(np.isfinite(y))
+    restart = False
+    if test is not None and rows.size:
+        options, chosen = test.options, np.ix_(rows, rows)
+        S = result.innovation_covariance[k][chosen]
+        found = test.judge(y[rows], result.innovation[k][rows], S, R[chosen])
+        result.test_statistic[k], result.test_threshold[k] = found
+        result.fault_declared[k], result.test_dof[k] = found[0] > found[1], rows.size
+        locked = options.reinitialise and memory.run >= options.lock_out
+        memory.run = 0 if locked else memory.run
+        memory.run = memory.run + 1 if result.fault_declared[k] else 0
+        restart = options.reinitialise and memory.run >= options.lock_out
+        if restart:
+            test.energies.clear()
+    result.consecutive_rejections[k] = memory.run
+    return restart
+
+
+#: Powers of two of the moment operator after which it has stopped to change, at the latest.
+DOUBLINGS = 60
+
+
+def moment_operator(system: JumpSystem) -> Array:
+    """The matrix that moves the second moments of (x, 1) 1{mode}, all blocks stacked."""
+    N, n, P = system.count, system.nx, system.transition
+    A, Q = np.zeros((2, N, n + 1, n + 1))
+    A[:, :n, :n], A[:, :n, n], A[:, n, n] = system.A[0], system.c[0], 1.0
+    Q[:, :n, :n] = system.Q[0]
+    corner = np.zeros((n + 1) ** 2)
+    corner[-1] = 1.0
+    each = [np.kron(A[i], A[i]) + np.outer(Q[i].ravel(), corner) for i in range(N)]
+    whole: Array = np.block([[P[i, j] * each[i] for i in range(N)] for j in range(N)])
+    return whole
+
+
+def limiting_moments(system: JumpSystem) -> Array:
+    """Second moments of (x, 1) 1{mode} after 2, 4, 8, ... steps until nothing changes."""
+    N, m = system.count, system.nx + 1
+    power, start = moment_operator(system), start_of(system)[1]
+    moments = start
+    for _ in range(DOUBLINGS):
+        power = power @ power
+        later = (power @ start.ravel()).reshape(N, m, m)
+        mass = later[:, -1, -1].sum()  # probabilities sum to one, but for rounding
+        power, later = power / mass, later / mass
+        change = np.abs(later - moments).max()
+        moments = 0.5 * (later + later.transpose(0, 2, 1))
+        if change <= 1e-14 * np.abs(moments).max():
+            break
+    return moments
+
+
+def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | None:
+    """Find the limits of moments, covariance and gain; None if the equation has no solution.
+
+    Parameters
+    ----------
+    system : JumpSystem
+        Mean-square stable, without inputs, its chain ergodic; its first sample is taken.
+    rate : float
+        Pr(gamma = 1) as far as only that is known of gamma.
+    """
+    N, m = system.count, system.nx + 1
+    moments = limiting_moments(system)
+    split = split_at(system, np.zeros((1, 0)), 0, moments, moments[:, -1, -1])
+    # The indicators sum to one: the last follows from the others, and so does its error.
+    size = N * m
+    drop = np.eye(size - 1, size)
+    lift = drop.T.copy()
+    lift[-1, m - 1 : size - 1 : m] = -1.0
+    F, L = drop @ split.F @ lift, rate * split.L @ lift
+    R = split.R + rate * (1.0 - rate) * split.signal
+    noise = drop @ split.noise @ drop.T
+    found = stationary_prediction_by_control(F, L, 0.5 * (noise + noise.T), R)
+    if found is None:
+        return None
+    X = lift @ found[0] @ lift.T
+    S = split.innovation_covariance(X, rate)
+    return SteadyState(
+        split=split,
+        covariance=X,
+        innovation_covariance=S,
+        gain=rate * X @ split.L.T @ np.linalg.pinv(S, rcond=1e-13, hermitian=True),
+        closed_loop_radius=_radius(system, F - F @ found[0] @ L.T @ np.linalg.pinv(S) @ L),
+    )
+
+
+def _radius(system: JumpSystem, loop: Array) -> float:
+    """Spectral radius of the error; that of the indicators counts only if something is added."""
+    m = system.nx + 1
+    kept = np.ones(len(loop), bool) if system.c.any() else np.arange(len(loop)) % m < system.nx
+    return float(np.abs(np.linalg.eigvals(loop[np.ix_(kept, kept)])).max())

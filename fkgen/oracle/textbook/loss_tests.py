@@ -1,0 +1,62 @@
+"""Tests whether a sample holds a signal, from densities and quantiles as they are defined.
+
+Rules of the filter ``mjls_lmmse``; a tie is no loss, and a sample without a row is no test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fkgen.oracle.exact.gaussian import Array, log_density, square_root, whiten
+from fkgen.problem import Filter
+
+
+@dataclass(slots=True, kw_only=True)
+class LossTest:
+    """One of the rules, with what it remembers.
+
+    Attributes
+    ----------
+    options : Filter
+        Rule and thresholds.
+    rate : float
+        Pr(a sample holds a signal), for ``llr``.
+    energies : list of float
+        Past |r|^2, for ``energy``.
+    """
+
+    options: Filter
+    rate: float
+    energies: list[float] = field(default_factory=list)
+
+    def judge(self, y: Array, residual: Array, S: Array, R: Array) -> tuple[float, float]:
+        """Statistic and threshold of one sample; a loss is declared if the first is larger.
+
+        Parameters
+        ----------
+        y, residual : (m,) ndarray
+            Rows present, and their difference from the prediction.
+        S, R : (m, m) ndarray
+            Covariance of the residual if there is a signal, of y if there is none.
+        """
+        match self.options.detector:
+            case "nis":
+                from scipy.special import chdtri  # noqa: PLC0415 - slow to import
+
+                nis = float(np.sum((whiten(square_root(S)).weights @ residual) ** 2))
+                return nis, float(chdtri(len(y), self.options.alpha))
+            case "energy":
+                self.energies.append(float(residual @ residual))
+                mean = float(np.mean(self.energies[-self.options.window :]))
+                return mean, self.options.kappa * float(np.trace(S))
+        return self._log_odds(y, residual, S, R), 0.0
+
+    def _log_odds(self, y: Array, residual: Array, S: Array, R: Array) -> float:
+        """Log of the probability of a loss over that of a signal, given y and the past."""
+        if self.rate in {0.0, 1.0}:
+            return np.inf if self.rate == 0.0 else -np.inf
+        lost = np.log1p(-self.rate) + log_density(y, whiten(square_root(R)))
+        arrived = np.log(self.rate) + log_density(residual, whiten(square_root(S)))
+        return float(lost - arrived)

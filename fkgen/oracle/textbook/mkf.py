@@ -1,0 +1,185 @@
+"""One sample of the modified Kalman filter (MKF) in the paper's matrices, eq. (4), (9)-(15).
+
+Full matrices, a pseudo-inverse and SciPy's densities: nothing of it is fit for firmware, all of it
+is easy to compare with the paper. The batch estimates of `fkgen.oracle.exact.batch` judge it in
+turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.plants import actuator
+from fkgen.oracle.plants.actuator import LinearSystem
+
+#: Directions of a correlation matrix below this are rounding and left out of its inverse.
+PSEUDO_INVERSE_CUTOFF = 1e-13
+
+#: Independent inputs up to which the mixture runs over all 2^q states of the actuators.
+MIXTURE_INPUTS = 4
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TextbookStep:
+    """One sample of one filter.
+
+    Attributes
+    ----------
+    filtered_state, filtered_covariance : (n,), (n, n) ndarray
+        x(k|k), P(k|k).
+    predicted_state, predicted_covariance : (n,), (n, n) ndarray
+        x(k+1|k), P(k+1|k).
+    expected_measurement, innovation_covariance : (p,), (p, p) ndarray
+        Mean and covariance of y[k] given the past, all rows, eq. (4), (21).
+    """
+
+    filtered_state: Array
+    filtered_covariance: Array
+    predicted_state: Array
+    predicted_covariance: Array
+    expected_measurement: Array
+    innovation_covariance: Array
+
+
+def scaled_pseudo_inverse(covariance: Array) -> Array:
+    """Pseudo-inverse of a covariance with the rank decided on its correlation matrix.
+
+    Parameters
+    ----------
+    covariance : (m, m) ndarray
+        Symmetric positive semidefinite.
+
+    Returns
+    -------
+    (m, m) ndarray
+    """
+    deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    scale = np.outer(*(np.where(deviation > 0.0, deviation, 1.0),) * 2)
+    inverse: Array = (
+        np.linalg.pinv(covariance / scale, rcond=PSEUDO_INVERSE_CUTOFF, hermitian=True) / scale
+    )
+    return inverse
+
+
+def textbook_step(
+    system: LinearSystem, k: int, prediction: tuple[Array, Array], y: Array, u: Array
+) -> TextbookStep:
+    """Filter and predict sample k by eq. (4), (11) and the stabilised form (9).
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The plant with one success rate.
+    k : int
+        Sample.
+    prediction : tuple of (n,) and (n, n) ndarray
+        x(k|k-1) and P(k|k-1).
+    y : (p,) ndarray
+        Measurement of the sample; NaN = missing row.
+    u : (q,) ndarray
+        Input of the sample.
+
+    Returns
+    -------
+    TextbookStep
+    """
+    x, P = prediction
+    A, B, C, D = system.A[k], system.B[k], system.C[k], system.D[k]
+    N = np.diag(u) @ system.fault_covariance[k] @ np.diag(u)
+    worked = system.rate[k] * u
+    expected = C @ x + D @ worked
+    covariance = C @ P @ C.T + D @ N @ D.T + system.R[k]
+    finite = np.isfinite(y)
+    Cf, Df, Rf = C[finite], D[finite], system.R[k][np.ix_(finite, finite)]
+    innovation = (y - expected)[finite]
+    inverse = scaled_pseudo_inverse(covariance[np.ix_(finite, finite)])
+    Kf = P @ Cf.T @ inverse
+    K = (A @ P @ Cf.T + B @ N @ Df.T) @ inverse
+    E, F, G = np.eye(x.size) - Kf @ Cf, A - K @ Cf, B - K @ Df
+    return TextbookStep(
+        filtered_state=x + Kf @ innovation,
+        filtered_covariance=E @ P @ E.T + Kf @ (Df @ N @ Df.T + Rf) @ Kf.T,
+        predicted_state=A @ x + B @ worked + K @ innovation,
+        predicted_covariance=F @ P @ F.T + G @ N @ G.T + system.Q[k] + K @ Rf @ K.T,
+        expected_measurement=expected,
+        innovation_covariance=covariance,
+    )
+
+
+def log_likelihood(
+    system: LinearSystem,
+    k: int,
+    prediction: tuple[Array, Array],
+    y: Array,
+    u: Array,
+    *,
+    mixture: bool,
+) -> float:
+    """Log of p(y[k] | Y[k-1], xi_i) over the finite rows.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The plant with one success rate.
+    k : int
+        Sample.
+    prediction : tuple of (n,) and (n, n) ndarray
+        x(k|k-1) and P(k|k-1) of this hypothesis.
+    y, u : (p,), (q,) ndarray
+        Measurement (NaN = missing row) and input of the sample.
+    mixture : bool
+        Sum over the states of the actuators instead of eq. (15), where they can be enumerated: one
+        coin for all inputs, or up to four independent inputs.
+
+    Returns
+    -------
+    float
+        Natural logarithm; 0 if no row is finite, -inf if the sample contradicts a singular
+        covariance.
+    """
+    from scipy.special import logsumexp  # noqa: PLC0415 - slow to import
+
+    x, P = prediction
+    finite = np.isfinite(y)
+    C, D, rate = system.C[k][finite], system.D[k][finite], system.rate[k]
+    noise = C @ P @ C.T + system.R[k][np.ix_(finite, finite)]
+    patterns = _patterns(rate, system.fault_covariance[k]) if mixture else None
+    if patterns is None:
+        N = np.diag(u) @ system.fault_covariance[k] @ np.diag(u)
+        return _log_normal((y[finite] - C @ x - D @ (rate * u)), noise + D @ N @ D.T)
+    densities = [
+        _log_normal(y[finite] - C @ x - D @ (pattern * u), noise) for pattern in patterns[0]
+    ]
+    return float(logsumexp(densities, b=patterns[1]))
+
+
+def _patterns(rate: Array, covariance: Array) -> tuple[Array, Array] | None:
+    """States of the actuators and their probabilities; None where they are not enumerated."""
+    if rate.size == 0:
+        return None
+    if rate.size == 1 or (actuator.is_common(rate, covariance) and covariance.any()):
+        return actuator.common_patterns(rate)
+    if actuator.is_independent(covariance) and rate.size <= MIXTURE_INPUTS:
+        return actuator.independent_patterns(rate)
+    return None
+
+
+def _log_normal(residual: Array, covariance: Array) -> float:
+    """Log of eq. (15) by SciPy, on unit variances so that units do not decide the rank."""
+    from scipy.stats import Covariance, multivariate_normal  # noqa: PLC0415 - slow to import
+
+    if residual.size == 0:
+        return 0.0
+    deviation = np.sqrt(np.diagonal(covariance))
+    deviation = np.where(deviation > 0.0, deviation, 1.0)
+    correlation = covariance / np.outer(deviation, deviation)
+    try:
+        # SciPy would call a correlation matrix of condition 1e10 singular; its factor is not.
+        shape = Covariance.from_cholesky(np.linalg.cholesky(correlation))
+    except np.linalg.LinAlgError:
+        shape = correlation
+    density = multivariate_normal.logpdf(residual / deviation, cov=shape, allow_singular=True)
+    return float(density - np.log(deviation).sum())

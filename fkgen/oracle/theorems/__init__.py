@@ -1,0 +1,1 @@
+"""The algebra behind the filters, proved by SymPy for small dimensions."""

@@ -1,0 +1,36 @@
+"""What the user says: plant, faults, filter and code options, as frozen and checked values."""
+
+from fkgen.problem.code import Code
+from fkgen.problem.filter import Filter
+from fkgen.problem.model import Model
+from fkgen.problem.reader import load
+from fkgen.problem.signals import Signal
+from fkgen.problem.spec import Parameter, Spec
+from fkgen.problem.text.expression import (
+    Expression,
+    Name,
+    Number,
+    Operation,
+    evaluate,
+    names,
+    parse,
+)
+from fkgen.problem.text.matrix import Matrix
+
+__all__ = [
+    "Code",
+    "Expression",
+    "Filter",
+    "Matrix",
+    "Model",
+    "Name",
+    "Number",
+    "Operation",
+    "Parameter",
+    "Signal",
+    "Spec",
+    "evaluate",
+    "load",
+    "names",
+    "parse",
+]

@@ -1,0 +1,107 @@
+"""One table of a spec, read key by key; what it does not know it refuses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import TypeVar
+
+from fkgen.problem.table.place import Place, describe, show, suggestion
+from fkgen.problem.text.foreign import plain_entry, plain_list
+
+Choice = TypeVar("Choice", bound=str)
+
+
+class Section:
+    """A table of a spec.
+
+    Parameters
+    ----------
+    table : object
+        What was given; anything but a mapping with text keys is refused.
+    place : Place
+        Where it stands.
+    known : sequence of str
+        The keys it may have.
+
+    Raises
+    ------
+    SpecError
+        If it is no table or has any other key.
+    """
+
+    def __init__(self, table: object, place: Place, *, known: Sequence[str]) -> None:
+        self.place = place
+        self.table = as_table(table, place, f"a table with {', '.join(known)}")
+        for key in self.table:
+            if key not in known:
+                hint = suggestion(key, known)
+                raise place.entry(key).error("an unknown key", f"one of {', '.join(known)}{hint}")
+
+    def __contains__(self, key: str) -> bool:
+        """Whether the key was given."""
+        return key in self.table
+
+    def require(self, key: str, expected: str) -> object:
+        """Return what was given for a key that must be there."""
+        if key not in self.table:
+            raise self.place.entry(key).error("nothing (the key is missing)", expected)
+        return self.table[key]
+
+    def choice(self, key: str, choices: Sequence[Choice], default: Choice) -> Choice:
+        """Return the one of the choices that was given, or the default."""
+        if key not in self.table:
+            return default
+        given = self.table[key]
+        for choice in choices:
+            if isinstance(given, str) and given == choice:
+                return choice
+        hint = suggestion(given, choices) if isinstance(given, str) else ""
+        raise self.place.entry(key).error(show(given), f"one of {', '.join(choices)}{hint}")
+
+    def flag(self, key: str, *, default: bool) -> bool:
+        """Return the truth value that was given, or the default."""
+        given = self.table.get(key, default)
+        if not isinstance(given, bool):
+            raise self.place.entry(key).error(describe(given), "true or false")
+        return given
+
+
+def as_table(value: object, place: Place, expected: str) -> dict[str, object]:
+    """Return a copy of a mapping whose keys are text."""
+    if not isinstance(value, Mapping):
+        raise place.error(describe(value), expected)
+    for key in value:
+        if not isinstance(key, str):
+            raise place.error(f"the key {show(key)}", "keys that are text")
+    return {str(key): entry for key, entry in value.items()}
+
+
+def as_list(value: object, place: Place, expected: str) -> list[object]:
+    """Return a copy of a list, tuple or one-dimensional array."""
+    plain = plain_list(value, place)
+    if not isinstance(plain, list):
+        raise place.error(describe(value), expected)
+    return plain
+
+
+def as_number(value: object, place: Place, expected: str = "a finite number") -> float:
+    """Return a finite number as a float; a boolean is not a number, nor is a text."""
+    plain = plain_entry(value, place)
+    if isinstance(plain, bool) or not isinstance(plain, Real):
+        raise place.error(describe(value), expected)
+    try:
+        number = float(plain)
+    except OverflowError:
+        raise place.error(show(value), f"{expected} that fits a double") from None
+    if not math.isfinite(number):
+        raise place.error(show(value), expected)
+    return number + 0.0  # minus zero is zero
+
+
+def as_text(value: object, place: Place, expected: str) -> str:
+    """Return a text."""
+    if not isinstance(value, str):
+        raise place.error(describe(value), expected)
+    return str(value)

@@ -1,0 +1,1 @@
+"""The expression language: text, matrices of expressions, values of other libraries."""

@@ -1,0 +1,422 @@
+"""Expression trees: frozen, hashable, evaluated with plain arithmetic, never as Python.
+
+Every operation is built by `operation`, which folds constants. So a tree that it built is in
+normal form: writing it as text and parsing the text gives the same tree.
+
+The expression language of spec files: text to tree and back.
+
+Text is parsed by Python's `ast` and then taken over node by node through a whitelist. Nothing is
+ever compiled or evaluated as Python, so a spec file cannot execute code.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator as python_operator
+import re
+import warnings
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from fkgen.problem.table.place import Place, show, suggestion
+
+FUNCTIONS: dict[str, int] = {
+    "exp": 1,
+    "log": 1,
+    "sqrt": 1,
+    "sin": 1,
+    "cos": 1,
+    "tan": 1,
+    "atan2": 2,
+    "abs": 1,
+}
+"""The functions of the expression language and the number of their arguments."""
+
+MAX_DEPTH = 100
+MAX_NODES = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A finite constant; minus zero is stored as zero, so that equal numbers print alike."""
+
+    value: float
+
+    def __post_init__(self) -> None:
+        """Store a plain float."""
+        object.__setattr__(self, "value", float(self.value) + 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """A parameter, by its name."""
+
+    identifier: str
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """``operator(*arguments)``.
+
+    Parameters
+    ----------
+    operator : str
+        One of ``+ - * / **`` (two arguments), ``neg`` (one) or a key of `FUNCTIONS`.
+    arguments : tuple of Expression
+        The operands, in the order in which they are written.
+    """
+
+    operator: str
+    arguments: tuple[Expression, ...]
+
+
+Expression = Number | Name | Operation
+
+ZERO = Number(0.0)
+ONE = Number(1.0)
+
+_COMPUTE: dict[str, Callable[..., float]] = {
+    "+": python_operator.add,
+    "-": python_operator.sub,
+    "*": python_operator.mul,
+    "/": python_operator.truediv,
+    "**": math.pow,
+    "neg": python_operator.neg,
+    "exp": math.exp,
+    "log": math.log,
+    "sqrt": math.sqrt,
+    "sin": math.sin,
+    "cos": math.cos,
+    "tan": math.tan,
+    "atan2": math.atan2,
+    "abs": abs,
+}
+
+
+def operation(operator: str, *arguments: Expression) -> Expression:
+    """Return ``operator(*arguments)`` with constants folded.
+
+    Raises
+    ------
+    ArithmeticError
+        If all arguments are constants and the value is not a finite real number.
+    """
+    if all(isinstance(argument, Number) for argument in arguments):
+        return Number(_compute(operator, [evaluate(argument, {}) for argument in arguments]))
+    match operator, arguments:
+        case (
+            ("+", (Number(0.0), same))
+            | ("+" | "-", (same, Number(0.0)))
+            | ("*", (Number(1.0), same))
+            | ("*" | "/" | "**", (same, Number(1.0)))
+            | ("neg", (Operation("neg", (same,)),))
+        ):
+            return same
+        case ("*", (Number(0.0), _) | (_, Number(0.0))):
+            return ZERO
+        case ("-", (Number(0.0), subtrahend)):
+            return operation("neg", subtrahend)
+        case _:
+            return Operation(operator, arguments)
+
+
+def total(terms: Sequence[Expression]) -> Expression:
+    """Return the sum of the terms, as a balanced tree (shallow, however many there are)."""
+    return _balanced("+", terms, ZERO)
+
+
+def product(factors: Sequence[Expression]) -> Expression:
+    """Return the product of the factors, as a balanced tree."""
+    return _balanced("*", factors, ONE)
+
+
+def _balanced(operator: str, operands: Sequence[Expression], neutral: Expression) -> Expression:
+    if len(operands) < 2:
+        return operands[0] if operands else neutral
+    middle = (len(operands) + 1) // 2
+    left, right = operands[:middle], operands[middle:]
+    return operation(
+        operator, _balanced(operator, left, neutral), _balanced(operator, right, neutral)
+    )
+
+
+def evaluate(expression: Expression, values: Mapping[str, float]) -> float:
+    """Return the value of an expression.
+
+    Parameters
+    ----------
+    expression : Expression
+        The tree.
+    values : mapping of str to float
+        A value for every name in it.
+
+    Raises
+    ------
+    ArithmeticError
+        If any part of it is not a finite real number: a division by zero, a logarithm of
+        something negative, an overflow. The message says which part.
+    KeyError
+        If a name has no value.
+    """
+    match expression:
+        case Number(value):
+            return value
+        case Name(identifier):
+            return float(values[identifier])
+        case Operation(operator, arguments):
+            return _compute(operator, [evaluate(argument, values) for argument in arguments])
+
+
+def _compute(operator: str, values: Sequence[float]) -> float:
+    if operator == "/" and values[1] == 0.0:
+        message = f"division by zero in {_written(operator, values)}"
+        raise ArithmeticError(message)
+    try:
+        result = _COMPUTE[operator](*values)
+    except OverflowError:
+        result = math.inf
+    except ValueError:
+        result = math.nan
+    if not math.isfinite(result):
+        fault = "is not a real number" if math.isnan(result) else "is too large"
+        message = f"{_written(operator, values)} {fault}"
+        raise ArithmeticError(message)
+    return result
+
+
+def _written(operator: str, values: Sequence[float]) -> str:
+    if operator in FUNCTIONS:
+        return f"{operator}({', '.join(map(repr, values))})"
+    return f" {operator} ".join(f"({value!r})" if value < 0 else repr(value) for value in values)
+
+
+def names(expression: Expression) -> frozenset[str]:
+    """Return the parameters an expression depends on."""
+    match expression:
+        case Number():
+            return frozenset()
+        case Name(identifier):
+            return frozenset({identifier})
+        case Operation(_, arguments):
+            return frozenset().union(*(names(argument) for argument in arguments))
+
+
+def depth(expression: Expression) -> int:
+    """Return the height of the tree; 1 for a leaf."""
+    if isinstance(expression, Operation):
+        return 1 + max(depth(argument) for argument in expression.arguments)
+    return 1
+
+
+def size(expression: Expression) -> int:
+    """Return the number of nodes of the tree."""
+    if isinstance(expression, Operation):
+        return 1 + sum(size(argument) for argument in expression.arguments)
+    return 1
+
+
+__all__ = [
+    "FUNCTIONS",
+    "Expression",
+    "Name",
+    "Number",
+    "Operation",
+    "evaluate",
+    "names",
+    "parse",
+    "to_text",
+]
+
+MAX_TEXT = 10_000
+_ALLOWED = re.compile(r"[A-Za-z0-9_.,+\-*/() ]")
+_BINARY: dict[type[ast.operator], str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.Pow: "**",
+}
+_LANGUAGE = f"numbers, parameters, + - * / ** ( ) and {' '.join(FUNCTIONS)}"
+_WORDS: dict[type[ast.AST], str] = {
+    ast.Attribute: "an attribute access",
+    ast.Subscript: "an index",
+    ast.Lambda: "a lambda",
+    ast.Compare: "a comparison",
+    ast.BoolOp: "a boolean operation",
+    ast.IfExp: "a conditional",
+    ast.NamedExpr: "an assignment",
+    ast.Tuple: "a comma outside a call",
+    ast.keyword: "a keyword argument",
+    ast.Starred: "an unpacking",
+    ast.FloorDiv: "the operator //",
+    ast.Not: "the operator not",
+}
+
+
+def parse(
+    text: str, *, place: Place | None = None, parameters: Collection[str] | None = None
+) -> Expression:
+    """Parse an expression.
+
+    Parameters
+    ----------
+    text : str
+        Numbers, names, ``+ - * / ** ( )`` and calls of the functions in `FUNCTIONS`.
+    place : Place, optional
+        Where the text stands, for messages.
+    parameters : collection of str, optional
+        The names it may use; any if not given.
+
+    Returns
+    -------
+    Expression
+        The tree, with constants folded: ``"2*3"`` is ``Number(6.0)``.
+
+    Raises
+    ------
+    SpecError
+        If the text is anything else, or a constant part of it is not a finite real number.
+    """
+    where = Place("<text>", "expression") if place is None else place
+    return _Parser(text, where, parameters).run()
+
+
+class _Parser:
+    """Takes one text from `ast` to a tree."""
+
+    def __init__(self, text: str, place: Place, parameters: Collection[str] | None) -> None:
+        self.text, self.place, self.parameters = text, place, parameters
+
+    def run(self) -> Expression:
+        self.check_text()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # "1or 2" is a warning to Python, a mistake to us
+                root = ast.parse(" ".join(self.text.split()), mode="eval").body
+        except (SyntaxError, ValueError, Warning):
+            raise self.error(f"an expression of {_LANGUAGE}") from None
+        except (RecursionError, MemoryError):
+            raise self.too_deep() from None
+        return self.convert(root, 1)
+
+    def check_text(self) -> None:
+        if len(self.text) > MAX_TEXT:
+            raise self.error(f"at most {MAX_TEXT} characters, not {len(self.text)}")
+        line = " ".join(self.text.split())
+        if not line:
+            raise self.error("an expression, not an empty text")
+        if strange := _ALLOWED.sub("", line):
+            raise self.error(f"an expression of {_LANGUAGE}, without {strange[0]!r}")
+        level = deepest = 0
+        for character in line:
+            level += (character == "(") - (character == ")")
+            deepest = max(deepest, level)
+        if deepest > MAX_DEPTH:
+            raise self.too_deep()
+
+    def convert(self, node: ast.expr, level: int) -> Expression:
+        if level > MAX_DEPTH:
+            raise self.too_deep()
+        match node:
+            case ast.Constant(value):
+                return self.constant(value)
+            case ast.Name(identifier):
+                return self.name(identifier)
+            case ast.UnaryOp(ast.UAdd(), operand):
+                return self.convert(operand, level + 1)
+            case ast.UnaryOp(ast.USub(), operand):
+                return self.operate("neg", self.convert(operand, level + 1))
+            case ast.BinOp(left, kind, right) if type(kind) in _BINARY:
+                pair = self.convert(left, level + 1), self.convert(right, level + 1)
+                return self.operate(_BINARY[type(kind)], *pair)
+            case ast.Call(ast.Name(function), arguments, []):
+                return self.call(function, arguments, level)
+            case _:
+                raise self.not_allowed(node)
+
+    def constant(self, value: object) -> Expression:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(f"an expression of {_LANGUAGE}, without the constant {show(value)}")
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise self.error("numbers that fit a double")
+        return Number(number)
+
+    def name(self, identifier: str) -> Expression:
+        if self.parameters is None or identifier in self.parameters:
+            return Name(identifier)
+        if identifier in FUNCTIONS:
+            raise self.error(f"arguments in parentheses after the function '{identifier}'")
+        if not self.parameters:
+            raise self.error(f"no name '{identifier}': the spec has no [parameters]")
+        known = ", ".join(self.parameters)
+        hint = suggestion(identifier, self.parameters)
+        raise self.error(f"only parameters ({known}), not the name '{identifier}'{hint}")
+
+    def call(self, function: str, arguments: list[ast.expr], level: int) -> Expression:
+        if function not in FUNCTIONS:
+            hint = suggestion(function, FUNCTIONS)
+            known = ", ".join(FUNCTIONS)
+            raise self.error(f"one of the functions {known}, not '{function}'{hint}")
+        if len(arguments) != FUNCTIONS[function]:
+            count = FUNCTIONS[function]
+            raise self.error(
+                f"{count} argument{'s' * (count > 1)} of '{function}', not {len(arguments)}"
+            )
+        return self.operate(
+            function, *(self.convert(argument, level + 1) for argument in arguments)
+        )
+
+    def operate(self, operator: str, *arguments: Expression) -> Expression:
+        try:
+            return operation(operator, *arguments)
+        except ArithmeticError as fault:
+            raise self.error(f"a finite real value, but {fault}") from None
+
+    def not_allowed(self, node: ast.expr) -> Exception:
+        kind: ast.AST = node.op if isinstance(node, ast.BinOp | ast.UnaryOp) else node
+        if isinstance(node, ast.Call) and node.keywords:
+            kind = node.keywords[0]
+        word = _WORDS.get(type(kind), f"Python's {type(kind).__name__}")
+        return self.error(f"an expression of {_LANGUAGE}, without {word}")
+
+    def too_deep(self) -> Exception:
+        return self.error(f"at most {MAX_DEPTH} levels of nesting")
+
+    def error(self, expected: str) -> Exception:
+        return self.place.error(show(self.text), expected)
+
+
+_STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3, "**": 4}
+_ATOM = 5
+
+
+def to_text(expression: Expression) -> str:
+    """Return an expression as text; `parse` of it is the expression again."""
+    match expression:
+        case Number(value):
+            return repr(value)
+        case Name(identifier):
+            return identifier
+        case Operation("neg", (operand,)):
+            return f"-{_within(operand, _STRENGTH['**'])}"
+        case Operation(operator, (left, right)) if operator in _STRENGTH:
+            strength = _STRENGTH[operator]
+            first = _within(left, _ATOM if operator == "**" else strength)
+            return f"{first} {operator} {_within(right, strength + 1)}"
+        case Operation(function, arguments):
+            return f"{function}({', '.join(map(to_text, arguments))})"
+
+
+def _within(expression: Expression, required: int) -> str:
+    text = to_text(expression)
+    strength = _ATOM
+    if isinstance(expression, Operation):
+        strength = _STRENGTH.get(expression.operator, _ATOM)
+    if text.startswith("-"):
+        strength = 0
+    return text if strength >= required else f"({text})"

@@ -1,0 +1,138 @@
+"""Matrices whose entries are expressions of the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fkgen.problem.text.expression import (
+    ZERO,
+    Expression,
+    Number,
+    evaluate,
+    names,
+    product,
+    to_text,
+    total,
+)
+
+NO_PARAMETERS: Mapping[str, float] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Matrix:
+    """A frozen matrix of expressions.
+
+    Parameters
+    ----------
+    rows : tuple of tuple of Expression
+        The entries, row by row; all rows have the same length. A matrix without columns is rows
+        that are empty.
+    """
+
+    rows: tuple[tuple[Expression, ...], ...]
+
+    @classmethod
+    def of(cls, values: ArrayLike) -> Matrix:
+        """Return the constant matrix with these values.
+
+        Parameters
+        ----------
+        values : (r, c) array_like
+            Finite numbers.
+        """
+        array = np.atleast_2d(np.asarray(values, dtype=np.float64))
+        return cls(tuple(tuple(Number(float(value)) for value in row) for row in array))
+
+    @classmethod
+    def zeros(cls, row_count: int, column_count: int) -> Matrix:
+        """Return a matrix of zeros."""
+        return cls(((ZERO,) * column_count,) * row_count)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of rows and columns."""
+        return len(self.rows), len(self.rows[0]) if self.rows else 0
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The parameters it depends on."""
+        return frozenset().union(*(names(entry) for row in self.rows for entry in row))
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether it depends on no parameter."""
+        return all(isinstance(entry, Number) for row in self.rows for entry in row)
+
+    def values(self, parameters: Mapping[str, float] = NO_PARAMETERS) -> NDArray[np.float64]:
+        """Return the values for given parameters.
+
+        Parameters
+        ----------
+        parameters : mapping of str to float
+            A value for every name in `names`; further names are ignored.
+
+        Returns
+        -------
+        (r, c) ndarray of float64
+            The values.
+
+        Raises
+        ------
+        ArithmeticError
+            If an entry is not a finite real number there.
+        KeyError
+            If a parameter has no value.
+        """
+        result = np.empty(self.shape)
+        for i, row in enumerate(self.rows):
+            for j, entry in enumerate(row):
+                result[i, j] = evaluate(entry, parameters)
+        return result
+
+    def plain(self) -> list[list[float | str]]:
+        """Return the entries as a spec file writes them: numbers, and texts for expressions."""
+        return [
+            [entry.value if isinstance(entry, Number) else to_text(entry) for entry in row]
+            for row in self.rows
+        ]
+
+
+def mirrored(matrix: Matrix) -> Matrix:
+    """Return the symmetric matrix with the lower triangle of this one."""
+    count = range(len(matrix.rows))
+    return Matrix(tuple(tuple(matrix.rows[max(i, j)][min(i, j)] for j in count) for i in count))
+
+
+def congruence(left: Matrix, middle: Matrix) -> Matrix:
+    """Return ``left @ middle @ left.T``, exactly symmetric.
+
+    Parameters
+    ----------
+    left : (r, m) Matrix
+        Such as F.
+    middle : (m, m) Matrix
+        Symmetric, such as V.
+
+    Raises
+    ------
+    ArithmeticError
+        If a constant entry of the product overflows.
+    """
+    count = range(len(middle.rows))
+
+    def entry(i: int, j: int) -> Expression:
+        terms = (
+            product((left.rows[i][k], middle.rows[k][m], left.rows[j][m]))
+            for k in count
+            for m in count
+        )
+        return total([term for term in terms if term != ZERO])
+
+    size = range(len(left.rows))
+    lower = {(i, j): entry(i, j) for i in size for j in range(i + 1)}
+    return Matrix(tuple(tuple(lower[max(i, j), min(i, j)] for j in size) for i in size))

@@ -1,0 +1,228 @@
+"""Compiled C against what it was made from: CasADi's interpreter, and its statements in NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fkgen.backend.execute import Machine
+from fkgen.backend.generate import generate
+from fkgen.backend.ir import CProgram
+from fkgen.backend.source import Source
+from fkgen.oracle import draw_record
+from fkgen.oracle.claims.claim import Record
+from fkgen.oracle.claims.gaussian import digits_at_stake
+from fkgen.problem import Code, Number, Operation, Spec
+from fkgen.problem.text.expression import Expression
+from fkgen.proof.experiment import distance, natural_deviation
+from fkgen.proof.validate import validate
+from fkgen.runtime.library import compile_source
+from fkgen.runtime.results import Run
+from fkgen.symbolic.interface import Port
+from fkgen.symbolic.interpreter import Interpreter
+from fkgen.symbolic.packing import unpacked
+from fkgen.symbolic.validated import Claim, Validated
+
+Array = NDArray[np.floating]
+
+SAMPLES = 50
+
+#: Windows of compression filters up to this length come to their end within the record.
+WAITED = 500
+
+#: Functions that IEEE 754 does not fix to the last bit: fkgen's own differ from those CasADi calls.
+_INEXACT = frozenset({"exp", "log", "sin", "cos", "tan", "atan2"})
+
+#: Own exp and log are good to about one unit in the last place.
+_LOGARITHM = 1e-14
+
+#: Weights are exponentials of sums of some hundred: an error of 1e-15 there is 1e-13 here.
+_WEIGHTS = 1e-12
+
+#: Share of the entries of y that are missing.
+MISSING = 0.2
+
+_FORM = "covariance update: joseph form"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A random record with missing rows, as all who are compared get it."""
+
+    y: NDArray[np.float64]
+    u: NDArray[np.float64]
+    parameters: Mapping[str, NDArray[np.float64]]
+
+
+def trial(spec: Spec) -> Trial:
+    """A record of the model itself; parameters shaken by a percent, sample by sample."""
+    rng = np.random.default_rng(20260101)
+    T = _samples(spec)
+    u = rng.normal(size=(T, spec.model.nu))
+    parameters = {
+        item.name: item.default * rng.uniform(0.99, 1.01, T) for item in spec.stated_parameters
+    }
+    steady = {name: np.full(T, spec.defaults[name]) for name in parameters}
+    y, told = draw_record(spec, steady, u, rng)
+    y[rng.random(y.shape) < MISSING] = np.nan
+    y[T // 2] = np.nan
+    return Trial(y, u, {**told, **parameters})
+
+
+def _samples(spec: Spec) -> int:
+    soft = spec.faults.soft
+    return SAMPLES + (soft.window if soft is not None and soft.window <= WAITED else 0)
+
+
+def with_machine(source: Source, record: Trial) -> tuple[Claim, ...]:
+    """Every port of the compiled code against the same statements in NumPy, bit for bit."""
+    program = source.program
+    run = compile_source(source).run(record.y, _given(record.u), record.parameters)
+    found = _machine(program, record)
+    error = max(_difference(run[port.name], found[port.name]) for port in program.ports)
+    claim = Claim(
+        claim=f"the compiled {program.scalar} code gives the bits of its statements in NumPy",
+        source=f"{len(record.y)} samples with missing rows; all ports, exp and log included",
+        error=error,
+        tolerance=0.0,
+    )
+    return (claim,)
+
+
+def _given(u: Array) -> Array | None:
+    return u if u.shape[1] else None
+
+
+def _machine(program: CProgram, record: Trial) -> dict[str, Array]:
+    machine = Machine(program)
+    rows: dict[str, list[Array]] = {port.name: [] for port in program.ports}
+    for k, y in enumerate(record.y):
+        now = {name: float(value[k]) for name, value in record.parameters.items()}
+        machine.step(tuple(record.u[k]), tuple(y), now)
+        for port in program.ports:
+            value = unpacked(port, np.array(machine.ports[port.name], machine.real))
+            if port.given:
+                given = unpacked(port, np.array(machine.ports[port.given], machine.real))
+                value = np.where(given > 0, value, np.nan)
+            rows[port.name].append(np.where(np.isnan(y), np.nan, value) if port.per_row else value)
+    return {name: np.array(values) for name, values in rows.items()}
+
+
+def _difference(found: Array, expected: Array) -> float:
+    """0 if all bits are the same (any NaN is one), else the relative distance, never 0."""
+    expected = expected.astype(found.dtype)
+    word = np.uint32 if found.dtype == np.float32 else np.uint64
+    same = np.ascontiguousarray(found).view(word) == np.ascontiguousarray(expected).view(word)
+    if found.shape == expected.shape and np.all(same | (np.isnan(found) & np.isnan(expected))):
+        return 0.0
+    off = distance(found.astype(float), expected.astype(float))
+    return max(off, float(np.finfo(float).tiny))
+
+
+def with_interpreter(design: Validated) -> tuple[Claim, ...]:
+    """The compiled double code against CasADi: bit for bit, but for what goes through exp or log.
+
+    Parameters
+    ----------
+    design : Validated
+        Of a float filter, its twin in double is compared: CasADi knows no other arithmetic.
+    """
+    twin = _in_double(design)
+    spec, record = twin.spec, trial(twin.spec)
+    source = generate(twin)
+    run = compile_source(source).run(record.y, _given(record.u), record.parameters)
+    found = Interpreter(twin.recursion).run(record.y, record.u, record.parameters)
+    exact = [port for port in source.program.ports if _tolerance(spec, port) == 0.0]
+    rounded = [port for port in source.program.ports if _tolerance(spec, port) > 0.0]
+    text = "the compiled double code gives the bits of CasADi's interpreter"
+    origin = f"{len(record.y)} samples with missing rows"
+    claims = []
+    if exact:
+        error = max(_difference(run[p.name], found[p.name]) for p in exact)
+        what = f"{text}: {_names(exact)}"
+        claims.append(Claim(claim=what, source=origin, error=error, tolerance=0.0))
+    if rounded:
+        near = "the compiled double code agrees with CasADi's interpreter"
+        claims.append(
+            Claim(
+                claim=f"{near}: {_names(rounded)}",
+                source=f"{origin}; {_reason(spec)}",
+                error=max(_distance(run, found, p) for p in rounded),
+                tolerance=max(_tolerance(spec, p) for p in rounded),
+            )
+        )
+    return tuple(claims)
+
+
+def _distance(run: Run, found: Mapping[str, Array], port: Port) -> float:
+    expected = {name: np.asarray(values, dtype=float) for name, values in found.items()}
+    return distance(
+        np.asarray(run[port.name], dtype=float),
+        expected[port.name],
+        symmetric=port.symmetric,
+        deviation=natural_deviation(port.name, expected),
+    )
+
+
+def _in_double(design: Validated) -> Validated:
+    spec = design.spec
+    if spec.code.scalar == "double":
+        return design
+    update: Literal["joseph", "short"] = "joseph" if _FORM in design.recursion.notes else "short"
+    return validate(replace(spec, code=Code(scalar="double", update=update)))
+
+
+def _names(ports: list[Port]) -> str:
+    shown = [port.name for port in ports]
+    return (
+        ", ".join(shown) if len(shown) <= 4 else f"{', '.join(shown[:3])} and {len(shown) - 3} more"
+    )
+
+
+def _tolerance(spec: Spec, port: Port) -> float:
+    if _goes_through_functions(spec):
+        none = np.zeros((0, 0))
+        start = Record(y=none, u=none, parameters={}, P0=spec.model.P0.values())
+        return digits_at_stake(spec, start)
+    if spec.filter.family in {"one_step", "imm"}:  # mixing makes everything depend on weights
+        return _WEIGHTS
+    if spec.filter.family == "mme":
+        before = port.name.startswith("mode_") and port.name != "mode_probability"
+        return 0.0 if before else _WEIGHTS
+    return _LOGARITHM if port.name in {"log_likelihood", "test_statistic"} else 0.0
+
+
+def _reason(spec: Spec) -> str:
+    if _goes_through_functions(spec):
+        return "entries of the model go through fkgen's own functions, good to one ulp"
+    if spec.filter.family in {"mme", "one_step", "imm"}:
+        return "weights are exponentials of sums, which enlarge the last bit of exp and log"
+    return "fkgen's own log is good to one unit in the last place"
+
+
+def _goes_through_functions(spec: Spec) -> bool:
+    """Whether entries of the model need functions that are not the same everywhere."""
+    faults = spec.faults.actuator
+    matrices = [getattr(plant, x) for plant in spec.plants for x in ("A", "B", "C", "D", "Q", "R")]
+    if spec.faults.jump is not None:
+        matrices += [mode.c for mode in spec.faults.jump.modes]
+    rates = faults.success_rate if faults is not None else ()
+    entries = [entry for matrix in matrices for row in matrix.rows for entry in row]
+    return any(_is_inexact(entry) for entry in (*entries, *rates))
+
+
+def _is_inexact(expression: Expression) -> bool:
+    if not isinstance(expression, Operation):
+        return False
+    if expression.operator == "**" and not _is_product(expression.arguments[1]):
+        return True
+    return expression.operator in _INEXACT or any(map(_is_inexact, expression.arguments))
+
+
+def _is_product(exponent: Expression) -> bool:
+    """Whether a power is computed by multiplications and square roots, which IEEE 754 does fix."""
+    return isinstance(exponent, Number) and (2.0 * exponent.value).is_integer()

@@ -1,0 +1,148 @@
+"""The figure of a comparison: error against cost, with the filters that nothing cheaper beats.
+
+The table of a comparison as texts: a column per filter, the genie first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from fkgen.study.comparisons.footprint import CALL
+from fkgen.study.comparisons.ranking import Comparison, Row
+
+_BLUE, _GREY, _ORANGE = "#1f5a94", "#8a8a8a", "#d9741a"
+_SPREAD = 10.0
+"""Errors further apart than this share a logarithmic axis."""
+
+
+def draw_comparison(comparison: Comparison) -> Figure:
+    """Draw every filter as a point with its standard error, the Pareto front as a line.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    """
+    figure = Figure(figsize=(7.5, 4.8), layout="constrained")
+    axis = figure.subplots()
+    rows = sorted(comparison.rows, key=lambda row: row.footprint.cost)
+    front = [row for row in rows if row.pareto]
+    axis.step(
+        [row.footprint.cost for row in front],
+        [row.relative.value for row in front],
+        where="post",
+        color=_BLUE,
+        lw=1.2,
+        alpha=0.6,
+        label="Pareto front",
+    )
+    for at, row in enumerate(rows):
+        _draw_filter(axis, row, above=at % 2 == 0, chosen=row.label == comparison.recommended)
+    axis.axhline(1.0, color="black", lw=0.8, ls=":", label="genie, told every fault")
+    _scale(axis, rows)
+    axis.set_xlabel(f"operations of a step, a call of log or exp counted as {CALL}", fontsize=9)
+    axis.set_ylabel("mean squared error / that of the genie", fontsize=9)
+    title = f"{comparison.name}: {comparison.runs} trials of {comparison.steps} samples"
+    axis.set_title(title, loc="left", fontsize=10)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(axis="y", lw=0.4, alpha=0.5)
+    axis.tick_params(which="both", labelsize=8)
+    axis.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def _draw_filter(axis: Axes, row: Row, *, above: bool, chosen: bool) -> None:
+    """A point with its standard error and its name, above or below so that neighbours fit."""
+    colour, place = _BLUE if row.pareto else _GREY, (row.footprint.cost, row.relative.value)
+    shape = "o" if row.pareto else "s"
+    axis.errorbar(*place, yerr=row.relative.error, fmt=shape, color=colour, capsize=3, ms=6)
+    axis.annotate(
+        f"{row.label} (recommended)" if chosen else row.label,
+        place,
+        xytext=(6, 7 if above else -13),
+        textcoords="offset points",
+        fontsize=9,
+        fontweight="bold" if chosen else "normal",
+        color=_ORANGE if chosen else colour,
+    )
+
+
+def _scale(axis: Axes, rows: list[Row]) -> None:
+    """Logarithmic costs, room for names, and logarithmic errors where they are far apart."""
+    axis.set_xscale("log")
+    costs = [row.footprint.cost for row in rows]
+    low, high = min(costs), max(costs)
+    axis.set_xlim(low / 1.3, high * (2.2 if high > low else 1.6))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.xaxis.set_minor_formatter(FuncFormatter(_some))
+    values = np.array([row.relative.value for row in rows])
+    if np.nanmax(values) > _SPREAD:
+        axis.set_yscale("log")
+        axis.set_ylim(0.5, 3.0 * float(np.nanmax(values)))
+    else:
+        top = 1.0 + 1.15 * max(0.05, float(np.nanmax(values)) - 1.0)
+        axis.set_ylim(1.0 - 0.12 * (top - 1.0), top)
+
+
+def _some(value: float, _: int) -> str:
+    """Labels at 2 and 5 between powers of ten."""
+    first = f"{value:e}"[0]
+    return f"{value:g}" if first in "25" else ""
+
+
+def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
+    """Head and rows; what no filter has is left out.
+
+    Parameters
+    ----------
+    comparison : Comparison
+
+    Returns
+    -------
+    head : list of str
+    rows : list of list of str
+        The quantity, then a text per filter.
+    """
+    filters = (comparison.genie, *comparison.rows)
+    rows: list[list[object]] = [
+        ["MSE / that of the genie", *(row.relative for row in filters)],
+        *([f"rmse {name}", *(row.rmse[name] for row in filters)] for name in filters[0].rmse),
+        ["NEES / states", *(row.nees for row in filters)],
+        ["NIS / rows of y", *(row.nis for row in filters)],
+        ["faults found", *(row.detected for row in filters)],
+        ["delay, samples", *(row.delay for row in filters)],
+        ["false alarms", *(row.false_alarms for row in filters)],
+        ["flops of a step", *(row.footprint.operations for row in filters)],
+        ["calls of log, exp, ..", *(row.footprint.calls for row in filters)],
+        ["state, bytes", *(row.footprint.state for row in filters)],
+        *_code(filters),
+        ["nothing cheaper is as good", *("yes" if row.pareto else "" for row in filters)],
+    ]
+    texts = [[str(cell) for cell in row] for row in rows]
+    return ["", *(row.label for row in filters)], [row for row in texts if set(row[1:]) != {"-"}]
+
+
+def _code(filters: Sequence[Row]) -> list[list[object]]:
+    """Bytes of code, a row per target."""
+    targets = dict.fromkeys(key for row in filters for key in row.footprint.flash)
+    return [
+        [f"code {key}, bytes", *(row.footprint.flash.get(key, "-") for row in filters)]
+        for key in targets
+    ]
+
+
+def markdown(comparison: Comparison) -> str:
+    """The same table for a page, with the recommendation and the notes below it."""
+    head, rows = table_of(comparison)
+    rule = ["---", *("---:" for _ in head[1:])]
+    lines = [_line(cells) for cells in (head, rule, *rows)]
+    notes = [f"- {note}" for note in comparison.notes]
+    return "\n".join([*lines, "", comparison.recommendation, "", *notes]) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"

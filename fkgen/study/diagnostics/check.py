@@ -1,0 +1,89 @@
+"""Look at a model before anyone trusts it: can it be filtered, are there digits, what does it cost.
+
+All figures are for the default parameters, u = 0 (unless their name says otherwise) and all rows of
+y present.
+"""
+
+from __future__ import annotations
+
+from fkgen.problem import Spec
+from fkgen.study.diagnostics import (
+    convergence,
+    dynamics,
+    faults,
+    jumps,
+    noise,
+    rounding,
+    size,
+    visibility,
+)
+from fkgen.study.diagnostics.findings import Finding, Report, combined
+from fkgen.study.diagnostics.model_numbers import Figures
+
+__all__ = ["Finding", "Report", "check"]
+
+_EXAMINATIONS = (
+    dynamics.stability,
+    dynamics.observability,
+    dynamics.excitation,
+    dynamics.silence,
+    dynamics.rest,
+    convergence.condition,
+    visibility.states,
+    visibility.sensors,
+    visibility.inputs,
+    noise.innovation,
+    noise.conditioning,
+    noise.rounding,
+    noise.number_range,
+    rounding.float_suitability,
+    faults.known_rate,
+    faults.hypotheses,
+    faults.identification,
+    faults.floor,
+    faults.caveats,
+    faults.noise_factor,
+    faults.law,
+    faults.lost_signal,
+    faults.compression_loss,
+    size.parameters,
+    size.cost,
+)
+
+#: Where every mode has matrices of its own, those of the model say little.
+_OF_JUMPS = (
+    jumps.chain,
+    jumps.radius,
+    jumps.rest,
+    jumps.innovation,
+    jumps.visibility,
+    jumps.detector,
+    faults.caveats,
+    size.parameters,
+    size.cost,
+)
+
+
+def check(spec: Spec) -> Report:
+    """Examine the model of a spec; nothing is built or written.
+
+    Parameters
+    ----------
+    spec : Spec
+        A spec that could be read; what cannot be is a `SpecError` before this.
+
+    Returns
+    -------
+    Report
+        Findings, worst first, and values by name.
+
+    References
+    ----------
+    Anderson & Moore 1979, *Optimal Filtering*, sec. 4.4 and app. C: detectability, stabilisability
+    and the Riccati equation. Costa, Fragoso & Marques 2005, ch. 3, for jumping plants. Strandt,
+    Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with the
+    conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
+    """
+    figures = Figures(spec)
+    examinations = _EXAMINATIONS if spec.faults.jump is None else _OF_JUMPS
+    return combined([examine(figures) for examine in examinations])

@@ -1,0 +1,1 @@
+"""Records of a user: reading, filtering, writing."""

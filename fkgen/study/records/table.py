@@ -1,0 +1,263 @@
+"""Read a record from a CSV file: columns by name, and an error that says where."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fkgen.errors import DataError
+from fkgen.problem import Spec
+
+Array = NDArray[np.float64]
+
+#: Names of a time column, the first that is there and is no signal of the model.
+TIME_NAMES = ("t", "t_s", "time")
+
+_SHOWN = 40
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Table:
+    """A record of T samples.
+
+    Attributes
+    ----------
+    file : str
+        Where it comes from.
+    lines : tuple of int
+        Line of the file in which each sample ends.
+    time_name : str
+        Name of the time column; empty if there is none.
+    time_text : tuple of str
+        The times as they stand in the file; empty if there are none.
+    time : (T,) ndarray
+        The times as numbers, or the sample numbers if there are none.
+    y : (T, p) ndarray
+        Measurements; NaN = missing.
+    u : (T, q) ndarray
+        Inputs.
+    params : dict of str to (T,) ndarray
+        The run-time parameters that have a column.
+    notes : tuple of str
+        What was ignored or taken for granted.
+    """
+
+    file: str
+    lines: tuple[int, ...]
+    time_name: str
+    time_text: tuple[str, ...]
+    time: Array
+    y: Array
+    u: Array
+    params: dict[str, Array]
+    notes: tuple[str, ...]
+
+
+def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
+    """Read the record that a spec asks for.
+
+    Parameters
+    ----------
+    path : path
+        A CSV file (commas, UTF-8) with a header. Measurements, inputs and parameters are the
+        columns with their names; a time column (``t``, ``t_s`` or ``time``) is optional.
+    spec : Spec
+        Says which columns there have to be.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read or lacks a column, or a field is not what its column demands.
+    """
+    reader = _Reader(str(path))
+    wanted = [signal.name for signal in (*spec.model.outputs, *spec.model.inputs)]
+    known = [parameter.name for parameter in spec.parameters]
+    reader.demand(wanted)
+    time_name = next((n for n in TIME_NAMES if n in reader.place and n not in wanted + known), "")
+    given = [name for name in known if name in reader.place]
+    extra = [n for n in reader.header if n and n not in {*wanted, *known, time_name}]
+    notes = [f"default of parameter {n}: no such column" for n in known if n not in given]
+    notes += [f"ignored: {', '.join(map(repr, extra))}"] if extra else []
+    samples = len(reader.lines)
+    return Table(
+        file=str(path),
+        lines=tuple(reader.lines),
+        time_name=time_name,
+        time_text=tuple(t.strip() for t in reader.texts(time_name)) if time_name else (),
+        time=reader.times(time_name) if time_name else np.arange(samples, dtype=float),
+        y=_joined([reader.measured(s.name) for s in spec.model.outputs], samples),
+        u=_joined([reader.finite(s.name, "an input") for s in spec.model.inputs], samples),
+        params={name: reader.finite(name, "a parameter") for name in given},
+        notes=tuple(f"{path}: {note}" for note in notes),
+    )
+
+
+def read_columns(path: str | os.PathLike[str], names: Sequence[str]) -> dict[str, Array]:
+    """Columns of finite numbers by name; those that the file lacks are zero.
+
+    Parameters
+    ----------
+    path : path
+        A CSV file with a header.
+    names : sequence of str
+        The columns that are looked for; others are ignored.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, has none of the columns, or a field is no finite number.
+    """
+    reader = _Reader(str(path))
+    if not any(name in reader.place for name in names):
+        have = ", ".join(reader.place)
+        expected = f"at least one of: {', '.join(names)}"
+        raise reader.error(f"none of the columns (there are: {have})", expected, line=1)
+    return {
+        name: reader.finite(name, "a fault")
+        if name in reader.place
+        else np.zeros(len(reader.lines))
+        for name in names
+    }
+
+
+def _joined(columns: list[Array], samples: int) -> Array:
+    return np.stack(columns, axis=1) if columns else np.zeros((samples, 0))
+
+
+class _Reader:
+    """The fields of one file as text, by columns."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.lines: list[int] = []
+        rows = self._read()
+        self.place = {name: i for i, name in enumerate(self.header) if name}
+        self._columns: list[Sequence[str]] = list(zip(*rows, strict=True))
+
+    def _read(self) -> list[list[str]]:
+        try:
+            with Path(self.file).open(encoding="utf-8-sig", newline="") as file:
+                reader = csv.reader(file, strict=True)
+                self.header = self._header(next(reader, []))
+                try:
+                    return self._rows(reader)
+                except csv.Error as error:
+                    raise self.error(
+                        str(error), "fields separated by commas", line=reader.line_num
+                    ) from None
+        except UnicodeDecodeError as error:
+            raise self.error(f"bytes that are not UTF-8 at {error.start}", "UTF-8 text") from None
+        except (OSError, ValueError) as error:
+            reason = str(getattr(error, "strerror", None) or error).lower()
+            raise self.error(f"a path that cannot be read ({reason})", "a CSV file") from None
+
+    def _header(self, names: list[str]) -> list[str]:
+        header = [name.strip() for name in names]
+        if not any(header):
+            raise self.error(
+                "an empty file", "a header with names of columns, then numbers", line=1
+            )
+        for separator, word in ((";", "semicolons"), ("\t", "tabs")):
+            if len(header) == 1 and separator in header[0]:
+                raise self.error(f"a header with {word}", "columns separated by commas", line=1)
+        twice = [name for name, count in Counter(header).items() if name and count > 1]
+        if twice:
+            raise self.error(f"two columns {twice[0]!r}", "different names", line=1)
+        return header
+
+    def _rows(self, reader: object) -> list[list[str]]:
+        width, rows, lines = len(self.header), [], self.lines
+        for row in reader:  # type: ignore[attr-defined]
+            if len(row) != width:
+                if not row and width > 1:
+                    continue  # a blank line
+                if row:
+                    line = reader.line_num  # type: ignore[attr-defined]
+                    raise self.error(f"{len(row)} fields", f"{width}, as in the header", line=line)
+            rows.append(row or [""])
+            lines.append(reader.line_num)  # type: ignore[attr-defined]
+        while width == 1 and rows and rows[-1] == [""]:  # blank lines at the end
+            rows.pop()
+            lines.pop()
+        if not rows:
+            raise self.error("a header and nothing below it", "at least one sample")
+        return rows
+
+    def demand(self, names: Sequence[str]) -> None:
+        """Refuse a file that lacks one of these columns."""
+        missing = [name for name in names if name not in self.place]
+        if missing:
+            have = ", ".join(self.place)
+            raise self.error(
+                f"no column {', '.join(missing)} (there are: {have})",
+                f"a column for each of: {', '.join(names)}",
+                line=1,
+            )
+
+    def texts(self, name: str) -> Sequence[str]:
+        """A column as it stands in the file."""
+        return self._columns[self.place[name]]
+
+    def measured(self, name: str) -> Array:
+        """A column of numbers; NaN where a field is empty or says so."""
+        texts = self.texts(name)
+        try:
+            if not any("_" in text for text in texts):
+                return np.array([float(text) if text else np.nan for text in texts])
+        except ValueError:
+            pass
+        return np.array([self._number(name, k, text.strip()) for k, text in enumerate(texts)])
+
+    def _number(self, name: str, k: int, text: str) -> float:
+        try:
+            if "_" not in text:
+                return float(text) if text else np.nan
+        except ValueError:
+            pass
+        shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+        expected = "a number such as -1.5e3, or nothing where the sample is missing"
+        raise self.error(repr(shown), expected, line=self.lines[k], column=name)
+
+    def finite(self, name: str, role: str) -> Array:
+        """A column of which no field may be missing."""
+        values = self.measured(name)
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if wrong.size:
+            k = int(wrong[0])
+            given = self.texts(name)[k].strip() or "nothing"
+            raise self.error(
+                given, f"a finite number: {role} is never missing", line=self.lines[k], column=name
+            )
+        return values
+
+    def times(self, name: str) -> Array:
+        """The time column: finite, and never running backwards."""
+        values = self.finite(name, "a time")
+        back = np.flatnonzero(np.diff(values) < 0.0)
+        if back.size:
+            k = int(back[0]) + 1
+            raise self.error(
+                f"{self.texts(name)[k].strip()} after {self.texts(name)[k - 1].strip()}",
+                "times that do not run backwards",
+                line=self.lines[k],
+                column=name,
+            )
+        return values
+
+    def error(self, given: str, expected: str, *, line: int = 0, column: str = "") -> DataError:
+        """The error that names the place."""
+        what = self.file
+        what += f", line {line}" if line else ""
+        what += f", column {column}" if column else ""
+        return DataError(what, given=given, expected=expected)

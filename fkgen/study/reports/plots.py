@@ -1,0 +1,297 @@
+"""Draw a filtered record: states with bands, innovations, NIS with its bounds, probabilities.
+
+Draw what compression filters were found to be: statistics over their thresholds, rejections.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fkgen.faults import SoftFaults
+from fkgen.problem import Signal, Spec
+from fkgen.runtime.results import Run
+from fkgen.study.records.columns import deviation
+from fkgen.study.records.files import refuse_format
+from fkgen.study.records.table import Table
+from fkgen.symbolic.interface import VERDICTS
+
+Array = NDArray[np.floating]
+
+_BLUE, _ORANGE, _GREY, _BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
+_SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
+_WIDTH, _STATE, _REST = 9.0, 2.1, 1.9
+_LARGEST = 12  # panels of states; more would be a page nobody reads
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sheet:
+    """What every panel needs."""
+
+    spec: Spec
+    run: Run
+    time: Array
+    present: Array
+
+
+def draw(spec: Spec, table: Table, run: Run) -> Figure:
+    """Draw a run.
+
+    Parameters
+    ----------
+    spec : Spec
+        Names and units.
+    table : Table
+        The record.
+    run : Run
+        Needs ``filtered_state``, ``filtered_covariance``, ``innovation`` and ``nis``;
+        ``mode_probability`` is drawn if it is there, and so are ``test_statistic``, ``test_dof``
+        and ``fault_declared``.
+
+    Returns
+    -------
+    Figure
+        One panel per state, then innovations, NIS, and probabilities or verdicts.
+    """
+    states, groups = spec.model.states[:_LARGEST], _by_unit(spec.model.outputs)
+    modes = "mode_probability" in run.ports
+    verdicts = spec.faults.soft is not None and "test_statistic" in run.ports
+    heights = [_STATE] * len(states) + [_REST] * (len(groups) + 1 + modes + verdicts)
+    figure = Figure(figsize=(_WIDTH, sum(heights)), layout="constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    sheet = _sheet(spec, table, run)
+    for i, signal in enumerate(states):
+        _draw_state(axes[i], sheet, i, signal)
+    rest = list(axes[len(states) :])
+    for axis, (unit, rows) in zip(rest, groups.items(), strict=False):
+        _draw_innovation(axis, sheet, unit, rows)
+    _draw_nis(rest[len(groups)], sheet)
+    if modes:
+        _draw_modes(rest[-1], sheet)
+    if verdicts:
+        draw_verdicts(rest[-1], spec, sheet.time, run, _SHADES)
+        _legend_above(rest[-1])
+    for axis in axes:
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.margins(x=0.0)
+        axis.tick_params(labelsize=8)
+    axes[-1].set_xlabel(_time_label(spec, table), fontsize=9)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def rendered(figure: Figure, path: Path) -> bytes:
+    """The picture in the format that the name asks for; the same run gives the same bytes.
+
+    Raises
+    ------
+    OutputError
+        If the name ends in no format that is known.
+    """
+    refuse_format(path)
+    out = io.BytesIO()
+    suffix = path.suffix.lower().lstrip(".")
+    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    with mpl.rc_context({"svg.hashsalt": "fkgen"}):
+        figure.savefig(out, format=suffix, dpi=130, metadata=metadata[suffix])
+    return out.getvalue()
+
+
+def _sheet(spec: Spec, table: Table, run: Run) -> _Sheet:
+    time = np.asarray(table.time, dtype=float)
+    if not table.time_name and spec.model.sample_time is not None:
+        time = time * spec.model.sample_time
+    return _Sheet(spec, run, time, np.isfinite(table.y))
+
+
+def _time_label(spec: Spec, table: Table) -> str:
+    if table.time_name == "t_s" or (not table.time_name and spec.model.sample_time is not None):
+        return "time (s)"
+    return table.time_name or "sample"
+
+
+def axis_label(signal: Signal) -> str:
+    """Name and unit of a signal, for an axis."""
+    name = signal.name.replace("_", " ")
+    return f"{name} ({signal.unit})" if signal.unit else name
+
+
+def _draw_state(axis: Axes, sheet: _Sheet, i: int, signal: Signal) -> None:
+    """One filtered state within three of its standard deviations."""
+    mean = sheet.run["filtered_state"][:, i]
+    band = 3.0 * deviation(sheet.run, "filtered_sd")[:, i]
+    label = r"$\pm 3\sigma$"
+    axis.fill_between(
+        sheet.time, mean - band, mean + band, color=_BLUE, alpha=_BAND, lw=0, label=label
+    )
+    axis.plot(sheet.time, mean, color=_BLUE, lw=1.2, label="filtered")
+    axis.set_ylabel(axis_label(signal), fontsize=9)
+    axis.set_ylim(*_limits(mean, band))
+    if i == 0:
+        axis.set_title(_title(sheet), loc="left", fontsize=10)
+        axis.legend(frameon=False, ncols=2, fontsize=8, loc="upper right")
+
+
+def _title(sheet: _Sheet) -> str:
+    samples, refused = len(sheet.time), int(sheet.run.refused.sum())
+    text = f"{sheet.spec.name}: {sheet.spec.filter.family}, {samples} samples"
+    return f"{text}, {refused} refused" if refused else text
+
+
+def _limits(mean: Array, band: Array) -> tuple[float, float]:
+    """Room for the state and its usual band: a vague start does not set the scale."""
+    typical = np.minimum(band, 3.0 * np.nanmedian(band))
+    low, high = float(np.nanmin(mean - typical)), float(np.nanmax(mean + typical))
+    margin = 0.05 * (high - low) or 1.0
+    if not np.isfinite([low, high]).all():
+        return -1.0, 1.0
+    return low - margin, high + margin
+
+
+def _by_unit(outputs: tuple[Signal, ...]) -> dict[str, list[int]]:
+    """Rows of y that share a unit, and so a panel."""
+    groups: dict[str, list[int]] = {}
+    for i, signal in enumerate(outputs):
+        groups.setdefault(signal.unit, []).append(i)
+    return groups
+
+
+def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> None:
+    """Innovations of some rows; rejected samples are left out, a start sets no scale."""
+    values = sheet.run["innovation"].copy()
+    values[np.isin(sheet.run.status, [status.value for status in VERDICTS])] = np.nan
+    for at, i in enumerate(rows):
+        shown = np.isfinite(values[:, i])
+        name = sheet.spec.model.outputs[i].name.replace("_", " ")
+        colour = _SHADES[at % len(_SHADES)]
+        axis.plot(sheet.time[shown], values[shown, i], ".", ms=2.5, color=colour, label=name)
+    axis.axhline(0.0, color="black", lw=0.6)
+    axis.set_ylabel(f"innovation ({unit})" if unit else "innovation", fontsize=9)
+    size = np.abs(values[:, rows][np.isfinite(values[:, rows])])
+    if size.size:
+        reach = 1.3 * float(np.quantile(size, 0.995)) or 1.0
+        axis.set_ylim(-reach, reach)
+    _legend_above(axis)
+
+
+def _legend_above(axis: Axes) -> None:
+    """One line above the panel, where it hides nothing."""
+    axis.legend(
+        frameon=False,
+        ncols=8,
+        fontsize=8,
+        markerscale=3,
+        handlelength=1.2,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 0.98),
+        borderaxespad=0.0,
+    )
+
+
+def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
+    """NIS with its two-sided bounds, or relative to the upper one where rows come and go."""
+    from scipy.special import gammaincinv  # noqa: PLC0415 - scipy.stats would take a second
+
+    soft = sheet.spec.faults.soft
+    counted = slice(None) if soft is None else list(soft.host)
+    rows = sheet.present[:, counted].sum(axis=1)
+    used = (rows > 0) & (sheet.run.status == 0)
+    if not used.any():
+        axis.set_ylabel("NIS", fontsize=9)
+        return
+    tail = 0.5 * (1.0 - _CONFIDENCE)
+    low, high = (2.0 * gammaincinv(0.5 * rows[used], q) for q in (tail, 1.0 - tail))
+    nis = sheet.run["nis"][used]
+    inside = float(np.mean((nis >= low) & (nis <= high)))
+    mixed = bool(np.ptp(rows[used]))
+    values = nis / high if mixed else nis
+    axis.semilogy(sheet.time[used], np.maximum(values, 1e-12), ".", ms=2.5, color=_BLUE)
+    bounds = (1.0,) if mixed else (float(low[0]), float(high[0]))
+    for bound in bounds:
+        axis.axhline(bound, color=_ORANGE, lw=1.2)
+    top = max(3.0 * bounds[-1], 1.5 * float(np.quantile(values, 0.999)))
+    axis.set_ylim(max(1e-4 * bounds[-1], 0.2 * float(np.quantile(values, 0.005))), top)
+    axis.set_ylabel("NIS / upper bound" if mixed else "NIS", fontsize=9)
+    degrees = "rows present" if mixed else f"{int(rows[used][0])} degrees of freedom"
+    text = f"{inside:.1%} within the {_CONFIDENCE:.0%} bounds of chi-square ({degrees})"
+    if _is_mixture(sheet.spec):
+        text += "; a guide and no test: y with faults is a mixture"
+    axis.set_title(text, loc="left", fontsize=8, color=_GREY)
+
+
+def _is_mixture(spec: Spec) -> bool:
+    """Whether y may be under several modes that the filter is not told."""
+    if spec.faults.jump is not None:
+        return True
+    return spec.faults.sensor is not None and spec.filter.family != "genie"
+
+
+def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
+    """Probabilities of the modes, one line each."""
+    probability = sheet.run["mode_probability"]
+    names = _mode_names(sheet.spec, probability.shape[1])
+    for i, name in enumerate(names):
+        axis.plot(
+            sheet.time, probability[:, i], lw=1.4, color=_SHADES[i % len(_SHADES)], label=name
+        )
+    axis.set_ylim(-0.03, 1.03)
+    axis.set_ylabel("probability", fontsize=9)
+    _legend_above(axis)
+
+
+def _mode_names(spec: Spec, count: int) -> list[str]:
+    """What a mode stands for: success rates of the inputs, or a condition of the sensors."""
+    if spec.faults.jump is not None:
+        return [f"mode {i}" for i in range(count)]
+    if spec.faults.sensor is None:
+        rates = [", ".join(f"{rate:g}" for rate in each) for each in spec.filter.hypotheses]
+        return [f"rate {each}" for each in rates]
+    noisy = f"noise x {spec.faults.sensor.noise_factor:g}"
+    silent = ["no signal"] if count == 3 else ["no signal", f"no signal, {noisy}"]
+    return ["signal", f"signal, {noisy}", *silent]
+
+
+#: Ratios below this are drawn here.
+_LOWEST = 1e-3
+
+
+def draw_verdicts(axis: Axes, spec: Spec, time: Array, run: Run, colours: tuple[str, ...]) -> None:
+    """Statistic over threshold of every group at every end of a window; crosses are rejections."""
+    soft = spec.faults.soft
+    if soft is None:
+        return
+    shape = (len(time), len(soft.groups))
+    statistic, dof, declared = (
+        np.asarray(run[name], float).reshape(shape)
+        for name in ("test_statistic", "test_dof", "fault_declared")
+    )
+    for at, name in enumerate(_names(spec, soft)):
+        tested, colour = dof[:, at] > 0, colours[at % len(colours)]
+        ratio = statistic[tested, at] / _threshold(soft.false_alarm, dof[tested, at])
+        values, rejected = np.maximum(ratio, _LOWEST), declared[tested, at] > 0
+        axis.semilogy(time[tested], values, ".", ms=4, color=colour, label=name)
+        axis.semilogy(time[tested][rejected], values[rejected], "x", ms=6, color=colour)
+    axis.axhline(1.0, color="black", lw=0.8)
+    low, high = axis.get_ylim()
+    axis.set_ylim(min(low, 1e-2), max(high, 1e1))
+    axis.set_ylabel("test / threshold", fontsize=9)
+
+
+def _threshold(false_alarm: float, dof: Array) -> Array:
+    from scipy.special import chdtri  # noqa: PLC0415 - scipy.stats would take a second
+
+    return np.asarray(chdtri(dof, false_alarm), float)
+
+
+def _names(spec: Spec, soft: SoftFaults) -> list[str]:
+    """The rows of every group."""
+    names = [signal.name.replace("_", " ") for signal in spec.model.outputs]
+    return [", ".join(names[row] for row in group) for group in soft.groups]

@@ -1,0 +1,31 @@
+"""What ships beside the code: spec files to begin with, one per family, and the examples."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fkgen.errors import DataError, InternalError
+from fkgen.problem.filter import FAMILIES
+from fkgen.runtime.record import choice
+
+
+def starter(family: str) -> str:
+    """The text of a commented spec that loads and validates as it is.
+
+    Raises
+    ------
+    DataError
+        If there is no such family.
+    """
+    if family not in FAMILIES:
+        raise DataError("family", given=repr(family), expected=choice(family, FAMILIES))
+    return resource(f"templates/starter_{family}.toml").read_text(encoding="utf-8")
+
+
+def resource(name: str) -> Path:
+    """A file that stands in the package when installed, and beside it in a checkout."""
+    package = Path(__file__).resolve().parents[2]
+    for place in (package / name, package.parent / name):
+        if place.is_file():
+            return place
+    raise InternalError(f"{name} is missing from this installation of fkgen")

@@ -1,0 +1,1 @@
+"""Drawing trials of a plant and its faults, in C."""

@@ -1,0 +1,239 @@
+"""What is random in a plant: coins that fall in every sample, and a chain of conditions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import casadi as ca
+import numpy as np
+
+from fkgen.estimators.gaussian.actuation import rates_of
+from fkgen.faults import ActuatorFaults, JumpFaults, Moments, SensorFaults
+from fkgen.faults.actuator import pattern_law
+from fkgen.problem import Spec
+from fkgen.problem.probability import stationary_law
+from fkgen.problem.table.place import Place
+from fkgen.symbolic.plant import Plant, lift
+
+#: Joint probabilities of expressions may fall below zero by their rounding.
+_ROUNDED = 1e-9
+#: Codes of conditions and hypotheses fit a byte.
+_COUNTED = 255
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """One decision per sample: which pattern the coins show.
+
+    Attributes
+    ----------
+    coins : tuple of int
+        Which coins it decides about.
+    patterns : tuple of tuple of int
+        What they may show.
+    """
+
+    coins: tuple[int, ...]
+    patterns: tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conditions:
+    """Everything random besides noise.
+
+    Attributes
+    ----------
+    coins : int
+        Number of coins.
+    draws : tuple of Draw
+        How they fall.
+    prior : tuple of float
+        Probabilities of hypotheses, of which one is true throughout a trial; empty without.
+    initial : tuple of float
+        Law of the chain at sample 0; empty without a chain.
+    kernel : tuple of tuple of float
+        Its transition probabilities.
+    indicators : tuple of tuple of float
+        The numbers that each of its conditions hands to the plant.
+    modes : tuple of int
+        The mode that each condition belongs to: several may if their past matters.
+    lost : tuple of int
+        For each condition whether the sample is lost, where packets may be; empty otherwise.
+    plants : int
+        Number N of plants: the first N indicators say which of them moves. 0 if there is one.
+    rows : tuple of int
+        Rows of y whose signal is times the next indicator, and their noise times the one after.
+    """
+
+    coins: int = 0
+    draws: tuple[Draw, ...] = ()
+    prior: tuple[float, ...] = ()
+    initial: tuple[float, ...] = ()
+    kernel: tuple[tuple[float, ...], ...] = ()
+    indicators: tuple[tuple[float, ...], ...] = ()
+    modes: tuple[int, ...] = ()
+    lost: tuple[int, ...] = ()
+    plants: int = 0
+    rows: tuple[int, ...] = ()
+
+    def driven(self, u: ca.SX, coin: ca.SX) -> ca.SX:
+        """What reaches the plant of the inputs."""
+        return coin * u if self.coins else u
+
+    def sensors(self, outputs: int, indicator: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Signal and noise deviation of every row of y, over those of the model."""
+        signal, deviation = ca.SX.ones(outputs), ca.SX.ones(outputs)
+        for row in self.rows:
+            signal[row], deviation[row] = indicator[self.plants], indicator[self.plants + 1]
+        return signal, deviation
+
+    def moving(self, values: Sequence[ca.SX], indicator: ca.SX) -> ca.SX:
+        """A matrix of the plant that moves, from those of all of them."""
+        if len(values) == 1 or all(values[0] is value for value in values):
+            return values[0]
+        return ca.SX(sum(indicator[i] * value for i, value in enumerate(values)))
+
+
+def conditions_of(spec: Spec) -> Conditions:
+    """What is random in the plant of a spec.
+
+    Raises
+    ------
+    SpecError
+        If the spec does not say how its faults come about, or there are more conditions or
+        hypotheses than can be counted.
+    """
+    found = Conditions()
+    if spec.faults.actuator is not None:
+        found = _of_actuators(spec, spec.faults.actuator)
+    elif spec.faults.sensor is not None:
+        found = _of_sensors(spec, spec.faults.sensor)
+    elif spec.faults.jump is not None:
+        found = _of_jumps(spec, spec.faults.jump)
+    for key, count in (("hypotheses", len(found.prior)), ("modes", len(found.initial))):
+        if count > _COUNTED:
+            place = Place(spec.file).entry(key)
+            raise place.error(f"{count} to draw from", f"at most {_COUNTED} for a simulation")
+    return found
+
+
+def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:
+    q = spec.model.nu
+    prior = () if faults.success_rate else spec.filter.prior
+    everyone, both = tuple(range(q)), ((1,), (0,))
+    match faults.dependence:
+        case "independent":
+            draws = tuple(Draw((i,), both) for i in everyone)
+        case "common":
+            draws = (Draw(everyone, ((1,) * q, (0,) * q)),)
+        case "covariance":
+            draws = (Draw(everyone, tuple(product((1, 0), repeat=q))),)
+    return Conditions(coins=q, draws=draws, prior=prior)
+
+
+def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
+    """Pairs of a mode and a state of the channel, (lost, arrived), which are independent."""
+    count = len(faults.modes)
+    channel = np.array([[0.0, 1.0]] * 2) if faults.channel is None else faults.channel
+    law = stationary_law(channel)
+    start = channel[0] if law is None else law
+    return Conditions(
+        initial=tuple(np.kron(faults.initial, start).tolist()),
+        kernel=tuple(map(tuple, np.kron(faults.transition, channel).tolist())),
+        indicators=tuple(
+            (*(float(i == j) for j in range(count)), arrived, 1.0)
+            for i in range(count)
+            for arrived in (0.0, 1.0)
+        ),
+        modes=tuple(i for i in range(count) for _ in range(2)),
+        lost=(1, 0) * count if faults.has_channel else (),
+        plants=count,
+        rows=tuple(range(spec.model.ny)),
+    )
+
+
+def _of_sensors(spec: Spec, faults: SensorFaults) -> Conditions:
+    numbers = [(g, math.sqrt(d)) for g in (1.0, 0.0) for d in (1.0, faults.noise_factor)]
+    if faults.kernel:
+        return Conditions(
+            initial=faults.initial,
+            kernel=faults.kernel,
+            indicators=tuple(numbers),
+            modes=(0, 1, 2, 3),
+            rows=faults.rows,
+        )
+    if faults.moments is None:
+        place = Place(spec.file).entry("faults").entry("sensor").entry("problem")
+        raise place.error(
+            "nothing (the key is missing)",
+            "problem 1, 2, 3 or 4: the law that faults are drawn from",
+        )
+    return _of_moments(faults.moments, faults.rows, numbers)
+
+
+def _of_moments(
+    moments: Moments, rows: tuple[int, ...], numbers: list[tuple[float, float]]
+) -> Conditions:
+    """A process with E[gamma], p11 and E[delta] as stated: it is not the only one.
+
+    With probability E[gamma] / p11 the sensor works, with rate p11 and independently from sample to
+    sample; else it is dead throughout. Then Pr(gamma_k = 1 | gamma_i = 1) = p11 for all i < k.
+    """
+    p, d = moments.gamma_persistence, moments.delta_nominal_rate
+    works = min(1.0, moments.gamma_rate / p) if p > 0.0 else 0.0
+    working = (p * d, p * (1.0 - d), (1.0 - p) * d, (1.0 - p) * (1.0 - d))
+    dead = (d, 1.0 - d)
+    kernel = ((*working, 0.0, 0.0),) * 4 + ((0.0,) * 4 + dead,) * 2
+    initial = (*(works * value for value in working), *((1.0 - works) * value for value in dead))
+    return Conditions(
+        initial=initial,
+        kernel=kernel,
+        indicators=(*numbers, *numbers[2:]),
+        modes=(0, 1, 2, 3, 2, 3),
+        rows=rows,
+    )
+
+
+def probabilities_of(
+    spec: Spec, plant: Plant, conditions: Conditions, hypothesis: ca.SX
+) -> list[list[ca.SX]]:
+    """Probability of every pattern but the last, draw by draw."""
+    faults = spec.faults.actuator
+    if faults is None:
+        return []
+    rates = rates_of(faults, plant)
+    if conditions.prior:
+        options = ca.SX(list(zip(*spec.filter.hypotheses, strict=True)))
+        rates = ca.vertsplit(options @ hypothesis)
+    if faults.covariance is None:
+        return [[rate] for rate in rates]
+    return [_joint(spec, rates, lift(faults.covariance, plant.parameters))]
+
+
+def _joint(spec: Spec, rates: list[ca.SX], covariance: ca.SX) -> list[ca.SX]:
+    """Probabilities of the patterns of correlated inputs, (1, 1, ..) first."""
+    place = Place(spec.file).entry("faults").entry("actuator").entry("covariance")
+    if len(rates) == 2:
+        both = covariance[0, 1] + rates[0] * rates[1]
+        return [both, rates[0] - both, rates[1] - both]
+    if not (covariance.is_constant() and all(rate.is_constant() for rate in rates)):
+        raise place.error(
+            f"parameters in the joint law of {len(rates)} inputs",
+            "numbers: the law of more than two inputs is found before the code is generated",
+        )
+    law = pattern_law([float(rate) for rate in rates], ca.DM(covariance).full())
+    if law is None:
+        raise place.error(
+            "a covariance that no joint law has",
+            f"pairwise covariances of {len(rates)} inputs that work or fail",
+        )
+    return [ca.SX(value) for value in law[:-1]]
+
+
+def demanded(probabilities: list[ca.SX]) -> list[ca.SX]:
+    """What must not be negative for a draw: every pattern, the last one too."""
+    rest = 1 - sum(probabilities[1:], start=probabilities[0])
+    return [value + _ROUNDED for value in (*probabilities, rest)]
