@@ -93,7 +93,7 @@ for name in {DELICATE}:
 
 
 def test_another_process_with_another_hash_seed_generates_the_same_bytes():
-    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "models")])
     environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "4711", "TZ": "Asia/Tokyo"}
     done = subprocess.run(
         [sys.executable, "-c", GENERATE],

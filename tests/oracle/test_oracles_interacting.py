@@ -19,8 +19,7 @@ from interacting_models import (
 from sensor_plants import close
 
 from fkgen.errors import DataError
-from fkgen.oracle import batch_lmmse, enumerate_jumps
-from fkgen.oracle.textbook import imm as interacting
+from fkgen.oracle import batch_lmmse, enumerate_jumps, interacting
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.4])

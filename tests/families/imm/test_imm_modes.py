@@ -29,8 +29,7 @@ from models import PARAMETERS, VARYING, assert_agree, distance, random_model, ru
 from sensor_models import DENSE as SENSOR_KERNEL
 from sensor_models import chain, sensed
 
-from fkgen.oracle import batch_lmmse, enumerate_jumps
-from fkgen.oracle.textbook import imm as interacting
+from fkgen.oracle import batch_lmmse, enumerate_jumps, interacting
 
 
 def same_modes(result, expected):

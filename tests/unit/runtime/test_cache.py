@@ -150,7 +150,7 @@ print(float(found.run(np.ones((3, 1)), np.ones((3, 1))).filtered_state[-1, 0]).h
 
 @needs_compiler()
 def test_processes_that_build_at_once_get_the_same_filter_and_leave_one_entry(folder):
-    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "models")])
     environment = os.environ | {"PYTHONPATH": path}
 
     def build(_):
@@ -173,7 +173,7 @@ def test_a_process_killed_while_it_builds_does_not_spoil_the_cache(folder, tmp_p
     hanging = tmp_path / "hanging-cc"
     hanging.write_text("#!/bin/sh\nexec sleep 60\n")
     hanging.chmod(0o755)
-    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "models")])
     environment = os.environ | {"PYTHONPATH": path, "FKGEN_CC": str(hanging)}
     victim = subprocess.Popen(
         [sys.executable, "-c", BUILD], env=environment, start_new_session=True

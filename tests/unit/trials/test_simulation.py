@@ -17,10 +17,10 @@ from scipy import special, stats
 from toolchain import c_compilers
 
 import fkgen
-from fkgen import pipeline
 from fkgen.faults.actuator import pattern_law
 from fkgen.oracle.sampled import draw_record
 from fkgen.runtime import blocks
+from fkgen.trials.sampler import sampler as sampler_of
 
 KERNEL = [[0.7, 0.1, 0.2, 0.0], [0.3, 0.6, 0.0, 0.1], [0.5, 0.0, 0.4, 0.1], [0.0, 0.2, 0.3, 0.5]]
 SENSOR = {"noise_factor": 9.0, "rows": [1], "problem": 4, "kernel": KERNEL}
@@ -51,12 +51,12 @@ def sensor():
 
 @pytest.mark.parametrize(("counter", "key", "words"), KNOWN)
 def test_the_generator_gives_the_known_answers(plant, counter, key, words):
-    assert pipeline.sampler(plant).block(counter, key) == words
+    assert sampler_of(plant).block(counter, key) == words
     assert tuple(philox(counter, key)) == words
 
 
 def test_normal_numbers_are_quantiles(plant):
-    sampler, ends = pipeline.sampler(plant), 2.0 ** -np.arange(2.0, 53.0)
+    sampler, ends = sampler_of(plant), 2.0 ** -np.arange(2.0, 53.0)
     at = np.concatenate([np.random.default_rng(1).random(3000), ends, 1.0 - ends])
     ours = np.array([sampler.quantile(p) for p in at])
     # AS 241 promises 1e-16 relative; evaluating it, and ndtri, rounds a dozen times
@@ -67,7 +67,7 @@ def test_normal_numbers_are_quantiles(plant):
 def test_noise_is_the_quantile_of_its_counter_bit_for_bit():
     white = {"A": [[0.0]], "C": [[1.0]], "Q": [[1.0]], "R": [[1.0]], "x0": [0.0], "P0": [[1.0]]}
     spec = models.spec(white)
-    state, quantile = fkgen.simulate(spec, 3, 100, 9).state[..., 0], pipeline.sampler(spec).quantile
+    state, quantile = fkgen.simulate(spec, 3, 100, 9).state[..., 0], sampler_of(spec).quantile
     for m in range(3):
         chances = [uniforms(9, m, 0, PRIOR, 1)[0]]
         chances += [uniforms(9, m, k, PROCESS, 1)[0] for k in range(99)]
