@@ -1,6 +1,6 @@
 """Check the budget: ``python tools/budget.py``. Growth has to be a decision.
 
-No room of the package above 12 files, no function above 50 lines, no module named for being a drawer.
+No room above 12 files, no function above 50 lines, no module named for being a drawer.
 Prints the sizes, so that a change shows what it costs.
 """
 
