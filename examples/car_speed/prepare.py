@@ -1,4 +1,4 @@
-"""Turn the recorded files into one time series: ``python prepare.py`` writes record.csv.
+"""Turn the files of the data set into one time series: ``python prepare.py --data FOLDER``.
 
 Every time stamp of every sensor becomes an instant of the record; a sensor without a sample at an
 instant is missing there. No sample is moved in time and none is merged with another, which a grid
@@ -8,8 +8,9 @@ irregular step, 0.1 to 9.7 ms, and the filter takes it: ``dt`` is a run-time par
 
 from __future__ import annotations
 
-import csv
+import argparse
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
-WHEELS = ("v_fl", "v_fr", "v_rl", "v_rr")
 OUTPUTS = ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr", "ublox", "qcom")
 DROPOUT = 0.5  # share of the wheel samples that record.csv lacks
 SEED = 1
@@ -38,84 +38,93 @@ class Record:
         Latest forward acceleration known at each instant, m/s2.
     y : (T, 6) ndarray
         Measurements in the order of `OUTPUTS`, m/s; NaN where there is no sample.
-    lost : (T, 4) ndarray of bool
-        Wheel samples that were recorded and then removed.
+    lost : (T, 4) ndarray
+        Wheel samples that were recorded and then removed, m/s; NaN elsewhere.
     """
 
     t: Floats
     dt: Floats
     a_fwd: Floats
     y: Floats
-    lost: NDArray[np.bool_]
+    lost: Floats
+
+    def without(self, dropout: float, seed: int = SEED) -> Record:
+        """Remove wheel samples from a complete record.
+
+        Parameters
+        ----------
+        dropout : float
+            Probability that a wheel sample is removed, independently for each wheel and message.
+        seed : int
+            Seed of the removal.
+
+        Returns
+        -------
+        Record
+            It begins at the first measurement that is left; a filter knows nothing before.
+        """
+        messages = np.flatnonzero(np.isfinite(self.y[:, 0]))
+        gone = np.zeros((self.t.size, 4), dtype=bool)
+        gone[messages] = np.random.default_rng(seed).random((messages.size, 4)) < dropout
+        wheels = self.y[:, :4]
+        y = np.column_stack([np.where(gone, np.nan, wheels), self.y[:, 4:]])
+        first = int(np.flatnonzero(np.isfinite(y).any(axis=1))[0])
+        lost = np.where(gone, wheels, np.nan)
+        return Record(*(each[first:] for each in (self.t, self.dt, self.a_fwd, y, lost)))
 
 
-def table(name: str) -> dict[str, Floats]:
-    """Read the numeric columns of one file of the data folder."""
-    with (HERE / "data" / name).open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {
-        key: np.array([float(row[key]) for row in rows]) for key in rows[0] if key != "receiver"
-    }
-
-
-def receiver(name: str) -> tuple[Floats, Floats]:
-    """Read the times (s) and speeds (m/s) of one satellite receiver."""
-    with (HERE / "data" / "gnss.csv").open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["receiver"] == name]
-    return np.array([float(r["t_s"]) for r in rows]), np.array([float(r["speed"]) for r in rows])
-
-
-def reference() -> tuple[Floats, Floats]:
-    """Read times (s) and speeds (m/s) of the reference; nothing but the error is made of them."""
-    truth = table("truth.csv")
-    return truth["t_s"], truth["speed"]
-
-
-def record(dropout: float, seed: int = SEED) -> Record:
-    """Merge the sensors, then remove wheel samples.
-
-    Parameters
-    ----------
-    dropout : float
-        Probability that a wheel sample is removed, independently for each wheel and message.
-    seed : int
-        Seed of the removal.
-
-    Returns
-    -------
-    Record
-        It begins at the first measurement of a speed that is left; a filter knows nothing before.
-    """
-    wheels, imu = table("wheels.csv"), table("imu.csv")
-    receivers = [receiver("ublox"), receiver("qcom")]
-    t = np.unique(np.concatenate([wheels["t_s"], imu["t_s"], *(times for times, _ in receivers)]))
-
-    gone = np.random.default_rng(seed).random((wheels["t_s"].size, 4)) < dropout
-    speeds = np.stack([wheels[name] for name in WHEELS], axis=1)
-    rows = np.searchsorted(t, wheels["t_s"])
+def merged(folder: Path) -> Record:
+    """Merge the sensors of the data set; the record begins at the first measured speed."""
+    wheels, imu, gnss = (columns(folder / f"{name}.csv") for name in ("wheels", "imu", "gnss"))
+    receivers = [gnss[gnss["receiver"] == name] for name in OUTPUTS[4:]]
+    t = np.unique(np.concatenate([each["t_s"] for each in (wheels, imu, *receivers)]))
     y = np.full((t.size, 6), np.nan)
-    y[rows, :4] = np.where(gone, np.nan, speeds)
-    for column, (times, speed) in enumerate(receivers, start=4):
-        y[np.searchsorted(t, times), column] = speed
-    lost = np.zeros((t.size, 4), dtype=bool)
-    lost[rows] = gone
-
+    y[np.searchsorted(t, wheels["t_s"]), :4] = np.column_stack(
+        [wheels[name] for name in ("v_fl", "v_fr", "v_rl", "v_rr")]
+    )
+    for column, samples in enumerate(receivers, start=4):
+        y[np.searchsorted(t, samples["t_s"]), column] = samples["speed"]
     latest = np.searchsorted(imu["t_s"], t, side="right") - 1
     a_fwd = imu["a_fwd"][np.maximum(latest, 0)]
     dt = np.round(np.append(np.diff(t), 0.0), 4)  # the stamps have four decimals
-    first = int(np.flatnonzero(np.isfinite(y).any(axis=1))[0])
-    return Record(t[first:], dt[first:], a_fwd[first:], y[first:], lost[first:])
+    return Record(t, dt, a_fwd, y, np.full((t.size, 4), np.nan)).without(0.0)
 
 
-def wheel_scale(wheels: tuple[str, ...], until: float = 60.0) -> tuple[float, float]:
-    """Calibrate the mean of some wheels against the u-blox receiver.
+def columns(path: Path) -> NDArray[Any]:
+    """Read a file of the data set; its columns have names."""
+    return np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+
+
+def read() -> Record:
+    """Read the complete record: record.csv, and from lost.csv what it lacks."""
+    record, lost = (
+        np.genfromtxt(HERE / name, delimiter=",", skip_header=1)
+        for name in ("record.csv", "lost.csv")
+    )
+    t, dt, a_fwd = record[:, :3].T
+    wheels = np.full((t.size, 4), np.nan)
+    wheels[np.searchsorted(t, lost[:, 0])] = lost[:, 1:]
+    wheels = np.where(np.isnan(wheels), record[:, 3:7], wheels)
+    y = np.column_stack([wheels, record[:, 7:]])
+    return Record(t, dt, a_fwd, y, np.full((t.size, 4), np.nan))
+
+
+def reference() -> Floats:
+    """Read times (s) and speeds (m/s) of the reference; nothing but the error is made of them."""
+    return np.loadtxt(HERE / "reference.csv", delimiter=",", skiprows=1).T
+
+
+def wheel_scale(drive: Record, axle: slice, until: float = 60.0) -> tuple[float, float]:
+    """Calibrate the mean of two wheels against the u-blox receiver.
 
     The receiver is late, which biases a fit while the car accelerates; so the delay is fitted too.
 
     Parameters
     ----------
-    wheels : tuple of str
-        Columns of wheels.csv.
+    drive : Record
+        A complete one.
+    axle : slice
+        Columns of y.
     until : float
         End of the stretch used, s.
 
@@ -124,38 +133,53 @@ def wheel_scale(wheels: tuple[str, ...], until: float = 60.0) -> tuple[float, fl
     scale, delay : float
         ``ublox(t)`` is fitted best by ``scale * wheel(t - delay)``; delay in s, to 0.01 s.
     """
-    data, (times, speed) = table("wheels.csv"), receiver("ublox")
-    mean = np.mean([data[name] for name in wheels], axis=0)
-    use = (times > 0.6) & (times < until)  # 0.6 s: the record must reach back by any delay tried
+    sampled = np.isfinite(drive.y)
+    mean = np.mean(drive.y[sampled[:, 0], axle], axis=1)
+    # 0.6 s: the record must reach back by any delay tried
+    use = sampled[:, 4] & (drive.t > 0.6) & (drive.t < until)
+    times, speed = drive.t[use], drive.y[use, 4]
     best = (np.inf, 1.0, 0.0)
     for delay in np.arange(0.0, 0.5, 0.01):
-        wheel = np.interp(times[use] - delay, data["t_s"], mean)
-        scale = float(speed[use] @ wheel / (wheel @ wheel))
-        best = min(best, (float(np.std(speed[use] - scale * wheel)), scale, float(delay)))
+        wheel = np.interp(times - delay, drive.t[sampled[:, 0]], mean)
+        scale = float(speed @ wheel / (wheel @ wheel))
+        best = min(best, (float(np.std(speed - scale * wheel)), scale, float(delay)))
     return best[1], best[2]
 
 
-def write(path: Path, drive: Record) -> None:
-    """Write a record as CSV, a column per name of the specification; an empty field is missing."""
-    decimals = (5, 5, 5, 5, 4, 4)  # as recorded, so that reading the file gives the same numbers
-    with path.open("w", encoding="utf-8", newline="") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(["t_s", "dt", "a_fwd", *OUTPUTS])
-        for t, dt, a_fwd, y in zip(drive.t, drive.dt, drive.a_fwd, drive.y, strict=True):
-            fields = ["" if np.isnan(v) else f"{v:.{n}f}" for v, n in zip(y, decimals, strict=True)]
-            out.writerow([f"{t:.4f}", f"{dt:.4f}", f"{a_fwd:.4f}", *fields])
+def write(path: Path, names: tuple[str, ...], decimals: tuple[int, ...], *table: Floats) -> None:
+    """Write columns as CSV; an empty field is missing."""
+    text = StringIO()
+    rows, formats = np.column_stack(table), [f"%.{n}f" for n in decimals]
+    np.savetxt(text, rows, formats, delimiter=",", header=",".join(names), comments="")
+    path.write_text(text.getvalue().replace("nan", ""), encoding="utf-8")
+
+
+def make(data: Path, target: Path) -> Record:
+    """Write record.csv, lost.csv and reference.csv, with the decimals of the data set."""
+    drive = merged(data).without(DROPOUT)
+    names = ("t_s", "dt", "a_fwd", *OUTPUTS)
+    decimals = (4, 4, 4, 5, 5, 5, 5, 4, 4)
+    write(target / "record.csv", names, decimals, drive.t, drive.dt, drive.a_fwd, drive.y)
+    some = np.isfinite(drive.lost).any(axis=1)
+    names, decimals = ("t_s", *OUTPUTS[:4]), (4, 5, 5, 5, 5)
+    write(target / "lost.csv", names, decimals, drive.t[some], drive.lost[some])
+    truth = columns(data / "truth.csv")
+    write(target / "reference.csv", ("t_s", "speed"), (4, 4), truth["t_s"], truth["speed"])
+    return drive
 
 
 def main() -> None:
-    """Print the calibration of the wheels and write record.csv."""
-    for axle, wheels in (("front", WHEELS[:2]), ("rear", WHEELS[2:])):
-        scale, delay = wheel_scale(wheels)
-        early, _ = wheel_scale(wheels, until=30.0)
-        print(f"{axle}: scale {scale:.4f} (first half alone: {early:.4f}), delay {delay:.2f} s")
-    drive = record(DROPOUT)
-    write(HERE / "record.csv", drive)
-    kept = int(np.isfinite(drive.y[:, :4]).sum())
-    print(f"record.csv: {drive.t.size} instants, {kept} wheel samples, {drive.lost.sum()} removed")
+    """Write the records and print the calibration of the wheels."""
+    parser = argparse.ArgumentParser(description="Write record.csv, lost.csv and reference.csv.")
+    parser.add_argument("--data", type=Path, required=True, help="the folder of the data set")
+    drive = make(parser.parse_args().data, HERE)
+    kept, lost = (int(np.isfinite(each).sum()) for each in (drive.y[:, :4], drive.lost))
+    print(f"record.csv: {drive.t.size} instants, {kept} wheel samples, {lost} removed")
+    complete = read()
+    for name, axle in (("front", slice(2)), ("rear", slice(2, 4))):
+        scale, delay = wheel_scale(complete, axle)
+        early, _ = wheel_scale(complete, axle, until=30.0)
+        print(f"{name}: scale {scale:.4f} (first half alone: {early:.4f}), delay {delay:.2f} s")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Turn the recorded files into one time series: ``python prepare.py`` writes record.csv.
+"""Turn the data set into one time series: ``python prepare.py --data FOLDER`` writes record.csv.
 
 The instants are those of the barometer. Each GPS sample goes to the first instant that is not
 before it, once; at all other instants the GPS is missing. Between instants lie 25 to 132 ms, and
@@ -7,8 +7,9 @@ the filter takes that time as the run-time parameter ``dt``.
 
 from __future__ import annotations
 
-import csv
+import argparse
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +47,12 @@ class Record:
         return np.flatnonzero(np.isfinite(self.y[:, 1]))
 
 
-def table(name: str) -> dict[str, Floats]:
-    """Read one file of the data folder, column by column."""
-    with (HERE / "data" / name).open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
-
-
-def record() -> Record:
-    """Merge barometer and GPS."""
-    baro, gps = table("imu_baro.csv"), table("gps.csv")
+def merged(folder: Path) -> Record:
+    """Merge barometer and GPS of the data set."""
+    baro, gps = (
+        np.genfromtxt(folder / name, delimiter=",", names=True)
+        for name in ("imu_baro.csv", "gps.csv")
+    )
     t = baro["t_s"]
     rows = np.searchsorted(t, gps["t_s"])
     if np.any(np.diff(rows) == 0) or rows[-1] == t.size:
@@ -86,28 +83,26 @@ def scatter(flight: Record) -> Floats:
     return np.nanstd(errors[t < ORDINARY], axis=0)
 
 
-def write(path: Path, flight: Record) -> None:
-    """Write a record as CSV, a column per name of the specification; an empty field is missing."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(COLUMNS)
-        for t, dt, y in zip(flight.t, flight.dt, flight.y, strict=True):
-            fields = ["" if np.isnan(value) else f"{value:.3f}" for value in y]
-            out.writerow([f"{t:.4f}", f"{dt:.4f}", *fields])
-
-
-def read(path: Path = HERE / "record.csv") -> Record:
-    """Read what `write` wrote."""
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    t, dt, *y = (np.array([float(row[name] or "nan") for row in rows]) for name in COLUMNS)
+def read() -> Record:
+    """Read what `make` wrote."""
+    t, dt, *y = np.genfromtxt(HERE / "record.csv", delimiter=",", skip_header=1).T
     return Record(t, dt, np.column_stack(y))
+
+
+def make(data: Path, target: Path) -> Record:
+    """Write record.csv, a column per name of the specification; an empty field is missing."""
+    flight, text = merged(data), StringIO()
+    rows, formats = np.column_stack([flight.t, flight.dt, flight.y]), ["%.4f"] * 2 + ["%.3f"] * 3
+    np.savetxt(text, rows, formats, delimiter=",", header=",".join(COLUMNS), comments="")
+    (target / "record.csv").write_text(text.getvalue().replace("nan", ""), encoding="utf-8")
+    return flight
 
 
 def main() -> None:
     """Write record.csv and print the scatter of the sensors."""
-    flight = record()
-    write(HERE / "record.csv", flight)
+    parser = argparse.ArgumentParser(description="Write record.csv.")
+    parser.add_argument("--data", type=Path, required=True, help="the folder of the data set")
+    flight = make(parser.parse_args().data, HERE)
     baro, height, climb = scatter(flight)
     print(f"record.csv: {flight.t.size} instants, {flight.gps.size} with a GPS sample")
     print(f"first {ORDINARY:.0f} s: barometer {baro:.2f} m, GPS {height:.2f} m, {climb:.2f} m/s")

@@ -1,14 +1,15 @@
-"""Turn the reports of a ship into one time series: ``python prepare.py`` writes record.csv.
+"""Turn the reports of ships into time series: ``python prepare.py --data FOLDER``.
 
-Every report is an instant. Between instants that are more than 5 s apart come empty ones, because
+reports.csv has the reports of all ships as the filter takes them, record.csv one ship. Every report is an instant. Between instants that are more than 5 s apart come empty ones, because
 the chain of the modes moves once per instant. Three stretches of track A are taken out of
 record.csv.
 """
 
 from __future__ import annotations
 
-import csv
+import argparse
 from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -50,19 +51,24 @@ class Record:
         return replace(self, y=y)
 
 
+def reports(folder: Path) -> tuple[NDArray[np.str_], Floats]:
+    """Tracks of the reports of the data set, and time, position and velocity of each."""
+    rows = columns(folder / "tracks.csv")
+    course, speed = np.deg2rad(rows["cog_deg"]), rows["sog_ms"]
+    velocity = speed * np.sin(course), speed * np.cos(course)
+    return rows["track"], np.column_stack([rows["t_s"], rows["east_m"], rows["north_m"], *velocity])
+
+
 def record(track: str) -> Record:
-    """Read the reports of a ship."""
-    with (HERE / "data" / "tracks.csv").open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["track"] == track]
-    names = ("t_s", "east_m", "north_m", "cog_deg", "sog_ms")
-    t, east, north, course, speed = (np.array([float(row[name]) for row in rows]) for name in names)
-    course = np.deg2rad(course)
-    reports = np.column_stack([east, north, speed * np.sin(course), speed * np.cos(course)])
+    """Read the reports of a ship and put empty instants between them."""
+    rows = columns(HERE / "reports.csv")
+    rows = rows[rows["track"] == track]
+    t = rows["t_s"]
     parts = np.maximum(1, np.ceil(np.diff(t) / LONGEST).astype(int))
     at = np.concatenate([[0], np.cumsum(parts)])
     instants = np.interp(np.arange(at[-1] + 1), at, t)
     y = np.full((instants.size, 4), np.nan)
-    y[at] = reports
+    y[at] = np.column_stack([rows[name] for name in COLUMNS[2:]])
     instants = np.round(instants, 3)
     return Record(instants, np.round(np.append(np.diff(instants), 0.0), 3), y)
 
@@ -72,18 +78,31 @@ def stretches(t: Floats, removed: tuple[tuple[float, float], ...] = REMOVED) -> 
     return np.any([(t >= start) & (t < end) for start, end in removed], axis=0)
 
 
+def columns(path: Path) -> NDArray[Any]:
+    """Read a CSV file; its columns have names."""
+    return np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+
+
 def write(path: Path, ship: Record) -> None:
     """Write a record as CSV, a column per name of the specification; an empty field is missing."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(COLUMNS)
-        for t, dt, y in zip(ship.t, ship.dt, ship.y, strict=True):
-            fields = ["" if np.isnan(value) else f"{value:.3f}" for value in y]
-            out.writerow([f"{t:.3f}", f"{dt:.3f}", *fields])
+    text, rows = StringIO(), np.column_stack([ship.t, ship.dt, ship.y])
+    np.savetxt(text, rows, "%.3f", delimiter=",", header=",".join(COLUMNS), comments="")
+    path.write_text(text.getvalue().replace("nan", ""), encoding="utf-8")
+
+
+def make(data: Path, target: Path) -> None:
+    """Write reports.csv, velocities with all their digits: record.csv rounds them once."""
+    tracks, rows = reports(data)
+    lines = [",".join(["track", COLUMNS[0], *COLUMNS[2:]])]
+    lines += [",".join([at, *map(repr, row)]) for at, row in zip(tracks, rows.tolist(), strict=True)]
+    (target / "reports.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def main() -> None:
-    """Write record.csv."""
+    """Write reports.csv, and record.csv from it."""
+    parser = argparse.ArgumentParser(description="Write reports.csv and record.csv.")
+    parser.add_argument("--data", type=Path, required=True, help="the folder of the data set")
+    make(parser.parse_args().data, HERE)
     ship = record("A")
     kept = ship.without(stretches(ship.t))
     write(HERE / "record.csv", kept)

@@ -101,7 +101,7 @@ class Car:
 
     def __init__(self) -> None:
         prepare = preparation()
-        self.drive, self.reference = prepare.record(0.0), prepare.reference()
+        self.drive, self.reference = prepare.read(), prepare.reference()
         self.t: Floats = self.drive.t
         self.covered: NDArray[np.bool_] = self.t <= self.reference[0][-1]
         spec = fkgen.load(HERE / "spec.toml")

@@ -64,12 +64,6 @@ def test_only_the_glitch_explains_the_failure(glitch):
     assert glitch.results["imm"].probability[:, 2:].max() < 1e-4
 
 
-def test_the_record_is_made_of_the_data(glitch):
-    made, read = glitch.prepare.record(), glitch.flight
-    for name in ("t", "dt", "y"):
-        np.testing.assert_array_equal(getattr(made, name), getattr(read, name))
-
-
 def test_the_noise_is_twice_the_scatter_of_ordinary_flight(glitch):
     noise = np.sqrt(np.diag(np.array(glitch.script.content()["model"]["R"])))
     np.testing.assert_allclose(noise / glitch.prepare.scatter(glitch.flight), 2.0, rtol=0.15)

@@ -72,7 +72,7 @@ def test_instants_lie_close_enough_and_hold_every_report(ships):
         np.testing.assert_allclose(np.diff(ship.t), ship.dt[:-1], atol=1e-9)
 
 
-def test_the_record_is_made_of_the_data(ships, tmp_path):
+def test_the_record_is_made_of_the_reports(ships, tmp_path):
     ship = ships.prepare.record("A")
     kept = ship.without(ships.prepare.stretches(ship.t))
     ships.prepare.write(tmp_path / "record.csv", kept)
