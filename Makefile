@@ -19,6 +19,7 @@ help: ## say what there is
 	@echo "  Variables: PYTHON=$(PYTHON)  UV=$(UV) (empty: use pip)  WORKERS=$(WORKERS)  PYTEST_ARGS=$(PYTEST_ARGS)"
 
 demo: ## generate, compile and run a filter on an example
+	@echo "demo: sets up .venv first if need be, then builds two filters and runs them; at most a minute"
 	$(setup) run
 	$(bin)/fkgen demo
 

@@ -26,7 +26,6 @@ VENV = ROOT / ".venv"
 STAMP = VENV / ".fkgen-setup"
 UNFINISHED = VENV / ".fkgen-unfinished"
 GROUPS = {"run": [], "test": ["--group", "test"], "bench": ["--group", "bench"]}
-MEGABYTES = {"run": 600, "test": 1000, "bench": 800}  # of .venv, about
 OLDEST = (3, 11)
 PROBE = """
 import importlib.util, sys
@@ -83,9 +82,9 @@ def digest() -> str:
 def set_up(group: str) -> None:
     """Install one group into .venv, which is made anew unless it is sound."""
     start = time.time()
-    tool, size = "uv" if uv() else "pip", MEGABYTES[group]
-    print(f"setup: {tool} installs what fkgen needs for {group} into {VENV}, once:", flush=True)
-    print(f"setup: pinned packages of the package index, {size} MB; about half a minute", flush=True)
+    tool = "uv" if uv() else "pip"
+    print(f"setup: {tool} installs pinned packages for {group} into {VENV}, once:", flush=True)
+    print("setup: 0.7 GB or more, about half a minute where the network is fast", flush=True)
     if not is_sound():
         shutil.rmtree(str(VENV), ignore_errors=True)
         VENV.mkdir()

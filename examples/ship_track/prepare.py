@@ -1,8 +1,8 @@
 """Turn the reports of ships into time series: ``python prepare.py --data FOLDER``.
 
-reports.csv has the reports of all ships as the filter takes them, record.csv one ship. Every report is an instant. Between instants that are more than 5 s apart come empty ones, because
-the chain of the modes moves once per instant. Three stretches of track A are taken out of
-record.csv.
+reports.csv has the reports of all ships as the filter takes them, record.csv one ship. Every report
+is an instant. Between instants that are more than 5 s apart come empty ones, because the chain of
+the modes moves once per instant. Three stretches of track A are taken out of record.csv.
 """
 
 from __future__ import annotations
@@ -93,9 +93,10 @@ def write(path: Path, ship: Record) -> None:
 def make(data: Path, target: Path) -> None:
     """Write reports.csv, velocities with all their digits: record.csv rounds them once."""
     tracks, rows = reports(data)
-    lines = [",".join(["track", COLUMNS[0], *COLUMNS[2:]])]
-    lines += [",".join([at, *map(repr, row)]) for at, row in zip(tracks, rows.tolist(), strict=True)]
-    (target / "reports.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines = [("track", COLUMNS[0], *COLUMNS[2:])]
+    lines += [(track, *map(repr, row)) for track, row in zip(tracks, rows.tolist(), strict=True)]
+    text = "".join(",".join(line) + "\n" for line in lines)
+    (target / "reports.csv").write_text(text, encoding="utf-8")
 
 
 def main() -> None:

@@ -44,7 +44,7 @@ def play(folder: Path) -> Iterator[str]:
     find_compiler()  # the one thing that may be missing: say so at once
     if folder.exists() and not folder.is_dir():
         raise OutputError(str(folder), given="a file", expected="a folder, or nothing yet")
-    yield f"Two filters from spec file to compiled C, in about five seconds; C and pictures to {folder}"
+    yield f"Two filters from spec file to compiled C and pictures in {folder}; about five seconds"
     yield ""
     yield "1. A motor whose input fails at a rate nobody knows (mme, a bank of five filters)"
     spec = load(resource(_MOTOR))
