@@ -137,8 +137,8 @@ def assert_explained(function):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_source_of_a_recursion_names_equations_or_sections(name):
-    from jump_models import EXAMPLE_A, spec_of
-    from models import SENSED, motor
+    from jump_plants import EXAMPLE_A, spec_of
+    from plants import SENSED, motor
 
     broken = {"problem": 1, "gamma_rate": 0.9}
     sections = SECTIONS.get(name, ())

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import spread
-from models import built, generated, interpreted, run
+from plants import built, generated, interpreted, run
 
 import fkgen
 from fkgen.backend.execute import Machine

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import spread
-from models import generated, motor, random_model, spec
+from plants import generated, motor, random_model, spec
 from toolchain import needs_compiler, run_main
 
 pytestmark = needs_compiler()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from models import distance, generated, interpreted, run
-from partial_models import PAPER, cpcf, dense, record, sparse_positions
+from partial_plants import PAPER, cpcf, dense, record, sparse_positions
+from plants import distance, generated, interpreted, run
 from toolchain import C_COMPILERS, needs_compiler, run_main
 
 import fkgen

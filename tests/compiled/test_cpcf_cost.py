@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 import pytest
-from models import random_model, spec
-from partial_models import PAPER, cpcf
+from partial_plants import PAPER, cpcf
+from plants import random_model, spec
 
 from fkgen.backend.lower import lower
 from fkgen.families import family

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from jump_models import EXAMPLE_A, EXAMPLE_B, GILBERT, changed, random_table, record_of, spec_of
-from models import generated, interpreted, run
+from jump_plants import EXAMPLE_A, EXAMPLE_B, GILBERT, changed, random_table, record_of, spec_of
+from plants import generated, interpreted, run
 from toolchain import BITS, C_COMPILERS, C_ONLY, FLAGS, call, needs_compiler
 
 import fkgen

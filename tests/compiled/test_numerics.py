@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from models import MOTOR, built, generated, motor, random_model, record, run, spec
+from plants import MOTOR, built, generated, motor, random_model, record, run, spec
 
 from fkgen.backend.ir import Operator
 

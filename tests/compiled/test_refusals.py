@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from models import MOTOR, PARAMETERS, SENSED, VARYING, common, motor, random_model, spec
+from plants import MOTOR, PARAMETERS, SENSED, VARYING, common, motor, random_model, spec
 
 import fkgen
 from fkgen.errors import StepRefused

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import subprocess
 
-import jump_models
-import models
+import jump_plants
+import plants
 import pytest
-from sensor_models import SCALAR
+from sensor_specs import SCALAR
 from toolchain import BITS, FLAGS, c_compilers
 
 from fkgen.trials.lowering import lower_sampling, render_sampler
@@ -15,11 +15,11 @@ from fkgen.trials.sampling import sampling_of
 
 MOMENTS = {"problem": "moments", "gamma_rate": 0.6, "gamma_persistence": 0.8}
 SPECS = {
-    "kf": models.spec(models.VARYING, parameters=models.PARAMETERS),
-    "mkf": models.motor(),
-    "mme": models.motor("mme"),
-    "moments": models.spec(SCALAR, family="linear_optimal", sensor=MOMENTS),
-    "jump": jump_models.spec_of(jump_models.EXAMPLE_B, arrival_rate=0.8),
+    "kf": plants.spec(plants.VARYING, parameters=plants.PARAMETERS),
+    "mkf": plants.motor(),
+    "mme": plants.motor("mme"),
+    "moments": plants.spec(SCALAR, family="linear_optimal", sensor=MOMENTS),
+    "jump": jump_plants.spec_of(jump_plants.EXAMPLE_B, arrival_rate=0.8),
 }
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from models import generated, interpreted, run
-from sensor_models import EVERY, every
+from plants import generated, interpreted, run
+from sensor_specs import EVERY, every
 from toolchain import BITS, C_COMPILERS, C_ONLY, FLAGS, call, needs_compiler, run_main
 
 import fkgen

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from models import generated, spec
+from plants import generated, spec
 
 DT = 0.1
 DRIFT = [[DT**3 / 3, DT**2 / 2], [DT**2 / 2, DT]]

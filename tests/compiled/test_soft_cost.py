@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
-from models import built, random_model, record, run
-from models import spec as plain
-from soft_models import PAPER, soft
+from plants import built, random_model, record, run
+from plants import spec as plain
+from soft_plants import PAPER, soft
 
 from fkgen.backend.lower import lower
 from fkgen.families import family
@@ -63,7 +63,7 @@ def test_the_table_of_costs_is_what_the_program_says():
 
 
 def test_the_test_is_a_function_of_its_own_that_is_called_at_window_ends_only():
-    from models import generated
+    from plants import generated
 
     text = generated(soft(PAPER, window=150)).files["plant.c"]
     calls = re.findall(

@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 import spread
-from models import generated
+from plants import generated
 from toolchain import (
     ANY,
     BITS,

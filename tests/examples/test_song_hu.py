@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from effect_models import MODELS, paper
+from effect_plants import MODELS, paper
 from scripts import scripts_of
 
 import fkgen

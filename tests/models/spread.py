@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from models import (
+from plants import (
     MOTOR,
     PARAMETERS,
     SENSED,
@@ -15,7 +15,7 @@ from models import (
     record,
     spec,
 )
-from soft_models import soft
+from soft_plants import soft
 
 TWO = random_model(71, 3, 2, 2, direct=True, correlated=True)
 TWO_ALONE = random_model(74, 3, 2, 2, direct=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from models import covariance
+from plants import covariance
 
 #: Some inversions of well-conditioned matrices.
 EXACT = 1e-10

@@ -8,7 +8,7 @@ import spread
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from models import built, distance, independent, interpreted, random_model, record, spec
+from plants import built, distance, independent, interpreted, random_model, record, spec
 
 import fkgen
 from fkgen.errors import StepRefused

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from models import built, distance, interpreted, random_model
-from sensor_models import DENSE, EVERY, SWITCHING, chain, every, plane, sensed
+from plants import built, distance, interpreted, random_model
+from sensor_specs import DENSE, EVERY, SWITCHING, chain, every, plane, sensed
 
 import fkgen
 from fkgen.errors import StepRefused

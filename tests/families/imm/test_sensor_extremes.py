@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from models import assert_agree, distance, random_model, run
-from sensor_models import (
+from plants import assert_agree, distance, random_model, run
+from sensor_specs import (
     DENSE,
     EXACT,
     HOLES,

@@ -6,9 +6,10 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from interacting_models import KALMAN, PORTS
-from models import assert_agree, distance, random_model, run
-from sensor_models import (
+from imm_plants import KALMAN, PORTS
+from plants import assert_agree, distance, random_model, run
+from sensor_plants import with_modes
+from sensor_specs import (
     DENSE,
     EXACT,
     HOLES,
@@ -27,7 +28,6 @@ from sensor_models import (
     textbook,
     varying,
 )
-from sensor_plants import with_modes
 
 from fkgen.oracle import LinearSystem, SensorLaw, batch_lmmse, enumerate_modes
 

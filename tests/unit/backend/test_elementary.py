@@ -5,7 +5,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
-from models import built, generated, spec
+from plants import built, generated, spec
 
 from fkgen.backend.elementary import Elementary
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from models import generated, motor
+from plants import generated, motor
 
 from fkgen.backend.check import verify
 from fkgen.backend.ir import (

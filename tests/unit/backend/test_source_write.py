@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 
 import pytest
-from models import generated, motor
+from plants import generated, motor
 
 from fkgen.errors import OutputError
 

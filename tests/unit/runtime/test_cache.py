@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from models import motor
+from plants import motor
 from toolchain import needs_compiler
 
 import fkgen
@@ -141,7 +141,7 @@ def test_another_spec_or_another_compiler_flag_is_another_entry(folder, monkeypa
 
 BUILD = """
 import sys, numpy as np
-from models import motor
+from plants import motor
 import fkgen
 found = fkgen.build(motor("kf"))
 print(float(found.run(np.ones((3, 1)), np.ones((3, 1))).filtered_state[-1, 0]).hex())

@@ -7,7 +7,7 @@ import shutil
 import sys
 
 import pytest
-from models import generated, motor
+from plants import generated, motor
 from toolchain import needs_compiler
 
 import fkgen

@@ -7,8 +7,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from effect_models import paper
-from models import common, motor, random_model, spec
+from effect_plants import paper
+from plants import common, motor, random_model, spec
 
 import fkgen
 from fkgen.backend.ir import Operator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from jump_models import (
+from jump_plants import (
     EXAMPLE_A,
     EXAMPLE_B,
     EXAMPLE_S,

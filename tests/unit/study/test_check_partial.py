@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from models import spec
-from partial_models import PAPER, cpcf
+from partial_plants import PAPER, cpcf
+from plants import spec
 
 import fkgen
 

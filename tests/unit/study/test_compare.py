@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import models
 import numpy as np
+import plants
 import pytest
 from click.testing import CliRunner
-from sensor_models import SCALAR
+from sensor_specs import SCALAR
 
 import fkgen
 from fkgen.cli import main
@@ -61,7 +61,7 @@ def test_the_filters_are_ordered_and_one_is_recommended(found):
 
 def test_equal_rows_make_imm_a_tie_that_costs_more():
     sensor = {"noise_factor": 10.0, "problem": 1, "gamma_rate": 0.8, "delta_nominal_rate": 0.7}
-    spec = models.spec(SCALAR, family="imm", sensor=sensor)
+    spec = plants.spec(SCALAR, family="imm", sensor=sensor)
     found = fkgen.compare(spec, ("imm", "one_step"), runs=400)
     assert found.row("imm").relative.value == pytest.approx(found.row("one_step").relative.value)
     assert found.recommended == "one_step"
@@ -72,7 +72,7 @@ def test_equal_rows_make_imm_a_tie_that_costs_more():
 
 
 def test_the_genie_of_actuators_is_told_what_arrives():
-    found = fkgen.compare(models.motor(), runs=300, u=1.0)
+    found = fkgen.compare(plants.motor(), runs=300, u=1.0)
     assert [row.label for row in found.rows] == ["mkf", "kf"]
     for row in (found.genie, found.row("mkf")):
         assert abs(row.nees.value - 1.0) < 4.0 * row.nees.error
@@ -82,7 +82,7 @@ def test_the_genie_of_actuators_is_told_what_arrives():
 
 
 def test_without_faults_the_kalman_filter_is_its_own_genie():
-    found = fkgen.compare(models.spec(models.random_model(4, 3, 2)), runs=200)
+    found = fkgen.compare(plants.spec(plants.random_model(4, 3, 2)), runs=200)
     assert found.row("kf").relative == Estimate(1.0, 0.0)
     # the test of the NIS: its false alarms are those asked for
     alarms = found.row("kf").false_alarms
@@ -90,7 +90,7 @@ def test_without_faults_the_kalman_filter_is_its_own_genie():
 
 
 def test_soft_faults_are_found_by_the_test_of_the_innovation():
-    spec, bias = models.spec(models.random_model(4, 3, 2)), np.zeros((60, 2))
+    spec, bias = plants.spec(plants.random_model(4, 3, 2)), np.zeros((60, 2))
     bias[40:] = 20.0
     found = fkgen.compare(spec, runs=200, steps=60, skip=20, sensor=bias).row("kf")
     assert found.detected.value > 0.99
@@ -203,10 +203,10 @@ def test_what_cannot_be_compared_is_refused(families, options, message):
 
 
 def test_filters_for_other_plants_are_refused():
-    other = models.spec(models.random_model(1, 2, 1))
+    other = plants.spec(plants.random_model(1, 2, 1))
     with pytest.raises(fkgen.DataError, match="expected 1 states, 0 inputs, 1 measurements"):
         fkgen.compare((fkgen.load(EXAMPLE_1), other))
-    unstable = models.spec(models.random_model(2, 1, 1) | {"A": [[2.0]]})
+    unstable = plants.spec(plants.random_model(2, 1, 1) | {"A": [[2.0]]})
     with pytest.raises(fkgen.DataError, match="the plant is not stable"):
         fkgen.compare(unstable, steps=2000, runs=4)
 
@@ -223,9 +223,9 @@ def test_filters_of_one_family_are_told_apart():
 
 
 def test_without_noise_there_is_nothing_to_compare():
-    still = models.random_model(2, 1, 1) | {"Q": [[0.0]], "P0": [[0.0]]}
+    still = plants.random_model(2, 1, 1) | {"Q": [[0.0]], "P0": [[0.0]]}
     with pytest.raises(fkgen.DataError, match="errors that are zero for the genie"):
-        fkgen.compare(models.spec(still), runs=4, steps=8)
+        fkgen.compare(plants.spec(still), runs=4, steps=8)
 
 
 def test_the_command_compares_draws_and_says_what_to_take(tmp_path):

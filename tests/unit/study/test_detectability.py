@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_models import paper
-from models import common, random_model, spec
+from effect_plants import paper
+from plants import common, random_model, spec
 
 import fkgen
 from fkgen.oracle import LinearSystem, batch_lmmse, gains

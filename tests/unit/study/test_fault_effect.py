@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_models import MODELS, difference, paper, varying
-from models import common, independent, random_model, spec
+from effect_plants import MODELS, difference, paper, varying
+from plants import common, independent, random_model, spec
 
 import fkgen
 from fkgen.oracle import LinearSystem, after_pulse, after_step, gains, within_step

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import models
 import numpy as np
+import plants
 import pytest
 
 import fkgen
 
-PLANT = models.random_model(2, 2, 1, 1)
+PLANT = plants.random_model(2, 2, 1, 1)
 
 
 @pytest.fixture(scope="module")
 def plant():
-    return models.spec(PLANT)
+    return plants.spec(PLANT)
 
 
 @pytest.mark.parametrize(
@@ -43,34 +43,34 @@ def test_numbers_and_shapes_that_do_not_fit(plant, given, message):
 
 def test_a_plant_without_inputs_takes_none():
     with pytest.raises(fkgen.DataError, match="the model has no B"):
-        fkgen.simulate(models.spec(models.random_model(2, 2, 1)), 1, 5, u=1.0)
+        fkgen.simulate(plants.spec(plants.random_model(2, 2, 1)), 1, 5, u=1.0)
 
 
 def test_an_unstable_plant_stops_with_a_message():
-    spec = models.spec(models.random_model(2, 2, 1) | {"A": [[1.5, 0.0], [0.0, 0.2]]})
+    spec = plants.spec(plants.random_model(2, 2, 1) | {"A": [[1.5, 0.0], [0.0, 0.2]]})
     assert np.isfinite(fkgen.simulate(spec, 3, 1500).y).all()
     with pytest.raises(fkgen.DataError, match=r"overflow at sample 17\d\d of trial 0.*not stable"):
         fkgen.simulate(spec, 3, 5000)
 
 
 def test_parameters_that_make_no_law_are_refused():
-    rate = models.motor(actuator=models.common("rate"), parameters={"rate": 0.5})
+    rate = plants.motor(actuator=plants.common("rate"), parameters={"rate": 0.5})
     with pytest.raises(fkgen.DataError, match=r"rate outside \[0, 1\], at sample 4 of trial 0"):
         fkgen.simulate(rate, 2, 5, u=1.0, params={"rate": [0.1, 0.2, 0.3, 1.0, 1.1]})
-    noise = models.spec(PLANT | {"R": [["r"]]}, parameters={"r": 0.5})
+    noise = plants.spec(PLANT | {"R": [["r"]]}, parameters={"r": 0.5})
     with pytest.raises(fkgen.DataError, match="a variance below 0"):
         fkgen.simulate(noise, 2, 5, u=1.0, params={"r": -1.0})
 
 
 def test_a_genie_without_a_law_has_nothing_to_draw():
-    spec = models.spec(models.random_model(2, 2, 1), family="genie", sensor={"noise_factor": 4.0})
+    spec = plants.spec(plants.random_model(2, 2, 1), family="genie", sensor={"noise_factor": 4.0})
     with pytest.raises(fkgen.SpecError, match="law that faults are drawn from"):
         fkgen.simulate(spec, 2, 5)
 
 
 def test_parameters_of_a_batch_may_differ_from_record_to_record(plant):
-    spec = models.spec(PLANT | {"R": [["r"]]}, parameters={"r": 0.5})
-    filtered, drawn = models.built(spec), fkgen.simulate(spec, 3, 6, u=1.0)
+    spec = plants.spec(PLANT | {"R": [["r"]]}, parameters={"r": 0.5})
+    filtered, drawn = plants.built(spec), fkgen.simulate(spec, 3, 6, u=1.0)
     r = np.random.default_rng(0).uniform(0.2, 2.0, (3, 6))
     many = filtered.run_batch(drawn.y, drawn.u, {"r": r})
     for m in range(3):
