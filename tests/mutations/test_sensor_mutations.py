@@ -131,7 +131,8 @@ def test_mistake_transposed_kernel(which, monkeypatch):
     def transposed(script, kernel, *rest, **options):
         return markov.advance(script, tuple(zip(*kernel, strict=True)), *rest, **options)
 
-    monkeypatch.setattr(f"fkgen.families.{which}.advance", transposed)
+    room = {"imm": "interacting"}.get(which, which)
+    monkeypatch.setattr(f"fkgen.estimators.models.{room}.advance", transposed)
     assert TEXTBOOK in refusals(recursion(scalar(ANY, which)))
     assert BAYES in refusals(recursion(scalar(KNOWN, which)))
 
