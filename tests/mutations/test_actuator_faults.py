@@ -265,13 +265,14 @@ def test_the_rate_for_its_variance_is_refused(monkeypatch):
 
 
 def test_a_mixture_without_the_spread_of_its_means_is_refused(monkeypatch):
-    monkeypatch.setattr("fkgen.families.mme.spread", lambda *each: 0.0 * spread(*each))
+    monkeypatch.setattr("fkgen.estimators.models.bank.spread", lambda *each: 0.0 * spread(*each))
     assert refused(recursion("mme"))
 
 
 def test_failures_taken_for_successes_in_the_mixture_are_refused(monkeypatch):
     monkeypatch.setattr(
-        "fkgen.families.mme.patterns", lambda rates: patterns([1.0 - rate for rate in rates])
+        "fkgen.estimators.models.bank.patterns",
+        lambda rates: patterns([1.0 - rate for rate in rates]),
     )
     assert refused(recursion("mme"))
 

@@ -12,8 +12,7 @@ from mutants import proved, recursion, refusals
 
 from fkgen.estimators.gaussian.actuation import certain
 from fkgen.estimators.gaussian.estimate import estimated, propagate
-from fkgen.estimators.models import merge, modes
-from fkgen.families import imm
+from fkgen.estimators.models import interacting, merge, modes
 
 TEXTBOOK = "matrix filters"
 BAYES = "exact Bayes"
@@ -28,7 +27,7 @@ def test_what_is_not_mutated_passes(name):
 def moved_before_mixing(script, filtering, modes, law):
     """The step from x[k] to x[k+1] is that of mode k."""
     symbols, motions = filtering.symbols, modes.motions
-    parts = imm._parts(filtering, "mode_filtered_", len(motions))
+    parts = interacting._parts(filtering, "mode_filtered_", len(motions))
     left = []
     for i, (part, each) in enumerate(zip(parts, motions, strict=True)):
         state, packed, _ = propagate(each, certain(symbols["u"]), estimated(*part))
@@ -38,11 +37,11 @@ def moved_before_mixing(script, filtering, modes, law):
         mixer.under(weights, f"_{at}", column)
         for at, (weights, column) in enumerate(zip(law.mixing, law.columns, strict=True))
     ]
-    return imm._Moved(mixed, list(law.group))
+    return interacting._Moved(mixed, list(law.group))
 
 
 def test_mistake_the_mode_before_moves_the_state(monkeypatch):
-    monkeypatch.setattr(imm, "_moved", moved_before_mixing)
+    monkeypatch.setattr(interacting, "_moved", moved_before_mixing)
     assert TEXTBOOK in refusals(recursion(plant("dynamics")))
     failed = refusals(recursion(plant("dynamics", **KNOWN)))
     assert BAYES in failed
@@ -58,12 +57,12 @@ def test_mistake_modes_move_as_their_neighbours(monkeypatch):
 
 @pytest.mark.parametrize("name", ["dynamics", "process noise"])
 def test_mistake_combined_prediction_weighted_with_the_mode_of_the_present(name, monkeypatch):
-    right = imm._combined
+    right = interacting._combined
 
     def present(script, filtering, motions, moved, _):
         return right(script, filtering, motions, moved, filtering.symbols["mode_probability"])
 
-    monkeypatch.setattr(imm, "_combined", present)
+    monkeypatch.setattr(interacting, "_combined", present)
     assert TEXTBOOK in refusals(recursion(plant(name)))
 
 
@@ -77,12 +76,12 @@ def test_mistake_no_spread_of_the_means(where, monkeypatch):
             parts = zip(ca.vertsplit(given), self.parts, strict=True)
             return mean, sum(w * part.covariance for w, part in parts)
 
-    monkeypatch.setattr(imm, "Mixer", Flat)
+    monkeypatch.setattr(interacting, "Mixer", Flat)
     assert TEXTBOOK in refusals(recursion(plant("dynamics")))
 
 
 def test_mistake_process_noise_of_the_first_mode_for_all(monkeypatch):
-    monkeypatch.setattr(imm, "mean_noise", lambda motions, _: motions[0].Q)
+    monkeypatch.setattr(interacting, "mean_noise", lambda motions, _: motions[0].Q)
     assert TEXTBOOK in refusals(recursion(plant("process noise")))
 
 
@@ -101,7 +100,7 @@ def test_mistake_offsets_forgotten(monkeypatch):
     def without(each, inputs, posterior):
         return propagate(replace(each, c=0 * each.c), inputs, posterior)
 
-    monkeypatch.setattr(imm, "propagate", without)
+    monkeypatch.setattr(interacting, "propagate", without)
     assert BAYES in refusals(recursion(plant("offsets", **KNOWN)))
 
 

@@ -120,7 +120,9 @@ def test_mistake_nominal_noise_in_the_mode_without_signal_and_with_noise(which, 
 
 
 def test_mistake_missing_spread_term_in_one_step(monkeypatch):
-    monkeypatch.setattr("fkgen.families.one_step.spread", lambda *each: 0.0 * spread(*each))
+    monkeypatch.setattr(
+        "fkgen.estimators.models.one_step.spread", lambda *each: 0.0 * spread(*each)
+    )
     assert BAYES in refusals(recursion(scalar(ANY, "one_step")))
 
 
@@ -129,7 +131,8 @@ def test_mistake_transposed_kernel(which, monkeypatch):
     def transposed(script, kernel, *rest, **options):
         return markov.advance(script, tuple(zip(*kernel, strict=True)), *rest, **options)
 
-    monkeypatch.setattr(f"fkgen.families.{which}.advance", transposed)
+    room = {"imm": "interacting"}.get(which, which)
+    monkeypatch.setattr(f"fkgen.estimators.models.{room}.advance", transposed)
     assert TEXTBOOK in refusals(recursion(scalar(ANY, which)))
     assert BAYES in refusals(recursion(scalar(KNOWN, which)))
 
@@ -216,7 +219,7 @@ def flat(name):
 
 @pytest.mark.parametrize("name", ["mixed", "combined"], ids=["in mixing", "in the output"])
 def test_mistake_no_spread(name, monkeypatch):
-    monkeypatch.setattr("fkgen.families.imm.Mixer", flat(name))
+    monkeypatch.setattr("fkgen.estimators.models.interacting.Mixer", flat(name))
     failed = refusals(recursion(scalar(ANY, "imm")))
     assert TEXTBOOK in failed
     assert (BAYES in failed) is (name == "combined")
@@ -242,7 +245,7 @@ def of_the_present(script, kernel, now, *rest, **options):
     ids=["mixing normalised over j", "mu in place of c", "mu in place of c, known start"],
 )
 def test_mistake_in_the_chain(mistake, law, monkeypatch):
-    monkeypatch.setattr("fkgen.families.imm.advance", mistake)
+    monkeypatch.setattr("fkgen.estimators.models.interacting.advance", mistake)
     failed = refusals(recursion(scalar(law, "imm")))
     assert TEXTBOOK in failed
     assert (BAYES in failed) is (law is KNOWN)
@@ -262,7 +265,7 @@ def test_mistake_m3_not_propagated(law, monkeypatch):
     modes = 4 if law is ANY else 3
     plant = sensed(centred(random_model(82, 2, 1)), law, modes=modes)
     assert proved(recursion(plant))
-    monkeypatch.setattr("fkgen.families.imm.propagate", stuck)
+    monkeypatch.setattr("fkgen.estimators.models.interacting.propagate", stuck)
     assert TEXTBOOK in refusals(recursion(plant))
 
 

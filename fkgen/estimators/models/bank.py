@@ -1,4 +1,9 @@
-"""Hypotheses about a success rate, side by side: sizes, stacked ports, symbols."""
+"""Multiple model estimation of an unknown fault rate: a bank of modified Kalman filters.
+
+Strandt, Schneider & Yaz, sec. 3. One hypothesis per success rate; weights by Bayes' rule (14)-(16)
+with the mixture likelihood (exact in gamma[k]) or the paper's Gaussian (15). Estimates are combined
+coherently: x(k|k) and x(k+1|k) with weights given y[0..k]; ``paper_state`` is (18) as printed.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +14,31 @@ import casadi as ca
 
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import Actuation, intermittent
-from fkgen.estimators.gaussian.estimate import Posterior, senses_actuation, update_form
+from fkgen.estimators.gaussian.conditioning import Conditioned
+from fkgen.estimators.gaussian.elimination import whiten
+from fkgen.estimators.gaussian.estimate import (
+    Posterior,
+    bound,
+    correct,
+    demand_finite,
+    demand_positive,
+    finite,
+    propagate,
+    senses_actuation,
+    update_form,
+)
 from fkgen.estimators.gaussian.sequential import Form
-from fkgen.estimators.lmmse.kalman import from_rows
+from fkgen.estimators.lmmse.kalman import by_rows, from_rows
+from fkgen.estimators.models.merge import combined_innovation
+from fkgen.estimators.models.weights import Weights, log_prior, log_sum_exp, patterns, reweigh
 from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
+from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.linalg import congruence, pack, spread, unpack, weighted_sum
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
+from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.recursion import Phase, Recursion
 
 #: With more independent inputs than this the mixture has too many terms; the Gaussian is used
 #: instead.
@@ -154,3 +176,147 @@ def _deviation_ports(n: int, random: list[int]) -> tuple[Port, ...]:
         Port(name=name, shape=(size,), role=Role.STATE, meaning=meaning)
         for name, (size, meaning) in sizes.items()
     )
+
+
+def multiple_model_bank(spec: Spec) -> Recursion:
+    """Build the bank: N corrections, one reweighing, the combination, N predictions."""
+    bank = Bank.of(spec)
+    count = len(spec.filter.hypotheses)
+    x0, packed = prior_of(spec)
+    initial = {f"{of}_state": x0 for of in ("predicted", "filtered")}
+    initial |= {f"{of}_covariance": packed for of in ("predicted", "filtered")}
+    initial |= {"mode_state": x0 * count, "mode_filtered_state": x0 * count}
+    initial |= {"mode_covariance": packed * count, "mode_filtered_covariance": packed * count}
+    initial["mode_probability"] = spec.filter.prior
+    initial["log_weight"] = log_prior(spec.filter.prior, spec.code.scalar)
+    return Recursion(
+        spec=spec,
+        source="Strandt, Schneider & Yaz, eqs. (4), (9)-(18)",
+        ports=bank.ports,
+        initial=initial,
+        update=_update(bank),
+        predict=_predict(bank),
+        notes=(
+            f"covariance update: {bank.form} form",
+            f"likelihood: {'mixture' if bank.mixture else 'Gaussian'}",
+            f"weight floor: {spec.filter.weight_floor:g}",
+        ),
+    )
+
+
+def _update(bank: Bank) -> Phase:
+    script, spec, n = Script(bank.symbols), bank.spec, bank.plant.nx
+    for i in range(bank.size):
+        demand_positive(script, bank.part("mode_covariance", i), n)
+    plant = bound(script, bank.plant, "CDR")
+    found: list[Conditioned] = []
+    posteriors: list[Posterior] = []
+    for i in range(bank.size):
+        with script.titled(f"hypothesis {i}"):
+            conditioned, posterior = correct(
+                script,
+                plant,
+                bank.actuation(i),
+                (bank.part("mode_state", i), bank.part("mode_covariance", i)),
+                y=bank.symbols["y"],
+                scalar=spec.code.scalar,
+                form=bank.form,
+                tag=f"_h{i}",
+            )
+        demand_finite(script, posterior.state)
+        found.append(conditioned)
+        posteriors.append(posterior)
+    with script.titled("weights of the hypotheses"):
+        logs = [_log_likelihood(script, bank, plant, i, found[i]) for i in range(bank.size)]
+        held = (bank.symbols["mode_probability"], bank.symbols["log_weight"])
+        weights = reweigh(script, held, logs, spec.filter.weight_floor, spec.code.scalar)
+    with script.titled("combination"):
+        predicted = [
+            script.let(
+                f"predicted_y_h{i}",
+                plant.C @ bank.part("mode_state", i) + plant.D @ bank.actuation(i).mean,
+            )
+            for i in range(bank.size)
+        ]
+        results = combined_innovation(script, bank.symbols["mode_probability"], predicted, found)
+        results |= _combined_state(bank, posteriors, weights)
+        results |= {
+            "mode_probability": weights.probability,
+            "log_weight": weights.logarithm,
+            "log_likelihood": weights.log_likelihood,
+        }
+        script.put(results)
+    return script.phase()
+
+
+def _log_likelihood(script: Script, bank: Bank, plant: Plant, i: int, found: Conditioned) -> ca.SX:
+    """Gaussian (15), or the mixture over gamma[k]: sum_g P(g) N(y; C x + D g u, S0)."""
+    if not bank.mixture or not bank.random[i]:
+        return script.let(f"log_likelihood_h{i}", found.log_likelihood)
+    actuation = bank.actuation(i)
+    through = plant.D @ actuation.through
+    rates = _random_rates(bank, i)
+    healthless = found.innovation + through @ ca.SX(rates)
+    S = congruence(plant.C, unpack(bank.part("mode_covariance", i), plant.nx)) + pack(plant.R)
+    S = script.let(f"share_variance_h{i}", S)
+    whitened = whiten(script, S, ca.horzcat(healthless, through), f"_h{i}")
+    terms = [
+        script.let(
+            f"log_pattern_h{i}_{at}",
+            log_chance - 0.5 * whitened.quadratic(ca.SX([1.0, *(-float(w) for w in works)])),
+        )
+        for at, (works, log_chance) in enumerate(patterns(rates))
+    ]
+    return script.let(f"log_likelihood_h{i}", log_sum_exp(terms) - 0.5 * whitened.log_determinant)
+
+
+def _random_rates(bank: Bank, i: int) -> list[float]:
+    """Success rates of the components whose outcome is uncertain under hypothesis i."""
+    return [rate for rate in bank.spec.filter.hypotheses[i] if rate * (1.0 - rate) > 0.0]
+
+
+def _combined_state(bank: Bank, posteriors: list[Posterior], weights: Weights) -> dict[str, ca.SX]:
+    """Coherent filter, (18) as printed, and the estimate of the success rate."""
+    w = weights.probability
+    states = [posterior.state for posterior in posteriors]
+    covariances = [posterior.covariance for posterior in posteriors]
+    state = weighted_sum(w, states)
+    rates = [ca.SX(list(rates)) for rates in bank.spec.filter.hypotheses]
+    result = {
+        "filtered_state": state,
+        "filtered_covariance": weighted_sum(w, covariances) + spread(w, states, state),
+        "paper_state": weighted_sum(w, [bank.part("mode_state", i) for i in range(bank.size)]),
+        "success_rate_estimate": weighted_sum(w, rates),
+        "mode_filtered_state": ca.vertcat(*states),
+        "mode_filtered_covariance": ca.vertcat(*covariances),
+        "mode_deviation": ca.vertcat(*(p.deviation for p in posteriors)),
+        "mode_deviation_covariance": ca.vertcat(*(p.deviation_covariance for p in posteriors)),
+        "mode_deviation_cross": ca.vertcat(*(by_rows(p.cross_covariance) for p in posteriors)),
+    }
+    return {name: value for name, value in result.items() if value.numel()}
+
+
+def _predict(bank: Bank) -> Phase:
+    script = Script(bank.symbols)
+    plant = bound(script, bank.plant, "ABQ")
+    moved = [propagate(plant, bank.actuation(i), bank.deviation(i)) for i in range(bank.size)]
+    with script.titled("prediction of every hypothesis"):
+        states = script.let("moved_state", ca.vertcat(*(state for state, _, _ in moved)))
+        covariances = script.let("moved_covariance", ca.vertcat(*(P for _, P, _ in moved)))
+    n, size = plant.nx, plant.nx * (plant.nx + 1) // 2
+    each = [states[i * n : (i + 1) * n] for i in range(bank.size)]
+    packed = [covariances[i * size : (i + 1) * size] for i in range(bank.size)]
+    w = bank.symbols["mode_probability"]
+    with script.titled("combined prediction"):
+        state = script.let("combined_state", weighted_sum(w, each))
+        covariance = weighted_sum(w, packed) + spread(w, each, state)
+        script.put(
+            {
+                "mode_state": states,
+                "mode_covariance": covariances,
+                "predicted_state": state,
+                "predicted_covariance": covariance,
+            },
+            [finite(*of) for of in ((state, covariance), *zip(each, packed, strict=True))],
+        )
+    return script.phase()
