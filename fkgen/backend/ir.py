@@ -178,6 +178,15 @@ class Signal:
     unit: str
 
 
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A number that the code calls by a name."""
+
+    name: str
+    value: float
+    meaning: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vectors:
     """Inputs and expected outputs of the self-test, bit for bit.
@@ -220,6 +229,7 @@ class CProgram:
     predict: Phase
     closing: Phase | None = None
     outcomes: tuple[Outcome, ...] = ()
+    constants: tuple[Constant, ...] = ()
 
     @property
     def statuses(self) -> tuple[Status, ...]:

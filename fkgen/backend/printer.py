@@ -50,6 +50,7 @@ class StatementPrinter:
         self.real = scalar
         self.rows = rows
         self.upper = name.upper()
+        self.names: dict[float, str] = {}
 
     @property
     def limit(self) -> str:
@@ -144,8 +145,7 @@ class StatementPrinter:
             case Kind.NONNEGATIVE:
                 holds = _all([f"{value} >= {zero}" for value in values])
             case Kind.FINITE:
-                differences = [f"({value} - {value})" for value in values]
-                holds = f"{_folded(differences, ' + ', depth)} >= {zero}"
+                holds = _all([f"{self.name}_finite({value})" for value in values])
         inner = f"{_indent(depth + 1)}return {self.status(node.status)};"
         return f"{_indent(depth)}if (!({holds}))\n{_braced(inner, depth)}"
 
@@ -174,7 +174,7 @@ class StatementPrinter:
             case Temp(index):
                 return f"t{index}"
             case Literal(value):
-                return self.literal(value)
+                return self.names.get(value) or self.literal(value)
             case Element(space, name, index):
                 prefix = {Space.PARAMETER: "params->", Space.SELF: "self->", Space.NEXT: "next->"}
                 place = "" if index is None else f"[{index}]"
@@ -194,6 +194,7 @@ class Printer(StatementPrinter):
     def __init__(self, program: CProgram) -> None:
         super().__init__(program.name, program.scalar, len(program.outputs))
         self.program = program
+        self.names = {each.value: f"{self.upper}_{each.name}" for each in program.constants}
 
     @property
     def outcome(self) -> str:
@@ -210,13 +211,7 @@ class Printer(StatementPrinter):
 
 
 def _all(tests: list[str]) -> str:
-    return tests[0] if len(tests) == 1 else " && ".join(f"({test})" for test in tests)
-
-
-def _folded(terms: list[str], joint: str, depth: int) -> str:
-    """Terms joined, some to a line."""
-    lines = [joint.join(terms[i : i + 4]) for i in range(0, len(terms), 4)]
-    return f"{joint.rstrip()}\n{_indent(depth + 2)}".join(lines)
+    return tests[0] if len(tests) == 1 else " && ".join(test if test.endswith(")") else f"({test})" for test in tests)
 
 
 def _indent(depth: int) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jinja2
 
+from fkgen.backend.columns import filled_lines, folded
 from fkgen.backend.elementary_text import elementary_context
 from fkgen.backend.functions import (
     INLINED,
@@ -19,6 +20,7 @@ from fkgen.backend.functions import (
     valid_argument,
 )
 from fkgen.backend.ir import CProgram, Operator
+from fkgen.backend.manual import unit_of
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
 from fkgen.backend.vectors import self_test_vectors
@@ -58,16 +60,18 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
 
 
 def filled(template: str, context: dict[str, object]) -> str:
-    """A template filled in, without blanks at the end of lines and without gaps."""
+    """A template filled in, without gaps, blanks at the end of lines and long lines."""
     text = environment().get_template(template).render(context)
     lines = [line.rstrip() for line in text.splitlines()]
+    if template.endswith((".c.j2", ".h.j2")):
+        lines = [part for line in lines for part in folded(line)]
     kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
     return "\n".join(kept).rstrip() + "\n"
 
 
 def _context(program: CProgram) -> dict[str, object]:
     c = Printer(program)
-    vectors = self_test_vectors(program)
+    vectors, starts = self_test_vectors(program), _starts(program)
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
     return elementary_context(c, program.functions) | {
         "program": program,
@@ -84,6 +88,11 @@ def _context(program: CProgram) -> dict[str, object]:
         "bad_input": Status.INPUT_NOT_FINITE,
         "mismatch": Status.SELFTEST_FAILED,
         "shape": _shape_text,
+        "unit": lambda port: _unit_text(port, program),
+        "listed": filled_lines,
+        "numbers": lambda values: _numbers(c, values),
+        "starts": starts,
+        "tables": {owner: values for values, owner in starts.values()},
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
         "valid_argument": valid_argument(c),
@@ -95,10 +104,13 @@ def _context(program: CProgram) -> dict[str, object]:
         "inputs": [_numbers(c, row) for row in vectors.u],
         "measured": [_numbers(c, row) for row in vectors.y],
         "trace": [_numbers(c, row) for row in vectors.trace],
-        "final": [(name, _numbers(c, values)) for name, values in vectors.final],
+        "final": [(name, len(values), _numbers(c, values)) for name, values in vectors.final],
         "start": vectors.start,
+        "members": [
+            f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
+            for port in program.ports
+        ],
         "masks": [_mask(c, row) for row in vectors.y],
-        "sizes": {port.name: len(port.shape) for port in program.ports},
         "call": step_call(program, record=False),
     }
 
@@ -134,6 +146,41 @@ def _shape_text(port: Port) -> str:
         return f" ({extent})" if len(port.shape) > 1 else ""
     stacked = " x ".join(str(length) for length in port.shape[:-2])
     return f" ({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
+
+
+def _unit_text(port: Port, program: CProgram) -> str:
+    """Unit of a member in those of the signals, such as ``[m, m/s] squared``."""
+    units = {"x": unit_of(program.states), "y": unit_of(program.outputs)}
+    match tuple(port.unit):
+        case (letter,) if units[letter]:
+            return f", {units[letter]}"
+        case (letter, _) if units[letter]:
+            return f", {units[letter]} squared"
+        case (above, "/", below) if units[above] and units[below]:
+            return f", {units[above]} per {units[below]}"
+    return ""
+
+
+def _starts(program: CProgram) -> dict[str, tuple[tuple[float, ...], str]]:
+    """Start values of every array without repetitions, and the port whose table holds them."""
+    result: dict[str, tuple[tuple[float, ...], str]] = {}
+    owners: dict[tuple[str, ...], str] = {}
+    initial = dict(program.initial)
+    for port in program.ports:
+        if port.shape:
+            values = _period(initial.get(port.name, (0.0,)))
+            own = "zero" if values == (0.0,) else port.name
+            owner = owners.setdefault(tuple(map(repr, values)), own)
+            result[port.name] = (values, owner)
+    return result
+
+
+def _period(values: tuple[float, ...]) -> tuple[float, ...]:
+    """The shortest piece of which ``values`` are repetitions, bit by bit."""
+    words = tuple(map(repr, values))
+    sizes = (d for d in range(1, len(words) + 1) if len(words) % d == 0)
+    size = next(d for d in sizes if words == words[:d] * (len(words) // d))
+    return values[:size]
 
 
 def _signal_groups(program: CProgram) -> list[tuple[str, str, tuple[object, ...]]]:

@@ -14,6 +14,7 @@ from fkgen.backend.ir import (
     Operate,
     Operator,
     Phase,
+    Require,
     Scalar,
     Space,
     operands,
@@ -120,6 +121,11 @@ def render_sampler(program: SamplerProgram) -> SamplerSource:
     context = elementary_context(c, program.functions) | {
         "program": program,
         "version": __version__,
+        "needs_finite": any(
+            isinstance(node, Require) and node.kind is Kind.FINITE
+            for phase in program.phases
+            for node in walk(phase.body)
+        ),
         "n": program.sizes[0],
         "q": program.sizes[1],
         "p": program.sizes[2],
