@@ -9,6 +9,7 @@ WIDTH = 100
 
 #: Where a statement may go on in the next line: after a comma or an operator, before a question.
 _JOINTS = re.compile(r"(?<=,) |(?<=\+) |(?<=&&) |(?<=\|\|) |(?<==) | (?=[?:] )")
+_ELSEWHERE = re.compile(r"(?<=[ (])(?=\S)")
 _WHOLE = re.compile(r"\[[^][]{1,60}\]|\([^()]{1,40}\)")
 _REMARK = re.compile(r"^(?P<code> *\S.*?)(?P<open>/\*\*?<?) (?P<text>.*) \*/$")
 _COMMENT = re.compile(r"^(?P<open> *(?:/\*\*?|\*)) (?P<text>.*)$")
@@ -55,12 +56,16 @@ def _statement(line: str) -> list[str]:
     indent = " " * (len(line) - len(line.lstrip(" ")) + 4)
     lines, rest = [], line
     while len(rest) > WIDTH:
-        places = [m for m in _JOINTS.finditer(rest) if len(indent) < m.start() <= WIDTH]
+        places = next(filter(None, (_places(j, rest, indent) for j in (_JOINTS, _ELSEWHERE))), [])
         if not places:
             break
-        lines.append(rest[: places[-1].start()])
+        lines.append(rest[: places[-1].start()].rstrip())
         rest = indent + rest[places[-1].end() :]
     return [*lines, rest]
+
+
+def _places(joint: re.Pattern[str], line: str, indent: str) -> list[re.Match[str]]:
+    return [match for match in joint.finditer(line) if len(indent) < match.start() <= WIDTH]
 
 
 def filled_lines(items: list[str], indent: str) -> str:

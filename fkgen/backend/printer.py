@@ -19,11 +19,13 @@ from fkgen.backend.ir import (
     Operand,
     Operate,
     Operator,
+    Phase,
     Require,
     Scalar,
     Space,
     Statement,
     Temp,
+    walk,
 )
 from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind, Port, Status
@@ -145,7 +147,8 @@ class StatementPrinter:
             case Kind.NONNEGATIVE:
                 holds = _all([f"{value} >= {zero}" for value in values])
             case Kind.FINITE:
-                holds = _all([f"{self.name}_finite({value})" for value in values])
+                defects = " + ".join(f"{self.name}_defect({value})" for value in values)
+                holds = f"{self.name}_finite({defects})"
         inner = f"{_indent(depth + 1)}return {self.status(node.status)};"
         return f"{_indent(depth)}if (!({holds}))\n{_braced(inner, depth)}"
 
@@ -210,8 +213,17 @@ class Printer(StatementPrinter):
         return text
 
 
+def tests_finiteness(phases: tuple[Phase, ...]) -> bool:
+    """Whether a phase asks for finite numbers."""
+    return any(
+        isinstance(node, Require) and node.kind is Kind.FINITE
+        for phase in phases
+        for node in walk(phase.body)
+    )
+
+
 def _all(tests: list[str]) -> str:
-    return tests[0] if len(tests) == 1 else " && ".join(test if test.endswith(")") else f"({test})" for test in tests)
+    return tests[0] if len(tests) == 1 else " && ".join(f"({test})" for test in tests)
 
 
 def _indent(depth: int) -> str:

@@ -14,14 +14,13 @@ from fkgen.backend.ir import (
     Operate,
     Operator,
     Phase,
-    Require,
     Scalar,
     Space,
     operands,
     walk,
 )
 from fkgen.backend.lower import lower_phase
-from fkgen.backend.printer import StatementPrinter
+from fkgen.backend.printer import StatementPrinter, tests_finiteness
 from fkgen.backend.render import filled
 from fkgen.symbolic.conditions import Conditions
 from fkgen.symbolic.interface import Port, Status
@@ -121,11 +120,7 @@ def render_sampler(program: SamplerProgram) -> SamplerSource:
     context = elementary_context(c, program.functions) | {
         "program": program,
         "version": __version__,
-        "needs_finite": any(
-            isinstance(node, Require) and node.kind is Kind.FINITE
-            for phase in program.phases
-            for node in walk(phase.body)
-        ),
+        "tests_finiteness": tests_finiteness(program.phases),
         "n": program.sizes[0],
         "q": program.sizes[1],
         "p": program.sizes[2],
