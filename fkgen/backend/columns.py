@@ -24,7 +24,7 @@ def folded(line: str) -> list[str]:
     if remark := _REMARK.match(line):
         hanging = " " * len(remark["code"] + remark["open"] + " ")
         first = f"{remark['code']}{remark['open']} "
-        return _words(f"{remark['text']} */", first, hanging)
+        return _words(f"{remark['text']}\0*/", first, hanging)
     return _statement(line)
 
 
@@ -35,7 +35,8 @@ def _comment(opening: str, text: str) -> list[str]:
     inner = " " * (len(text) - len(text.lstrip(" ")) + 1)
     extra = "  " if inner != " " else ""
     hanging = margin + inner + extra if bare == "*" else margin + " " * len(bare)
-    return _words(text.strip(), opening + inner, hanging)
+    text = text.strip().removesuffix(" */") + ("\0*/" if text.endswith(" */") else "")
+    return _words(text, opening + inner, hanging)
 
 
 def _words(text: str, first: str, hanging: str) -> list[str]:

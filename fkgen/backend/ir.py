@@ -187,6 +187,54 @@ class Constant:
     meaning: str
 
 
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """A matrix or vector as the spec states it: texts of its entries, row by row.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``A``.
+    rows : tuple of tuple of str
+    form : str
+        ``"matrix"``, ``"diagonal"`` (one row: its entries), ``"zeros"`` or ``"vector"``.
+    unit : str
+        In the units of the signals, as of a `Port`: ``"x/u"``.
+    """
+
+    name: str
+    rows: tuple[tuple[str, ...], ...]
+    form: str = "matrix"
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Statements:
+    """What the spec says about the model, under a title: sentences, then matrices."""
+
+    title: str
+    listings: tuple[Listing, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """The spec as far as a reader of the code has to know it.
+
+    Attributes
+    ----------
+    parts : tuple of Statements
+        The model, what differs from it in each mode, the law of the faults.
+    ranges : tuple of (str, str)
+        What is known about each parameter.
+    folded : tuple of (float, str)
+        Constants of the code that are products of entries, and which.
+    """
+
+    parts: tuple[Statements, ...] = ()
+    ranges: tuple[tuple[str, str], ...] = ()
+    folded: tuple[tuple[float, str], ...] = ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vectors:
     """Inputs and expected outputs of the self-test, bit for bit.
@@ -230,6 +278,7 @@ class CProgram:
     closing: Phase | None = None
     outcomes: tuple[Outcome, ...] = ()
     constants: tuple[Constant, ...] = ()
+    stated: Stated = Stated()
 
     @property
     def statuses(self) -> tuple[Status, ...]:

@@ -31,6 +31,7 @@ from fkgen.backend.ir import (
     operands,
     walk,
 )
+from fkgen.backend.stated import stated
 from fkgen.backend.verify import verify
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
@@ -88,6 +89,7 @@ def lower(recursion: sym.Recursion) -> CProgram:
             predict=predict,
             closing=closing,
             constants=constants_of(spec.code.scalar, update, closing, predict),
+            stated=stated(spec, update, closing, predict),
             **signals,
         )
     )

@@ -20,7 +20,7 @@ from fkgen.backend.functions import (
     valid_argument,
 )
 from fkgen.backend.ir import CProgram, Operator
-from fkgen.backend.manual import unit_of
+from fkgen.backend.manual import model_lines, unit_text
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
 from fkgen.backend.vectors import self_test_vectors
@@ -88,7 +88,9 @@ def _context(program: CProgram) -> dict[str, object]:
         "bad_input": Status.INPUT_NOT_FINITE,
         "mismatch": Status.SELFTEST_FAILED,
         "shape": _shape_text,
-        "unit": lambda port: _unit_text(port, program),
+        "unit": lambda port: f", {text}" if (text := unit_text(program, port.unit)) else "",
+        "model": model_lines(program),
+        "ranges": dict(program.stated.ranges),
         "listed": filled_lines,
         "numbers": lambda values: _numbers(c, values),
         "starts": starts,
@@ -116,9 +118,9 @@ def _context(program: CProgram) -> dict[str, object]:
 
 
 def _title(program: CProgram) -> str:
-    p = len(program.outputs)
-    plural = "" if p == 1 else "s"
-    return f"{program.family} filter, {len(program.states)} states, {p} measurement{plural}"
+    counts = {"state": len(program.states), "measurement": len(program.outputs)}
+    sizes = [f"{count} {what}{'' if count == 1 else 's'}" for what, count in counts.items()]
+    return f"{program.family} filter, {', '.join(sizes)}"
 
 
 def cost(program: CProgram) -> str:
@@ -146,19 +148,6 @@ def _shape_text(port: Port) -> str:
         return f" ({extent})" if len(port.shape) > 1 else ""
     stacked = " x ".join(str(length) for length in port.shape[:-2])
     return f" ({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
-
-
-def _unit_text(port: Port, program: CProgram) -> str:
-    """Unit of a member in those of the signals, such as ``[m, m/s] squared``."""
-    units = {"x": unit_of(program.states), "y": unit_of(program.outputs)}
-    match tuple(port.unit):
-        case (letter,) if units[letter]:
-            return f", {units[letter]}"
-        case (letter, _) if units[letter]:
-            return f", {units[letter]} squared"
-        case (above, "/", below) if units[above] and units[below]:
-            return f", {units[above]} per {units[below]}"
-    return ""
 
 
 def _starts(program: CProgram) -> dict[str, tuple[tuple[float, ...], str]]:
