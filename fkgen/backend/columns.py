@@ -34,7 +34,7 @@ def _comment(opening: str, text: str) -> list[str]:
     margin = " " * (len(opening) - len(bare) + (bare != "*")) + "*"
     inner = " " * (len(text) - len(text.lstrip(" ")) + 1)
     extra = "  " if inner != " " else ""
-    hanging = margin + inner + extra if bare == "*" else margin + " " * len(bare)
+    hanging = margin + inner + extra if bare == "*" else margin + " " * (len(bare) - 1)
     text = text.strip().removesuffix(" */") + ("\0*/" if text.endswith(" */") else "")
     return _words(text, opening + inner, hanging)
 

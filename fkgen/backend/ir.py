@@ -279,6 +279,7 @@ class CProgram:
     outcomes: tuple[Outcome, ...] = ()
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
+    shares_functions: bool = False
 
     @property
     def statuses(self) -> tuple[Status, ...]:

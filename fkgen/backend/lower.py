@@ -89,6 +89,7 @@ def lower(recursion: sym.Recursion) -> CProgram:
             predict=predict,
             closing=closing,
             constants=constants_of(spec.code.scalar, update, closing, predict),
+            shares_functions=spec.code.elementary == "shared",
             stated=stated(spec, update, closing, predict),
             **signals,
         )

@@ -53,6 +53,7 @@ class StatementPrinter:
         self.rows = rows
         self.upper = name.upper()
         self.names: dict[float, str] = {}
+        self.elementary = name
 
     @property
     def limit(self) -> str:
@@ -126,7 +127,7 @@ class StatementPrinter:
             case operator if operator in _INFIX:
                 value = f"{a[0]} {_INFIX[operator]} {a[1]}"
             case operator:
-                value = f"{self.name}_{operator.value}({', '.join(a)})"
+                value = f"{self.elementary}_{operator.value}({', '.join(a)})"
         return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
 
     @statement.register
@@ -197,6 +198,8 @@ class Printer(StatementPrinter):
     def __init__(self, program: CProgram) -> None:
         super().__init__(program.name, program.scalar, len(program.outputs))
         self.program = program
+        if program.shares_functions:
+            self.elementary = shared_prefix(program.scalar)
         self.names = {each.value: f"{self.upper}_{each.name}" for each in program.constants}
 
     @property
@@ -211,6 +214,11 @@ class Printer(StatementPrinter):
             above = above if len(places) > 1 else above[1:-1]
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
+
+
+def shared_prefix(scalar: Scalar) -> str:
+    """Prefix of elementary functions of which all filters of a program share one copy."""
+    return f"fkgen_{scalar}"
 
 
 def tests_finiteness(phases: tuple[Phase, ...]) -> bool:

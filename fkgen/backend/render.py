@@ -9,7 +9,7 @@ from pathlib import Path
 import jinja2
 
 from fkgen.backend.columns import filled_lines, folded
-from fkgen.backend.elementary_text import elementary_context
+from fkgen.backend.elementary_text import elementary_context, shared_context
 from fkgen.backend.functions import (
     INLINED,
     argument_doc,
@@ -54,6 +54,9 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         f"{name}_selftest_main.c": filled("selftest_main.c.j2", context),
         "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
+    if context["shared"]:
+        shared = shared_context(program.scalar) | {"version": __version__}
+        files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
     record = filled("record.c.j2", context | {"call": step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
     return Source(program=program, files=complete, record=record, claims=claims)

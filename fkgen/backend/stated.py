@@ -12,7 +12,8 @@ from fkgen.spec.matrix import Matrix
 from fkgen.spec.tree import ZERO
 
 #: Units of the entries of each matrix.
-_UNITS = dict(A="x/x", B="x/u", C="y/x", D="y/u", Q="xx", R="yy", x0="x", P0="xx", c="x")
+_UNITS = {"A": "x/x", "B": "x/u", "C": "y/x", "D": "y/u", "Q": "xx", "R": "yy"}
+_UNITS |= {"x0": "x", "P0": "xx", "c": "x"}
 
 
 def stated(spec: Spec, *phases: Phase | None) -> Stated:
