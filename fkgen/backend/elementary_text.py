@@ -8,7 +8,6 @@ from fkgen.backend.elementary import FORMATS
 from fkgen.backend.ir import Operator, Scalar
 from fkgen.backend.printer import StatementPrinter, shared_prefix
 
-
 #: Name of the files that hold the functions for all filters of a program, by scalar.
 SHARED = "fkgen_elementary_{}"
 
