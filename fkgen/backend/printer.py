@@ -149,9 +149,12 @@ class StatementPrinter:
                 holds = _all([f"{value} >= {zero}" for value in values])
             case Kind.FINITE:
                 defects = " + ".join(f"{self.name}_defect({value})" for value in values)
-                holds = f"{self.name}_finite({defects})"
+                return self._refusal(node, f"!{self.name}_finite({defects})", depth)
+        return self._refusal(node, f"!({holds})", depth)
+
+    def _refusal(self, node: Require, unless: str, depth: int) -> str:
         inner = f"{_indent(depth + 1)}return {self.status(node.status)};"
-        return f"{_indent(depth)}if (!({holds}))\n{_braced(inner, depth)}"
+        return f"{_indent(depth)}if ({unless})\n{_braced(inner, depth)}"
 
     @statement.register
     def _(self, node: IfPresent, depth: int) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations_with_replacement
 
 from fkgen.backend.ir import Listing, Literal, Phase, Stated, Statements, operands, walk
 from fkgen.spec import Spec
@@ -185,29 +184,36 @@ def _range(spec: Spec, name: str) -> str:
             used.append(letter)
         if letter in {"Q", "R"}:
             variances = {matrix.rows[i][i] for matrix in matrices for i in range(len(matrix.rows))}
-            if Name(name) in variances:
+            if used == [letter] and Name(name) in variances:
                 found.append("a variance, >= 0")
             elif any(name in names(variance) for variance in variances):
                 found.append(f"keeps the variances of {letter} >= 0")
-    return "; ".join([*found, *([f"in {', '.join(used)}"] if used else [])])
+    unit = next(_units_of(spec, name), "")
+    return "; ".join([*filter(None, [unit, *found]), *([f"in {', '.join(used)}"] if used else [])])
+
+
+def _units_of(spec: Spec, name: str) -> Iterator[str]:
+    """The unit of a parameter that is an entry of the model by itself, such as ``m per m/s``."""
+    signals = {"x": spec.model.states, "u": spec.model.inputs, "y": spec.model.outputs}
+    for letter in ("A", "B", "C", "D", "Q", "R"):
+        above, below = _UNITS[letter][0], _UNITS[letter][-1]
+        for plant in spec.plants:
+            for i, row in enumerate(getattr(plant, letter).rows):
+                for j, entry in enumerate(row):
+                    one, two = signals[above][i].unit, signals[below][j].unit
+                    if entry == Name(name) and one and two:
+                        product = f"{one} squared" if one == two else f"{one} times {two}"
+                        yield product if letter in {"Q", "R"} else f"{one} per {two}"
 
 
 def _folded(spec: Spec, phases: list[Phase]) -> tuple[tuple[float, str], ...]:
-    """Constants of the code that are products of two entries, and no number of the spec itself."""
-    products: dict[float, str] = {}
+    """Coefficients of A P A', B G B' and C P C' in the code that are no numbers of the spec."""
+    known: dict[float, str] = {}
     for index, plant in enumerate(spec.plants):
         of = f" of mode {index}" if len(spec.plants) > 1 else ""
-        entries = {
-            abs(entry.value): (entry.value, f"{letter}[{i}][{j}]")
-            for letter in ("D", "C", "B", "A")
-            for i, row in reversed([*enumerate(getattr(plant, letter).rows)])
-            for j, entry in reversed([*enumerate(row)])
-            if isinstance(entry, Number)
-        }
-        pairs = combinations_with_replacement(reversed(entries.values()), 2)
-        for (a, first), (b, second) in pairs:
-            text = f"{first}^2" if first == second else f"{first} {second}"
-            products.setdefault(abs(a * b), f"{'-' if a * b < 0 else ''}{text}{of}")
+        for letter in "ABC":
+            for value, text in _coefficients(letter, getattr(plant, letter)):
+                known.setdefault(abs(value), f"{'-' if value < 0 else ''}{text}{of}")
     read = {
         abs(operand.value)
         for phase in phases
@@ -216,7 +222,30 @@ def _folded(spec: Spec, phases: list[Phase]) -> tuple[tuple[float, str], ...]:
         if isinstance(operand, Literal)
     }
     stated = {0.0, 0.5, 1.0, 2.0} | {abs(value) for value in _numbers_in(spec.to_dict())}
-    return tuple((value, products[value]) for value in sorted(read & products.keys() - stated))
+    return tuple((value, known[value]) for value in sorted(read & known.keys() - stated))
+
+
+def _coefficients(letter: str, matrix: Matrix) -> Iterator[tuple[float, str]]:
+    """What each P[k][l] is multiplied by in each entry of M P M', for a symmetric P."""
+    values = {
+        (i, j): entry.value
+        for i, row in enumerate(matrix.rows)
+        for j, entry in enumerate(row)
+        if isinstance(entry, Number) and entry != ZERO
+    }
+    for (i, k), a in values.items():
+        for (j, m), b in values.items():
+            if j < i or (j == i and m < k):
+                continue
+            first, second = f"{letter}[{i}][{k}]", f"{letter}[{j}][{m}]"
+            text = f"{first}^2" if first == second else f"{first} {second}"
+            if i == j and k != m:
+                yield a * b + a * b, f"2 {text}"
+            elif k != m and (i, m) in values and (j, k) in values:
+                other = f"{letter}[{i}][{m}] {letter}[{j}][{k}]"
+                yield a * b + values[i, m] * values[j, k], f"({text} + {other})"
+            else:
+                yield a * b, text
 
 
 def _numbers_in(table: object) -> Iterator[float]:

@@ -127,7 +127,7 @@ def test_every_folded_product_is_the_product_that_it_names():
     assert len(rows) >= 3
     values = {letter: getattr(spec.model, letter).values(spec.defaults) for letter in "ABCD"}
     for number, text in rows:
-        code = text.replace("^2", "**2").replace("] ", "] * ").replace("][", ", ")
+        code = re.sub(r"(?<=[\]2]) (?=[A-D])", " * ", text.replace("^2", "**2"))
         assert abs(eval(code, {}, values)) == float(number)  # noqa: S307 - our text
 
 
