@@ -84,7 +84,7 @@ static double car_speed_log(double x)
 
 /* ---- constants ---- */
 
-/* Products of entries of the model, up to their sign:
+/* Products of entries of the model that are folded into one number, up to its sign:
  *   0.9808786630631667 = C[2][0]^2
  *   0.9826304058883615 = C[0][0] C[2][0]
  *   0.9843852771361035 = C[0][0]^2
@@ -143,13 +143,13 @@ static int car_speed_present_rows(const double *y, uint32_t valid, uint32_t *pre
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (car_speed_finite(car_speed_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -537,7 +537,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         covariance[1] = t166;
         covariance[2] = t168;
     }
-    if (!(car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1]))))
+    if (!car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1])))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
@@ -618,8 +618,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     const double t14 = self->filtered_covariance[2] * A;
     const double t15 = self->filtered_covariance[1] + t14;
     const double t16 = self->filtered_covariance[2] + Q[1];
-    if (!(car_speed_finite(car_speed_defect(t6) + car_speed_defect(self->filtered_state[1]) +
-        car_speed_defect(t13) + car_speed_defect(t16))))
+    if (!car_speed_finite(car_speed_defect(t6) + car_speed_defect(self->filtered_state[1]) +
+        car_speed_defect(t13) + car_speed_defect(t16)))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }

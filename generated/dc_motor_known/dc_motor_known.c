@@ -84,12 +84,15 @@ static double dc_motor_known_log(double x)
 
 /* ---- constants ---- */
 
-/* Products of entries of the model, up to their sign:
+/* Products of entries of the model that are folded into one number, up to its sign:
  *   4.0e-08 = A[0][1]^2
  *   8.836e-05 = A[1][0]^2
  *   0.00018096000000000003 = -A[0][1] A[1][1]
+ *   0.00039208 = -2 A[0][0] A[0][1]
  *   0.00921388 = A[0][0] A[1][0]
+ *   0.017010240000000003 = 2 A[1][0] A[1][1]
  *   0.8186630400000001 = A[1][1]^2
+ *   0.88688308 = (A[0][0] A[1][1] + A[0][1] A[1][0])
  *   0.96079204 = A[0][0]^2
  */
 
@@ -146,13 +149,13 @@ static int dc_motor_known_present_rows(const double *y, uint32_t valid, uint32_t
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (dc_motor_known_finite(dc_motor_known_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -232,7 +235,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
         update_gain[0] = t10;
         update_gain[1] = t13;
     }
-    if (!(dc_motor_known_finite(dc_motor_known_defect(mean[0]) + dc_motor_known_defect(mean[1]))))
+    if (!dc_motor_known_finite(dc_motor_known_defect(mean[0]) + dc_motor_known_defect(mean[1])))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
@@ -313,8 +316,8 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t44 = 0.0094 * self->filtered_gain[0];
     const double t45 = 0.9048 * self->filtered_gain[1];
     const double t46 = t44 + t45;
-    if (!(dc_motor_known_finite(dc_motor_known_defect(t6) + dc_motor_known_defect(t11) +
-        dc_motor_known_defect(t23) + dc_motor_known_defect(t40))))
+    if (!dc_motor_known_finite(dc_motor_known_defect(t6) + dc_motor_known_defect(t11) +
+        dc_motor_known_defect(t23) + dc_motor_known_defect(t40)))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }

@@ -214,13 +214,13 @@ static int dc_motor_unknown_present_rows(const double *y, uint32_t valid, uint32
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (dc_motor_unknown_finite(dc_motor_unknown_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -490,8 +490,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h0[4] = t79;
         covariance_h0[5] = t81;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h0[0]) +
-        dc_motor_unknown_defect(mean_h0[1]))))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h0[0]) +
+        dc_motor_unknown_defect(mean_h0[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -647,8 +647,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h1[4] = t161;
         covariance_h1[5] = t163;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h1[0]) +
-        dc_motor_unknown_defect(mean_h1[1]))))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h1[0]) +
+        dc_motor_unknown_defect(mean_h1[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -804,8 +804,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h2[4] = t243;
         covariance_h2[5] = t245;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h2[0]) +
-        dc_motor_unknown_defect(mean_h2[1]))))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h2[0]) +
+        dc_motor_unknown_defect(mean_h2[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -961,8 +961,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h3[4] = t325;
         covariance_h3[5] = t327;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h3[0]) +
-        dc_motor_unknown_defect(mean_h3[1]))))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h3[0]) +
+        dc_motor_unknown_defect(mean_h3[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -1118,8 +1118,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h4[4] = t407;
         covariance_h4[5] = t409;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h4[0]) +
-        dc_motor_unknown_defect(mean_h4[1]))))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h4[0]) +
+        dc_motor_unknown_defect(mean_h4[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -1202,7 +1202,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         {
             return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
         }
-        if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(share_total))))
+        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(share_total)))
         {
             return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
         }
@@ -2052,39 +2052,39 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t417 = t397 * t396;
     const double t418 = t416 + t417;
     const double t419 = t409 + t418;
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(combined_state[0]) +
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(combined_state[0]) +
         dc_motor_unknown_defect(combined_state[1]) + dc_motor_unknown_defect(t371) +
-        dc_motor_unknown_defect(t419))))
+        dc_motor_unknown_defect(t419)))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[0]) +
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[0]) +
         dc_motor_unknown_defect(moved_state[1]) + dc_motor_unknown_defect(moved_covariance[0]) +
-        dc_motor_unknown_defect(moved_covariance[2]))))
+        dc_motor_unknown_defect(moved_covariance[2])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[2]) +
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[2]) +
         dc_motor_unknown_defect(moved_state[3]) + dc_motor_unknown_defect(moved_covariance[3]) +
-        dc_motor_unknown_defect(moved_covariance[5]))))
+        dc_motor_unknown_defect(moved_covariance[5])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[4]) +
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[4]) +
         dc_motor_unknown_defect(moved_state[5]) + dc_motor_unknown_defect(moved_covariance[6]) +
-        dc_motor_unknown_defect(moved_covariance[8]))))
+        dc_motor_unknown_defect(moved_covariance[8])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[6]) +
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[6]) +
         dc_motor_unknown_defect(moved_state[7]) + dc_motor_unknown_defect(moved_covariance[9]) +
-        dc_motor_unknown_defect(moved_covariance[11]))))
+        dc_motor_unknown_defect(moved_covariance[11])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!(dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[8]) +
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[8]) +
         dc_motor_unknown_defect(moved_state[9]) + dc_motor_unknown_defect(moved_covariance[12]) +
-        dc_motor_unknown_defect(moved_covariance[14]))))
+        dc_motor_unknown_defect(moved_covariance[14])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }

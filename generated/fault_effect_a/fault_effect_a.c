@@ -84,8 +84,9 @@ static double fault_effect_a_log(double x)
 
 /* ---- constants ---- */
 
-/* Products of entries of the model, up to their sign:
+/* Products of entries of the model that are folded into one number, up to its sign:
  *   0.010000000000000002 = A[0][1]^2
+ *   0.198 = 2 A[0][0] A[0][1]
  *   0.9801 = A[0][0]^2
  */
 
@@ -142,13 +143,13 @@ static int fault_effect_a_present_rows(const double *y, uint32_t valid, uint32_t
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (fault_effect_a_finite(fault_effect_a_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -334,8 +335,8 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
         covariance[4] = t76;
         covariance[5] = t78;
     }
-    if (!(fault_effect_a_finite(fault_effect_a_defect(mean[0]) + fault_effect_a_defect(mean[1]) +
-        fault_effect_a_defect(mean[2]))))
+    if (!fault_effect_a_finite(fault_effect_a_defect(mean[0]) + fault_effect_a_defect(mean[1]) +
+        fault_effect_a_defect(mean[2])))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }
@@ -406,9 +407,9 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     const double t32 = t30 + t31;
     const double t33 = 0.9801 * self->filtered_covariance[5];
     const double t34 = t33 + 0.36;
-    if (!(fault_effect_a_finite(fault_effect_a_defect(t2) + fault_effect_a_defect(t5) +
+    if (!fault_effect_a_finite(fault_effect_a_defect(t2) + fault_effect_a_defect(t5) +
         fault_effect_a_defect(t7) + fault_effect_a_defect(t13) + fault_effect_a_defect(t26) +
-        fault_effect_a_defect(t34))))
+        fault_effect_a_defect(t34)))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }

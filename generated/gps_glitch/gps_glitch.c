@@ -206,13 +206,13 @@ static int gps_glitch_present_rows(const double *y, uint32_t valid, uint32_t *pr
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (gps_glitch_finite(gps_glitch_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -1053,7 +1053,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         {
             return GPS_GLITCH_RESULT_NOT_FINITE;
         }
-        if (!(gps_glitch_finite(gps_glitch_defect(share_total))))
+        if (!gps_glitch_finite(gps_glitch_defect(share_total)))
         {
             return GPS_GLITCH_RESULT_NOT_FINITE;
         }
@@ -1531,8 +1531,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     combined_0_3_covariance[3] = t663;
     combined_0_3_covariance[4] = t668;
     combined_0_3_covariance[5] = t673;
-    if (!(gps_glitch_finite(gps_glitch_defect(combined_0_3_mean[0]) +
-        gps_glitch_defect(combined_0_3_mean[1]) + gps_glitch_defect(combined_0_3_mean[2]))))
+    if (!gps_glitch_finite(gps_glitch_defect(combined_0_3_mean[0]) +
+        gps_glitch_defect(combined_0_3_mean[1]) + gps_glitch_defect(combined_0_3_mean[2])))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -2589,9 +2589,9 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     const double t671 = moved_covariance_0[5] + moved_covariance_1[5];
     const double t672 = t671 + moved_covariance_2[5];
     const double t673 = t672 + moved_covariance_3[5];
-    if (!(gps_glitch_finite(gps_glitch_defect(t658) + gps_glitch_defect(t661) +
+    if (!gps_glitch_finite(gps_glitch_defect(t658) + gps_glitch_defect(t661) +
         gps_glitch_defect(t664) + gps_glitch_defect(t667) + gps_glitch_defect(t670) +
-        gps_glitch_defect(t673))))
+        gps_glitch_defect(t673)))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }

@@ -90,7 +90,7 @@ typedef enum
 /** Run-time parameters: what the model needs at this sample. */
 typedef struct
 {
-    double dt; /**< default 0.027; a variance, >= 0; in A, Q */
+    double dt; /**< default 0.027; m per m/s; keeps the variances of Q >= 0; in A, Q */
 } gps_glitch_params_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -112,10 +112,12 @@ typedef struct
     double predicted_mode_probability[4]; /**< probability of each mode at k+1 given y[0..k] */
     double log_weight[4]; /**< logarithm of mode_probability */
     double predicted_log_weight[4]; /**< logarithm of predicted_mode_probability */
-    double mode_state[12]; /**< x(k+1|k), mixed, under each mode (4 x 3) */
-    double mode_covariance[24]; /**< its error covariance (4 x symmetric 3 x 3) */
-    double mode_filtered_state[12]; /**< x(k|k) under each mode (4 x 3) */
-    double mode_filtered_covariance[24]; /**< its error covariance (4 x symmetric 3 x 3) */
+    double mode_state[12]; /**< x(k+1|k), mixed, under each mode (4 x 3), [m, m/s, m] */
+    double mode_covariance[24]; /**< its error covariance (4 x symmetric 3 x 3), [m, m/s, m]
+                                     squared */
+    double mode_filtered_state[12]; /**< x(k|k) under each mode (4 x 3), [m, m/s, m] */
+    double mode_filtered_covariance[24]; /**< its error covariance (4 x symmetric 3 x 3),
+                                              [m, m/s, m] squared */
 } gps_glitch_t;
 
 /** Start from the prior: the prediction for sample 0. Call it before anything else. */

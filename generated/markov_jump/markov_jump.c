@@ -84,9 +84,9 @@ static double markov_jump_log(double x)
 
 /* ---- constants ---- */
 
-/* Products of entries of the model, up to their sign:
+/* Products of entries of the model that are folded into one number, up to its sign:
  *   0.25 = A[0][2]^2 of mode 0
- *   0.4 = A[0][2] A[1][1] of mode 0
+ *   0.4 = A[0][2] A[2][2] of mode 1
  *   0.45 = A[0][2] A[2][2] of mode 2
  *   0.48 = A[1][1] A[2][2] of mode 0
  *   0.582 = A[0][0] A[2][2] of mode 0
@@ -96,6 +96,9 @@ static double markov_jump_log(double x)
  *   0.81 = A[2][2]^2 of mode 2
  *   0.873 = A[0][0] A[2][2] of mode 2
  *   0.9409 = A[0][0]^2 of mode 0
+ *   1.4 = (A[0][1] A[1][2] + A[0][2] A[1][1]) of mode 0
+ *   1.6 = 2 A[1][1] A[1][2] of mode 0
+ *   1.94 = 2 A[0][0] A[0][1] of mode 0
  */
 
 /* log(2 pi), of a Gaussian density */
@@ -160,13 +163,13 @@ static int markov_jump_present_rows(const double *y, uint32_t valid, uint32_t *p
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (markov_jump_finite(markov_jump_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -462,10 +465,10 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
         covariance[43] = t122;
         covariance[44] = t124;
     }
-    if (!(markov_jump_finite(markov_jump_defect(mean[0]) + markov_jump_defect(mean[1]) +
+    if (!markov_jump_finite(markov_jump_defect(mean[0]) + markov_jump_defect(mean[1]) +
         markov_jump_defect(mean[2]) + markov_jump_defect(mean[3]) + markov_jump_defect(mean[4]) +
         markov_jump_defect(mean[5]) + markov_jump_defect(mean[6]) + markov_jump_defect(mean[7]) +
-        markov_jump_defect(mean[8]))))
+        markov_jump_defect(mean[8])))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
@@ -2021,25 +2024,25 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_
     const double t1155 = plant_noise_0[5] + plant_noise_1[5];
     const double t1156 = t1155 + plant_noise_2[5];
     const double t1157 = moved_covariance[44] + t1156;
-    if (!(markov_jump_finite(markov_jump_defect(t613) + markov_jump_defect(t618) +
+    if (!markov_jump_finite(markov_jump_defect(t613) + markov_jump_defect(t618) +
         markov_jump_defect(t623) + markov_jump_defect(t628) + markov_jump_defect(t633) +
         markov_jump_defect(t638) + markov_jump_defect(moved_state[6]) +
         markov_jump_defect(moved_state[7]) + markov_jump_defect(moved_state[8]) +
         markov_jump_defect(t665) + markov_jump_defect(t719) + markov_jump_defect(t800) +
         markov_jump_defect(t890) + markov_jump_defect(t992) + markov_jump_defect(t1106) +
-        markov_jump_defect(t1115) + markov_jump_defect(t1132) + markov_jump_defect(t1157))))
+        markov_jump_defect(t1115) + markov_jump_defect(t1132) + markov_jump_defect(t1157)))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
-    if (!(markov_jump_finite(markov_jump_defect(t486) + markov_jump_defect(t486))))
+    if (!markov_jump_finite(markov_jump_defect(t486) + markov_jump_defect(t486)))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
-    if (!(markov_jump_finite(markov_jump_defect(t522) + markov_jump_defect(t522))))
+    if (!markov_jump_finite(markov_jump_defect(t522) + markov_jump_defect(t522)))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
-    if (!(markov_jump_finite(markov_jump_defect(t558) + markov_jump_defect(t558))))
+    if (!markov_jump_finite(markov_jump_defect(t558) + markov_jump_defect(t558)))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }

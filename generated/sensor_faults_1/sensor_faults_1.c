@@ -149,7 +149,7 @@ static double sensor_faults_1_exp(double x)
 
 /* ---- constants ---- */
 
-/* Products of entries of the model, up to their sign:
+/* Products of entries of the model that are folded into one number, up to its sign:
  *   0.6400000000000001 = A[0][0]^2
  */
 
@@ -200,13 +200,13 @@ static int sensor_faults_1_present_rows(const double *y, uint32_t valid, uint32_
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (sensor_faults_1_finite(sensor_faults_1_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -434,7 +434,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         {
             return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
         }
-        if (!(sensor_faults_1_finite(sensor_faults_1_defect(share_total))))
+        if (!sensor_faults_1_finite(sensor_faults_1_defect(share_total)))
         {
             return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
         }
@@ -523,7 +523,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     const double t107 = weight[3] * self->predicted_state[0];
     const double t108 = t106 + t107;
     combined_state = t108;
-    if (!(sensor_faults_1_finite(sensor_faults_1_defect(combined_state))))
+    if (!sensor_faults_1_finite(sensor_faults_1_defect(combined_state)))
     {
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }
@@ -604,7 +604,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_propagate(const 
     const double t20 = -0.8 * self->filtered_state[0];
     const double t21 = 0.6400000000000001 * self->filtered_covariance[0];
     const double t22 = t21 + 1.0;
-    if (!(sensor_faults_1_finite(sensor_faults_1_defect(t20) + sensor_faults_1_defect(t22))))
+    if (!sensor_faults_1_finite(sensor_faults_1_defect(t20) + sensor_faults_1_defect(t22)))
     {
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }

@@ -283,13 +283,13 @@ static int ship_track_present_rows(const double *y, uint32_t valid, uint32_t *pr
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (ship_track_finite(ship_track_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -1437,7 +1437,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         {
             return SHIP_TRACK_RESULT_NOT_FINITE;
         }
-        if (!(ship_track_finite(ship_track_defect(share_total))))
+        if (!ship_track_finite(ship_track_defect(share_total)))
         {
             return SHIP_TRACK_RESULT_NOT_FINITE;
         }
@@ -1959,9 +1959,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     combined_0_2_covariance[7] = t901;
     combined_0_2_covariance[8] = t906;
     combined_0_2_covariance[9] = t911;
-    if (!(ship_track_finite(ship_track_defect(combined_0_2_mean[0]) +
+    if (!ship_track_finite(ship_track_defect(combined_0_2_mean[0]) +
         ship_track_defect(combined_0_2_mean[1]) + ship_track_defect(combined_0_2_mean[2]) +
-        ship_track_defect(combined_0_2_mean[3]))))
+        ship_track_defect(combined_0_2_mean[3])))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
@@ -3156,9 +3156,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     const double t781 = t780 + moved_covariance_2[5];
     const double t782 = moved_covariance_0[9] + moved_covariance_1[9];
     const double t783 = t782 + moved_covariance_2[9];
-    if (!(ship_track_finite(ship_track_defect(t769) + ship_track_defect(t771) +
+    if (!ship_track_finite(ship_track_defect(t769) + ship_track_defect(t771) +
         ship_track_defect(t773) + ship_track_defect(t775) + ship_track_defect(t777) +
-        ship_track_defect(t779) + ship_track_defect(t781) + ship_track_defect(t783))))
+        ship_track_defect(t779) + ship_track_defect(t781) + ship_track_defect(t783)))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }

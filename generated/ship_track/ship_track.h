@@ -117,7 +117,7 @@ typedef enum
 /** Run-time parameters: what the model needs at this sample. */
 typedef struct
 {
-    double dt; /**< default 2.5; keeps the variances of Q >= 0; in A, Q */
+    double dt; /**< default 2.5; m per m/s; keeps the variances of Q >= 0; in A, Q */
     double turn; /**< default 0.01745; in A */
 } ship_track_params_t;
 
@@ -142,10 +142,12 @@ typedef struct
     double predicted_mode_probability[3]; /**< probability of each mode at k+1 given y[0..k] */
     double log_weight[3]; /**< logarithm of mode_probability */
     double predicted_log_weight[3]; /**< logarithm of predicted_mode_probability */
-    double mode_state[12]; /**< x(k+1|k), mixed, under each mode (3 x 4) */
-    double mode_covariance[30]; /**< its error covariance (3 x symmetric 4 x 4) */
-    double mode_filtered_state[12]; /**< x(k|k) under each mode (3 x 4) */
-    double mode_filtered_covariance[30]; /**< its error covariance (3 x symmetric 4 x 4) */
+    double mode_state[12]; /**< x(k+1|k), mixed, under each mode (3 x 4), [m, m, m/s, m/s] */
+    double mode_covariance[30]; /**< its error covariance (3 x symmetric 4 x 4), [m, m, m/s, m/s]
+                                     squared */
+    double mode_filtered_state[12]; /**< x(k|k) under each mode (3 x 4), [m, m, m/s, m/s] */
+    double mode_filtered_covariance[30]; /**< its error covariance (3 x symmetric 4 x 4),
+                                              [m, m, m/s, m/s] squared */
 } ship_track_t;
 
 /** Start from the prior: the prediction for sample 0. Call it before anything else. */

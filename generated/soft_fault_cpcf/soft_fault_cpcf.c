@@ -123,13 +123,13 @@ static int soft_fault_cpcf_present_rows(const double *y, uint32_t valid, uint32_
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (soft_fault_cpcf_finite(soft_fault_cpcf_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -318,8 +318,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
         new_compressed_cross_covariance[0] = 0.0;
         new_compressed_cross_covariance[1] = 0.0;
     }
-    if (!(soft_fault_cpcf_finite(soft_fault_cpcf_defect(mean[0]) + soft_fault_cpcf_defect(mean[1]) +
-        soft_fault_cpcf_defect(new_compressed_measurement))))
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(mean[0]) + soft_fault_cpcf_defect(mean[1]) +
+        soft_fault_cpcf_defect(new_compressed_measurement)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -486,9 +486,9 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     /* results of the window */
     const double t33 = quadratic_taken * self->collecting;
     const double t34 = rank * self->collecting;
-    if (!(soft_fault_cpcf_finite(soft_fault_cpcf_defect(closed_state[0]) +
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(closed_state[0]) +
         soft_fault_cpcf_defect(closed_state[1]) + soft_fault_cpcf_defect(closed_covariance[0]) +
-        soft_fault_cpcf_defect(closed_covariance[2]))))
+        soft_fault_cpcf_defect(closed_covariance[2])))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -546,14 +546,14 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     const double t25 = t23 + t24;
     const double t26 = t25 + -0.01;
     const double t27 = t16 + -0.1;
-    if (!(soft_fault_cpcf_finite(soft_fault_cpcf_defect(t3) +
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t3) +
         soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t10) +
-        soft_fault_cpcf_defect(t14))))
+        soft_fault_cpcf_defect(t14)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
-    if (!(soft_fault_cpcf_finite(soft_fault_cpcf_defect(self->compressed_measurement[0]) +
-        soft_fault_cpcf_defect(t21))))
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(self->compressed_measurement[0]) +
+        soft_fault_cpcf_defect(t21)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }

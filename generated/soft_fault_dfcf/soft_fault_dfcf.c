@@ -123,13 +123,13 @@ static int soft_fault_dfcf_present_rows(const double *y, uint32_t valid, uint32_
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (soft_fault_dfcf_finite(soft_fault_dfcf_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -339,9 +339,9 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     const double t83 = mean_compression[1] - mean_host[1];
     deviation_compression[0] = t82;
     deviation_compression[1] = t83;
-    if (!(soft_fault_dfcf_finite(soft_fault_dfcf_defect(host_state[0]) +
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(host_state[0]) +
         soft_fault_dfcf_defect(host_state[1]) + soft_fault_dfcf_defect(deviation_compression[0]) +
-        soft_fault_dfcf_defect(deviation_compression[1]))))
+        soft_fault_dfcf_defect(deviation_compression[1])))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
@@ -500,9 +500,9 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     }
 
     /* results of the window */
-    if (!(soft_fault_dfcf_finite(soft_fault_dfcf_defect(closed_state[0]) +
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(closed_state[0]) +
         soft_fault_dfcf_defect(closed_state[1]) + soft_fault_dfcf_defect(closed_covariance[0]) +
-        soft_fault_dfcf_defect(closed_covariance[2]))))
+        soft_fault_dfcf_defect(closed_covariance[2])))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
@@ -565,15 +565,15 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     const double t25 = self->compression_covariance[1] + t24;
     const double t26 = t25 + 0.1;
     const double t27 = self->compression_covariance[2] + 1.0;
-    if (!(soft_fault_dfcf_finite(soft_fault_dfcf_defect(t3) +
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t3) +
         soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t10) +
-        soft_fault_dfcf_defect(t14))))
+        soft_fault_dfcf_defect(t14)))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
-    if (!(soft_fault_dfcf_finite(soft_fault_dfcf_defect(t16) +
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t16) +
         soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t23) +
-        soft_fault_dfcf_defect(t27))))
+        soft_fault_dfcf_defect(t27)))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }

@@ -84,7 +84,7 @@ static double wheel_drift_log(double x)
 
 /* ---- constants ---- */
 
-/* Products of entries of the model, up to their sign:
+/* Products of entries of the model that are folded into one number, up to its sign:
  *   0.9808786630631667 = C[2][0]^2
  *   0.9826304058883615 = C[0][0] C[2][0]
  *   0.9843852771361035 = C[0][0]^2
@@ -143,13 +143,13 @@ static int wheel_drift_present_rows(const double *y, uint32_t valid, uint32_t *p
         {
             continue;
         }
-        if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
-        {
-            return 0;
-        }
         if (wheel_drift_finite(wheel_drift_defect(y[i])))
         {
             *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
+        {
+            return 0;
         }
     }
     return 1;
@@ -4044,7 +4044,7 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     const double t2010 = mean_compression14[1] - mean_host[1];
     deviation_compression14[0] = t2009;
     deviation_compression14[1] = t2010;
-    if (!(wheel_drift_finite(wheel_drift_defect(host_state[0]) + wheel_drift_defect(host_state[1]) +
+    if (!wheel_drift_finite(wheel_drift_defect(host_state[0]) + wheel_drift_defect(host_state[1]) +
         wheel_drift_defect(deviation_compression[0]) +
         wheel_drift_defect(deviation_compression[1]) +
         wheel_drift_defect(deviation_compression1[0]) +
@@ -4074,7 +4074,7 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
         wheel_drift_defect(deviation_compression13[0]) +
         wheel_drift_defect(deviation_compression13[1]) +
         wheel_drift_defect(deviation_compression14[0]) +
-        wheel_drift_defect(deviation_compression14[1]))))
+        wheel_drift_defect(deviation_compression14[1])))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -4867,9 +4867,9 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     }
 
     /* results of the window */
-    if (!(wheel_drift_finite(wheel_drift_defect(closed_state[0]) +
+    if (!wheel_drift_finite(wheel_drift_defect(closed_state[0]) +
         wheel_drift_defect(closed_state[1]) + wheel_drift_defect(closed_covariance[0]) +
-        wheel_drift_defect(closed_covariance[2]))))
+        wheel_drift_defect(closed_covariance[2])))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -5194,98 +5194,98 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     const double t196 = self->compression_covariance[44] * A;
     const double t197 = self->compression_covariance[43] + t196;
     const double t198 = self->compression_covariance[44] + Q[1];
-    if (!(wheel_drift_finite(wheel_drift_defect(t8) + wheel_drift_defect(self->filtered_state[1]) +
-        wheel_drift_defect(t15) + wheel_drift_defect(t18))))
+    if (!wheel_drift_finite(wheel_drift_defect(t8) + wheel_drift_defect(self->filtered_state[1]) +
+        wheel_drift_defect(t15) + wheel_drift_defect(t18)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t20) +
+    if (!wheel_drift_finite(wheel_drift_defect(t20) +
         wheel_drift_defect(self->compression_deviation[1]) + wheel_drift_defect(t55) +
-        wheel_drift_defect(t58))))
+        wheel_drift_defect(t58)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t22) +
+    if (!wheel_drift_finite(wheel_drift_defect(t22) +
         wheel_drift_defect(self->compression_deviation[3]) + wheel_drift_defect(t65) +
-        wheel_drift_defect(t68))))
+        wheel_drift_defect(t68)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t24) +
+    if (!wheel_drift_finite(wheel_drift_defect(t24) +
         wheel_drift_defect(self->compression_deviation[5]) + wheel_drift_defect(t75) +
-        wheel_drift_defect(t78))))
+        wheel_drift_defect(t78)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t26) +
+    if (!wheel_drift_finite(wheel_drift_defect(t26) +
         wheel_drift_defect(self->compression_deviation[7]) + wheel_drift_defect(t85) +
-        wheel_drift_defect(t88))))
+        wheel_drift_defect(t88)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t28) +
+    if (!wheel_drift_finite(wheel_drift_defect(t28) +
         wheel_drift_defect(self->compression_deviation[9]) + wheel_drift_defect(t95) +
-        wheel_drift_defect(t98))))
+        wheel_drift_defect(t98)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t30) +
+    if (!wheel_drift_finite(wheel_drift_defect(t30) +
         wheel_drift_defect(self->compression_deviation[11]) + wheel_drift_defect(t105) +
-        wheel_drift_defect(t108))))
+        wheel_drift_defect(t108)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t32) +
+    if (!wheel_drift_finite(wheel_drift_defect(t32) +
         wheel_drift_defect(self->compression_deviation[13]) + wheel_drift_defect(t115) +
-        wheel_drift_defect(t118))))
+        wheel_drift_defect(t118)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t34) +
+    if (!wheel_drift_finite(wheel_drift_defect(t34) +
         wheel_drift_defect(self->compression_deviation[15]) + wheel_drift_defect(t125) +
-        wheel_drift_defect(t128))))
+        wheel_drift_defect(t128)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t36) +
+    if (!wheel_drift_finite(wheel_drift_defect(t36) +
         wheel_drift_defect(self->compression_deviation[17]) + wheel_drift_defect(t135) +
-        wheel_drift_defect(t138))))
+        wheel_drift_defect(t138)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t38) +
+    if (!wheel_drift_finite(wheel_drift_defect(t38) +
         wheel_drift_defect(self->compression_deviation[19]) + wheel_drift_defect(t145) +
-        wheel_drift_defect(t148))))
+        wheel_drift_defect(t148)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t40) +
+    if (!wheel_drift_finite(wheel_drift_defect(t40) +
         wheel_drift_defect(self->compression_deviation[21]) + wheel_drift_defect(t155) +
-        wheel_drift_defect(t158))))
+        wheel_drift_defect(t158)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t42) +
+    if (!wheel_drift_finite(wheel_drift_defect(t42) +
         wheel_drift_defect(self->compression_deviation[23]) + wheel_drift_defect(t165) +
-        wheel_drift_defect(t168))))
+        wheel_drift_defect(t168)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t44) +
+    if (!wheel_drift_finite(wheel_drift_defect(t44) +
         wheel_drift_defect(self->compression_deviation[25]) + wheel_drift_defect(t175) +
-        wheel_drift_defect(t178))))
+        wheel_drift_defect(t178)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t46) +
+    if (!wheel_drift_finite(wheel_drift_defect(t46) +
         wheel_drift_defect(self->compression_deviation[27]) + wheel_drift_defect(t185) +
-        wheel_drift_defect(t188))))
+        wheel_drift_defect(t188)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!(wheel_drift_finite(wheel_drift_defect(t48) +
+    if (!wheel_drift_finite(wheel_drift_defect(t48) +
         wheel_drift_defect(self->compression_deviation[29]) + wheel_drift_defect(t195) +
-        wheel_drift_defect(t198))))
+        wheel_drift_defect(t198)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }

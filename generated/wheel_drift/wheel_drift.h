@@ -93,7 +93,7 @@ typedef enum
 /** Run-time parameters: what the model needs at this sample. */
 typedef struct
 {
-    double dt; /**< default 0.01; keeps the variances of Q >= 0; in A, B, Q */
+    double dt; /**< default 0.01; m/s per m/s2; keeps the variances of Q >= 0; in A, B, Q */
 } wheel_drift_params_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
