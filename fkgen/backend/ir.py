@@ -178,6 +178,63 @@ class Signal:
     unit: str
 
 
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A number that the code calls by a name."""
+
+    name: str
+    value: float
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """A matrix or vector as the spec states it: texts of its entries, row by row.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``A``.
+    rows : tuple of tuple of str
+    form : str
+        ``"matrix"``, ``"diagonal"`` (one row: its entries), ``"zeros"`` or ``"vector"``.
+    unit : str
+        In the units of the signals, as of a `Port`: ``"x/u"``.
+    """
+
+    name: str
+    rows: tuple[tuple[str, ...], ...]
+    form: str = "matrix"
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Statements:
+    """What the spec says about the model, under a title: sentences, then matrices."""
+
+    title: str
+    listings: tuple[Listing, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """The spec as far as a reader of the code has to know it.
+
+    Attributes
+    ----------
+    parts : tuple of Statements
+        The model, what differs from it in each mode, the law of the faults.
+    ranges : tuple of (str, str)
+        What is known about each parameter.
+    folded : tuple of (float, str)
+        Constants of the code that are products of entries, and which.
+    """
+
+    parts: tuple[Statements, ...] = ()
+    ranges: tuple[tuple[str, str], ...] = ()
+    folded: tuple[tuple[float, str], ...] = ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vectors:
     """Inputs and expected outputs of the self-test, bit for bit.
@@ -220,6 +277,9 @@ class CProgram:
     predict: Phase
     closing: Phase | None = None
     outcomes: tuple[Outcome, ...] = ()
+    constants: tuple[Constant, ...] = ()
+    stated: Stated = Stated()
+    shares_functions: bool = False
 
     @property
     def statuses(self) -> tuple[Status, ...]:

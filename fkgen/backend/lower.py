@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from fkgen.backend.check import verify
+from fkgen.backend.constants import constants_of
 from fkgen.backend.ir import (
     Assign,
     Copy,
@@ -31,6 +32,7 @@ from fkgen.backend.ir import (
     operands,
     walk,
 )
+from fkgen.backend.stated import stated
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.interface import Port
@@ -66,6 +68,10 @@ def lower(recursion: sym.Recursion) -> CProgram:
         kind: tuple(Signal(s.name, s.unit) for s in getattr(model, kind))
         for kind in ("states", "inputs", "outputs")
     }
+    closing = lower_phase(recursion.ports, recursion.closing) if recursion.closing else None
+    update, predict = (
+        lower_phase(recursion.ports, phase) for phase in (recursion.update, recursion.predict)
+    )
     return verify(
         CProgram(
             name=spec.name,
@@ -79,9 +85,12 @@ def lower(recursion: sym.Recursion) -> CProgram:
             ports=recursion.ports,
             outcomes=recursion.outcomes,
             initial=tuple(sorted(recursion.initial.items())),
-            update=lower_phase(recursion.ports, recursion.update),
-            predict=lower_phase(recursion.ports, recursion.predict),
-            closing=lower_phase(recursion.ports, recursion.closing) if recursion.closing else None,
+            update=update,
+            predict=predict,
+            closing=closing,
+            constants=constants_of(spec.code.scalar, update, closing, predict),
+            shares_functions=spec.code.elementary == "shared",
+            stated=stated(spec, update, closing, predict),
             **signals,
         )
     )

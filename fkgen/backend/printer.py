@@ -19,11 +19,13 @@ from fkgen.backend.ir import (
     Operand,
     Operate,
     Operator,
+    Phase,
     Require,
     Scalar,
     Space,
     Statement,
     Temp,
+    walk,
 )
 from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind, Port, Status
@@ -50,6 +52,8 @@ class StatementPrinter:
         self.real = scalar
         self.rows = rows
         self.upper = name.upper()
+        self.names: dict[float, str] = {}
+        self.elementary = name
 
     @property
     def limit(self) -> str:
@@ -123,7 +127,7 @@ class StatementPrinter:
             case operator if operator in _INFIX:
                 value = f"{a[0]} {_INFIX[operator]} {a[1]}"
             case operator:
-                value = f"{self.name}_{operator.value}({', '.join(a)})"
+                value = f"{self.elementary}_{operator.value}({', '.join(a)})"
         return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
 
     @statement.register
@@ -144,10 +148,13 @@ class StatementPrinter:
             case Kind.NONNEGATIVE:
                 holds = _all([f"{value} >= {zero}" for value in values])
             case Kind.FINITE:
-                differences = [f"({value} - {value})" for value in values]
-                holds = f"{_folded(differences, ' + ', depth)} >= {zero}"
+                defects = " + ".join(f"{self.name}_defect({value})" for value in values)
+                return self._refusal(node, f"!{self.name}_finite({defects})", depth)
+        return self._refusal(node, f"!({holds})", depth)
+
+    def _refusal(self, node: Require, unless: str, depth: int) -> str:
         inner = f"{_indent(depth + 1)}return {self.status(node.status)};"
-        return f"{_indent(depth)}if (!({holds}))\n{_braced(inner, depth)}"
+        return f"{_indent(depth)}if ({unless})\n{_braced(inner, depth)}"
 
     @statement.register
     def _(self, node: IfPresent, depth: int) -> str:
@@ -174,7 +181,7 @@ class StatementPrinter:
             case Temp(index):
                 return f"t{index}"
             case Literal(value):
-                return self.literal(value)
+                return self.names.get(value) or self.literal(value)
             case Element(space, name, index):
                 prefix = {Space.PARAMETER: "params->", Space.SELF: "self->", Space.NEXT: "next->"}
                 place = "" if index is None else f"[{index}]"
@@ -194,6 +201,9 @@ class Printer(StatementPrinter):
     def __init__(self, program: CProgram) -> None:
         super().__init__(program.name, program.scalar, len(program.outputs))
         self.program = program
+        if program.shares_functions:
+            self.elementary = shared_prefix(program.scalar)
+        self.names = {each.value: f"{self.upper}_{each.name}" for each in program.constants}
 
     @property
     def outcome(self) -> str:
@@ -209,14 +219,22 @@ class Printer(StatementPrinter):
         return text
 
 
+def shared_prefix(scalar: Scalar) -> str:
+    """Prefix of elementary functions of which all filters of a program share one copy."""
+    return f"fkgen_{scalar}"
+
+
+def tests_finiteness(phases: tuple[Phase, ...]) -> bool:
+    """Whether a phase asks for finite numbers."""
+    return any(
+        isinstance(node, Require) and node.kind is Kind.FINITE
+        for phase in phases
+        for node in walk(phase.body)
+    )
+
+
 def _all(tests: list[str]) -> str:
     return tests[0] if len(tests) == 1 else " && ".join(f"({test})" for test in tests)
-
-
-def _folded(terms: list[str], joint: str, depth: int) -> str:
-    """Terms joined, some to a line."""
-    lines = [joint.join(terms[i : i + 4]) for i in range(0, len(terms), 4)]
-    return f"{joint.rstrip()}\n{_indent(depth + 2)}".join(lines)
 
 
 def _indent(depth: int) -> str:

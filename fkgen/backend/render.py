@@ -8,7 +8,8 @@ from pathlib import Path
 
 import jinja2
 
-from fkgen.backend.elementary_text import elementary_context
+from fkgen.backend.columns import filled_lines, folded
+from fkgen.backend.elementary_text import elementary_context, shared_context
 from fkgen.backend.functions import (
     INLINED,
     argument_doc,
@@ -19,6 +20,7 @@ from fkgen.backend.functions import (
     valid_argument,
 )
 from fkgen.backend.ir import CProgram, Operator
+from fkgen.backend.manual import model_lines, unit_text
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
 from fkgen.backend.vectors import self_test_vectors
@@ -52,22 +54,27 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         f"{name}_selftest_main.c": filled("selftest_main.c.j2", context),
         "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
+    if context["shared"]:
+        shared = shared_context(program.scalar) | {"version": __version__}
+        files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
     record = filled("record.c.j2", context | {"call": step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
     return Source(program=program, files=complete, record=record, claims=claims)
 
 
 def filled(template: str, context: dict[str, object]) -> str:
-    """A template filled in, without blanks at the end of lines and without gaps."""
+    """A template filled in, without gaps, blanks at the end of lines and long lines."""
     text = environment().get_template(template).render(context)
     lines = [line.rstrip() for line in text.splitlines()]
+    if template.endswith((".c.j2", ".h.j2")):
+        lines = [part for line in lines for part in folded(line)]
     kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
     return "\n".join(kept).rstrip() + "\n"
 
 
 def _context(program: CProgram) -> dict[str, object]:
     c = Printer(program)
-    vectors = self_test_vectors(program)
+    vectors, starts = self_test_vectors(program), _starts(program)
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
     return elementary_context(c, program.functions) | {
         "program": program,
@@ -84,6 +91,13 @@ def _context(program: CProgram) -> dict[str, object]:
         "bad_input": Status.INPUT_NOT_FINITE,
         "mismatch": Status.SELFTEST_FAILED,
         "shape": _shape_text,
+        "unit": lambda port: f", {text}" if (text := unit_text(program, port.unit)) else "",
+        "model": model_lines(program),
+        "ranges": dict(program.stated.ranges),
+        "listed": filled_lines,
+        "numbers": lambda values: _numbers(c, values),
+        "starts": starts,
+        "tables": {owner: values for values, owner in starts.values()},
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
         "valid_argument": valid_argument(c),
@@ -95,18 +109,21 @@ def _context(program: CProgram) -> dict[str, object]:
         "inputs": [_numbers(c, row) for row in vectors.u],
         "measured": [_numbers(c, row) for row in vectors.y],
         "trace": [_numbers(c, row) for row in vectors.trace],
-        "final": [(name, _numbers(c, values)) for name, values in vectors.final],
+        "final": [(name, len(values), _numbers(c, values)) for name, values in vectors.final],
         "start": vectors.start,
+        "members": [
+            f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
+            for port in program.ports
+        ],
         "masks": [_mask(c, row) for row in vectors.y],
-        "sizes": {port.name: len(port.shape) for port in program.ports},
         "call": step_call(program, record=False),
     }
 
 
 def _title(program: CProgram) -> str:
-    p = len(program.outputs)
-    plural = "" if p == 1 else "s"
-    return f"{program.family} filter, {len(program.states)} states, {p} measurement{plural}"
+    counts = {"state": len(program.states), "measurement": len(program.outputs)}
+    sizes = [f"{count} {what}{'' if count == 1 else 's'}" for what, count in counts.items()]
+    return f"{program.family} filter, {', '.join(sizes)}"
 
 
 def cost(program: CProgram) -> str:
@@ -134,6 +151,28 @@ def _shape_text(port: Port) -> str:
         return f" ({extent})" if len(port.shape) > 1 else ""
     stacked = " x ".join(str(length) for length in port.shape[:-2])
     return f" ({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
+
+
+def _starts(program: CProgram) -> dict[str, tuple[tuple[float, ...], str]]:
+    """Start values of every array without repetitions, and the port whose table holds them."""
+    result: dict[str, tuple[tuple[float, ...], str]] = {}
+    owners: dict[tuple[str, ...], str] = {}
+    initial = dict(program.initial)
+    for port in program.ports:
+        if port.shape:
+            values = _period(initial.get(port.name, (0.0,)))
+            own = "zero" if values == (0.0,) else port.name
+            owner = owners.setdefault(tuple(map(repr, values)), own)
+            result[port.name] = (values, owner)
+    return result
+
+
+def _period(values: tuple[float, ...]) -> tuple[float, ...]:
+    """The shortest piece of which ``values`` are repetitions, bit by bit."""
+    words = tuple(map(repr, values))
+    sizes = (d for d in range(1, len(words) + 1) if len(words) % d == 0)
+    size = next(d for d in sizes if words == words[:d] * (len(words) // d))
+    return values[:size]
 
 
 def _signal_groups(program: CProgram) -> list[tuple[str, str, tuple[object, ...]]]:

@@ -45,7 +45,8 @@ class Source:
         ----------
         directory : path
             Created if missing. If it exists it has to be empty, or hold nothing but unchanged
-            output of an earlier call, which is replaced.
+            output of an earlier call, which is replaced, or files that are what is to be written
+            (the elementary functions that filters share).
 
         Raises
         ------
@@ -53,7 +54,7 @@ class Source:
             If the folder holds other or edited files, or cannot be written.
         """
         target = Path(directory)
-        _refuse_foreign(target)
+        _refuse_foreign(target, self.files)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -76,7 +77,8 @@ def _unwritable(target: Path, error: OSError) -> OutputError:
     return OutputError(str(target), given=reason.lower(), expected="a folder that can be written")
 
 
-def _refuse_foreign(target: Path) -> None:
+def _refuse_foreign(target: Path, files: Mapping[str, str]) -> None:
+    """Refuse a folder with files of others; one that would be written just so does no harm."""
     if not target.exists():
         return
     if not target.is_dir():
@@ -85,7 +87,12 @@ def _refuse_foreign(target: Path) -> None:
     if not present:
         return
     known = _own_files(target)
-    foreign = sorted(present - set(known))
+    same = {
+        name
+        for name in (present & files.keys()) - known.keys()
+        if (target / name).read_bytes() == files[name].encode()
+    }
+    foreign = sorted(present - known.keys() - same)
     if foreign:
         raise OutputError(
             str(target),

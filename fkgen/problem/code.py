@@ -11,8 +11,11 @@ from fkgen.problem.table.section import Section
 Scalar = Literal["double", "float"]
 Update = Literal["auto", "short", "joseph"]
 
+Copies = Literal["static", "shared"]
+
 _SCALARS: tuple[Scalar, ...] = ("double", "float")
 _UPDATES: tuple[Update, ...] = ("auto", "short", "joseph")
+_COPIES: tuple[Copies, ...] = ("static", "shared")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,20 +29,26 @@ class Code:
     update : str
         Form of the covariance update: ``"short"``, ``"joseph"``, or ``"auto"`` to let fkgen
         choose.
+    elementary : str
+        Where exp, log and their like are: ``"static"`` in the file of the filter, or ``"shared"``
+        in files beside it, the same for all filters of one program.
     """
 
     scalar: Scalar = "double"
     update: Update = "auto"
+    elementary: Copies = "static"
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        return {"scalar": self.scalar, "update": self.update}
+        table: dict[str, object] = {"scalar": self.scalar, "update": self.update}
+        return table if self.elementary == "static" else table | {"elementary": self.elementary}
 
 
 def read_code(table: object, place: Place) -> Code:
     """Return the options that a table states; an empty mapping gives the defaults."""
-    section = Section(table, place, known=("scalar", "update"))
+    section = Section(table, place, known=("scalar", "update", "elementary"))
     return Code(
         scalar=section.choice("scalar", _SCALARS, "double"),
         update=section.choice("update", _UPDATES, "auto"),
+        elementary=section.choice("elementary", _COPIES, "static"),
     )

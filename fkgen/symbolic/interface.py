@@ -75,8 +75,11 @@ class Port:
     symmetric : bool
         The last two axes are one symmetric matrix, of which the lower triangle is stored by rows.
     role : Role
-    meaning, unit : str
+    meaning : str
         For the header.
+    unit : str
+        For the header, in the units of the signals: ``"x"``, ``"y"``, ``"xx"`` and ``"yy"`` for
+        products of two of them, ``"x/y"``; empty for numbers without a unit, and mixtures.
     per_row : bool
         One entry per row of y, NaN in Python where the row is missing.
     given : str

@@ -22,12 +22,14 @@ def state_ports(spec: Spec) -> tuple[Port, ...]:
     return (
         Port(
             name="predicted_state",
+            unit="x",
             shape=(n,),
             role=Role.STATE,
             meaning="x(k+1|k): mean of the next state given y[0..k]",
         ),
         Port(
             name="predicted_covariance",
+            unit="xx",
             shape=square,
             role=Role.STATE,
             symmetric=True,
@@ -35,12 +37,14 @@ def state_ports(spec: Spec) -> tuple[Port, ...]:
         ),
         Port(
             name="filtered_state",
+            unit="x",
             shape=(n,),
             role=Role.STATE,
             meaning="x(k|k): mean of the state given y[0..k]",
         ),
         Port(
             name="filtered_covariance",
+            unit="xx",
             shape=square,
             role=Role.STATE,
             symmetric=True,
@@ -55,6 +59,7 @@ def innovation_ports(spec: Spec) -> tuple[Port, ...]:
     return (
         Port(
             name="innovation",
+            unit="y",
             shape=(p,),
             role=Role.OUTPUT,
             per_row=True,
@@ -62,6 +67,7 @@ def innovation_ports(spec: Spec) -> tuple[Port, ...]:
         ),
         Port(
             name="innovation_covariance",
+            unit="yy",
             shape=(p, p),
             role=Role.OUTPUT,
             symmetric=True,

@@ -19,7 +19,7 @@ from fkgen.backend.ir import (
     walk,
 )
 from fkgen.backend.lower import lower_phase
-from fkgen.backend.printer import StatementPrinter
+from fkgen.backend.printer import StatementPrinter, tests_finiteness
 from fkgen.backend.render import filled
 from fkgen.symbolic.interface import Port, Status
 from fkgen.trials import random_numbers
@@ -120,6 +120,7 @@ def render_sampler(program: SamplerProgram) -> SamplerSource:
     context = elementary_context(c, program.functions) | {
         "program": program,
         "version": __version__,
+        "tests_finiteness": tests_finiteness(program.phases),
         "n": program.sizes[0],
         "q": program.sizes[1],
         "p": program.sizes[2],

@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "car_speed: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define CAR_SPEED_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -80,27 +82,40 @@ static double car_speed_log(double x)
     return k + w;
 }
 
-static const double car_speed_filtered_covariance_0[3] = {
-    900.0,
-    0.0,
-    1.0
-};
+/* ---- constants ---- */
 
-static const double car_speed_filtered_state_0[2] = {
-    0.0,
+/* Products of entries of the model that are folded into one number, up to its sign:
+ *   0.9808786630631667 = C[2][0]^2
+ *   0.9826304058883615 = C[0][0] C[2][0]
+ *   0.9843852771361035 = C[0][0]^2
+ */
+
+/* log(2 pi), of a Gaussian density */
+#define CAR_SPEED_LOG_2_PI (1.8378770664093453)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double car_speed_zero_0[1] = {
     0.0
 };
 
 static const double car_speed_predicted_covariance_0[3] = {
-    900.0,
-    0.0,
-    1.0
+    900.0, 0.0, 1.0
 };
 
-static const double car_speed_predicted_state_0[2] = {
-    0.0,
-    0.0
-};
+/* ---- what may be used of a sample ---- */
+
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double car_speed_defect(double x)
+{
+    return x - x;
+}
+
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int car_speed_finite(double defects)
+{
+    return defects >= 0.0;
+}
 
 /* Nonzero if every input is finite. */
 static int car_speed_finite_input(const double *u)
@@ -108,7 +123,7 @@ static int car_speed_finite_input(const double *u)
     int i;
     for (i = 0; i < CAR_SPEED_NU; ++i)
     {
-        if (!((u[i] >= -DBL_MAX) && (u[i] <= DBL_MAX)))
+        if (!car_speed_finite(car_speed_defect(u[i])))
         {
             return 0;
         }
@@ -116,82 +131,35 @@ static int car_speed_finite_input(const double *u)
     return 1;
 }
 
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int car_speed_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < CAR_SPEED_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (car_speed_finite(car_speed_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    if ((valid & 0x2u) != 0u)
-    {
-        if ((y[1] >= -DBL_MAX) && (y[1] <= DBL_MAX))
-        {
-            rows |= 0x2u;
-        }
-        else if ((y[1] > DBL_MAX) || (y[1] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x4u) != 0u)
-    {
-        if ((y[2] >= -DBL_MAX) && (y[2] <= DBL_MAX))
-        {
-            rows |= 0x4u;
-        }
-        else if ((y[2] > DBL_MAX) || (y[2] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x8u) != 0u)
-    {
-        if ((y[3] >= -DBL_MAX) && (y[3] <= DBL_MAX))
-        {
-            rows |= 0x8u;
-        }
-        else if ((y[3] > DBL_MAX) || (y[3] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x10u) != 0u)
-    {
-        if ((y[4] >= -DBL_MAX) && (y[4] <= DBL_MAX))
-        {
-            rows |= 0x10u;
-        }
-        else if ((y[4] > DBL_MAX) || (y[4] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x20u) != 0u)
-    {
-        if ((y[5] >= -DBL_MAX) && (y[5] <= DBL_MAX))
-        {
-            rows |= 0x20u;
-        }
-        else if ((y[5] > DBL_MAX) || (y[5] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, const double *y, uint32_t present, car_speed_t *next)
+CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, const double *y,
+    uint32_t present, car_speed_t *next)
 {
     double innovation_0 = 0.0;
     double innovation_1 = 0.0;
@@ -344,7 +312,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t51 = t48 * cross_0[1];
         const double t52 = self->predicted_covariance[2] - t51;
         quadratic = t40;
-        log_constant = 1.8378770664093453;
+        log_constant = CAR_SPEED_LOG_2_PI;
         determinant_0 = pivot_0;
         mean[0] = t42;
         mean[1] = t44;
@@ -375,7 +343,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t61 = t60 * inverse_1;
         const double t62 = t60 * t61;
         const double t63 = quadratic + t62;
-        const double t64 = log_constant + 1.8378770664093453;
+        const double t64 = log_constant + CAR_SPEED_LOG_2_PI;
         const double t65 = determinant_0 * pivot_1;
         const double t66 = cross_1[0] * t61;
         const double t67 = mean[0] + t66;
@@ -421,7 +389,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t86 = t85 * inverse_2;
         const double t87 = t85 * t86;
         const double t88 = quadratic + t87;
-        const double t89 = log_constant + 1.8378770664093453;
+        const double t89 = log_constant + CAR_SPEED_LOG_2_PI;
         const double t90 = determinant_0 * pivot_2;
         const double t91 = cross_2[0] * t86;
         const double t92 = mean[0] + t91;
@@ -467,7 +435,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t111 = t110 * inverse_3;
         const double t112 = t110 * t111;
         const double t113 = quadratic + t112;
-        const double t114 = log_constant + 1.8378770664093453;
+        const double t114 = log_constant + CAR_SPEED_LOG_2_PI;
         const double t115 = cross_3[0] * t111;
         const double t116 = mean[0] + t115;
         const double t117 = cross_3[1] * t111;
@@ -506,7 +474,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t131 = t130 * inverse_4;
         const double t132 = t130 * t131;
         const double t133 = quadratic + t132;
-        const double t134 = log_constant + 1.8378770664093453;
+        const double t134 = log_constant + CAR_SPEED_LOG_2_PI;
         const double t135 = determinant_1 * pivot_4;
         const double t136 = covariance[0] * t131;
         const double t137 = mean[0] + t136;
@@ -546,7 +514,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         const double t152 = t151 * inverse_5;
         const double t153 = t151 * t152;
         const double t154 = quadratic + t153;
-        const double t155 = log_constant + 1.8378770664093453;
+        const double t155 = log_constant + CAR_SPEED_LOG_2_PI;
         const double t156 = determinant_1 * pivot_5;
         const double t157 = covariance[0] * t152;
         const double t158 = mean[0] + t157;
@@ -569,7 +537,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         covariance[1] = t166;
         covariance[2] = t168;
     }
-    if (!((mean[0] - mean[0]) + (mean[1] - mean[1]) >= 0.0))
+    if (!car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1])))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
@@ -619,7 +587,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self, const car_speed_params_t *params, const double *u, car_speed_t *next)
+CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
+    const car_speed_params_t *params, const double *u, car_speed_t *next)
 {
     double A;
     double Q[2];
@@ -649,7 +618,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     const double t14 = self->filtered_covariance[2] * A;
     const double t15 = self->filtered_covariance[1] + t14;
     const double t16 = self->filtered_covariance[2] + Q[1];
-    if (!((t6 - t6) + (self->filtered_state[1] - self->filtered_state[1]) + (t13 - t13) + (t16 - t16) >= 0.0))
+    if (!car_speed_finite(car_speed_defect(t6) + car_speed_defect(self->filtered_state[1]) +
+        car_speed_defect(t13) + car_speed_defect(t16)))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
@@ -661,37 +631,30 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     return CAR_SPEED_OK;
 }
 
-car_speed_status_t car_speed_init(car_speed_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void car_speed_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+car_speed_status_t car_speed_init(car_speed_t *self)
+{
     if (self == NULL)
     {
         return CAR_SPEED_NULL_POINTER;
     }
-    for (i = 0; i < 2; ++i)
-    {
-        self->predicted_state[i] = car_speed_predicted_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_covariance[i] = car_speed_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->filtered_state[i] = car_speed_filtered_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_covariance[i] = car_speed_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 21; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    car_speed_fill(self->predicted_state, 2, car_speed_zero_0, 1);
+    car_speed_fill(self->predicted_covariance, 3, car_speed_predicted_covariance_0, 3);
+    car_speed_fill(self->filtered_state, 2, car_speed_zero_0, 1);
+    car_speed_fill(self->filtered_covariance, 3, car_speed_predicted_covariance_0, 3);
+    car_speed_fill(self->innovation, 6, car_speed_zero_0, 1);
+    car_speed_fill(self->innovation_covariance, 21, car_speed_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
     return CAR_SPEED_OK;
@@ -707,7 +670,10 @@ car_speed_status_t car_speed_params_init(car_speed_params_t *params)
     return CAR_SPEED_OK;
 }
 
-car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t *params, const double u[1], const double y[6], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t *params,
+    const double u[1], const double y[6], uint32_t valid)
 {
     car_speed_t next;
     uint32_t present;
@@ -734,7 +700,8 @@ car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t 
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
 }
 
-car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t *params, const double u[1])
+car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t *params,
+    const double u[1])
 {
     car_speed_t next;
     car_speed_status_t status;
@@ -756,7 +723,8 @@ car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t
     return CAR_SPEED_OK;
 }
 
-car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *params, const double u[1], const double y[6], uint32_t valid)
+car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *params,
+    const double u[1], const double y[6], uint32_t valid)
 {
     car_speed_t next;
     uint32_t present;

@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "dc_motor_known: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define DC_MOTOR_KNOWN_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -80,27 +82,46 @@ static double dc_motor_known_log(double x)
     return k + w;
 }
 
-static const double dc_motor_known_filtered_covariance_0[3] = {
-    1.0,
-    1.0,
-    1.0
-};
+/* ---- constants ---- */
 
-static const double dc_motor_known_filtered_state_0[2] = {
-    0.0,
+/* Products of entries of the model that are folded into one number, up to its sign:
+ *   4.0e-08 = A[0][1]^2
+ *   8.836e-05 = A[1][0]^2
+ *   0.00018096000000000003 = -A[0][1] A[1][1]
+ *   0.00039208 = -2 A[0][0] A[0][1]
+ *   0.00921388 = A[0][0] A[1][0]
+ *   0.017010240000000003 = 2 A[1][0] A[1][1]
+ *   0.8186630400000001 = A[1][1]^2
+ *   0.88688308 = (A[0][0] A[1][1] + A[0][1] A[1][0])
+ *   0.96079204 = A[0][0]^2
+ */
+
+/* log(2 pi), of a Gaussian density */
+#define DC_MOTOR_KNOWN_LOG_2_PI (1.8378770664093453)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double dc_motor_known_zero_0[1] = {
     0.0
 };
 
-static const double dc_motor_known_predicted_covariance_0[3] = {
-    1.0,
-    1.0,
+static const double dc_motor_known_predicted_covariance_0[1] = {
     1.0
 };
 
-static const double dc_motor_known_predicted_state_0[2] = {
-    0.0,
-    0.0
-};
+/* ---- what may be used of a sample ---- */
+
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double dc_motor_known_defect(double x)
+{
+    return x - x;
+}
+
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int dc_motor_known_finite(double defects)
+{
+    return defects >= 0.0;
+}
 
 /* Nonzero if every input is finite. */
 static int dc_motor_known_finite_input(const double *u)
@@ -108,7 +129,7 @@ static int dc_motor_known_finite_input(const double *u)
     int i;
     for (i = 0; i < DC_MOTOR_KNOWN_NU; ++i)
     {
-        if (!((u[i] >= -DBL_MAX) && (u[i] <= DBL_MAX)))
+        if (!dc_motor_known_finite(dc_motor_known_defect(u[i])))
         {
             return 0;
         }
@@ -116,27 +137,36 @@ static int dc_motor_known_finite_input(const double *u)
     return 1;
 }
 
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int dc_motor_known_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < DC_MOTOR_KNOWN_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (dc_motor_known_finite(dc_motor_known_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_motor_known_t *self, const dc_motor_known_params_t *params, const double *y, uint32_t present, dc_motor_known_t *next)
+DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double *y, uint32_t present,
+    dc_motor_known_t *next)
 {
     double innovation_0 = 0.0;
     double mean[2];
@@ -195,7 +225,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
         const double t16 = t13 * self->predicted_covariance[2];
         const double t17 = self->predicted_covariance[2] - t16;
         quadratic = t5;
-        log_constant = 1.8378770664093453;
+        log_constant = DC_MOTOR_KNOWN_LOG_2_PI;
         determinant_0 = pivot_0;
         mean[0] = t7;
         mean[1] = t9;
@@ -205,7 +235,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
         update_gain[0] = t10;
         update_gain[1] = t13;
     }
-    if (!((mean[0] - mean[0]) + (mean[1] - mean[1]) >= 0.0))
+    if (!dc_motor_known_finite(dc_motor_known_defect(mean[0]) + dc_motor_known_defect(mean[1])))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
@@ -230,7 +260,8 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_motor_known_t *self, const dc_motor_known_params_t *params, const double *u, dc_motor_known_t *next)
+DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double *u, dc_motor_known_t *next)
 {
     const double t0 = 1.0 - params->xi;
     if (!((params->xi >= 0.0) && (t0 >= 0.0)))
@@ -285,7 +316,8 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t44 = 0.0094 * self->filtered_gain[0];
     const double t45 = 0.9048 * self->filtered_gain[1];
     const double t46 = t44 + t45;
-    if (!((t6 - t6) + (t11 - t11) + (t23 - t23) + (t40 - t40) >= 0.0))
+    if (!dc_motor_known_finite(dc_motor_known_defect(t6) + dc_motor_known_defect(t11) +
+        dc_motor_known_defect(t23) + dc_motor_known_defect(t40)))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
@@ -299,47 +331,34 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     return DC_MOTOR_KNOWN_OK;
 }
 
-dc_motor_known_status_t dc_motor_known_init(dc_motor_known_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void dc_motor_known_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+dc_motor_known_status_t dc_motor_known_init(dc_motor_known_t *self)
+{
     if (self == NULL)
     {
         return DC_MOTOR_KNOWN_NULL_POINTER;
     }
-    for (i = 0; i < 2; ++i)
-    {
-        self->predicted_state[i] = dc_motor_known_predicted_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_covariance[i] = dc_motor_known_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->filtered_state[i] = dc_motor_known_filtered_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_covariance[i] = dc_motor_known_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    dc_motor_known_fill(self->predicted_state, 2, dc_motor_known_zero_0, 1);
+    dc_motor_known_fill(self->predicted_covariance, 3, dc_motor_known_predicted_covariance_0, 1);
+    dc_motor_known_fill(self->filtered_state, 2, dc_motor_known_zero_0, 1);
+    dc_motor_known_fill(self->filtered_covariance, 3, dc_motor_known_predicted_covariance_0, 1);
+    dc_motor_known_fill(self->innovation, 1, dc_motor_known_zero_0, 1);
+    dc_motor_known_fill(self->innovation_covariance, 1, dc_motor_known_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
-    for (i = 0; i < 2; ++i)
-    {
-        self->gain[i] = 0.0;
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->filtered_gain[i] = 0.0;
-    }
+    dc_motor_known_fill(self->gain, 2, dc_motor_known_zero_0, 1);
+    dc_motor_known_fill(self->filtered_gain, 2, dc_motor_known_zero_0, 1);
     return DC_MOTOR_KNOWN_OK;
 }
 
@@ -353,7 +372,10 @@ dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *para
     return DC_MOTOR_KNOWN_OK;
 }
 
-dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self, const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
 {
     dc_motor_known_t next;
     uint32_t present;
@@ -380,7 +402,8 @@ dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self, const dc_m
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
 }
 
-dc_motor_known_status_t dc_motor_known_predict(dc_motor_known_t *self, const dc_motor_known_params_t *params, const double u[1])
+dc_motor_known_status_t dc_motor_known_predict(dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double u[1])
 {
     dc_motor_known_t next;
     dc_motor_known_status_t status;
@@ -402,7 +425,8 @@ dc_motor_known_status_t dc_motor_known_predict(dc_motor_known_t *self, const dc_
     return DC_MOTOR_KNOWN_OK;
 }
 
-dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self, const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
+dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
 {
     dc_motor_known_t next;
     uint32_t present;

@@ -1,4 +1,5 @@
-/* dc_motor_known_selftest_main.c: exit status 0 if dc_motor_known_selftest() passes on this machine. */
+/* dc_motor_known_selftest_main.c: exit status 0 if dc_motor_known_selftest() passes on this
+ * machine. */
 #include "dc_motor_known.h"
 
 int main(void)

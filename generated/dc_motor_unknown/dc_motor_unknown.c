@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "dc_motor_unknown: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define DC_MOTOR_UNKNOWN_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -145,105 +147,46 @@ static double dc_motor_unknown_exp(double x)
     return y * dc_motor_unknown_power_of_two(k - half);
 }
 
-static const double dc_motor_unknown_filtered_covariance_0[3] = {
-    1.0,
-    1.0,
-    1.0
-};
+/* ---- constants ---- */
 
-static const double dc_motor_unknown_filtered_state_0[2] = {
-    0.0,
+/* log(2 pi), of a Gaussian density */
+#define DC_MOTOR_UNKNOWN_LOG_2_PI (1.8378770664093453)
+/* stands for the logarithm of 0 */
+#define DC_MOTOR_UNKNOWN_LOG_ZERO (-1.0e+300)
+/* below it no density can be told from 0 */
+#define DC_MOTOR_UNKNOWN_LEAST_LOG_DENSITY (-5.0e+299)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double dc_motor_unknown_zero_0[1] = {
     0.0
 };
 
-static const double dc_motor_unknown_log_weight_0[5] = {
-    -1.6094379124341003,
-    -1.6094379124341003,
-    -1.6094379124341003,
-    -1.6094379124341003,
-    -1.6094379124341003
-};
-
-static const double dc_motor_unknown_mode_covariance_0[15] = {
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
+static const double dc_motor_unknown_predicted_covariance_0[1] = {
     1.0
 };
 
-static const double dc_motor_unknown_mode_filtered_covariance_0[15] = {
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0,
-    1.0
-};
-
-static const double dc_motor_unknown_mode_filtered_state_0[10] = {
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0
-};
-
-static const double dc_motor_unknown_mode_probability_0[5] = {
-    0.2,
-    0.2,
-    0.2,
-    0.2,
+static const double dc_motor_unknown_mode_probability_0[1] = {
     0.2
 };
 
-static const double dc_motor_unknown_mode_state_0[10] = {
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0
+static const double dc_motor_unknown_log_weight_0[1] = {
+    -1.6094379124341003
 };
 
-static const double dc_motor_unknown_predicted_covariance_0[3] = {
-    1.0,
-    1.0,
-    1.0
-};
+/* ---- what may be used of a sample ---- */
 
-static const double dc_motor_unknown_predicted_state_0[2] = {
-    0.0,
-    0.0
-};
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double dc_motor_unknown_defect(double x)
+{
+    return x - x;
+}
+
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int dc_motor_unknown_finite(double defects)
+{
+    return defects >= 0.0;
+}
 
 /* Nonzero if every input is finite. */
 static int dc_motor_unknown_finite_input(const double *u)
@@ -251,7 +194,7 @@ static int dc_motor_unknown_finite_input(const double *u)
     int i;
     for (i = 0; i < DC_MOTOR_UNKNOWN_NU; ++i)
     {
-        if (!((u[i] >= -DBL_MAX) && (u[i] <= DBL_MAX)))
+        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(u[i])))
         {
             return 0;
         }
@@ -259,38 +202,35 @@ static int dc_motor_unknown_finite_input(const double *u)
     return 1;
 }
 
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int dc_motor_unknown_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < DC_MOTOR_UNKNOWN_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (dc_motor_unknown_finite(dc_motor_unknown_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    if ((valid & 0x2u) != 0u)
-    {
-        if ((y[1] >= -DBL_MAX) && (y[1] <= DBL_MAX))
-        {
-            rows |= 0x2u;
-        }
-        else if ((y[1] > DBL_MAX) || (y[1] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const dc_motor_unknown_t *self, const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const dc_motor_unknown_t
+    *self, const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
 {
     double innovation_h0_0 = 0.0;
     double innovation_h0_1 = 0.0;
@@ -459,7 +399,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t27 = t24 * t15;
         const double t28 = t23 + t27;
         quadratic_h0 = t6;
-        log_constant_h0 = 1.8378770664093453;
+        log_constant_h0 = DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_h0_0 = pivot_h0_0;
         mean_h0[0] = t8;
         mean_h0[1] = t10;
@@ -493,7 +433,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t35 = innovation_h0_1 * inverse_h0_1;
         const double t36 = innovation_h0_1 * t35;
         const double t37 = quadratic_h0 + t36;
-        const double t38 = log_constant_h0 + 1.8378770664093453;
+        const double t38 = log_constant_h0 + DC_MOTOR_UNKNOWN_LOG_2_PI;
         const double t39 = determinant_h0_0 * pivot_h0_1;
         const double t40 = cross_h0_1[0] * t35;
         const double t41 = mean_h0[0] + t40;
@@ -550,7 +490,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h0[4] = t79;
         covariance_h0[5] = t81;
     }
-    if (!((mean_h0[0] - mean_h0[0]) + (mean_h0[1] - mean_h0[1]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h0[0]) +
+        dc_motor_unknown_defect(mean_h0[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -615,7 +556,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t109 = t106 * t97;
         const double t110 = t105 + t109;
         quadratic_h1 = t88;
-        log_constant_h1 = 1.8378770664093453;
+        log_constant_h1 = DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_h1_0 = pivot_h1_0;
         mean_h1[0] = t90;
         mean_h1[1] = t92;
@@ -649,7 +590,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t117 = innovation_h1_1 * inverse_h1_1;
         const double t118 = innovation_h1_1 * t117;
         const double t119 = quadratic_h1 + t118;
-        const double t120 = log_constant_h1 + 1.8378770664093453;
+        const double t120 = log_constant_h1 + DC_MOTOR_UNKNOWN_LOG_2_PI;
         const double t121 = determinant_h1_0 * pivot_h1_1;
         const double t122 = cross_h1_1[0] * t117;
         const double t123 = mean_h1[0] + t122;
@@ -706,7 +647,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h1[4] = t161;
         covariance_h1[5] = t163;
     }
-    if (!((mean_h1[0] - mean_h1[0]) + (mean_h1[1] - mean_h1[1]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h1[0]) +
+        dc_motor_unknown_defect(mean_h1[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -771,7 +713,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t191 = t188 * t179;
         const double t192 = t187 + t191;
         quadratic_h2 = t170;
-        log_constant_h2 = 1.8378770664093453;
+        log_constant_h2 = DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_h2_0 = pivot_h2_0;
         mean_h2[0] = t172;
         mean_h2[1] = t174;
@@ -805,7 +747,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t199 = innovation_h2_1 * inverse_h2_1;
         const double t200 = innovation_h2_1 * t199;
         const double t201 = quadratic_h2 + t200;
-        const double t202 = log_constant_h2 + 1.8378770664093453;
+        const double t202 = log_constant_h2 + DC_MOTOR_UNKNOWN_LOG_2_PI;
         const double t203 = determinant_h2_0 * pivot_h2_1;
         const double t204 = cross_h2_1[0] * t199;
         const double t205 = mean_h2[0] + t204;
@@ -862,7 +804,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h2[4] = t243;
         covariance_h2[5] = t245;
     }
-    if (!((mean_h2[0] - mean_h2[0]) + (mean_h2[1] - mean_h2[1]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h2[0]) +
+        dc_motor_unknown_defect(mean_h2[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -927,7 +870,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t273 = t270 * t261;
         const double t274 = t269 + t273;
         quadratic_h3 = t252;
-        log_constant_h3 = 1.8378770664093453;
+        log_constant_h3 = DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_h3_0 = pivot_h3_0;
         mean_h3[0] = t254;
         mean_h3[1] = t256;
@@ -961,7 +904,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t281 = innovation_h3_1 * inverse_h3_1;
         const double t282 = innovation_h3_1 * t281;
         const double t283 = quadratic_h3 + t282;
-        const double t284 = log_constant_h3 + 1.8378770664093453;
+        const double t284 = log_constant_h3 + DC_MOTOR_UNKNOWN_LOG_2_PI;
         const double t285 = determinant_h3_0 * pivot_h3_1;
         const double t286 = cross_h3_1[0] * t281;
         const double t287 = mean_h3[0] + t286;
@@ -1018,7 +961,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h3[4] = t325;
         covariance_h3[5] = t327;
     }
-    if (!((mean_h3[0] - mean_h3[0]) + (mean_h3[1] - mean_h3[1]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h3[0]) +
+        dc_motor_unknown_defect(mean_h3[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -1083,7 +1027,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t355 = t352 * t343;
         const double t356 = t351 + t355;
         quadratic_h4 = t334;
-        log_constant_h4 = 1.8378770664093453;
+        log_constant_h4 = DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_h4_0 = pivot_h4_0;
         mean_h4[0] = t336;
         mean_h4[1] = t338;
@@ -1117,7 +1061,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t363 = innovation_h4_1 * inverse_h4_1;
         const double t364 = innovation_h4_1 * t363;
         const double t365 = quadratic_h4 + t364;
-        const double t366 = log_constant_h4 + 1.8378770664093453;
+        const double t366 = log_constant_h4 + DC_MOTOR_UNKNOWN_LOG_2_PI;
         const double t367 = determinant_h4_0 * pivot_h4_1;
         const double t368 = cross_h4_1[0] * t363;
         const double t369 = mean_h4[0] + t368;
@@ -1174,7 +1118,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         covariance_h4[4] = t407;
         covariance_h4[5] = t409;
     }
-    if (!((mean_h4[0] - mean_h4[0]) + (mean_h4[1] - mean_h4[1]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h4[0]) +
+        dc_motor_unknown_defect(mean_h4[1])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -1252,12 +1197,12 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t451 = t450 + share_of_largest[3];
         const double t452 = t451 + share_of_largest[4];
         share_total = t452;
-        const double t453 = log_largest - -5.0e+299;
+        const double t453 = log_largest - DC_MOTOR_UNKNOWN_LEAST_LOG_DENSITY;
         if (!(t453 > 0.0))
         {
             return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
         }
-        if (!((share_total - share_total) >= 0.0))
+        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(share_total)))
         {
             return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
         }
@@ -1272,19 +1217,19 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         const double t460 = share_of_largest[4] * share_total_inverse;
         const double t461 = log_joint[0] - log_largest;
         const double t462 = t461 - log_share_total;
-        const double t463 = (t462 > -1.0e+300) ? t462 : -1.0e+300;
+        const double t463 = (t462 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t462 : DC_MOTOR_UNKNOWN_LOG_ZERO;
         const double t464 = log_joint[1] - log_largest;
         const double t465 = t464 - log_share_total;
-        const double t466 = (t465 > -1.0e+300) ? t465 : -1.0e+300;
+        const double t466 = (t465 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t465 : DC_MOTOR_UNKNOWN_LOG_ZERO;
         const double t467 = log_joint[2] - log_largest;
         const double t468 = t467 - log_share_total;
-        const double t469 = (t468 > -1.0e+300) ? t468 : -1.0e+300;
+        const double t469 = (t468 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t468 : DC_MOTOR_UNKNOWN_LOG_ZERO;
         const double t470 = log_joint[3] - log_largest;
         const double t471 = t470 - log_share_total;
-        const double t472 = (t471 > -1.0e+300) ? t471 : -1.0e+300;
+        const double t472 = (t471 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t471 : DC_MOTOR_UNKNOWN_LOG_ZERO;
         const double t473 = log_joint[4] - log_largest;
         const double t474 = t473 - log_share_total;
-        const double t475 = (t474 > -1.0e+300) ? t474 : -1.0e+300;
+        const double t475 = (t474 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t474 : DC_MOTOR_UNKNOWN_LOG_ZERO;
         const double t476 = log_largest + log_share_total;
         weight[0] = t456;
         weight[1] = t457;
@@ -1650,7 +1595,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(const dc_motor_unknown_t *self, const double *u, dc_motor_unknown_t *next)
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(const
+    dc_motor_unknown_t *self, const double *u, dc_motor_unknown_t *next)
 {
     double moved_state[10];
     double moved_covariance[15];
@@ -2106,27 +2052,39 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t417 = t397 * t396;
     const double t418 = t416 + t417;
     const double t419 = t409 + t418;
-    if (!((combined_state[0] - combined_state[0]) + (combined_state[1] - combined_state[1]) + (t371 - t371) + (t419 - t419) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(combined_state[0]) +
+        dc_motor_unknown_defect(combined_state[1]) + dc_motor_unknown_defect(t371) +
+        dc_motor_unknown_defect(t419)))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!((moved_state[0] - moved_state[0]) + (moved_state[1] - moved_state[1]) + (moved_covariance[0] - moved_covariance[0]) + (moved_covariance[2] - moved_covariance[2]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[0]) +
+        dc_motor_unknown_defect(moved_state[1]) + dc_motor_unknown_defect(moved_covariance[0]) +
+        dc_motor_unknown_defect(moved_covariance[2])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!((moved_state[2] - moved_state[2]) + (moved_state[3] - moved_state[3]) + (moved_covariance[3] - moved_covariance[3]) + (moved_covariance[5] - moved_covariance[5]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[2]) +
+        dc_motor_unknown_defect(moved_state[3]) + dc_motor_unknown_defect(moved_covariance[3]) +
+        dc_motor_unknown_defect(moved_covariance[5])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!((moved_state[4] - moved_state[4]) + (moved_state[5] - moved_state[5]) + (moved_covariance[6] - moved_covariance[6]) + (moved_covariance[8] - moved_covariance[8]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[4]) +
+        dc_motor_unknown_defect(moved_state[5]) + dc_motor_unknown_defect(moved_covariance[6]) +
+        dc_motor_unknown_defect(moved_covariance[8])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!((moved_state[6] - moved_state[6]) + (moved_state[7] - moved_state[7]) + (moved_covariance[9] - moved_covariance[9]) + (moved_covariance[11] - moved_covariance[11]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[6]) +
+        dc_motor_unknown_defect(moved_state[7]) + dc_motor_unknown_defect(moved_covariance[9]) +
+        dc_motor_unknown_defect(moved_covariance[11])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    if (!((moved_state[8] - moved_state[8]) + (moved_state[9] - moved_state[9]) + (moved_covariance[12] - moved_covariance[12]) + (moved_covariance[14] - moved_covariance[14]) >= 0.0))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[8]) +
+        dc_motor_unknown_defect(moved_state[9]) + dc_motor_unknown_defect(moved_covariance[12]) +
+        dc_motor_unknown_defect(moved_covariance[14])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -2163,84 +2121,52 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     return DC_MOTOR_UNKNOWN_OK;
 }
 
-dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void dc_motor_unknown_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self)
+{
     if (self == NULL)
     {
         return DC_MOTOR_UNKNOWN_NULL_POINTER;
     }
-    for (i = 0; i < 2; ++i)
-    {
-        self->predicted_state[i] = dc_motor_unknown_predicted_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_covariance[i] = dc_motor_unknown_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->filtered_state[i] = dc_motor_unknown_filtered_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_covariance[i] = dc_motor_unknown_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    dc_motor_unknown_fill(self->predicted_state, 2, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(self->predicted_covariance, 3, dc_motor_unknown_predicted_covariance_0,
+        1);
+    dc_motor_unknown_fill(self->filtered_state, 2, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(self->filtered_covariance, 3, dc_motor_unknown_predicted_covariance_0, 1);
+    dc_motor_unknown_fill(self->innovation, 2, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(self->innovation_covariance, 3, dc_motor_unknown_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
-    for (i = 0; i < 5; ++i)
-    {
-        self->mode_probability[i] = dc_motor_unknown_mode_probability_0[i];
-    }
+    dc_motor_unknown_fill(self->mode_probability, 5, dc_motor_unknown_mode_probability_0, 1);
     self->success_rate_estimate = 0.0;
-    for (i = 0; i < 2; ++i)
-    {
-        self->paper_state[i] = 0.0;
-    }
-    for (i = 0; i < 5; ++i)
-    {
-        self->log_weight[i] = dc_motor_unknown_log_weight_0[i];
-    }
-    for (i = 0; i < 10; ++i)
-    {
-        self->mode_state[i] = dc_motor_unknown_mode_state_0[i];
-    }
-    for (i = 0; i < 15; ++i)
-    {
-        self->mode_covariance[i] = dc_motor_unknown_mode_covariance_0[i];
-    }
-    for (i = 0; i < 10; ++i)
-    {
-        self->mode_filtered_state[i] = dc_motor_unknown_mode_filtered_state_0[i];
-    }
-    for (i = 0; i < 15; ++i)
-    {
-        self->mode_filtered_covariance[i] = dc_motor_unknown_mode_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 5; ++i)
-    {
-        self->mode_deviation[i] = 0.0;
-    }
-    for (i = 0; i < 5; ++i)
-    {
-        self->mode_deviation_covariance[i] = 0.0;
-    }
-    for (i = 0; i < 10; ++i)
-    {
-        self->mode_deviation_cross[i] = 0.0;
-    }
+    dc_motor_unknown_fill(self->paper_state, 2, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(self->log_weight, 5, dc_motor_unknown_log_weight_0, 1);
+    dc_motor_unknown_fill(self->mode_state, 10, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(self->mode_covariance, 15, dc_motor_unknown_predicted_covariance_0, 1);
+    dc_motor_unknown_fill(self->mode_filtered_state, 10, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(self->mode_filtered_covariance, 15,
+        dc_motor_unknown_predicted_covariance_0, 1);
+    dc_motor_unknown_fill(self->mode_deviation, 5, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(self->mode_deviation_covariance, 5, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(self->mode_deviation_cross, 10, dc_motor_unknown_zero_0, 1);
     return DC_MOTOR_UNKNOWN_OK;
 }
 
-dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, const double u[1], const double y[2], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, const double u[1],
+    const double y[2], uint32_t valid)
 {
     dc_motor_unknown_t next;
     uint32_t present;
@@ -2289,7 +2215,8 @@ dc_motor_unknown_status_t dc_motor_unknown_predict(dc_motor_unknown_t *self, con
     return DC_MOTOR_UNKNOWN_OK;
 }
 
-dc_motor_unknown_status_t dc_motor_unknown_step(dc_motor_unknown_t *self, const double u[1], const double y[2], uint32_t valid)
+dc_motor_unknown_status_t dc_motor_unknown_step(dc_motor_unknown_t *self, const double u[1],
+    const double y[2], uint32_t valid)
 {
     dc_motor_unknown_t next;
     uint32_t present;

@@ -1,4 +1,5 @@
-/* dc_motor_unknown_selftest_main.c: exit status 0 if dc_motor_unknown_selftest() passes on this machine. */
+/* dc_motor_unknown_selftest_main.c: exit status 0 if dc_motor_unknown_selftest() passes on this
+ * machine. */
 #include "dc_motor_unknown.h"
 
 int main(void)

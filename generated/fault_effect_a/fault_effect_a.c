@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "fault_effect_a: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define FAULT_EFFECT_A_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -80,35 +82,40 @@ static double fault_effect_a_log(double x)
     return k + w;
 }
 
-static const double fault_effect_a_filtered_covariance_0[6] = {
-    1.2401,
-    0.099,
-    1.0001,
-    0.0,
-    -0.099,
-    1.3401
-};
+/* ---- constants ---- */
 
-static const double fault_effect_a_filtered_state_0[3] = {
-    0.0,
-    0.0,
+/* Products of entries of the model that are folded into one number, up to its sign:
+ *   0.010000000000000002 = A[0][1]^2
+ *   0.198 = 2 A[0][0] A[0][1]
+ *   0.9801 = A[0][0]^2
+ */
+
+/* log(2 pi), of a Gaussian density */
+#define FAULT_EFFECT_A_LOG_2_PI (1.8378770664093453)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double fault_effect_a_zero_0[1] = {
     0.0
 };
 
 static const double fault_effect_a_predicted_covariance_0[6] = {
-    1.2401,
-    0.099,
-    1.0001,
-    0.0,
-    -0.099,
-    1.3401
+    1.2401, 0.099, 1.0001, 0.0, -0.099, 1.3401
 };
 
-static const double fault_effect_a_predicted_state_0[3] = {
-    0.0,
-    0.0,
-    0.0
-};
+/* ---- what may be used of a sample ---- */
+
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double fault_effect_a_defect(double x)
+{
+    return x - x;
+}
+
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int fault_effect_a_finite(double defects)
+{
+    return defects >= 0.0;
+}
 
 /* Nonzero if every input is finite. */
 static int fault_effect_a_finite_input(const double *u)
@@ -116,7 +123,7 @@ static int fault_effect_a_finite_input(const double *u)
     int i;
     for (i = 0; i < FAULT_EFFECT_A_NU; ++i)
     {
-        if (!((u[i] >= -DBL_MAX) && (u[i] <= DBL_MAX)))
+        if (!fault_effect_a_finite(fault_effect_a_defect(u[i])))
         {
             return 0;
         }
@@ -124,38 +131,35 @@ static int fault_effect_a_finite_input(const double *u)
     return 1;
 }
 
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int fault_effect_a_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < FAULT_EFFECT_A_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (fault_effect_a_finite(fault_effect_a_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    if ((valid & 0x2u) != 0u)
-    {
-        if ((y[1] >= -DBL_MAX) && (y[1] <= DBL_MAX))
-        {
-            rows |= 0x2u;
-        }
-        else if ((y[1] > DBL_MAX) || (y[1] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault_effect_a_t *self, const double *y, uint32_t present, fault_effect_a_t *next)
+FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault_effect_a_t *self,
+    const double *y, uint32_t present, fault_effect_a_t *next)
 {
     double innovation_0 = 0.0;
     double innovation_1 = 0.0;
@@ -173,7 +177,8 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     double cross_1[3];
     double pivot_1;
     double inverse_1 = 0.0;
-    if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0) && (self->predicted_covariance[5] >= 0.0)))
+    if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0) &&
+        (self->predicted_covariance[5] >= 0.0)))
     {
         return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE;
     }
@@ -258,7 +263,7 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
         weight_0 = t21;
         factor_0 = t22;
         quadratic = t23;
-        log_constant = 1.8378770664093453;
+        log_constant = FAULT_EFFECT_A_LOG_2_PI;
         determinant_0 = pivot_0;
         mean[0] = t25;
         mean[1] = t27;
@@ -294,7 +299,7 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
         const double t53 = t52 * inverse_1;
         const double t54 = t52 * t53;
         const double t55 = quadratic + t54;
-        const double t56 = log_constant + 1.8378770664093453;
+        const double t56 = log_constant + FAULT_EFFECT_A_LOG_2_PI;
         const double t57 = determinant_0 * pivot_1;
         const double t58 = cross_1[0] * t53;
         const double t59 = mean[0] + t58;
@@ -330,7 +335,8 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
         covariance[4] = t76;
         covariance[5] = t78;
     }
-    if (!((mean[0] - mean[0]) + (mean[1] - mean[1]) + (mean[2] - mean[2]) >= 0.0))
+    if (!fault_effect_a_finite(fault_effect_a_defect(mean[0]) + fault_effect_a_defect(mean[1]) +
+        fault_effect_a_defect(mean[2])))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }
@@ -362,7 +368,8 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fault_effect_a_t *self, const double *u, fault_effect_a_t *next)
+FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fault_effect_a_t *self,
+    const double *u, fault_effect_a_t *next)
 {
     /* prediction of the next sample */
     const double t0 = 0.99 * self->filtered_state[0];
@@ -400,8 +407,9 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     const double t32 = t30 + t31;
     const double t33 = 0.9801 * self->filtered_covariance[5];
     const double t34 = t33 + 0.36;
-    if (!((t2 - t2) + (t5 - t5) + (t7 - t7) + (t13 - t13) +
-            (t26 - t26) + (t34 - t34) >= 0.0))
+    if (!fault_effect_a_finite(fault_effect_a_defect(t2) + fault_effect_a_defect(t5) +
+        fault_effect_a_defect(t7) + fault_effect_a_defect(t13) + fault_effect_a_defect(t26) +
+        fault_effect_a_defect(t34)))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }
@@ -417,43 +425,39 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     return FAULT_EFFECT_A_OK;
 }
 
-fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void fault_effect_a_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self)
+{
     if (self == NULL)
     {
         return FAULT_EFFECT_A_NULL_POINTER;
     }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_state[i] = fault_effect_a_predicted_state_0[i];
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->predicted_covariance[i] = fault_effect_a_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_state[i] = fault_effect_a_filtered_state_0[i];
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->filtered_covariance[i] = fault_effect_a_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    fault_effect_a_fill(self->predicted_state, 3, fault_effect_a_zero_0, 1);
+    fault_effect_a_fill(self->predicted_covariance, 6, fault_effect_a_predicted_covariance_0, 6);
+    fault_effect_a_fill(self->filtered_state, 3, fault_effect_a_zero_0, 1);
+    fault_effect_a_fill(self->filtered_covariance, 6, fault_effect_a_predicted_covariance_0, 6);
+    fault_effect_a_fill(self->innovation, 2, fault_effect_a_zero_0, 1);
+    fault_effect_a_fill(self->innovation_covariance, 3, fault_effect_a_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
     return FAULT_EFFECT_A_OK;
 }
 
-fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const double u[1], const double y[2], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const double u[1],
+    const double y[2], uint32_t valid)
 {
     fault_effect_a_t next;
     uint32_t present;
@@ -502,7 +506,8 @@ fault_effect_a_status_t fault_effect_a_predict(fault_effect_a_t *self, const dou
     return FAULT_EFFECT_A_OK;
 }
 
-fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double u[1], const double y[2], uint32_t valid)
+fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double u[1],
+    const double y[2], uint32_t valid)
 {
     fault_effect_a_t next;
     uint32_t present;

@@ -1,4 +1,5 @@
-/* fault_effect_a_selftest_main.c: exit status 0 if fault_effect_a_selftest() passes on this machine. */
+/* fault_effect_a_selftest_main.c: exit status 0 if fault_effect_a_selftest() passes on this
+ * machine. */
 #include "fault_effect_a.h"
 
 int main(void)

@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "gps_glitch: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define GPS_GLITCH_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -145,191 +147,82 @@ static double gps_glitch_exp(double x)
     return y * gps_glitch_power_of_two(k - half);
 }
 
-static const double gps_glitch_filtered_covariance_0[6] = {
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0
+/* ---- constants ---- */
+
+/* log(2 pi), of a Gaussian density */
+#define GPS_GLITCH_LOG_2_PI (1.8378770664093453)
+/* keeps 0/0 out of probabilities that are 0 */
+#define GPS_GLITCH_TINY (1.0e-290)
+/* stands for the logarithm of 0 */
+#define GPS_GLITCH_LOG_ZERO (-1.0e+300)
+/* below it no density can be told from 0 */
+#define GPS_GLITCH_LEAST_LOG_DENSITY (-5.0e+299)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double gps_glitch_predicted_state_0[3] = {
+    1800.0, 0.0, 0.0
 };
 
-static const double gps_glitch_filtered_state_0[3] = {
-    1800.0,
-    0.0,
-    0.0
+static const double gps_glitch_predicted_covariance_0[6] = {
+    10000.0, 0.0, 9.0, 0.0, 0.0, 100.0
 };
 
-static const double gps_glitch_log_weight_0[4] = {
-    -0.03833000319860632,
-    -3.439527384860762,
-    -5.231286854088816,
-    -8.632484235750972
-};
-
-static const double gps_glitch_mode_covariance_0[24] = {
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0,
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0,
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0,
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0
-};
-
-static const double gps_glitch_mode_filtered_covariance_0[24] = {
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0,
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0,
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0,
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0
-};
-
-static const double gps_glitch_mode_filtered_state_0[12] = {
-    1800.0,
-    0.0,
-    0.0,
-    1800.0,
-    0.0,
-    0.0,
-    1800.0,
-    0.0,
-    0.0,
-    1800.0,
-    0.0,
+static const double gps_glitch_zero_0[1] = {
     0.0
 };
 
 static const double gps_glitch_mode_probability_0[4] = {
-    0.9623952949563357,
-    0.03207984316521119,
-    0.005346640527535198,
-    0.00017822135091783995
+    0.9623952949563357, 0.03207984316521119, 0.005346640527535198, 0.00017822135091783995
 };
 
-static const double gps_glitch_mode_state_0[12] = {
-    1800.0,
-    0.0,
-    0.0,
-    1800.0,
-    0.0,
-    0.0,
-    1800.0,
-    0.0,
-    0.0,
-    1800.0,
-    0.0,
-    0.0
+static const double gps_glitch_log_weight_0[4] = {
+    -0.03833000319860632, -3.439527384860762, -5.231286854088816, -8.632484235750972
 };
 
-static const double gps_glitch_predicted_covariance_0[6] = {
-    10000.0,
-    0.0,
-    9.0,
-    0.0,
-    0.0,
-    100.0
-};
+/* ---- what may be used of a sample ---- */
 
-static const double gps_glitch_predicted_log_weight_0[4] = {
-    -0.03833000319860632,
-    -3.439527384860762,
-    -5.231286854088816,
-    -8.632484235750972
-};
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double gps_glitch_defect(double x)
+{
+    return x - x;
+}
 
-static const double gps_glitch_predicted_mode_probability_0[4] = {
-    0.9623952949563357,
-    0.03207984316521119,
-    0.005346640527535198,
-    0.00017822135091783995
-};
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int gps_glitch_finite(double defects)
+{
+    return defects >= 0.0;
+}
 
-static const double gps_glitch_predicted_state_0[3] = {
-    1800.0,
-    0.0,
-    0.0
-};
-
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int gps_glitch_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < GPS_GLITCH_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (gps_glitch_finite(gps_glitch_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    if ((valid & 0x2u) != 0u)
-    {
-        if ((y[1] >= -DBL_MAX) && (y[1] <= DBL_MAX))
-        {
-            rows |= 0x2u;
-        }
-        else if ((y[1] > DBL_MAX) || (y[1] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x4u) != 0u)
-    {
-        if ((y[2] >= -DBL_MAX) && (y[2] <= DBL_MAX))
-        {
-            rows |= 0x4u;
-        }
-        else if ((y[2] > DBL_MAX) || (y[2] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *self, const double *y, uint32_t present, gps_glitch_t *next)
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *self, const double *y,
+    uint32_t present, gps_glitch_t *next)
 {
     double innovation_m0_0 = 0.0;
     double innovation_m0_1 = 0.0;
@@ -431,19 +324,23 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     double combined_0_3_apart[3];
     double combined_0_3_mean[3];
     double combined_0_3_covariance[6];
-    if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) && (self->mode_covariance[5] >= 0.0)))
+    if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
+        (self->mode_covariance[5] >= 0.0)))
     {
         return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->mode_covariance[6] >= 0.0) && (self->mode_covariance[8] >= 0.0) && (self->mode_covariance[11] >= 0.0)))
+    if (!((self->mode_covariance[6] >= 0.0) && (self->mode_covariance[8] >= 0.0) &&
+        (self->mode_covariance[11] >= 0.0)))
     {
         return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->mode_covariance[12] >= 0.0) && (self->mode_covariance[14] >= 0.0) && (self->mode_covariance[17] >= 0.0)))
+    if (!((self->mode_covariance[12] >= 0.0) && (self->mode_covariance[14] >= 0.0) &&
+        (self->mode_covariance[17] >= 0.0)))
     {
         return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->mode_covariance[18] >= 0.0) && (self->mode_covariance[20] >= 0.0) && (self->mode_covariance[23] >= 0.0)))
+    if (!((self->mode_covariance[18] >= 0.0) && (self->mode_covariance[20] >= 0.0) &&
+        (self->mode_covariance[23] >= 0.0)))
     {
         return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
     }
@@ -533,7 +430,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t39 = t34 * cross_m0_0[2];
         const double t40 = self->mode_covariance[5] - t39;
         quadratic_m0 = t19;
-        log_constant_m0 = 1.8378770664093453;
+        log_constant_m0 = GPS_GLITCH_LOG_2_PI;
         determinant_m0_0 = pivot_m0_0;
         mean_m0[0] = t21;
         mean_m0[1] = t23;
@@ -562,7 +459,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t45 = t44 * inverse_m0_1;
         const double t46 = t44 * t45;
         const double t47 = quadratic_m0 + t46;
-        const double t48 = log_constant_m0 + 1.8378770664093453;
+        const double t48 = log_constant_m0 + GPS_GLITCH_LOG_2_PI;
         const double t49 = determinant_m0_0 * pivot_m0_1;
         const double t50 = covariance_m0[0] * t45;
         const double t51 = mean_m0[0] + t50;
@@ -615,7 +512,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t75 = t74 * inverse_m0_2;
         const double t76 = t74 * t75;
         const double t77 = quadratic_m0 + t76;
-        const double t78 = log_constant_m0 + 1.8378770664093453;
+        const double t78 = log_constant_m0 + GPS_GLITCH_LOG_2_PI;
         const double t79 = determinant_m0_0 * pivot_m0_2;
         const double t80 = covariance_m0[1] * t75;
         const double t81 = mean_m0[0] + t80;
@@ -744,7 +641,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t144 = t139 * cross_m1_0[2];
         const double t145 = self->mode_covariance[11] - t144;
         quadratic_m1 = t124;
-        log_constant_m1 = 1.8378770664093453;
+        log_constant_m1 = GPS_GLITCH_LOG_2_PI;
         determinant_m1_0 = pivot_m1_0;
         mean_m1[0] = t126;
         mean_m1[1] = t128;
@@ -773,7 +670,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t150 = t149 * inverse_m1_1;
         const double t151 = t149 * t150;
         const double t152 = quadratic_m1 + t151;
-        const double t153 = log_constant_m1 + 1.8378770664093453;
+        const double t153 = log_constant_m1 + GPS_GLITCH_LOG_2_PI;
         const double t154 = determinant_m1_0 * pivot_m1_1;
         const double t155 = covariance_m1[0] * t150;
         const double t156 = mean_m1[0] + t155;
@@ -826,7 +723,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t180 = t179 * inverse_m1_2;
         const double t181 = t179 * t180;
         const double t182 = quadratic_m1 + t181;
-        const double t183 = log_constant_m1 + 1.8378770664093453;
+        const double t183 = log_constant_m1 + GPS_GLITCH_LOG_2_PI;
         const double t184 = determinant_m1_0 * pivot_m1_2;
         const double t185 = covariance_m1[1] * t180;
         const double t186 = mean_m1[0] + t185;
@@ -949,7 +846,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t243 = t238 * cross_m2_0[2];
         const double t244 = self->mode_covariance[17] - t243;
         quadratic_m2 = t223;
-        log_constant_m2 = 1.8378770664093453;
+        log_constant_m2 = GPS_GLITCH_LOG_2_PI;
         determinant_m2_0 = pivot_m2_0;
         mean_m2[0] = t225;
         mean_m2[1] = t227;
@@ -1070,7 +967,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t290 = t285 * cross_m3_0[2];
         const double t291 = self->mode_covariance[23] - t290;
         quadratic_m3 = t270;
-        log_constant_m3 = 1.8378770664093453;
+        log_constant_m3 = GPS_GLITCH_LOG_2_PI;
         determinant_m3_0 = pivot_m3_0;
         mean_m3[0] = t272;
         mean_m3[1] = t274;
@@ -1151,12 +1048,12 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t320 = t319 + share_of_largest[2];
         const double t321 = t320 + share_of_largest[3];
         share_total = t321;
-        const double t322 = log_largest - -5.0e+299;
+        const double t322 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
         if (!(t322 > 0.0))
         {
             return GPS_GLITCH_RESULT_NOT_FINITE;
         }
-        if (!((share_total - share_total) >= 0.0))
+        if (!gps_glitch_finite(gps_glitch_defect(share_total)))
         {
             return GPS_GLITCH_RESULT_NOT_FINITE;
         }
@@ -1170,16 +1067,16 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         const double t328 = share_of_largest[3] * share_total_inverse;
         const double t329 = log_joint[0] - log_largest;
         const double t330 = t329 - log_share_total;
-        const double t331 = (t330 > -1.0e+300) ? t330 : -1.0e+300;
+        const double t331 = (t330 > GPS_GLITCH_LOG_ZERO) ? t330 : GPS_GLITCH_LOG_ZERO;
         const double t332 = log_joint[1] - log_largest;
         const double t333 = t332 - log_share_total;
-        const double t334 = (t333 > -1.0e+300) ? t333 : -1.0e+300;
+        const double t334 = (t333 > GPS_GLITCH_LOG_ZERO) ? t333 : GPS_GLITCH_LOG_ZERO;
         const double t335 = log_joint[2] - log_largest;
         const double t336 = t335 - log_share_total;
-        const double t337 = (t336 > -1.0e+300) ? t336 : -1.0e+300;
+        const double t337 = (t336 > GPS_GLITCH_LOG_ZERO) ? t336 : GPS_GLITCH_LOG_ZERO;
         const double t338 = log_joint[3] - log_largest;
         const double t339 = t338 - log_share_total;
-        const double t340 = (t339 > -1.0e+300) ? t339 : -1.0e+300;
+        const double t340 = (t339 > GPS_GLITCH_LOG_ZERO) ? t339 : GPS_GLITCH_LOG_ZERO;
         const double t341 = log_largest + log_share_total;
         weight[0] = t325;
         weight[1] = t326;
@@ -1427,7 +1324,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     combined_0_3_share[0] = t518;
     combined_0_3_share[1] = t519;
     const double t520 = weight[0] + weight[1];
-    const double t521 = t520 + 1.0e-290;
+    const double t521 = t520 + GPS_GLITCH_TINY;
     const double t522 = 1.0 / t521;
     combined_0_1_inverse = t522;
     const double t523 = weight[0] * combined_0_1_inverse;
@@ -1502,7 +1399,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     combined_0_1_covariance[4] = t568;
     combined_0_1_covariance[5] = t573;
     const double t574 = weight[2] + weight[3];
-    const double t575 = t574 + 1.0e-290;
+    const double t575 = t574 + GPS_GLITCH_TINY;
     const double t576 = 1.0 / t575;
     combined_2_3_inverse = t576;
     const double t577 = weight[2] * combined_2_3_inverse;
@@ -1634,7 +1531,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     combined_0_3_covariance[3] = t663;
     combined_0_3_covariance[4] = t668;
     combined_0_3_covariance[5] = t673;
-    if (!((combined_0_3_mean[0] - combined_0_3_mean[0]) + (combined_0_3_mean[1] - combined_0_3_mean[1]) + (combined_0_3_mean[2] - combined_0_3_mean[2]) >= 0.0))
+    if (!gps_glitch_finite(gps_glitch_defect(combined_0_3_mean[0]) +
+        gps_glitch_defect(combined_0_3_mean[1]) + gps_glitch_defect(combined_0_3_mean[2])))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1720,7 +1618,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *self, const gps_glitch_params_t *params, gps_glitch_t *next)
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *self,
+    const gps_glitch_params_t *params, gps_glitch_t *next)
 {
     double Q[4];
     double mode_prediction_0;
@@ -1916,7 +1815,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     mixed_0_0_3_share[0] = t79;
     mixed_0_0_3_share[1] = t80;
     const double t81 = mixing_0[0] + mixing_0[1];
-    const double t82 = t81 + 1.0e-290;
+    const double t82 = t81 + GPS_GLITCH_TINY;
     const double t83 = 1.0 / t82;
     mixed_0_0_1_inverse = t83;
     const double t84 = mixing_0[0] * mixed_0_0_1_inverse;
@@ -1991,7 +1890,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     mixed_0_0_1_covariance[4] = t129;
     mixed_0_0_1_covariance[5] = t134;
     const double t135 = mixing_0[2] + mixing_0[3];
-    const double t136 = t135 + 1.0e-290;
+    const double t136 = t135 + GPS_GLITCH_TINY;
     const double t137 = 1.0 / t136;
     mixed_0_2_3_inverse = t137;
     const double t138 = mixing_0[2] * mixed_0_2_3_inverse;
@@ -2153,7 +2052,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     mixed_1_0_3_share[0] = t251;
     mixed_1_0_3_share[1] = t252;
     const double t253 = mixing_1[0] + mixing_1[1];
-    const double t254 = t253 + 1.0e-290;
+    const double t254 = t253 + GPS_GLITCH_TINY;
     const double t255 = 1.0 / t254;
     mixed_1_0_1_inverse = t255;
     const double t256 = mixing_1[0] * mixed_1_0_1_inverse;
@@ -2210,7 +2109,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     mixed_1_0_1_covariance[4] = t292;
     mixed_1_0_1_covariance[5] = t297;
     const double t298 = mixing_1[2] + mixing_1[3];
-    const double t299 = t298 + 1.0e-290;
+    const double t299 = t298 + GPS_GLITCH_TINY;
     const double t300 = 1.0 / t299;
     mixed_1_2_3_inverse = t300;
     const double t301 = mixing_1[2] * mixed_1_2_3_inverse;
@@ -2447,7 +2346,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     const double t475 = path_share_3[0] * path_share_inverse_3;
     const double t476 = path_share_3[1] * path_share_inverse_3;
     const double t477 = t475 + t476;
-    const double t478 = t477 + 1.0e-290;
+    const double t478 = t477 + GPS_GLITCH_TINY;
     const double t479 = 1.0 / t478;
     mixed_3_0_1_inverse = t479;
     const double t480 = path_share_3[0] * path_share_inverse_3;
@@ -2508,7 +2407,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     const double t524 = path_share_3[2] * path_share_inverse_3;
     const double t525 = path_share_3[3] * path_share_inverse_3;
     const double t526 = t524 + t525;
-    const double t527 = t526 + 1.0e-290;
+    const double t527 = t526 + GPS_GLITCH_TINY;
     const double t528 = 1.0 / t527;
     mixed_3_2_3_inverse = t528;
     const double t529 = path_share_3[2] * path_share_inverse_3;
@@ -2690,8 +2589,9 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     const double t671 = moved_covariance_0[5] + moved_covariance_1[5];
     const double t672 = t671 + moved_covariance_2[5];
     const double t673 = t672 + moved_covariance_3[5];
-    if (!((t658 - t658) + (t661 - t661) + (t664 - t664) + (t667 - t667) +
-            (t670 - t670) + (t673 - t673) >= 0.0))
+    if (!gps_glitch_finite(gps_glitch_defect(t658) + gps_glitch_defect(t661) +
+        gps_glitch_defect(t664) + gps_glitch_defect(t667) + gps_glitch_defect(t670) +
+        gps_glitch_defect(t673)))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -2751,71 +2651,40 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     return GPS_GLITCH_OK;
 }
 
-gps_glitch_status_t gps_glitch_init(gps_glitch_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void gps_glitch_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+gps_glitch_status_t gps_glitch_init(gps_glitch_t *self)
+{
     if (self == NULL)
     {
         return GPS_GLITCH_NULL_POINTER;
     }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_state[i] = gps_glitch_predicted_state_0[i];
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->predicted_covariance[i] = gps_glitch_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_state[i] = gps_glitch_filtered_state_0[i];
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->filtered_covariance[i] = gps_glitch_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    gps_glitch_fill(self->predicted_state, 3, gps_glitch_predicted_state_0, 3);
+    gps_glitch_fill(self->predicted_covariance, 6, gps_glitch_predicted_covariance_0, 6);
+    gps_glitch_fill(self->filtered_state, 3, gps_glitch_predicted_state_0, 3);
+    gps_glitch_fill(self->filtered_covariance, 6, gps_glitch_predicted_covariance_0, 6);
+    gps_glitch_fill(self->innovation, 3, gps_glitch_zero_0, 1);
+    gps_glitch_fill(self->innovation_covariance, 6, gps_glitch_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
-    for (i = 0; i < 4; ++i)
-    {
-        self->mode_probability[i] = gps_glitch_mode_probability_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->predicted_mode_probability[i] = gps_glitch_predicted_mode_probability_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->log_weight[i] = gps_glitch_log_weight_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->predicted_log_weight[i] = gps_glitch_predicted_log_weight_0[i];
-    }
-    for (i = 0; i < 12; ++i)
-    {
-        self->mode_state[i] = gps_glitch_mode_state_0[i];
-    }
-    for (i = 0; i < 24; ++i)
-    {
-        self->mode_covariance[i] = gps_glitch_mode_covariance_0[i];
-    }
-    for (i = 0; i < 12; ++i)
-    {
-        self->mode_filtered_state[i] = gps_glitch_mode_filtered_state_0[i];
-    }
-    for (i = 0; i < 24; ++i)
-    {
-        self->mode_filtered_covariance[i] = gps_glitch_mode_filtered_covariance_0[i];
-    }
+    gps_glitch_fill(self->mode_probability, 4, gps_glitch_mode_probability_0, 4);
+    gps_glitch_fill(self->predicted_mode_probability, 4, gps_glitch_mode_probability_0, 4);
+    gps_glitch_fill(self->log_weight, 4, gps_glitch_log_weight_0, 4);
+    gps_glitch_fill(self->predicted_log_weight, 4, gps_glitch_log_weight_0, 4);
+    gps_glitch_fill(self->mode_state, 12, gps_glitch_predicted_state_0, 3);
+    gps_glitch_fill(self->mode_covariance, 24, gps_glitch_predicted_covariance_0, 6);
+    gps_glitch_fill(self->mode_filtered_state, 12, gps_glitch_predicted_state_0, 3);
+    gps_glitch_fill(self->mode_filtered_covariance, 24, gps_glitch_predicted_covariance_0, 6);
     return GPS_GLITCH_OK;
 }
 
@@ -2829,7 +2698,10 @@ gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params)
     return GPS_GLITCH_OK;
 }
 
-gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_params_t *params, const double y[3], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_params_t *params,
+    const double y[3], uint32_t valid)
 {
     gps_glitch_t next;
     uint32_t present;
@@ -2870,7 +2742,8 @@ gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_para
     return GPS_GLITCH_OK;
 }
 
-gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_t *params, const double y[3], uint32_t valid)
+gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_t *params,
+    const double y[3], uint32_t valid)
 {
     gps_glitch_t next;
     uint32_t present;

@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "markov_jump: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define MARKOV_JUMP_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -80,231 +82,104 @@ static double markov_jump_log(double x)
     return k + w;
 }
 
-static const double markov_jump_augmented_covariance_0[45] = {
-    24.6,
-    0.0,
-    0.6,
-    0.0,
-    0.0,
-    0.06,
-    -18.0,
-    0.0,
-    0.0,
-    21.3,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.3,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.03,
-    0.6,
-    0.0,
-    0.0,
-    0.3,
-    0.0,
-    0.0,
-    1.0,
-    0.0,
-    0.6,
-    0.0,
-    0.0,
-    0.3,
-    0.0,
-    0.0,
-    1.0,
-    0.0,
-    0.0,
-    0.06,
-    0.0,
-    0.0,
-    0.03,
-    0.0,
-    0.0,
-    0.1
+/* ---- constants ---- */
+
+/* Products of entries of the model that are folded into one number, up to its sign:
+ *   0.25 = A[0][2]^2 of mode 0
+ *   0.4 = A[0][2] A[2][2] of mode 1
+ *   0.45 = A[0][2] A[2][2] of mode 2
+ *   0.48 = A[1][1] A[2][2] of mode 0
+ *   0.582 = A[0][0] A[2][2] of mode 0
+ *   0.6400000000000001 = A[1][1]^2 of mode 0
+ *   0.7200000000000001 = A[1][1] A[2][2] of mode 2
+ *   0.776 = A[0][0] A[1][1] of mode 0
+ *   0.81 = A[2][2]^2 of mode 2
+ *   0.873 = A[0][0] A[2][2] of mode 2
+ *   0.9409 = A[0][0]^2 of mode 0
+ *   1.4 = (A[0][1] A[1][2] + A[0][2] A[1][1]) of mode 0
+ *   1.6 = 2 A[1][1] A[1][2] of mode 0
+ *   1.94 = 2 A[0][0] A[0][1] of mode 0
+ */
+
+/* log(2 pi), of a Gaussian density */
+#define MARKOV_JUMP_LOG_2_PI (1.8378770664093453)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double markov_jump_predicted_state_0[3] = {
+    10.0, 0.0, 0.0
 };
 
-static const double markov_jump_augmented_filtered_covariance_0[45] = {
-    24.6,
-    0.0,
-    0.6,
-    0.0,
-    0.0,
-    0.06,
-    -18.0,
-    0.0,
-    0.0,
-    21.3,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.3,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.03,
-    0.6,
-    0.0,
-    0.0,
-    0.3,
-    0.0,
-    0.0,
-    1.0,
-    0.0,
-    0.6,
-    0.0,
-    0.0,
-    0.3,
-    0.0,
-    0.0,
-    1.0,
-    0.0,
-    0.0,
-    0.06,
-    0.0,
-    0.0,
-    0.03,
-    0.0,
-    0.0,
-    0.1
+static const double markov_jump_predicted_covariance_0[6] = {
+    1.0, 0.0, 1.0, 0.0, 0.0, 0.1
 };
 
-static const double markov_jump_augmented_filtered_state_0[9] = {
-    6.0,
-    0.0,
-    0.0,
-    3.0,
-    0.0,
-    0.0,
-    10.0,
-    0.0,
-    0.0
-};
-
-static const double markov_jump_augmented_state_0[9] = {
-    6.0,
-    0.0,
-    0.0,
-    3.0,
-    0.0,
-    0.0,
-    10.0,
-    0.0,
-    0.0
-};
-
-static const double markov_jump_filtered_covariance_0[6] = {
-    1.0,
-    0.0,
-    1.0,
-    0.0,
-    0.0,
-    0.1
-};
-
-static const double markov_jump_filtered_state_0[3] = {
-    10.0,
-    0.0,
+static const double markov_jump_zero_0[1] = {
     0.0
 };
 
 static const double markov_jump_mode_law_0[3] = {
-    0.6,
-    0.3,
-    0.1
+    0.6, 0.3, 0.1
+};
+
+static const double markov_jump_augmented_state_0[9] = {
+    6.0, 0.0, 0.0, 3.0, 0.0, 0.0, 10.0, 0.0, 0.0
+};
+
+static const double markov_jump_augmented_covariance_0[45] = {
+    24.6, 0.0, 0.6, 0.0, 0.0, 0.06, -18.0, 0.0, 0.0, 21.3, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0,
+    0.0, 0.0, 0.03, 0.6, 0.0, 0.0, 0.3, 0.0, 0.0, 1.0, 0.0, 0.6, 0.0, 0.0, 0.3, 0.0, 0.0, 1.0, 0.0,
+    0.0, 0.06, 0.0, 0.0, 0.03, 0.0, 0.0, 0.1
 };
 
 static const double markov_jump_mode_second_moment_0[18] = {
-    60.599999999999994,
-    0.0,
-    0.6,
-    0.0,
-    0.0,
-    0.06,
-    30.299999999999997,
-    0.0,
-    0.3,
-    0.0,
-    0.0,
-    0.03,
-    10.100000000000001,
-    0.0,
-    0.1,
-    0.0,
-    0.0,
-    0.010000000000000002
+    60.599999999999994, 0.0, 0.6, 0.0, 0.0, 0.06, 30.299999999999997, 0.0, 0.3, 0.0, 0.0, 0.03,
+    10.100000000000001, 0.0, 0.1, 0.0, 0.0, 0.010000000000000002
 };
 
-static const double markov_jump_predicted_covariance_0[6] = {
-    1.0,
-    0.0,
-    1.0,
-    0.0,
-    0.0,
-    0.1
-};
+/* ---- what may be used of a sample ---- */
 
-static const double markov_jump_predicted_mode_law_0[3] = {
-    0.6,
-    0.3,
-    0.1
-};
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double markov_jump_defect(double x)
+{
+    return x - x;
+}
 
-static const double markov_jump_predicted_mode_second_moment_0[18] = {
-    60.599999999999994,
-    0.0,
-    0.6,
-    0.0,
-    0.0,
-    0.06,
-    30.299999999999997,
-    0.0,
-    0.3,
-    0.0,
-    0.0,
-    0.03,
-    10.100000000000001,
-    0.0,
-    0.1,
-    0.0,
-    0.0,
-    0.010000000000000002
-};
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int markov_jump_finite(double defects)
+{
+    return defects >= 0.0;
+}
 
-static const double markov_jump_predicted_state_0[3] = {
-    10.0,
-    0.0,
-    0.0
-};
-
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int markov_jump_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < MARKOV_JUMP_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (markov_jump_finite(markov_jump_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t *self, const double *y, uint32_t present, markov_jump_t *next)
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t *self,
+    const double *y, uint32_t present, markov_jump_t *next)
 {
     double mean_noise;
     double innovation_0 = 0.0;
@@ -328,7 +203,11 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     double rejections;
     double kept_state[9];
     double kept_covariance[45];
-    if (!((self->augmented_covariance[0] >= 0.0) && (self->augmented_covariance[2] >= 0.0) && (self->augmented_covariance[5] >= 0.0) && (self->augmented_covariance[9] >= 0.0) && (self->augmented_covariance[14] >= 0.0) && (self->augmented_covariance[20] >= 0.0) && (self->augmented_covariance[27] >= 0.0) && (self->augmented_covariance[35] >= 0.0) && (self->augmented_covariance[44] >= 0.0)))
+    if (!((self->augmented_covariance[0] >= 0.0) && (self->augmented_covariance[2] >= 0.0) &&
+        (self->augmented_covariance[5] >= 0.0) && (self->augmented_covariance[9] >= 0.0) &&
+        (self->augmented_covariance[14] >= 0.0) && (self->augmented_covariance[20] >= 0.0) &&
+        (self->augmented_covariance[27] >= 0.0) && (self->augmented_covariance[35] >= 0.0) &&
+        (self->augmented_covariance[44] >= 0.0)))
     {
         return MARKOV_JUMP_NOT_POSITIVE_DEFINITE;
     }
@@ -529,7 +408,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
         const double t123 = t106 * self->augmented_covariance[42];
         const double t124 = self->augmented_covariance[44] - t123;
         quadratic = t7;
-        log_constant = 1.8378770664093453;
+        log_constant = MARKOV_JUMP_LOG_2_PI;
         determinant_0 = pivot_0;
         mean[0] = t9;
         mean[1] = t11;
@@ -586,9 +465,10 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
         covariance[43] = t122;
         covariance[44] = t124;
     }
-    if (!((mean[0] - mean[0]) + (mean[1] - mean[1]) + (mean[2] - mean[2]) + (mean[3] - mean[3]) +
-            (mean[4] - mean[4]) + (mean[5] - mean[5]) + (mean[6] - mean[6]) + (mean[7] - mean[7]) +
-            (mean[8] - mean[8]) >= 0.0))
+    if (!markov_jump_finite(markov_jump_defect(mean[0]) + markov_jump_defect(mean[1]) +
+        markov_jump_defect(mean[2]) + markov_jump_defect(mean[3]) + markov_jump_defect(mean[4]) +
+        markov_jump_defect(mean[5]) + markov_jump_defect(mean[6]) + markov_jump_defect(mean[7]) +
+        markov_jump_defect(mean[8])))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
@@ -617,7 +497,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
         const double t127 = innovation_lost_0 * inverse_lost_0;
         const double t128 = innovation_lost_0 * t127;
         quadratic_lost = t128;
-        log_constant_lost = 1.8378770664093453;
+        log_constant_lost = MARKOV_JUMP_LOG_2_PI;
         determinant_lost_0 = pivot_lost_0;
     }
 
@@ -879,7 +759,8 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_t *self, markov_jump_t *next)
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_t *self,
+    markov_jump_t *next)
 {
     double moved_moment_0[6];
     double moved_moment_1[6];
@@ -2143,23 +2024,25 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_
     const double t1155 = plant_noise_0[5] + plant_noise_1[5];
     const double t1156 = t1155 + plant_noise_2[5];
     const double t1157 = moved_covariance[44] + t1156;
-    if (!((t613 - t613) + (t618 - t618) + (t623 - t623) + (t628 - t628) +
-            (t633 - t633) + (t638 - t638) + (moved_state[6] - moved_state[6]) + (moved_state[7] - moved_state[7]) +
-            (moved_state[8] - moved_state[8]) + (t665 - t665) + (t719 - t719) + (t800 - t800) +
-            (t890 - t890) + (t992 - t992) + (t1106 - t1106) + (t1115 - t1115) +
-            (t1132 - t1132) + (t1157 - t1157) >= 0.0))
+    if (!markov_jump_finite(markov_jump_defect(t613) + markov_jump_defect(t618) +
+        markov_jump_defect(t623) + markov_jump_defect(t628) + markov_jump_defect(t633) +
+        markov_jump_defect(t638) + markov_jump_defect(moved_state[6]) +
+        markov_jump_defect(moved_state[7]) + markov_jump_defect(moved_state[8]) +
+        markov_jump_defect(t665) + markov_jump_defect(t719) + markov_jump_defect(t800) +
+        markov_jump_defect(t890) + markov_jump_defect(t992) + markov_jump_defect(t1106) +
+        markov_jump_defect(t1115) + markov_jump_defect(t1132) + markov_jump_defect(t1157)))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
-    if (!((t486 - t486) + (t486 - t486) >= 0.0))
+    if (!markov_jump_finite(markov_jump_defect(t486) + markov_jump_defect(t486)))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
-    if (!((t522 - t522) + (t522 - t522) >= 0.0))
+    if (!markov_jump_finite(markov_jump_defect(t522) + markov_jump_defect(t522)))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
-    if (!((t558 - t558) + (t558 - t558) >= 0.0))
+    if (!markov_jump_finite(markov_jump_defect(t558) + markov_jump_defect(t558)))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
@@ -2250,37 +2133,30 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_
     return MARKOV_JUMP_OK;
 }
 
-markov_jump_status_t markov_jump_init(markov_jump_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void markov_jump_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+markov_jump_status_t markov_jump_init(markov_jump_t *self)
+{
     if (self == NULL)
     {
         return MARKOV_JUMP_NULL_POINTER;
     }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_state[i] = markov_jump_predicted_state_0[i];
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->predicted_covariance[i] = markov_jump_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_state[i] = markov_jump_filtered_state_0[i];
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->filtered_covariance[i] = markov_jump_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    markov_jump_fill(self->predicted_state, 3, markov_jump_predicted_state_0, 3);
+    markov_jump_fill(self->predicted_covariance, 6, markov_jump_predicted_covariance_0, 6);
+    markov_jump_fill(self->filtered_state, 3, markov_jump_predicted_state_0, 3);
+    markov_jump_fill(self->filtered_covariance, 6, markov_jump_predicted_covariance_0, 6);
+    markov_jump_fill(self->innovation, 1, markov_jump_zero_0, 1);
+    markov_jump_fill(self->innovation_covariance, 1, markov_jump_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
     self->fault_declared = 0.0;
@@ -2288,40 +2164,19 @@ markov_jump_status_t markov_jump_init(markov_jump_t *self)
     self->test_threshold = 0.0;
     self->test_dof = 0.0;
     self->consecutive_rejections = 0.0;
-    for (i = 0; i < 3; ++i)
-    {
-        self->mode_law[i] = markov_jump_mode_law_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_mode_law[i] = markov_jump_predicted_mode_law_0[i];
-    }
-    for (i = 0; i < 9; ++i)
-    {
-        self->augmented_state[i] = markov_jump_augmented_state_0[i];
-    }
-    for (i = 0; i < 9; ++i)
-    {
-        self->augmented_filtered_state[i] = markov_jump_augmented_filtered_state_0[i];
-    }
-    for (i = 0; i < 45; ++i)
-    {
-        self->augmented_covariance[i] = markov_jump_augmented_covariance_0[i];
-    }
-    for (i = 0; i < 45; ++i)
-    {
-        self->augmented_filtered_covariance[i] = markov_jump_augmented_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 18; ++i)
-    {
-        self->mode_second_moment[i] = markov_jump_mode_second_moment_0[i];
-    }
-    for (i = 0; i < 18; ++i)
-    {
-        self->predicted_mode_second_moment[i] = markov_jump_predicted_mode_second_moment_0[i];
-    }
+    markov_jump_fill(self->mode_law, 3, markov_jump_mode_law_0, 3);
+    markov_jump_fill(self->predicted_mode_law, 3, markov_jump_mode_law_0, 3);
+    markov_jump_fill(self->augmented_state, 9, markov_jump_augmented_state_0, 9);
+    markov_jump_fill(self->augmented_filtered_state, 9, markov_jump_augmented_state_0, 9);
+    markov_jump_fill(self->augmented_covariance, 45, markov_jump_augmented_covariance_0, 45);
+    markov_jump_fill(self->augmented_filtered_covariance, 45, markov_jump_augmented_covariance_0,
+        45);
+    markov_jump_fill(self->mode_second_moment, 18, markov_jump_mode_second_moment_0, 18);
+    markov_jump_fill(self->predicted_mode_second_moment, 18, markov_jump_mode_second_moment_0, 18);
     return MARKOV_JUMP_OK;
 }
+
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
 
 markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], uint32_t valid)
 {
@@ -2343,7 +2198,9 @@ markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], 
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK)) : MARKOV_JUMP_SKIPPED;
+    return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
+        : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK))
+        : MARKOV_JUMP_SKIPPED;
 }
 
 markov_jump_status_t markov_jump_predict(markov_jump_t *self)
@@ -2388,5 +2245,7 @@ markov_jump_status_t markov_jump_step(markov_jump_t *self, const double y[1], ui
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK)) : MARKOV_JUMP_SKIPPED;
+    return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
+        : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK))
+        : MARKOV_JUMP_SKIPPED;
 }

@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "sensor_faults_1: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define SENSOR_FAULTS_1_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -145,71 +147,76 @@ static double sensor_faults_1_exp(double x)
     return y * sensor_faults_1_power_of_two(k - half);
 }
 
-static const double sensor_faults_1_filtered_covariance_0[1] = {
+/* ---- constants ---- */
+
+/* Products of entries of the model that are folded into one number, up to its sign:
+ *   0.6400000000000001 = A[0][0]^2
+ */
+
+/* log(2 pi), of a Gaussian density */
+#define SENSOR_FAULTS_1_LOG_2_PI (1.8378770664093453)
+/* stands for the logarithm of 0 */
+#define SENSOR_FAULTS_1_LOG_ZERO (-1.0e+300)
+/* below it no density can be told from 0 */
+#define SENSOR_FAULTS_1_LEAST_LOG_DENSITY (-5.0e+299)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double sensor_faults_1_zero_0[1] = {
     0.0
 };
 
-static const double sensor_faults_1_filtered_state_0[1] = {
-    0.0
+static const double sensor_faults_1_mode_probability_0[2] = {
+    0.4, 0.1
 };
 
-static const double sensor_faults_1_log_weight_0[4] = {
-    -0.916290731874155,
-    -2.3025850929940455,
-    -0.916290731874155,
-    -2.3025850929940455
+static const double sensor_faults_1_log_weight_0[2] = {
+    -0.916290731874155, -2.3025850929940455
 };
 
-static const double sensor_faults_1_mode_probability_0[4] = {
-    0.4,
-    0.1,
-    0.4,
-    0.1
-};
+/* ---- what may be used of a sample ---- */
 
-static const double sensor_faults_1_predicted_covariance_0[1] = {
-    0.0
-};
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double sensor_faults_1_defect(double x)
+{
+    return x - x;
+}
 
-static const double sensor_faults_1_predicted_log_weight_0[4] = {
-    -0.916290731874155,
-    -2.3025850929940455,
-    -0.916290731874155,
-    -2.3025850929940455
-};
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int sensor_faults_1_finite(double defects)
+{
+    return defects >= 0.0;
+}
 
-static const double sensor_faults_1_predicted_mode_probability_0[4] = {
-    0.4,
-    0.1,
-    0.4,
-    0.1
-};
-
-static const double sensor_faults_1_predicted_state_0[1] = {
-    0.0
-};
-
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int sensor_faults_1_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < SENSOR_FAULTS_1_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (sensor_faults_1_finite(sensor_faults_1_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const sensor_faults_1_t *self, const double *y, uint32_t present, sensor_faults_1_t *next)
+SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const sensor_faults_1_t
+    *self, const double *y, uint32_t present, sensor_faults_1_t *next)
 {
     double innovation_m0_0 = 0.0;
     double mean_m0;
@@ -288,7 +295,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         const double t8 = t7 * self->predicted_covariance[0];
         const double t9 = self->predicted_covariance[0] - t8;
         quadratic_m0 = t4;
-        log_constant_m0 = 1.8378770664093453;
+        log_constant_m0 = SENSOR_FAULTS_1_LOG_2_PI;
         determinant_m0_0 = pivot_m0_0;
         mean_m0 = t6;
         covariance_m0 = t9;
@@ -331,7 +338,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         const double t22 = t21 * self->predicted_covariance[0];
         const double t23 = self->predicted_covariance[0] - t22;
         quadratic_m1 = t18;
-        log_constant_m1 = 1.8378770664093453;
+        log_constant_m1 = SENSOR_FAULTS_1_LOG_2_PI;
         determinant_m1_0 = pivot_m1_0;
         mean_m1 = t20;
         covariance_m1 = t23;
@@ -355,7 +362,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     {
         const double t28 = innovation_m2_0 * innovation_m2_0;
         quadratic_m2 = t28;
-        log_constant_m2 = 1.8378770664093453;
+        log_constant_m2 = SENSOR_FAULTS_1_LOG_2_PI;
     }
 
     /* mode 2: no signal, R */
@@ -422,12 +429,12 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         const double t51 = t50 + share_of_largest[2];
         const double t52 = t51 + share_of_largest[3];
         share_total = t52;
-        const double t53 = log_largest - -5.0e+299;
+        const double t53 = log_largest - SENSOR_FAULTS_1_LEAST_LOG_DENSITY;
         if (!(t53 > 0.0))
         {
             return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
         }
-        if (!((share_total - share_total) >= 0.0))
+        if (!sensor_faults_1_finite(sensor_faults_1_defect(share_total)))
         {
             return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
         }
@@ -441,16 +448,16 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         const double t59 = share_of_largest[3] * share_total_inverse;
         const double t60 = log_joint[0] - log_largest;
         const double t61 = t60 - log_share_total;
-        const double t62 = (t61 > -1.0e+300) ? t61 : -1.0e+300;
+        const double t62 = (t61 > SENSOR_FAULTS_1_LOG_ZERO) ? t61 : SENSOR_FAULTS_1_LOG_ZERO;
         const double t63 = log_joint[1] - log_largest;
         const double t64 = t63 - log_share_total;
-        const double t65 = (t64 > -1.0e+300) ? t64 : -1.0e+300;
+        const double t65 = (t64 > SENSOR_FAULTS_1_LOG_ZERO) ? t64 : SENSOR_FAULTS_1_LOG_ZERO;
         const double t66 = log_joint[2] - log_largest;
         const double t67 = t66 - log_share_total;
-        const double t68 = (t67 > -1.0e+300) ? t67 : -1.0e+300;
+        const double t68 = (t67 > SENSOR_FAULTS_1_LOG_ZERO) ? t67 : SENSOR_FAULTS_1_LOG_ZERO;
         const double t69 = log_joint[3] - log_largest;
         const double t70 = t69 - log_share_total;
-        const double t71 = (t70 > -1.0e+300) ? t70 : -1.0e+300;
+        const double t71 = (t70 > SENSOR_FAULTS_1_LOG_ZERO) ? t70 : SENSOR_FAULTS_1_LOG_ZERO;
         const double t72 = log_largest + log_share_total;
         weight[0] = t56;
         weight[1] = t57;
@@ -516,7 +523,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     const double t107 = weight[3] * self->predicted_state[0];
     const double t108 = t106 + t107;
     combined_state = t108;
-    if (!((combined_state - combined_state) >= 0.0))
+    if (!sensor_faults_1_finite(sensor_faults_1_defect(combined_state)))
     {
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }
@@ -563,7 +570,8 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_propagate(const sensor_faults_1_t *self, sensor_faults_1_t *next)
+SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_propagate(const sensor_faults_1_t
+    *self, sensor_faults_1_t *next)
 {
     double mode_prediction_0;
     double mode_prediction_1;
@@ -596,7 +604,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_propagate(const 
     const double t20 = -0.8 * self->filtered_state[0];
     const double t21 = 0.6400000000000001 * self->filtered_covariance[0];
     const double t22 = t21 + 1.0;
-    if (!((t20 - t20) + (t22 - t22) >= 0.0))
+    if (!sensor_faults_1_finite(sensor_faults_1_defect(t20) + sensor_faults_1_defect(t22)))
     {
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }
@@ -613,59 +621,44 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_propagate(const 
     return SENSOR_FAULTS_1_OK;
 }
 
-sensor_faults_1_status_t sensor_faults_1_init(sensor_faults_1_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void sensor_faults_1_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+sensor_faults_1_status_t sensor_faults_1_init(sensor_faults_1_t *self)
+{
     if (self == NULL)
     {
         return SENSOR_FAULTS_1_NULL_POINTER;
     }
-    for (i = 0; i < 1; ++i)
-    {
-        self->predicted_state[i] = sensor_faults_1_predicted_state_0[i];
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->predicted_covariance[i] = sensor_faults_1_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->filtered_state[i] = sensor_faults_1_filtered_state_0[i];
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->filtered_covariance[i] = sensor_faults_1_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    sensor_faults_1_fill(self->predicted_state, 1, sensor_faults_1_zero_0, 1);
+    sensor_faults_1_fill(self->predicted_covariance, 1, sensor_faults_1_zero_0, 1);
+    sensor_faults_1_fill(self->filtered_state, 1, sensor_faults_1_zero_0, 1);
+    sensor_faults_1_fill(self->filtered_covariance, 1, sensor_faults_1_zero_0, 1);
+    sensor_faults_1_fill(self->innovation, 1, sensor_faults_1_zero_0, 1);
+    sensor_faults_1_fill(self->innovation_covariance, 1, sensor_faults_1_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
-    for (i = 0; i < 4; ++i)
-    {
-        self->mode_probability[i] = sensor_faults_1_mode_probability_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->predicted_mode_probability[i] = sensor_faults_1_predicted_mode_probability_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->log_weight[i] = sensor_faults_1_log_weight_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->predicted_log_weight[i] = sensor_faults_1_predicted_log_weight_0[i];
-    }
+    sensor_faults_1_fill(self->mode_probability, 4, sensor_faults_1_mode_probability_0, 2);
+    sensor_faults_1_fill(self->predicted_mode_probability, 4, sensor_faults_1_mode_probability_0,
+        2);
+    sensor_faults_1_fill(self->log_weight, 4, sensor_faults_1_log_weight_0, 2);
+    sensor_faults_1_fill(self->predicted_log_weight, 4, sensor_faults_1_log_weight_0, 2);
     return SENSOR_FAULTS_1_OK;
 }
 
-sensor_faults_1_status_t sensor_faults_1_update(sensor_faults_1_t *self, const double y[1], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+sensor_faults_1_status_t sensor_faults_1_update(sensor_faults_1_t *self, const double y[1],
+    uint32_t valid)
 {
     sensor_faults_1_t next;
     uint32_t present;
@@ -706,7 +699,8 @@ sensor_faults_1_status_t sensor_faults_1_predict(sensor_faults_1_t *self)
     return SENSOR_FAULTS_1_OK;
 }
 
-sensor_faults_1_status_t sensor_faults_1_step(sensor_faults_1_t *self, const double y[1], uint32_t valid)
+sensor_faults_1_status_t sensor_faults_1_step(sensor_faults_1_t *self, const double y[1],
+    uint32_t valid)
 {
     sensor_faults_1_t next;
     uint32_t present;

@@ -1,4 +1,5 @@
-/* sensor_faults_2_selftest_main.c: exit status 0 if sensor_faults_2_selftest() passes on this machine. */
+/* sensor_faults_2_selftest_main.c: exit status 0 if sensor_faults_2_selftest() passes on this
+ * machine. */
 #include "sensor_faults_2.h"
 
 int main(void)

@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "ship_track: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define SHIP_TRACK_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -226,220 +228,78 @@ static double ship_track_cos(double x)
     return ship_track_wave(x, 1);
 }
 
-static const double ship_track_filtered_covariance_0[10] = {
-    9000000.0,
-    0.0,
-    9000000.0,
-    0.0,
-    0.0,
-    100.0,
-    0.0,
-    0.0,
-    0.0,
-    100.0
-};
+/* ---- constants ---- */
 
-static const double ship_track_filtered_state_0[4] = {
-    0.0,
-    0.0,
-    0.0,
-    0.0
-};
+/* log(2 pi), of a Gaussian density */
+#define SHIP_TRACK_LOG_2_PI (1.8378770664093453)
+/* keeps 0/0 out of probabilities that are 0 */
+#define SHIP_TRACK_TINY (1.0e-290)
+/* stands for the logarithm of 0 */
+#define SHIP_TRACK_LOG_ZERO (-1.0e+300)
+/* below it no density can be told from 0 */
+#define SHIP_TRACK_LEAST_LOG_DENSITY (-5.0e+299)
 
-static const double ship_track_log_weight_0[3] = {
-    -0.5108256237659907,
-    -1.6094379124341003,
-    -1.6094379124341003
-};
+/* ---- start values; where they repeat, once ---- */
 
-static const double ship_track_mode_covariance_0[30] = {
-    9000000.0,
-    0.0,
-    9000000.0,
-    0.0,
-    0.0,
-    100.0,
-    0.0,
-    0.0,
-    0.0,
-    100.0,
-    9000000.0,
-    0.0,
-    9000000.0,
-    0.0,
-    0.0,
-    100.0,
-    0.0,
-    0.0,
-    0.0,
-    100.0,
-    9000000.0,
-    0.0,
-    9000000.0,
-    0.0,
-    0.0,
-    100.0,
-    0.0,
-    0.0,
-    0.0,
-    100.0
-};
-
-static const double ship_track_mode_filtered_covariance_0[30] = {
-    9000000.0,
-    0.0,
-    9000000.0,
-    0.0,
-    0.0,
-    100.0,
-    0.0,
-    0.0,
-    0.0,
-    100.0,
-    9000000.0,
-    0.0,
-    9000000.0,
-    0.0,
-    0.0,
-    100.0,
-    0.0,
-    0.0,
-    0.0,
-    100.0,
-    9000000.0,
-    0.0,
-    9000000.0,
-    0.0,
-    0.0,
-    100.0,
-    0.0,
-    0.0,
-    0.0,
-    100.0
-};
-
-static const double ship_track_mode_filtered_state_0[12] = {
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0
-};
-
-static const double ship_track_mode_probability_0[3] = {
-    0.6,
-    0.2,
-    0.2
-};
-
-static const double ship_track_mode_state_0[12] = {
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
+static const double ship_track_zero_0[1] = {
     0.0
 };
 
 static const double ship_track_predicted_covariance_0[10] = {
-    9000000.0,
-    0.0,
-    9000000.0,
-    0.0,
-    0.0,
-    100.0,
-    0.0,
-    0.0,
-    0.0,
-    100.0
+    9000000.0, 0.0, 9000000.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 100.0
 };
 
-static const double ship_track_predicted_log_weight_0[3] = {
-    -0.5108256237659907,
-    -1.6094379124341003,
-    -1.6094379124341003
+static const double ship_track_mode_probability_0[3] = {
+    0.6, 0.2, 0.2
 };
 
-static const double ship_track_predicted_mode_probability_0[3] = {
-    0.6,
-    0.2,
-    0.2
+static const double ship_track_log_weight_0[3] = {
+    -0.5108256237659907, -1.6094379124341003, -1.6094379124341003
 };
 
-static const double ship_track_predicted_state_0[4] = {
-    0.0,
-    0.0,
-    0.0,
-    0.0
-};
+/* ---- what may be used of a sample ---- */
 
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double ship_track_defect(double x)
+{
+    return x - x;
+}
+
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int ship_track_finite(double defects)
+{
+    return defects >= 0.0;
+}
+
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int ship_track_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < SHIP_TRACK_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (ship_track_finite(ship_track_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    if ((valid & 0x2u) != 0u)
-    {
-        if ((y[1] >= -DBL_MAX) && (y[1] <= DBL_MAX))
-        {
-            rows |= 0x2u;
-        }
-        else if ((y[1] > DBL_MAX) || (y[1] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x4u) != 0u)
-    {
-        if ((y[2] >= -DBL_MAX) && (y[2] <= DBL_MAX))
-        {
-            rows |= 0x4u;
-        }
-        else if ((y[2] > DBL_MAX) || (y[2] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x8u) != 0u)
-    {
-        if ((y[3] >= -DBL_MAX) && (y[3] <= DBL_MAX))
-        {
-            rows |= 0x8u;
-        }
-        else if ((y[3] > DBL_MAX) || (y[3] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *self, const double *y, uint32_t present, ship_track_t *next)
+SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *self, const double *y,
+    uint32_t present, ship_track_t *next)
 {
     double innovation_m0_0 = 0.0;
     double innovation_m0_1 = 0.0;
@@ -536,15 +396,18 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double combined_0_2_apart[4];
     double combined_0_2_mean[4];
     double combined_0_2_covariance[10];
-    if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) && (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[9] >= 0.0)))
+    if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
+        (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[9] >= 0.0)))
     {
         return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->mode_covariance[10] >= 0.0) && (self->mode_covariance[12] >= 0.0) && (self->mode_covariance[15] >= 0.0) && (self->mode_covariance[19] >= 0.0)))
+    if (!((self->mode_covariance[10] >= 0.0) && (self->mode_covariance[12] >= 0.0) &&
+        (self->mode_covariance[15] >= 0.0) && (self->mode_covariance[19] >= 0.0)))
     {
         return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->mode_covariance[20] >= 0.0) && (self->mode_covariance[22] >= 0.0) && (self->mode_covariance[25] >= 0.0) && (self->mode_covariance[29] >= 0.0)))
+    if (!((self->mode_covariance[20] >= 0.0) && (self->mode_covariance[22] >= 0.0) &&
+        (self->mode_covariance[25] >= 0.0) && (self->mode_covariance[29] >= 0.0)))
     {
         return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
     }
@@ -647,7 +510,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t42 = t35 * self->mode_covariance[6];
         const double t43 = self->mode_covariance[9] - t42;
         quadratic_m0 = t11;
-        log_constant_m0 = 1.8378770664093453;
+        log_constant_m0 = SHIP_TRACK_LOG_2_PI;
         determinant_m0_0 = pivot_m0_0;
         mean_m0[0] = t13;
         mean_m0[1] = t15;
@@ -681,7 +544,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t48 = t47 * inverse_m0_1;
         const double t49 = t47 * t48;
         const double t50 = quadratic_m0 + t49;
-        const double t51 = log_constant_m0 + 1.8378770664093453;
+        const double t51 = log_constant_m0 + SHIP_TRACK_LOG_2_PI;
         const double t52 = determinant_m0_0 * pivot_m0_1;
         const double t53 = covariance_m0[1] * t48;
         const double t54 = mean_m0[0] + t53;
@@ -750,7 +613,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t89 = t88 * inverse_m0_2;
         const double t90 = t88 * t89;
         const double t91 = quadratic_m0 + t90;
-        const double t92 = log_constant_m0 + 1.8378770664093453;
+        const double t92 = log_constant_m0 + SHIP_TRACK_LOG_2_PI;
         const double t93 = determinant_m0_0 * pivot_m0_2;
         const double t94 = covariance_m0[3] * t89;
         const double t95 = mean_m0[0] + t94;
@@ -819,7 +682,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t130 = t129 * inverse_m0_3;
         const double t131 = t129 * t130;
         const double t132 = quadratic_m0 + t131;
-        const double t133 = log_constant_m0 + 1.8378770664093453;
+        const double t133 = log_constant_m0 + SHIP_TRACK_LOG_2_PI;
         const double t134 = determinant_m0_0 * pivot_m0_3;
         const double t135 = covariance_m0[6] * t130;
         const double t136 = mean_m0[0] + t135;
@@ -977,7 +840,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t213 = t206 * self->mode_covariance[16];
         const double t214 = self->mode_covariance[19] - t213;
         quadratic_m1 = t182;
-        log_constant_m1 = 1.8378770664093453;
+        log_constant_m1 = SHIP_TRACK_LOG_2_PI;
         determinant_m1_0 = pivot_m1_0;
         mean_m1[0] = t184;
         mean_m1[1] = t186;
@@ -1011,7 +874,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t219 = t218 * inverse_m1_1;
         const double t220 = t218 * t219;
         const double t221 = quadratic_m1 + t220;
-        const double t222 = log_constant_m1 + 1.8378770664093453;
+        const double t222 = log_constant_m1 + SHIP_TRACK_LOG_2_PI;
         const double t223 = determinant_m1_0 * pivot_m1_1;
         const double t224 = covariance_m1[1] * t219;
         const double t225 = mean_m1[0] + t224;
@@ -1080,7 +943,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t260 = t259 * inverse_m1_2;
         const double t261 = t259 * t260;
         const double t262 = quadratic_m1 + t261;
-        const double t263 = log_constant_m1 + 1.8378770664093453;
+        const double t263 = log_constant_m1 + SHIP_TRACK_LOG_2_PI;
         const double t264 = determinant_m1_0 * pivot_m1_2;
         const double t265 = covariance_m1[3] * t260;
         const double t266 = mean_m1[0] + t265;
@@ -1149,7 +1012,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t301 = t300 * inverse_m1_3;
         const double t302 = t300 * t301;
         const double t303 = quadratic_m1 + t302;
-        const double t304 = log_constant_m1 + 1.8378770664093453;
+        const double t304 = log_constant_m1 + SHIP_TRACK_LOG_2_PI;
         const double t305 = determinant_m1_0 * pivot_m1_3;
         const double t306 = covariance_m1[6] * t301;
         const double t307 = mean_m1[0] + t306;
@@ -1307,7 +1170,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t384 = t377 * self->mode_covariance[26];
         const double t385 = self->mode_covariance[29] - t384;
         quadratic_m2 = t353;
-        log_constant_m2 = 1.8378770664093453;
+        log_constant_m2 = SHIP_TRACK_LOG_2_PI;
         determinant_m2_0 = pivot_m2_0;
         mean_m2[0] = t355;
         mean_m2[1] = t357;
@@ -1341,7 +1204,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t390 = t389 * inverse_m2_1;
         const double t391 = t389 * t390;
         const double t392 = quadratic_m2 + t391;
-        const double t393 = log_constant_m2 + 1.8378770664093453;
+        const double t393 = log_constant_m2 + SHIP_TRACK_LOG_2_PI;
         const double t394 = determinant_m2_0 * pivot_m2_1;
         const double t395 = covariance_m2[1] * t390;
         const double t396 = mean_m2[0] + t395;
@@ -1410,7 +1273,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t431 = t430 * inverse_m2_2;
         const double t432 = t430 * t431;
         const double t433 = quadratic_m2 + t432;
-        const double t434 = log_constant_m2 + 1.8378770664093453;
+        const double t434 = log_constant_m2 + SHIP_TRACK_LOG_2_PI;
         const double t435 = determinant_m2_0 * pivot_m2_2;
         const double t436 = covariance_m2[3] * t431;
         const double t437 = mean_m2[0] + t436;
@@ -1479,7 +1342,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t472 = t471 * inverse_m2_3;
         const double t473 = t471 * t472;
         const double t474 = quadratic_m2 + t473;
-        const double t475 = log_constant_m2 + 1.8378770664093453;
+        const double t475 = log_constant_m2 + SHIP_TRACK_LOG_2_PI;
         const double t476 = determinant_m2_0 * pivot_m2_3;
         const double t477 = covariance_m2[6] * t472;
         const double t478 = mean_m2[0] + t477;
@@ -1569,12 +1432,12 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t524 = share_of_largest[0] + share_of_largest[1];
         const double t525 = t524 + share_of_largest[2];
         share_total = t525;
-        const double t526 = log_largest - -5.0e+299;
+        const double t526 = log_largest - SHIP_TRACK_LEAST_LOG_DENSITY;
         if (!(t526 > 0.0))
         {
             return SHIP_TRACK_RESULT_NOT_FINITE;
         }
-        if (!((share_total - share_total) >= 0.0))
+        if (!ship_track_finite(ship_track_defect(share_total)))
         {
             return SHIP_TRACK_RESULT_NOT_FINITE;
         }
@@ -1587,13 +1450,13 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         const double t531 = share_of_largest[2] * share_total_inverse;
         const double t532 = log_joint[0] - log_largest;
         const double t533 = t532 - log_share_total;
-        const double t534 = (t533 > -1.0e+300) ? t533 : -1.0e+300;
+        const double t534 = (t533 > SHIP_TRACK_LOG_ZERO) ? t533 : SHIP_TRACK_LOG_ZERO;
         const double t535 = log_joint[1] - log_largest;
         const double t536 = t535 - log_share_total;
-        const double t537 = (t536 > -1.0e+300) ? t536 : -1.0e+300;
+        const double t537 = (t536 > SHIP_TRACK_LOG_ZERO) ? t536 : SHIP_TRACK_LOG_ZERO;
         const double t538 = log_joint[2] - log_largest;
         const double t539 = t538 - log_share_total;
-        const double t540 = (t539 > -1.0e+300) ? t539 : -1.0e+300;
+        const double t540 = (t539 > SHIP_TRACK_LOG_ZERO) ? t539 : SHIP_TRACK_LOG_ZERO;
         const double t541 = log_largest + log_share_total;
         weight[0] = t529;
         weight[1] = t530;
@@ -1895,7 +1758,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     combined_0_2_share[0] = t758;
     combined_0_2_share[1] = weight[2];
     const double t759 = weight[0] + weight[1];
-    const double t760 = t759 + 1.0e-290;
+    const double t760 = t759 + SHIP_TRACK_TINY;
     const double t761 = 1.0 / t760;
     combined_0_1_inverse = t761;
     const double t762 = weight[0] * combined_0_1_inverse;
@@ -2096,7 +1959,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     combined_0_2_covariance[7] = t901;
     combined_0_2_covariance[8] = t906;
     combined_0_2_covariance[9] = t911;
-    if (!((combined_0_2_mean[0] - combined_0_2_mean[0]) + (combined_0_2_mean[1] - combined_0_2_mean[1]) + (combined_0_2_mean[2] - combined_0_2_mean[2]) + (combined_0_2_mean[3] - combined_0_2_mean[3]) >= 0.0))
+    if (!ship_track_finite(ship_track_defect(combined_0_2_mean[0]) +
+        ship_track_defect(combined_0_2_mean[1]) + ship_track_defect(combined_0_2_mean[2]) +
+        ship_track_defect(combined_0_2_mean[3])))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
@@ -2205,7 +2070,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *self, const ship_track_params_t *params, ship_track_t *next)
+SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *self,
+    const ship_track_params_t *params, ship_track_t *next)
 {
     double A[16];
     double Q[16];
@@ -2383,7 +2249,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     mixed_0_0_2_share[0] = t56;
     mixed_0_0_2_share[1] = mixing_0[2];
     const double t57 = mixing_0[0] + mixing_0[1];
-    const double t58 = t57 + 1.0e-290;
+    const double t58 = t57 + SHIP_TRACK_TINY;
     const double t59 = 1.0 / t58;
     mixed_0_0_1_inverse = t59;
     const double t60 = mixing_0[0] * mixed_0_0_1_inverse;
@@ -2637,7 +2503,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     const double t246 = path_share_1[0] * path_share_inverse_1;
     const double t247 = path_share_1[1] * path_share_inverse_1;
     const double t248 = t246 + t247;
-    const double t249 = t248 + 1.0e-290;
+    const double t249 = t248 + SHIP_TRACK_TINY;
     const double t250 = 1.0 / t249;
     mixed_1_0_1_inverse = t250;
     const double t251 = path_share_1[0] * path_share_inverse_1;
@@ -3068,7 +2934,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     predicted_0_2_share[0] = t609;
     predicted_0_2_share[1] = mode_prediction_2;
     const double t610 = mode_prediction_0 + mode_prediction_1;
-    const double t611 = t610 + 1.0e-290;
+    const double t611 = t610 + SHIP_TRACK_TINY;
     const double t612 = 1.0 / t611;
     predicted_0_1_inverse = t612;
     const double t613 = mode_prediction_0 * predicted_0_1_inverse;
@@ -3290,8 +3156,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     const double t781 = t780 + moved_covariance_2[5];
     const double t782 = moved_covariance_0[9] + moved_covariance_1[9];
     const double t783 = t782 + moved_covariance_2[9];
-    if (!((t769 - t769) + (t771 - t771) + (t773 - t773) + (t775 - t775) +
-            (t777 - t777) + (t779 - t779) + (t781 - t781) + (t783 - t783) >= 0.0))
+    if (!ship_track_finite(ship_track_defect(t769) + ship_track_defect(t771) +
+        ship_track_defect(t773) + ship_track_defect(t775) + ship_track_defect(t777) +
+        ship_track_defect(t779) + ship_track_defect(t781) + ship_track_defect(t783)))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
@@ -3360,71 +3227,40 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     return SHIP_TRACK_OK;
 }
 
-ship_track_status_t ship_track_init(ship_track_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void ship_track_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+ship_track_status_t ship_track_init(ship_track_t *self)
+{
     if (self == NULL)
     {
         return SHIP_TRACK_NULL_POINTER;
     }
-    for (i = 0; i < 4; ++i)
-    {
-        self->predicted_state[i] = ship_track_predicted_state_0[i];
-    }
-    for (i = 0; i < 10; ++i)
-    {
-        self->predicted_covariance[i] = ship_track_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->filtered_state[i] = ship_track_filtered_state_0[i];
-    }
-    for (i = 0; i < 10; ++i)
-    {
-        self->filtered_covariance[i] = ship_track_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 10; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    ship_track_fill(self->predicted_state, 4, ship_track_zero_0, 1);
+    ship_track_fill(self->predicted_covariance, 10, ship_track_predicted_covariance_0, 10);
+    ship_track_fill(self->filtered_state, 4, ship_track_zero_0, 1);
+    ship_track_fill(self->filtered_covariance, 10, ship_track_predicted_covariance_0, 10);
+    ship_track_fill(self->innovation, 4, ship_track_zero_0, 1);
+    ship_track_fill(self->innovation_covariance, 10, ship_track_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
-    for (i = 0; i < 3; ++i)
-    {
-        self->mode_probability[i] = ship_track_mode_probability_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_mode_probability[i] = ship_track_predicted_mode_probability_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->log_weight[i] = ship_track_log_weight_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_log_weight[i] = ship_track_predicted_log_weight_0[i];
-    }
-    for (i = 0; i < 12; ++i)
-    {
-        self->mode_state[i] = ship_track_mode_state_0[i];
-    }
-    for (i = 0; i < 30; ++i)
-    {
-        self->mode_covariance[i] = ship_track_mode_covariance_0[i];
-    }
-    for (i = 0; i < 12; ++i)
-    {
-        self->mode_filtered_state[i] = ship_track_mode_filtered_state_0[i];
-    }
-    for (i = 0; i < 30; ++i)
-    {
-        self->mode_filtered_covariance[i] = ship_track_mode_filtered_covariance_0[i];
-    }
+    ship_track_fill(self->mode_probability, 3, ship_track_mode_probability_0, 3);
+    ship_track_fill(self->predicted_mode_probability, 3, ship_track_mode_probability_0, 3);
+    ship_track_fill(self->log_weight, 3, ship_track_log_weight_0, 3);
+    ship_track_fill(self->predicted_log_weight, 3, ship_track_log_weight_0, 3);
+    ship_track_fill(self->mode_state, 12, ship_track_zero_0, 1);
+    ship_track_fill(self->mode_covariance, 30, ship_track_predicted_covariance_0, 10);
+    ship_track_fill(self->mode_filtered_state, 12, ship_track_zero_0, 1);
+    ship_track_fill(self->mode_filtered_covariance, 30, ship_track_predicted_covariance_0, 10);
     return SHIP_TRACK_OK;
 }
 
@@ -3439,7 +3275,10 @@ ship_track_status_t ship_track_params_init(ship_track_params_t *params)
     return SHIP_TRACK_OK;
 }
 
-ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_params_t *params, const double y[4], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_params_t *params,
+    const double y[4], uint32_t valid)
 {
     ship_track_t next;
     uint32_t present;
@@ -3480,7 +3319,8 @@ ship_track_status_t ship_track_predict(ship_track_t *self, const ship_track_para
     return SHIP_TRACK_OK;
 }
 
-ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_t *params, const double y[4], uint32_t valid)
+ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_t *params,
+    const double y[4], uint32_t valid)
 {
     ship_track_t next;
     uint32_t present;

@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "soft_fault_cpcf: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define SOFT_FAULT_CPCF_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -80,60 +82,64 @@ static double soft_fault_cpcf_log(double x)
     return k + w;
 }
 
-static const double soft_fault_cpcf_filtered_covariance_0[3] = {
-    1.0,
-    0.0,
-    0.01
-};
+/* ---- constants ---- */
 
-static const double soft_fault_cpcf_filtered_state_0[2] = {
-    0.0,
+/* log(2 pi), of a Gaussian density */
+#define SOFT_FAULT_CPCF_LOG_2_PI (1.8378770664093453)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double soft_fault_cpcf_zero_0[1] = {
     0.0
 };
 
 static const double soft_fault_cpcf_predicted_covariance_0[3] = {
-    1.0,
-    0.0,
-    0.01
+    1.0, 0.0, 0.01
 };
 
-static const double soft_fault_cpcf_predicted_state_0[2] = {
-    0.0,
-    0.0
-};
+/* ---- what may be used of a sample ---- */
 
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double soft_fault_cpcf_defect(double x)
+{
+    return x - x;
+}
+
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int soft_fault_cpcf_finite(double defects)
+{
+    return defects >= 0.0;
+}
+
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int soft_fault_cpcf_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < SOFT_FAULT_CPCF_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (soft_fault_cpcf_finite(soft_fault_cpcf_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    if ((valid & 0x2u) != 0u)
-    {
-        if ((y[1] >= -DBL_MAX) && (y[1] <= DBL_MAX))
-        {
-            rows |= 0x2u;
-        }
-        else if ((y[1] > DBL_MAX) || (y[1] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const soft_fault_cpcf_t *self, const double *y, uint32_t present, soft_fault_cpcf_t *next)
+SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const soft_fault_cpcf_t
+    *self, const double *y, uint32_t present, soft_fault_cpcf_t *next)
 {
     double innovation_0 = 0.0;
     double innovation_1 = 0.0;
@@ -229,7 +235,7 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
         const double t24 = t19 * carried_compressed_cross_covariance[1];
         const double t25 = carried_compressed_noise - t24;
         quadratic = t5;
-        log_constant = 1.8378770664093453;
+        log_constant = SOFT_FAULT_CPCF_LOG_2_PI;
         determinant_0 = pivot_0;
         mean[0] = t7;
         mean[1] = t9;
@@ -312,7 +318,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
         new_compressed_cross_covariance[0] = 0.0;
         new_compressed_cross_covariance[1] = 0.0;
     }
-    if (!((mean[0] - mean[0]) + (mean[1] - mean[1]) + (new_compressed_measurement - new_compressed_measurement) >= 0.0))
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(mean[0]) + soft_fault_cpcf_defect(mean[1]) +
+        soft_fault_cpcf_defect(new_compressed_measurement)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -356,7 +363,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
 }
 
 /* At the end of a window: reads *self, writes the results to *next. */
-static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cpcf_t *self, soft_fault_cpcf_t *next)
+static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cpcf_t *self,
+    soft_fault_cpcf_t *next)
 {
     double size;
     double mean_taken[3];
@@ -478,7 +486,9 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     /* results of the window */
     const double t33 = quadratic_taken * self->collecting;
     const double t34 = rank * self->collecting;
-    if (!((closed_state[0] - closed_state[0]) + (closed_state[1] - closed_state[1]) + (closed_covariance[0] - closed_covariance[0]) + (closed_covariance[2] - closed_covariance[2]) >= 0.0))
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(closed_state[0]) +
+        soft_fault_cpcf_defect(closed_state[1]) + soft_fault_cpcf_defect(closed_covariance[0]) +
+        soft_fault_cpcf_defect(closed_covariance[2])))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -495,7 +505,8 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const soft_fault_cpcf_t *self, soft_fault_cpcf_t *next)
+SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const soft_fault_cpcf_t
+    *self, soft_fault_cpcf_t *next)
 {
     double left;
 
@@ -535,11 +546,14 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     const double t25 = t23 + t24;
     const double t26 = t25 + -0.01;
     const double t27 = t16 + -0.1;
-    if (!((t3 - t3) + (self->filtered_state[1] - self->filtered_state[1]) + (t10 - t10) + (t14 - t14) >= 0.0))
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t3) +
+        soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t10) +
+        soft_fault_cpcf_defect(t14)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
-    if (!((self->compressed_measurement[0] - self->compressed_measurement[0]) + (t21 - t21) >= 0.0))
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(self->compressed_measurement[0]) +
+        soft_fault_cpcf_defect(t21)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -557,37 +571,30 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     return SOFT_FAULT_CPCF_OK;
 }
 
-soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void soft_fault_cpcf_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self)
+{
     if (self == NULL)
     {
         return SOFT_FAULT_CPCF_NULL_POINTER;
     }
-    for (i = 0; i < 2; ++i)
-    {
-        self->predicted_state[i] = soft_fault_cpcf_predicted_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_covariance[i] = soft_fault_cpcf_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->filtered_state[i] = soft_fault_cpcf_filtered_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_covariance[i] = soft_fault_cpcf_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    soft_fault_cpcf_fill(self->predicted_state, 2, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(self->predicted_covariance, 3, soft_fault_cpcf_predicted_covariance_0, 3);
+    soft_fault_cpcf_fill(self->filtered_state, 2, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(self->filtered_covariance, 3, soft_fault_cpcf_predicted_covariance_0, 3);
+    soft_fault_cpcf_fill(self->innovation, 2, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(self->innovation_covariance, 3, soft_fault_cpcf_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
     self->test_statistic = 0.0;
@@ -597,34 +604,19 @@ soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self)
     self->collecting = 0.0;
     self->predicted_window_left = 150.0;
     self->predicted_collecting = 0.0;
-    for (i = 0; i < 1; ++i)
-    {
-        self->compressed_measurement[i] = 0.0;
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->compressed_noise[i] = 0.0;
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->compressed_cross_covariance[i] = 0.0;
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->predicted_compressed_measurement[i] = 0.0;
-    }
-    for (i = 0; i < 1; ++i)
-    {
-        self->predicted_compressed_noise[i] = 0.0;
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->predicted_compressed_cross_covariance[i] = 0.0;
-    }
+    soft_fault_cpcf_fill(self->compressed_measurement, 1, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(self->compressed_noise, 1, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(self->compressed_cross_covariance, 2, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(self->predicted_compressed_measurement, 1, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(self->predicted_compressed_noise, 1, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(self->predicted_compressed_cross_covariance, 2, soft_fault_cpcf_zero_0, 1);
     return SOFT_FAULT_CPCF_OK;
 }
 
-soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const double y[2], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const double y[2],
+    uint32_t valid)
 {
     soft_fault_cpcf_t next;
     uint32_t present;
@@ -652,7 +644,8 @@ soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const d
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;
+    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
+        : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;
 }
 
 soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self)
@@ -673,7 +666,8 @@ soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self)
     return SOFT_FAULT_CPCF_OK;
 }
 
-soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const double y[2], uint32_t valid)
+soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const double y[2],
+    uint32_t valid)
 {
     soft_fault_cpcf_t next;
     uint32_t present;
@@ -705,5 +699,6 @@ soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const dou
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;
+    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
+        : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;
 }

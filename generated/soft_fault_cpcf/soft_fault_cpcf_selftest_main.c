@@ -1,4 +1,5 @@
-/* soft_fault_cpcf_selftest_main.c: exit status 0 if soft_fault_cpcf_selftest() passes on this machine. */
+/* soft_fault_cpcf_selftest_main.c: exit status 0 if soft_fault_cpcf_selftest() passes on this
+ * machine. */
 #include "soft_fault_cpcf.h"
 
 int main(void)

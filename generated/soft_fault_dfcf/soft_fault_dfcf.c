@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "soft_fault_dfcf: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define SOFT_FAULT_DFCF_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -80,72 +82,64 @@ static double soft_fault_dfcf_log(double x)
     return k + w;
 }
 
-static const double soft_fault_dfcf_compression_covariance_0[3] = {
-    1.0,
-    0.0,
-    0.01
-};
+/* ---- constants ---- */
 
-static const double soft_fault_dfcf_filtered_covariance_0[3] = {
-    1.0,
-    0.0,
-    0.01
-};
+/* log(2 pi), of a Gaussian density */
+#define SOFT_FAULT_DFCF_LOG_2_PI (1.8378770664093453)
 
-static const double soft_fault_dfcf_filtered_state_0[2] = {
-    0.0,
+/* ---- start values; where they repeat, once ---- */
+
+static const double soft_fault_dfcf_zero_0[1] = {
     0.0
-};
-
-static const double soft_fault_dfcf_predicted_compression_covariance_0[3] = {
-    1.0,
-    0.0,
-    0.01
 };
 
 static const double soft_fault_dfcf_predicted_covariance_0[3] = {
-    1.0,
-    0.0,
-    0.01
+    1.0, 0.0, 0.01
 };
 
-static const double soft_fault_dfcf_predicted_state_0[2] = {
-    0.0,
-    0.0
-};
+/* ---- what may be used of a sample ---- */
 
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double soft_fault_dfcf_defect(double x)
+{
+    return x - x;
+}
+
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int soft_fault_dfcf_finite(double defects)
+{
+    return defects >= 0.0;
+}
+
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int soft_fault_dfcf_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < SOFT_FAULT_DFCF_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (soft_fault_dfcf_finite(soft_fault_dfcf_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    if ((valid & 0x2u) != 0u)
-    {
-        if ((y[1] >= -DBL_MAX) && (y[1] <= DBL_MAX))
-        {
-            rows |= 0x2u;
-        }
-        else if ((y[1] > DBL_MAX) || (y[1] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const soft_fault_dfcf_t *self, const double *y, uint32_t present, soft_fault_dfcf_t *next)
+SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const soft_fault_dfcf_t
+    *self, const double *y, uint32_t present, soft_fault_dfcf_t *next)
 {
     double innovation_0 = 0.0;
     double innovation_1 = 0.0;
@@ -171,7 +165,8 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     {
         return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[0] >= 0.0) && (self->predicted_compression_covariance[2] >= 0.0)))
+    if (!((self->predicted_compression_covariance[0] >= 0.0) &&
+        (self->predicted_compression_covariance[2] >= 0.0)))
     {
         return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
     }
@@ -227,7 +222,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
         const double t24 = t21 * t12;
         const double t25 = t20 + t24;
         quadratic_host = t5;
-        log_constant_host = 1.8378770664093453;
+        log_constant_host = SOFT_FAULT_DFCF_LOG_2_PI;
         determinant_host_0 = pivot_host_0;
         mean_host[0] = t6;
         mean_host[1] = t7;
@@ -344,7 +339,9 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     const double t83 = mean_compression[1] - mean_host[1];
     deviation_compression[0] = t82;
     deviation_compression[1] = t83;
-    if (!((host_state[0] - host_state[0]) + (host_state[1] - host_state[1]) + (deviation_compression[0] - deviation_compression[0]) + (deviation_compression[1] - deviation_compression[1]) >= 0.0))
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(host_state[0]) +
+        soft_fault_dfcf_defect(host_state[1]) + soft_fault_dfcf_defect(deviation_compression[0]) +
+        soft_fault_dfcf_defect(deviation_compression[1])))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
@@ -389,7 +386,8 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
 }
 
 /* At the end of a window: reads *self, writes the results to *next. */
-static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_dfcf_t *self, soft_fault_dfcf_t *next)
+static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_dfcf_t *self,
+    soft_fault_dfcf_t *next)
 {
     double difference_0[3] = { 0.0 };
     double shift_0[2] = { 0.0 };
@@ -502,7 +500,9 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     }
 
     /* results of the window */
-    if (!((closed_state[0] - closed_state[0]) + (closed_state[1] - closed_state[1]) + (closed_covariance[0] - closed_covariance[0]) + (closed_covariance[2] - closed_covariance[2]) >= 0.0))
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(closed_state[0]) +
+        soft_fault_dfcf_defect(closed_state[1]) + soft_fault_dfcf_defect(closed_covariance[0]) +
+        soft_fault_dfcf_defect(closed_covariance[2])))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
@@ -524,7 +524,8 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const soft_fault_dfcf_t *self, soft_fault_dfcf_t *next)
+SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const soft_fault_dfcf_t
+    *self, soft_fault_dfcf_t *next)
 {
     double left;
 
@@ -564,11 +565,15 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     const double t25 = self->compression_covariance[1] + t24;
     const double t26 = t25 + 0.1;
     const double t27 = self->compression_covariance[2] + 1.0;
-    if (!((t3 - t3) + (self->filtered_state[1] - self->filtered_state[1]) + (t10 - t10) + (t14 - t14) >= 0.0))
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t3) +
+        soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t10) +
+        soft_fault_dfcf_defect(t14)))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
-    if (!((t16 - t16) + (self->compression_deviation[1] - self->compression_deviation[1]) + (t23 - t23) + (t27 - t27) >= 0.0))
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t16) +
+        soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t23) +
+        soft_fault_dfcf_defect(t27)))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
@@ -587,55 +592,38 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     return SOFT_FAULT_DFCF_OK;
 }
 
-soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void soft_fault_dfcf_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self)
+{
     if (self == NULL)
     {
         return SOFT_FAULT_DFCF_NULL_POINTER;
     }
-    for (i = 0; i < 2; ++i)
-    {
-        self->predicted_state[i] = soft_fault_dfcf_predicted_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_covariance[i] = soft_fault_dfcf_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->filtered_state[i] = soft_fault_dfcf_filtered_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_covariance[i] = soft_fault_dfcf_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    soft_fault_dfcf_fill(self->predicted_state, 2, soft_fault_dfcf_zero_0, 1);
+    soft_fault_dfcf_fill(self->predicted_covariance, 3, soft_fault_dfcf_predicted_covariance_0, 3);
+    soft_fault_dfcf_fill(self->filtered_state, 2, soft_fault_dfcf_zero_0, 1);
+    soft_fault_dfcf_fill(self->filtered_covariance, 3, soft_fault_dfcf_predicted_covariance_0, 3);
+    soft_fault_dfcf_fill(self->innovation, 2, soft_fault_dfcf_zero_0, 1);
+    soft_fault_dfcf_fill(self->innovation_covariance, 3, soft_fault_dfcf_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
-    for (i = 0; i < 2; ++i)
-    {
-        self->compression_deviation[i] = 0.0;
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->compression_covariance[i] = soft_fault_dfcf_compression_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->predicted_compression_deviation[i] = 0.0;
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_compression_covariance[i] = soft_fault_dfcf_predicted_compression_covariance_0[i];
-    }
+    soft_fault_dfcf_fill(self->compression_deviation, 2, soft_fault_dfcf_zero_0, 1);
+    soft_fault_dfcf_fill(self->compression_covariance, 3, soft_fault_dfcf_predicted_covariance_0,
+        3);
+    soft_fault_dfcf_fill(self->predicted_compression_deviation, 2, soft_fault_dfcf_zero_0, 1);
+    soft_fault_dfcf_fill(self->predicted_compression_covariance, 3,
+        soft_fault_dfcf_predicted_covariance_0, 3);
     self->test_statistic = 0.0;
     self->test_dof = 0.0;
     self->fault_declared = 0.0;
@@ -646,7 +634,10 @@ soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self)
     return SOFT_FAULT_DFCF_OK;
 }
 
-soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const double y[2], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const double y[2],
+    uint32_t valid)
 {
     soft_fault_dfcf_t next;
     uint32_t present;
@@ -674,7 +665,8 @@ soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const d
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;
+    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED
+        : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;
 }
 
 soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self)
@@ -695,7 +687,8 @@ soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self)
     return SOFT_FAULT_DFCF_OK;
 }
 
-soft_fault_dfcf_status_t soft_fault_dfcf_step(soft_fault_dfcf_t *self, const double y[2], uint32_t valid)
+soft_fault_dfcf_status_t soft_fault_dfcf_step(soft_fault_dfcf_t *self, const double y[2],
+    uint32_t valid)
 {
     soft_fault_dfcf_t next;
     uint32_t present;
@@ -727,5 +720,6 @@ soft_fault_dfcf_status_t soft_fault_dfcf_step(soft_fault_dfcf_t *self, const dou
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;
+    return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED
+        : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;
 }

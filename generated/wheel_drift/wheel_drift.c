@@ -5,7 +5,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "wheel_drift: -ffast-math removes the tests for missing samples and the checks of results"
+#error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
 /* Without inlining, _step() would copy the whole instance between its two halves. */
@@ -14,6 +14,8 @@
 #else
 #define WHEEL_DRIFT_INLINE static
 #endif
+
+/* ---- elementary functions ---- */
 
 typedef union
 {
@@ -80,123 +82,40 @@ static double wheel_drift_log(double x)
     return k + w;
 }
 
-static const double wheel_drift_compression_covariance_0[45] = {
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0
-};
+/* ---- constants ---- */
 
-static const double wheel_drift_filtered_covariance_0[3] = {
-    900.0,
-    0.0,
-    1.0
-};
+/* Products of entries of the model that are folded into one number, up to its sign:
+ *   0.9808786630631667 = C[2][0]^2
+ *   0.9826304058883615 = C[0][0] C[2][0]
+ *   0.9843852771361035 = C[0][0]^2
+ */
 
-static const double wheel_drift_filtered_state_0[2] = {
-    0.0,
+/* log(2 pi), of a Gaussian density */
+#define WHEEL_DRIFT_LOG_2_PI (1.8378770664093453)
+
+/* ---- start values; where they repeat, once ---- */
+
+static const double wheel_drift_zero_0[1] = {
     0.0
-};
-
-static const double wheel_drift_predicted_compression_covariance_0[45] = {
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0,
-    900.0,
-    0.0,
-    1.0
 };
 
 static const double wheel_drift_predicted_covariance_0[3] = {
-    900.0,
-    0.0,
-    1.0
+    900.0, 0.0, 1.0
 };
 
-static const double wheel_drift_predicted_state_0[2] = {
-    0.0,
-    0.0
-};
+/* ---- what may be used of a sample ---- */
+
+/* 0 for a finite number, NaN for NaN and infinities. */
+static double wheel_drift_defect(double x)
+{
+    return x - x;
+}
+
+/* Nonzero if every number is finite whose defect is in the sum. */
+static int wheel_drift_finite(double defects)
+{
+    return defects >= 0.0;
+}
 
 /* Nonzero if every input is finite. */
 static int wheel_drift_finite_input(const double *u)
@@ -204,7 +123,7 @@ static int wheel_drift_finite_input(const double *u)
     int i;
     for (i = 0; i < WHEEL_DRIFT_NU; ++i)
     {
-        if (!((u[i] >= -DBL_MAX) && (u[i] <= DBL_MAX)))
+        if (!wheel_drift_finite(wheel_drift_defect(u[i])))
         {
             return 0;
         }
@@ -212,82 +131,35 @@ static int wheel_drift_finite_input(const double *u)
     return 1;
 }
 
-/* Bits of the rows of y that are marked valid and hold a number; zero is returned if one holds an infinity. */
+/* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
 static int wheel_drift_present_rows(const double *y, uint32_t valid, uint32_t *present)
 {
-    uint32_t rows = 0u;
-    if ((valid & 0x1u) != 0u)
+    int i;
+    *present = 0u;
+    for (i = 0; i < WHEEL_DRIFT_NY; ++i)
     {
-        if ((y[0] >= -DBL_MAX) && (y[0] <= DBL_MAX))
+        const uint32_t bit = (uint32_t)1u << i;
+        if ((valid & bit) == 0u)
         {
-            rows |= 0x1u;
+            continue;
         }
-        else if ((y[0] > DBL_MAX) || (y[0] < -DBL_MAX))
+        if (wheel_drift_finite(wheel_drift_defect(y[i])))
+        {
+            *present |= bit;
+        }
+        else if ((y[i] > DBL_MAX) || (y[i] < -DBL_MAX))
         {
             return 0;
         }
     }
-    if ((valid & 0x2u) != 0u)
-    {
-        if ((y[1] >= -DBL_MAX) && (y[1] <= DBL_MAX))
-        {
-            rows |= 0x2u;
-        }
-        else if ((y[1] > DBL_MAX) || (y[1] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x4u) != 0u)
-    {
-        if ((y[2] >= -DBL_MAX) && (y[2] <= DBL_MAX))
-        {
-            rows |= 0x4u;
-        }
-        else if ((y[2] > DBL_MAX) || (y[2] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x8u) != 0u)
-    {
-        if ((y[3] >= -DBL_MAX) && (y[3] <= DBL_MAX))
-        {
-            rows |= 0x8u;
-        }
-        else if ((y[3] > DBL_MAX) || (y[3] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x10u) != 0u)
-    {
-        if ((y[4] >= -DBL_MAX) && (y[4] <= DBL_MAX))
-        {
-            rows |= 0x10u;
-        }
-        else if ((y[4] > DBL_MAX) || (y[4] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    if ((valid & 0x20u) != 0u)
-    {
-        if ((y[5] >= -DBL_MAX) && (y[5] <= DBL_MAX))
-        {
-            rows |= 0x20u;
-        }
-        else if ((y[5] > DBL_MAX) || (y[5] < -DBL_MAX))
-        {
-            return 0;
-        }
-    }
-    *present = rows;
     return 1;
 }
 
+/* ---- correction with y[k], prediction of sample k + 1 ---- */
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t *self, const double *y, uint32_t present, wheel_drift_t *next)
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t *self,
+    const double *y, uint32_t present, wheel_drift_t *next)
 {
     double innovation_0 = 0.0;
     double innovation_1 = 0.0;
@@ -576,63 +448,78 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[0] >= 0.0) && (self->predicted_compression_covariance[2] >= 0.0)))
+    if (!((self->predicted_compression_covariance[0] >= 0.0) &&
+        (self->predicted_compression_covariance[2] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[3] >= 0.0) && (self->predicted_compression_covariance[5] >= 0.0)))
+    if (!((self->predicted_compression_covariance[3] >= 0.0) &&
+        (self->predicted_compression_covariance[5] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[6] >= 0.0) && (self->predicted_compression_covariance[8] >= 0.0)))
+    if (!((self->predicted_compression_covariance[6] >= 0.0) &&
+        (self->predicted_compression_covariance[8] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[9] >= 0.0) && (self->predicted_compression_covariance[11] >= 0.0)))
+    if (!((self->predicted_compression_covariance[9] >= 0.0) &&
+        (self->predicted_compression_covariance[11] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[12] >= 0.0) && (self->predicted_compression_covariance[14] >= 0.0)))
+    if (!((self->predicted_compression_covariance[12] >= 0.0) &&
+        (self->predicted_compression_covariance[14] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[15] >= 0.0) && (self->predicted_compression_covariance[17] >= 0.0)))
+    if (!((self->predicted_compression_covariance[15] >= 0.0) &&
+        (self->predicted_compression_covariance[17] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[18] >= 0.0) && (self->predicted_compression_covariance[20] >= 0.0)))
+    if (!((self->predicted_compression_covariance[18] >= 0.0) &&
+        (self->predicted_compression_covariance[20] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[21] >= 0.0) && (self->predicted_compression_covariance[23] >= 0.0)))
+    if (!((self->predicted_compression_covariance[21] >= 0.0) &&
+        (self->predicted_compression_covariance[23] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[24] >= 0.0) && (self->predicted_compression_covariance[26] >= 0.0)))
+    if (!((self->predicted_compression_covariance[24] >= 0.0) &&
+        (self->predicted_compression_covariance[26] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[27] >= 0.0) && (self->predicted_compression_covariance[29] >= 0.0)))
+    if (!((self->predicted_compression_covariance[27] >= 0.0) &&
+        (self->predicted_compression_covariance[29] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[30] >= 0.0) && (self->predicted_compression_covariance[32] >= 0.0)))
+    if (!((self->predicted_compression_covariance[30] >= 0.0) &&
+        (self->predicted_compression_covariance[32] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[33] >= 0.0) && (self->predicted_compression_covariance[35] >= 0.0)))
+    if (!((self->predicted_compression_covariance[33] >= 0.0) &&
+        (self->predicted_compression_covariance[35] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[36] >= 0.0) && (self->predicted_compression_covariance[38] >= 0.0)))
+    if (!((self->predicted_compression_covariance[36] >= 0.0) &&
+        (self->predicted_compression_covariance[38] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[39] >= 0.0) && (self->predicted_compression_covariance[41] >= 0.0)))
+    if (!((self->predicted_compression_covariance[39] >= 0.0) &&
+        (self->predicted_compression_covariance[41] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[42] >= 0.0) && (self->predicted_compression_covariance[44] >= 0.0)))
+    if (!((self->predicted_compression_covariance[42] >= 0.0) &&
+        (self->predicted_compression_covariance[44] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
@@ -712,7 +599,7 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
         const double t32 = t27 * t23;
         const double t33 = t31 + t32;
         quadratic_host = t13;
-        log_constant_host = 1.8378770664093453;
+        log_constant_host = WHEEL_DRIFT_LOG_2_PI;
         determinant_host_0 = pivot_host_0;
         mean_host[0] = t14;
         mean_host[1] = t15;
@@ -736,7 +623,7 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
         const double t37 = t36 * inverse_host_1;
         const double t38 = t36 * t37;
         const double t39 = quadratic_host + t38;
-        const double t40 = log_constant_host + 1.8378770664093453;
+        const double t40 = log_constant_host + WHEEL_DRIFT_LOG_2_PI;
         const double t41 = determinant_host_0 * pivot_host_1;
         const double t42 = covariance_host[0] * t37;
         const double t43 = mean_host[0] + t42;
@@ -4157,14 +4044,37 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     const double t2010 = mean_compression14[1] - mean_host[1];
     deviation_compression14[0] = t2009;
     deviation_compression14[1] = t2010;
-    if (!((host_state[0] - host_state[0]) + (host_state[1] - host_state[1]) + (deviation_compression[0] - deviation_compression[0]) + (deviation_compression[1] - deviation_compression[1]) +
-            (deviation_compression1[0] - deviation_compression1[0]) + (deviation_compression1[1] - deviation_compression1[1]) + (deviation_compression2[0] - deviation_compression2[0]) + (deviation_compression2[1] - deviation_compression2[1]) +
-            (deviation_compression3[0] - deviation_compression3[0]) + (deviation_compression3[1] - deviation_compression3[1]) + (deviation_compression4[0] - deviation_compression4[0]) + (deviation_compression4[1] - deviation_compression4[1]) +
-            (deviation_compression5[0] - deviation_compression5[0]) + (deviation_compression5[1] - deviation_compression5[1]) + (deviation_compression6[0] - deviation_compression6[0]) + (deviation_compression6[1] - deviation_compression6[1]) +
-            (deviation_compression7[0] - deviation_compression7[0]) + (deviation_compression7[1] - deviation_compression7[1]) + (deviation_compression8[0] - deviation_compression8[0]) + (deviation_compression8[1] - deviation_compression8[1]) +
-            (deviation_compression9[0] - deviation_compression9[0]) + (deviation_compression9[1] - deviation_compression9[1]) + (deviation_compression10[0] - deviation_compression10[0]) + (deviation_compression10[1] - deviation_compression10[1]) +
-            (deviation_compression11[0] - deviation_compression11[0]) + (deviation_compression11[1] - deviation_compression11[1]) + (deviation_compression12[0] - deviation_compression12[0]) + (deviation_compression12[1] - deviation_compression12[1]) +
-            (deviation_compression13[0] - deviation_compression13[0]) + (deviation_compression13[1] - deviation_compression13[1]) + (deviation_compression14[0] - deviation_compression14[0]) + (deviation_compression14[1] - deviation_compression14[1]) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(host_state[0]) + wheel_drift_defect(host_state[1]) +
+        wheel_drift_defect(deviation_compression[0]) +
+        wheel_drift_defect(deviation_compression[1]) +
+        wheel_drift_defect(deviation_compression1[0]) +
+        wheel_drift_defect(deviation_compression1[1]) +
+        wheel_drift_defect(deviation_compression2[0]) +
+        wheel_drift_defect(deviation_compression2[1]) +
+        wheel_drift_defect(deviation_compression3[0]) +
+        wheel_drift_defect(deviation_compression3[1]) +
+        wheel_drift_defect(deviation_compression4[0]) +
+        wheel_drift_defect(deviation_compression4[1]) +
+        wheel_drift_defect(deviation_compression5[0]) +
+        wheel_drift_defect(deviation_compression5[1]) +
+        wheel_drift_defect(deviation_compression6[0]) +
+        wheel_drift_defect(deviation_compression6[1]) +
+        wheel_drift_defect(deviation_compression7[0]) +
+        wheel_drift_defect(deviation_compression7[1]) +
+        wheel_drift_defect(deviation_compression8[0]) +
+        wheel_drift_defect(deviation_compression8[1]) +
+        wheel_drift_defect(deviation_compression9[0]) +
+        wheel_drift_defect(deviation_compression9[1]) +
+        wheel_drift_defect(deviation_compression10[0]) +
+        wheel_drift_defect(deviation_compression10[1]) +
+        wheel_drift_defect(deviation_compression11[0]) +
+        wheel_drift_defect(deviation_compression11[1]) +
+        wheel_drift_defect(deviation_compression12[0]) +
+        wheel_drift_defect(deviation_compression12[1]) +
+        wheel_drift_defect(deviation_compression13[0]) +
+        wheel_drift_defect(deviation_compression13[1]) +
+        wheel_drift_defect(deviation_compression14[0]) +
+        wheel_drift_defect(deviation_compression14[1])))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -4957,7 +4867,9 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     }
 
     /* results of the window */
-    if (!((closed_state[0] - closed_state[0]) + (closed_state[1] - closed_state[1]) + (closed_covariance[0] - closed_covariance[0]) + (closed_covariance[2] - closed_covariance[2]) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(closed_state[0]) +
+        wheel_drift_defect(closed_state[1]) + wheel_drift_defect(closed_covariance[0]) +
+        wheel_drift_defect(closed_covariance[2])))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -5061,7 +4973,8 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
 }
 
 /* Move to k + 1: reads *self, writes the results to *next. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_t *self, const wheel_drift_params_t *params, const double *u, wheel_drift_t *next)
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_t *self,
+    const wheel_drift_params_t *params, const double *u, wheel_drift_t *next)
 {
     double A;
     double Q[2];
@@ -5281,67 +5194,98 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     const double t196 = self->compression_covariance[44] * A;
     const double t197 = self->compression_covariance[43] + t196;
     const double t198 = self->compression_covariance[44] + Q[1];
-    if (!((t8 - t8) + (self->filtered_state[1] - self->filtered_state[1]) + (t15 - t15) + (t18 - t18) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t8) + wheel_drift_defect(self->filtered_state[1]) +
+        wheel_drift_defect(t15) + wheel_drift_defect(t18)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t20 - t20) + (self->compression_deviation[1] - self->compression_deviation[1]) + (t55 - t55) + (t58 - t58) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t20) +
+        wheel_drift_defect(self->compression_deviation[1]) + wheel_drift_defect(t55) +
+        wheel_drift_defect(t58)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t22 - t22) + (self->compression_deviation[3] - self->compression_deviation[3]) + (t65 - t65) + (t68 - t68) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t22) +
+        wheel_drift_defect(self->compression_deviation[3]) + wheel_drift_defect(t65) +
+        wheel_drift_defect(t68)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t24 - t24) + (self->compression_deviation[5] - self->compression_deviation[5]) + (t75 - t75) + (t78 - t78) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t24) +
+        wheel_drift_defect(self->compression_deviation[5]) + wheel_drift_defect(t75) +
+        wheel_drift_defect(t78)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t26 - t26) + (self->compression_deviation[7] - self->compression_deviation[7]) + (t85 - t85) + (t88 - t88) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t26) +
+        wheel_drift_defect(self->compression_deviation[7]) + wheel_drift_defect(t85) +
+        wheel_drift_defect(t88)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t28 - t28) + (self->compression_deviation[9] - self->compression_deviation[9]) + (t95 - t95) + (t98 - t98) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t28) +
+        wheel_drift_defect(self->compression_deviation[9]) + wheel_drift_defect(t95) +
+        wheel_drift_defect(t98)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t30 - t30) + (self->compression_deviation[11] - self->compression_deviation[11]) + (t105 - t105) + (t108 - t108) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t30) +
+        wheel_drift_defect(self->compression_deviation[11]) + wheel_drift_defect(t105) +
+        wheel_drift_defect(t108)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t32 - t32) + (self->compression_deviation[13] - self->compression_deviation[13]) + (t115 - t115) + (t118 - t118) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t32) +
+        wheel_drift_defect(self->compression_deviation[13]) + wheel_drift_defect(t115) +
+        wheel_drift_defect(t118)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t34 - t34) + (self->compression_deviation[15] - self->compression_deviation[15]) + (t125 - t125) + (t128 - t128) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t34) +
+        wheel_drift_defect(self->compression_deviation[15]) + wheel_drift_defect(t125) +
+        wheel_drift_defect(t128)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t36 - t36) + (self->compression_deviation[17] - self->compression_deviation[17]) + (t135 - t135) + (t138 - t138) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t36) +
+        wheel_drift_defect(self->compression_deviation[17]) + wheel_drift_defect(t135) +
+        wheel_drift_defect(t138)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t38 - t38) + (self->compression_deviation[19] - self->compression_deviation[19]) + (t145 - t145) + (t148 - t148) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t38) +
+        wheel_drift_defect(self->compression_deviation[19]) + wheel_drift_defect(t145) +
+        wheel_drift_defect(t148)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t40 - t40) + (self->compression_deviation[21] - self->compression_deviation[21]) + (t155 - t155) + (t158 - t158) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t40) +
+        wheel_drift_defect(self->compression_deviation[21]) + wheel_drift_defect(t155) +
+        wheel_drift_defect(t158)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t42 - t42) + (self->compression_deviation[23] - self->compression_deviation[23]) + (t165 - t165) + (t168 - t168) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t42) +
+        wheel_drift_defect(self->compression_deviation[23]) + wheel_drift_defect(t165) +
+        wheel_drift_defect(t168)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t44 - t44) + (self->compression_deviation[25] - self->compression_deviation[25]) + (t175 - t175) + (t178 - t178) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t44) +
+        wheel_drift_defect(self->compression_deviation[25]) + wheel_drift_defect(t175) +
+        wheel_drift_defect(t178)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t46 - t46) + (self->compression_deviation[27] - self->compression_deviation[27]) + (t185 - t185) + (t188 - t188) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t46) +
+        wheel_drift_defect(self->compression_deviation[27]) + wheel_drift_defect(t185) +
+        wheel_drift_defect(t188)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!((t48 - t48) + (self->compression_deviation[29] - self->compression_deviation[29]) + (t195 - t195) + (t198 - t198) >= 0.0))
+    if (!wheel_drift_finite(wheel_drift_defect(t48) +
+        wheel_drift_defect(self->compression_deviation[29]) + wheel_drift_defect(t195) +
+        wheel_drift_defect(t198)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -5433,77 +5377,44 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     return WHEEL_DRIFT_OK;
 }
 
-wheel_drift_status_t wheel_drift_init(wheel_drift_t *self)
+/* ---- start ---- */
+
+/* Fill an array with repetitions of its start values. */
+static void wheel_drift_fill(double *to, int size, const double *from, int period)
 {
     int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i % period];
+    }
+}
+
+wheel_drift_status_t wheel_drift_init(wheel_drift_t *self)
+{
     if (self == NULL)
     {
         return WHEEL_DRIFT_NULL_POINTER;
     }
-    for (i = 0; i < 2; ++i)
-    {
-        self->predicted_state[i] = wheel_drift_predicted_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->predicted_covariance[i] = wheel_drift_predicted_covariance_0[i];
-    }
-    for (i = 0; i < 2; ++i)
-    {
-        self->filtered_state[i] = wheel_drift_filtered_state_0[i];
-    }
-    for (i = 0; i < 3; ++i)
-    {
-        self->filtered_covariance[i] = wheel_drift_filtered_covariance_0[i];
-    }
-    for (i = 0; i < 6; ++i)
-    {
-        self->innovation[i] = 0.0;
-    }
-    for (i = 0; i < 21; ++i)
-    {
-        self->innovation_covariance[i] = 0.0;
-    }
+    wheel_drift_fill(self->predicted_state, 2, wheel_drift_zero_0, 1);
+    wheel_drift_fill(self->predicted_covariance, 3, wheel_drift_predicted_covariance_0, 3);
+    wheel_drift_fill(self->filtered_state, 2, wheel_drift_zero_0, 1);
+    wheel_drift_fill(self->filtered_covariance, 3, wheel_drift_predicted_covariance_0, 3);
+    wheel_drift_fill(self->innovation, 6, wheel_drift_zero_0, 1);
+    wheel_drift_fill(self->innovation_covariance, 21, wheel_drift_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
-    for (i = 0; i < 30; ++i)
-    {
-        self->compression_deviation[i] = 0.0;
-    }
-    for (i = 0; i < 45; ++i)
-    {
-        self->compression_covariance[i] = wheel_drift_compression_covariance_0[i];
-    }
-    for (i = 0; i < 30; ++i)
-    {
-        self->predicted_compression_deviation[i] = 0.0;
-    }
-    for (i = 0; i < 45; ++i)
-    {
-        self->predicted_compression_covariance[i] = wheel_drift_predicted_compression_covariance_0[i];
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->test_statistic[i] = 0.0;
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->test_dof[i] = 0.0;
-    }
-    for (i = 0; i < 4; ++i)
-    {
-        self->fault_declared[i] = 0.0;
-    }
+    wheel_drift_fill(self->compression_deviation, 30, wheel_drift_zero_0, 1);
+    wheel_drift_fill(self->compression_covariance, 45, wheel_drift_predicted_covariance_0, 3);
+    wheel_drift_fill(self->predicted_compression_deviation, 30, wheel_drift_zero_0, 1);
+    wheel_drift_fill(self->predicted_compression_covariance, 45, wheel_drift_predicted_covariance_0,
+        3);
+    wheel_drift_fill(self->test_statistic, 4, wheel_drift_zero_0, 1);
+    wheel_drift_fill(self->test_dof, 4, wheel_drift_zero_0, 1);
+    wheel_drift_fill(self->fault_declared, 4, wheel_drift_zero_0, 1);
     self->window_left = 0.0;
-    for (i = 0; i < 4; ++i)
-    {
-        self->collecting[i] = 0.0;
-    }
+    wheel_drift_fill(self->collecting, 4, wheel_drift_zero_0, 1);
     self->predicted_window_left = 98.0;
-    for (i = 0; i < 4; ++i)
-    {
-        self->predicted_collecting[i] = 0.0;
-    }
+    wheel_drift_fill(self->predicted_collecting, 4, wheel_drift_zero_0, 1);
     return WHEEL_DRIFT_OK;
 }
 
@@ -5517,7 +5428,10 @@ wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params)
     return WHEEL_DRIFT_OK;
 }
 
-wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_params_t *params, const double u[1], const double y[6], uint32_t valid)
+/* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_params_t *params,
+    const double u[1], const double y[6], uint32_t valid)
 {
     wheel_drift_t next;
     uint32_t present;
@@ -5549,10 +5463,14 @@ wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_p
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) || (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) || (self->fault_declared[3] > 0.5)) ? WHEEL_DRIFT_FAULT_DECLARED : WHEEL_DRIFT_OK) : WHEEL_DRIFT_SKIPPED;
+    return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
+        (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) ||
+        (self->fault_declared[3] > 0.5)) ? WHEEL_DRIFT_FAULT_DECLARED : WHEEL_DRIFT_OK)
+        : WHEEL_DRIFT_SKIPPED;
 }
 
-wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_params_t *params, const double u[1])
+wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_params_t *params,
+    const double u[1])
 {
     wheel_drift_t next;
     wheel_drift_status_t status;
@@ -5574,7 +5492,8 @@ wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_
     return WHEEL_DRIFT_OK;
 }
 
-wheel_drift_status_t wheel_drift_step(wheel_drift_t *self, const wheel_drift_params_t *params, const double u[1], const double y[6], uint32_t valid)
+wheel_drift_status_t wheel_drift_step(wheel_drift_t *self, const wheel_drift_params_t *params,
+    const double u[1], const double y[6], uint32_t valid)
 {
     wheel_drift_t next;
     uint32_t present;
@@ -5610,5 +5529,8 @@ wheel_drift_status_t wheel_drift_step(wheel_drift_t *self, const wheel_drift_par
         return status;
     }
     *self = next;
-    return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) || (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) || (self->fault_declared[3] > 0.5)) ? WHEEL_DRIFT_FAULT_DECLARED : WHEEL_DRIFT_OK) : WHEEL_DRIFT_SKIPPED;
+    return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
+        (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) ||
+        (self->fault_declared[3] > 0.5)) ? WHEEL_DRIFT_FAULT_DECLARED : WHEEL_DRIFT_OK)
+        : WHEEL_DRIFT_SKIPPED;
 }

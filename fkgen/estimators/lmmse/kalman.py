@@ -166,12 +166,14 @@ def _gain_ports(plant: Plant, r: int) -> tuple[Port, ...]:
     gains = (
         Port(
             name="gain",
+            unit="x/y",
             shape=(n, p),
             role=Role.OUTPUT,
             meaning="K: d x(k+1|k) / d y[k]; columns of missing rows are 0",
         ),
         Port(
             name="filtered_gain",
+            unit="x/y",
             shape=(n, p),
             role=Role.OUTPUT,
             meaning="Kf: d x(k|k) / d y[k]; columns of missing rows are 0",

@@ -245,6 +245,7 @@ def _gain_ports(plant: Plant) -> tuple[Port, ...]:
         ),
         Port(
             name="measurement_gain",
+            unit="x/y",
             shape=(n, p),
             role=Role.OUTPUT,
             meaning="F2: d x(k|k) / d y[k]; columns of missing rows are 0",
@@ -264,6 +265,7 @@ def _moment_ports(plant: Plant) -> tuple[Port, ...]:
         ports.append(
             Port(
                 name=f"{prefix}state_second_moment",
+                unit="xx",
                 shape=(n, n),
                 role=Role.STATE,
                 symmetric=True,
@@ -273,7 +275,7 @@ def _moment_ports(plant: Plant) -> tuple[Port, ...]:
         if plant.nu:
             meaning = f"E[x[{k}]], unconditional"
             name = f"{prefix}state_mean"
-            ports.append(Port(name=name, shape=(n,), role=Role.STATE, meaning=meaning))
+            ports.append(Port(name=name, unit="x", shape=(n,), role=Role.STATE, meaning=meaning))
     return tuple(ports)
 
 

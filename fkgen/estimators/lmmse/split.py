@@ -107,6 +107,7 @@ def split_ports(plant: Plant, count: int, width: int) -> tuple[Port, ...]:
         ),
         Port(
             name="state_second_moment",
+            unit="xx",
             shape=(n, n),
             role=Role.OUTPUT,
             symmetric=True,

@@ -145,6 +145,7 @@ def _ports(spec: Spec, random: list[int]) -> tuple[Port, ...]:
         ),
         Port(
             name="paper_state",
+            unit="x",
             shape=(n,),
             role=Role.OUTPUT,
             meaning="(18) as printed: predictions for k with weights given y[0..k]",
@@ -153,9 +154,15 @@ def _ports(spec: Spec, random: list[int]) -> tuple[Port, ...]:
     ]
     for name, when in (("mode_", "x(k+1|k)"), ("mode_filtered_", "x(k|k)")):
         ports += [
-            vector(name=f"{name}state", shape=(count, n), meaning=f"{when} under each hypothesis"),
+            vector(
+                name=f"{name}state",
+                unit="x",
+                shape=(count, n),
+                meaning=f"{when} under each hypothesis",
+            ),
             vector(
                 name=f"{name}covariance",
+                unit="xx",
                 shape=(count, n, n),
                 symmetric=True,
                 meaning="its error covariance",

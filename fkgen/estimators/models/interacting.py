@@ -68,9 +68,15 @@ def _mode_ports(n: int, count: int) -> tuple[Port, ...]:
     ports = []
     for name, meaning in (("mode_", "x(k+1|k), mixed,"), ("mode_filtered_", "x(k|k)")):
         ports += [
-            port(name=f"{name}state", shape=(count, n), meaning=f"{meaning} under each mode"),
+            port(
+                name=f"{name}state",
+                unit="x",
+                shape=(count, n),
+                meaning=f"{meaning} under each mode",
+            ),
             port(
                 name=f"{name}covariance",
+                unit="xx",
                 shape=(count, n, n),
                 symmetric=True,
                 meaning="its error covariance",

@@ -67,6 +67,7 @@ def _riccati_ports(n: int, count: int) -> tuple[Port, ...]:
     return tuple(
         Port(
             name=name,
+            unit="xx",
             shape=(count, n, n) if count > 1 else (n, n),
             role=Role.STATE,
             symmetric=True,

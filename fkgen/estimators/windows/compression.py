@@ -98,12 +98,14 @@ def _ports(n: int, count: int) -> tuple[Port, ...]:
         result += [
             Port(
                 name=f"{prefix}compression_deviation",
+                unit="x",
                 shape=(*stacked, n),
                 role=Role.STATE,
                 meaning=f"estimate of x[{k}] with the compressed rows minus that of the host",
             ),
             Port(
                 name=f"{prefix}compression_covariance",
+                unit="xx",
                 shape=(*stacked, n, n),
                 role=Role.STATE,
                 symmetric=True,
