@@ -21,6 +21,8 @@ class Space(Enum):
     LOCAL = "local"
     SELF = "self"
     NEXT = "next"
+    ARGUMENT = "argument"
+    CONSTANT = "constant"
 
 
 class Operator(Enum):
@@ -144,7 +146,17 @@ class Heading:
     text: str
 
 
-Statement = Operate | Copy | Assign | Require | IfPresent | IfPositive | Heading
+@dataclass(frozen=True, slots=True)
+class Call:
+    """Run a routine: where its arguments begin, its row of constants, the rows of y it is about."""
+
+    routine: Routine
+    arguments: tuple[Element, ...]
+    constants: int
+    rows: tuple[int, ...]
+
+
+Statement = Operate | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +166,32 @@ class Local:
     name: str
     size: int
     initial: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """An array that a routine works on, from the element that the call names; or one number."""
+
+    name: str
+    written: bool
+    single: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Routine:
+    """Statements that a program runs more than once, or that are a function for their length.
+
+    Elements of its arguments have the space ``ARGUMENT``; ``CONSTANT`` is the table of numbers in
+    which the calls differ, one row per call; ``ROW`` stands for rows of y in which they differ.
+    """
+
+    name: str
+    title: str
+    arguments: tuple[Argument, ...]
+    constants: tuple[tuple[float, ...], ...]
+    rows: int
+    locals: tuple[Local, ...]
+    body: tuple[Statement, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +206,7 @@ class Phase:
     reads_input: bool
     reads_parameters: bool
     unless: str | None = None
+    chunks: tuple[int, ...] = ()  # where in the body each block begins
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,6 +113,7 @@ def lower_phase(
         reads_input=any(e.space is Space.INPUT and e.name == "u" for e in read),
         reads_parameters=any(e.space is Space.PARAMETER for e in read),
         unless=phase.unless,
+        chunks=lowering.chunks(),
     )
 
 
@@ -124,6 +125,7 @@ class _Group:
     before: list[Statement]
     value: Operand | None
     statements: list[Statement]
+    begins: list[int] = field(default_factory=list)
 
     def closed(self) -> tuple[Statement, ...]:
         """The statements under their conditions."""
@@ -155,6 +157,7 @@ class _Lowering:
         if not self.groups or not _same(self.groups[-1].condition, block.when):
             self.groups.append(self._group(block))
         group = self.groups[-1]
+        group.begins.append(len(group.statements))
         values = self._instructions(block.function(self.phase.symbols), block, group.statements)
         guards = values[len(block.assign) :]
         for guard, value in zip(block.guards, guards, strict=True):
@@ -164,6 +167,16 @@ class _Lowering:
     def body(self) -> tuple[Statement, ...]:
         """Everything taken so far."""
         return tuple(node for group in self.groups for node in group.closed())
+
+    def chunks(self) -> tuple[int, ...]:
+        """Where in the body blocks begin; those under one condition are one."""
+        at, result = 0, []
+        for group in self.groups:
+            closed = group.closed()
+            inside = group.begins if closed == tuple(group.statements) else [0]
+            result += [at + begin for begin in inside or [0]]
+            at += len(closed)
+        return tuple(dict.fromkeys(result))
 
     def _group(self, block: sym.Block) -> _Group:
         before: list[Statement] = []
