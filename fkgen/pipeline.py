@@ -45,7 +45,7 @@ def validate(spec: Spec) -> Validated:
 
 def generate(design: Validated) -> Source:
     """Generate the C code of one validated filter. Nothing is written to disk."""
-    from fkgen.backend import generate as backend  # noqa: PLC0415 - see above
+    from fkgen.backend import lower as backend  # noqa: PLC0415 - see above
 
     return backend.generate(design)
 

@@ -1,11 +1,13 @@
-"""The functions of a C program: prototypes, which phases they call, with which arguments."""
+"""The functions of a C program: prototypes, calls, and which elementary functions it needs."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from fkgen.backend.ir import CProgram, Phase
-from fkgen.backend.printer import Printer
+from fkgen.backend.elementary import FORMATS
+from fkgen.backend.ir import CProgram, Operator, Phase, Scalar
+from fkgen.backend.printer import Printer, StatementPrinter, shared_prefix
 from fkgen.symbolic.interface import Status
 
 #: Operations per step up to which update and predict are compiled into step: a copy of the instance
@@ -152,3 +154,38 @@ def step_call(program: CProgram, *, record: bool) -> str:
     if record:
         return ", ".join([*arguments, f"y + k * {p}", "valid"])
     return ", ".join([*arguments, "measurement[k]", "valid[k]"])
+
+
+#: Name of the files that hold the functions for all filters of a program, by scalar.
+SHARED = "fkgen_elementary_{}"
+
+
+def shared_context(scalar: Scalar) -> dict[str, object]:
+    """What the templates of the shared files read: every function, whatever a filter needs."""
+    c = StatementPrinter(shared_prefix(scalar), scalar, 1)
+    functions = frozenset(operator for operator in Operator if operator.is_function)
+    return elementary_context(c, functions) | {"storage": "", "file": SHARED.format(scalar)}
+
+
+def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> dict[str, object]:
+    """Names, constants, and which functions there are; sqrt where atan2 needs it."""
+    needs = {op.value: op in functions for op in Operator if op.is_function}
+    needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
+    needs["scale"] = needs["exp"]
+    needs["sqrt"] = needs["sqrt"] or needs["atan2"]
+    return {
+        "c": c,
+        "name": c.name,
+        "elementary": c.elementary,
+        "storage": "static ",
+        "upper": c.upper,
+        "real": c.real,
+        "word": "uint64_t" if c.real == "double" else "uint32_t",
+        "f": FORMATS[c.real],
+        "needs": needs,
+        "needs_elementary": bool(functions),
+        "shared": SHARED.format(c.real) if functions and c.elementary != c.name else "",
+        "root2": math.sqrt(2.0),
+        "ln2": math.log(2.0),
+        "pi": math.pi,
+    }

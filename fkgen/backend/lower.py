@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from fkgen.backend.check import verify
-from fkgen.backend.constants import constants_of
 from fkgen.backend.ir import (
     Assign,
     Copy,
@@ -32,11 +31,14 @@ from fkgen.backend.ir import (
     operands,
     walk,
 )
-from fkgen.backend.stated import stated
+from fkgen.backend.render import render
+from fkgen.backend.source import Source
+from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.ports import PARAMETER
+from fkgen.symbolic.validated import Validated
 from fkgen.version import API_VERSION
 
 _BINARY = {
@@ -60,6 +62,11 @@ _UNARY = {
 }
 
 
+def generate(design: Validated) -> Source:
+    """Generate the C code of one validated filter. Nothing is written to disk."""
+    return render(lower(design.recursion), tuple(claim.claim for claim in design.claims))
+
+
 def lower(recursion: sym.Recursion) -> CProgram:
     """Turn a recursion into the data of a C program, verified."""
     spec = recursion.spec
@@ -72,6 +79,7 @@ def lower(recursion: sym.Recursion) -> CProgram:
     update, predict = (
         lower_phase(recursion.ports, phase) for phase in (recursion.update, recursion.predict)
     )
+    phases = [phase for phase in (update, closing, predict) if phase is not None]
     return verify(
         CProgram(
             name=spec.name,
@@ -88,9 +96,9 @@ def lower(recursion: sym.Recursion) -> CProgram:
             update=update,
             predict=predict,
             closing=closing,
-            constants=constants_of(spec.code.scalar, update, closing, predict),
+            constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",
-            stated=stated(spec, update, closing, predict),
+            stated=stated(spec, phases),
             **signals,
         )
     )

@@ -8,22 +8,22 @@ from pathlib import Path
 
 import jinja2
 
-from fkgen.backend.columns import filled_lines, folded
-from fkgen.backend.elementary_text import elementary_context, shared_context
+from fkgen.backend.execute import self_test_vectors
 from fkgen.backend.functions import (
     INLINED,
     argument_doc,
+    elementary_context,
     functions_of,
     phases_of,
+    shared_context,
     signature,
     step_call,
     valid_argument,
 )
 from fkgen.backend.ir import CProgram, Operator
-from fkgen.backend.manual import model_lines, unit_text
+from fkgen.backend.lines import filled_lines, folded, model_lines, unit_text
 from fkgen.backend.printer import Printer
 from fkgen.backend.source import Source, with_manifest
-from fkgen.backend.vectors import self_test_vectors
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
 

@@ -1,11 +1,23 @@
-"""Spec -> `Stated`: the model, the law of the faults and the parameters, for the header."""
+"""What the code says of the spec: model, faults, parameters; and the numbers it calls by name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from fkgen.backend.ir import Listing, Literal, Phase, Stated, Statements, operands, walk
-from fkgen.problem import Spec
+from fkgen.backend.ir import (
+    Constant,
+    Listing,
+    Literal,
+    Phase,
+    Scalar,
+    Stated,
+    Statements,
+    operands,
+    walk,
+)
+from fkgen.estimators.gaussian.sequential import LOG_TWO_PI
+from fkgen.estimators.models.weights import LOG_ZERO, TINY
+from fkgen.problem.spec import Spec
 from fkgen.problem.text.expression import ZERO, Expression, Name, Number, names, to_text
 from fkgen.problem.text.matrix import Matrix
 
@@ -14,12 +26,12 @@ _UNITS = {"A": "x/x", "B": "x/u", "C": "y/x", "D": "y/u", "Q": "xx", "R": "yy"}
 _UNITS |= {"x0": "x", "P0": "xx", "c": "x"}
 
 
-def stated(spec: Spec, *phases: Phase | None) -> Stated:
+def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
     """What the header says about a spec; ``phases`` hold the constants that it folded."""
     return Stated(
         parts=(_model(spec), *_modes(spec), *_faults(spec)),
         ranges=tuple((item.name, _range(spec, item.name)) for item in spec.parameters),
-        folded=_folded(spec, [phase for phase in phases if phase is not None]),
+        folded=_folded(spec, phases),
     )
 
 
@@ -205,7 +217,7 @@ def _units_of(spec: Spec, name: str) -> Iterator[str]:
                         yield product if letter in {"Q", "R"} else f"{one} per {two}"
 
 
-def _folded(spec: Spec, phases: list[Phase]) -> tuple[tuple[float, str], ...]:
+def _folded(spec: Spec, phases: Sequence[Phase]) -> tuple[tuple[float, str], ...]:
     """Coefficients of A P A', B G B' and C P C' in the code that are no numbers of the spec."""
     known: dict[float, str] = {}
     for index, plant in enumerate(spec.plants):
@@ -213,13 +225,7 @@ def _folded(spec: Spec, phases: list[Phase]) -> tuple[tuple[float, str], ...]:
         for letter in "ABC":
             for value, text in _coefficients(letter, getattr(plant, letter)):
                 known.setdefault(abs(value), f"{'-' if value < 0 else ''}{text}{of}")
-    read = {
-        abs(operand.value)
-        for phase in phases
-        for node in walk(phase.body)
-        for operand in operands(node)
-        if isinstance(operand, Literal)
-    }
+    read = {abs(value) for value in _read(phases)}
     stated = {0.0, 0.5, 1.0, 2.0} | {abs(value) for value in _numbers_in(spec.to_dict())}
     return tuple((value, known[value]) for value in sorted(read & known.keys() - stated))
 
@@ -256,3 +262,27 @@ def _numbers_in(table: object) -> Iterator[float]:
             yield from _numbers_in(entry)
     elif isinstance(table, int | float):
         yield float(table)
+
+
+def constants_of(scalar: Scalar, phases: Sequence[Phase]) -> tuple[Constant, ...]:
+    """The constants that the phases read."""
+    read = _read(phases)
+    zero = LOG_ZERO[scalar]
+    known = (
+        Constant("LOG_2_PI", LOG_TWO_PI, "log(2 pi), of a Gaussian density"),
+        Constant("TINY", TINY[scalar], "keeps 0/0 out of probabilities that are 0"),
+        Constant("LOG_ZERO", zero, "stands for the logarithm of 0"),
+        Constant("LEAST_LOG_DENSITY", 0.5 * zero, "below it no density can be told from 0"),
+    )
+    return tuple(constant for constant in known if constant.value in read)
+
+
+def _read(phases: Sequence[Phase]) -> set[float]:
+    """Every constant that the phases read."""
+    return {
+        operand.value
+        for phase in phases
+        for node in walk(phase.body)
+        for operand in operands(node)
+        if isinstance(operand, Literal)
+    }

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.backend.execute import Machine
-from fkgen.backend.generate import generate
 from fkgen.backend.ir import CProgram
+from fkgen.backend.lower import generate
 from fkgen.backend.source import Source
 from fkgen.oracle import draw_record
 from fkgen.oracle.claims.claim import Record

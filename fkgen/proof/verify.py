@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 
-from fkgen.backend.generate import generate
+from fkgen.backend.lower import generate
 from fkgen.backend.source import Source
 from fkgen.families import family
 from fkgen.oracle import Identity

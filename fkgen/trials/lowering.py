@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fkgen.backend.elementary_text import elementary_context
+from fkgen.backend.functions import elementary_context
 from fkgen.backend.ir import (
     Element,
     Operate,

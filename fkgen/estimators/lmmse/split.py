@@ -67,7 +67,6 @@ def split_ports(plant: Plant, count: int, width: int) -> tuple[Port, ...]:
     """Estimate and second moments of the split state."""
     n, size = plant.nx, count * width
     what = "(x, 1) 1{mode}" if plant.nu else "x 1{mode}"
-    square = (size, size)
     return (
         Port(
             name="augmented_state",
@@ -77,7 +76,7 @@ def split_ports(plant: Plant, count: int, width: int) -> tuple[Port, ...]:
         ),
         Port(
             name="augmented_covariance",
-            shape=square,
+            shape=(size, size),
             role=Role.STATE,
             symmetric=True,
             meaning="its error covariance",
@@ -90,7 +89,7 @@ def split_ports(plant: Plant, count: int, width: int) -> tuple[Port, ...]:
         ),
         Port(
             name="augmented_filtered_covariance",
-            shape=square,
+            shape=(size, size),
             role=Role.STATE,
             symmetric=True,
             meaning="its error covariance",
