@@ -7,7 +7,7 @@ best linear filter for any Markov gamma (Costa 1994).
 
 from __future__ import annotations
 
-from fkgen.estimators.lmmse.augmented import augmented_filter
+from fkgen.estimators.lmmse.jump import jump_filter
 from fkgen.estimators.lmmse.lemma2 import uncertain_filter
 from fkgen.families.family import Family
 from fkgen.oracle.claims.caveats import lemma_2
@@ -19,7 +19,7 @@ from fkgen.symbolic.recursion import Recursion
 def build(spec: Spec) -> Recursion:
     """Build the filter in the form of the spec."""
     if spec.filter.form == "augmented":
-        return augmented_filter(spec, "Costa 1994; Sigalov & Oshman, sec. V without Lemma 2")
+        return jump_filter(spec, "Costa 1994; Sigalov & Oshman, sec. V without Lemma 2")
     return uncertain_filter(spec, "Sigalov & Oshman, sec. V, eqs. (19)-(23), covariance form")
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from fkgen.errors import InternalError
 from fkgen.faults.actuator import ActuatorFaults, read_actuator_faults
+from fkgen.faults.chain import ModeChain
 from fkgen.faults.jump import JumpFaults, read_jump_faults
 from fkgen.faults.sensor import SensorFaults, read_sensor_faults
 from fkgen.faults.soft import SoftFaults, read_soft_faults
@@ -35,6 +37,13 @@ class Faults:
     sensor: SensorFaults | None = None
     jump: JumpFaults | None = None
     soft: SoftFaults | None = None
+
+    def chain(self, model: Model) -> ModeChain:
+        """The modes of the plant under faults that are no soft ones, and their chain."""
+        found = self.sensor or self.jump
+        if found is None:
+            raise InternalError("no chain of modes without faults of sensors or jumps")
+        return found.chain(model)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""

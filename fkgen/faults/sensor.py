@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from fkgen.faults.chain import Lumping, Mode, ModeChain, lump
+from fkgen.problem.model import Model
 from fkgen.problem.probability import (
     Distribution,
     as_distribution,
@@ -18,6 +20,8 @@ from fkgen.problem.probability import (
 from fkgen.problem.signals import Signal, read_row
 from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_list, as_number
+from fkgen.problem.text.expression import ZERO, Expression, Number, operation
+from fkgen.problem.text.matrix import Matrix
 
 Problem = Literal[1, 2, 3, 4, "moments"]
 
@@ -84,6 +88,64 @@ class SensorFaults:
     kernel: tuple[Distribution, ...] = ()
     initial: Distribution = ()
     moments: Moments | None = None
+
+    @property
+    def conditions(self) -> tuple[tuple[float, float], ...]:
+        """(gamma, delta) of the four modes."""
+        return tuple((gamma, delta) for gamma in (1.0, 0.0) for delta in (1.0, self.noise_factor))
+
+    def chain(self, model: Model) -> ModeChain:
+        """The four conditions as modes of the plant; they all move alike."""
+        noisy = f"noise x {self.noise_factor:g}"
+        titles = [
+            f"{signal}, {noise}" for signal in ("signal", "no signal") for noise in ("R", noisy)
+        ]
+        modes = tuple(
+            replace(self.sensed(model, Number(gamma), Number(delta)), title=title)
+            for (gamma, delta), title in zip(self.conditions, titles, strict=True)
+        )
+        return ModeChain(modes, self.kernel, self.initial)
+
+    def lumped(self) -> Lumping:
+        """Three modes: (1, 1), (1, C) and gamma = 0, whatever the noise; sec. III and IV."""
+        return lump(self.kernel, self.initial, ((0,), (1,), (2, 3)))
+
+    def sensed(self, model: Model, gamma: Expression, delta: Expression) -> Mode:
+        """The plant whose rows have signal ``gamma`` and noise variance R ``delta``, eq. (2).
+
+        Noise that is correlated with that of a healthy row stays so: its deviation grows with the
+        square root of delta.
+        """
+        scale = (Number(1.0), operation("sqrt", delta), delta)
+
+        def signal(matrix: Matrix) -> Matrix:
+            return Matrix(
+                tuple(
+                    tuple(operation("*", gamma, entry) for entry in row) if i in self.rows else row
+                    for i, row in enumerate(matrix.rows)
+                )
+            )
+
+        R = Matrix(
+            tuple(
+                tuple(
+                    operation("*", entry, scale[(i in self.rows) + (j in self.rows)])
+                    for j, entry in enumerate(row)
+                )
+                for i, row in enumerate(model.R.rows)
+            )
+        )
+        still = Matrix.zeros(model.nx, 1)
+        C, D = signal(model.C), signal(model.D)
+        return Mode(A=model.A, B=model.B, C=C, D=D, Q=model.Q, R=R, c=still)
+
+    def entangles(self, R: Matrix) -> bool:
+        """Whether R correlates rows that can fail with rows that cannot."""
+        return any(
+            (i in self.rows) != (j in self.rows) and entry != ZERO
+            for i, row in enumerate(R.rows)
+            for j, entry in enumerate(row)
+        )
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold; every chain is written as problem 4."""

@@ -14,7 +14,6 @@ from fkgen.estimators.gaussian.actuation import rates_of
 from fkgen.faults import ActuatorFaults, JumpFaults, Moments, SensorFaults
 from fkgen.faults.actuator import pattern_law
 from fkgen.problem import Spec
-from fkgen.problem.probability import stationary_law
 from fkgen.problem.table.place import Place
 from fkgen.symbolic.plant import Plant, lift
 
@@ -135,28 +134,29 @@ def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:
 
 
 def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
-    """Pairs of a mode and a state of the channel, (lost, arrived), which are independent."""
-    count = len(faults.modes)
-    channel = np.array([[0.0, 1.0]] * 2) if faults.channel is None else faults.channel
-    law = stationary_law(channel)
-    start = channel[0] if law is None else law
+    """The modes; with a channel both states of it in every mode, a lost sample first."""
+    chain, channel, count = faults.chain(spec.model), faults.channel, len(faults.modes)
+    order = np.arange(count)
+    if channel is not None:
+        chain = chain.times(channel)
+        order = np.column_stack([order + count, order]).ravel()
+    lost = order >= count
     return Conditions(
-        initial=tuple(np.kron(faults.initial, start).tolist()),
-        kernel=tuple(map(tuple, np.kron(faults.transition, channel).tolist())),
+        initial=tuple(np.array(chain.initial)[order].tolist()),
+        kernel=tuple(map(tuple, np.array(chain.transition)[np.ix_(order, order)].tolist())),
         indicators=tuple(
-            (*(float(i == j) for j in range(count)), arrived, 1.0)
-            for i in range(count)
-            for arrived in (0.0, 1.0)
+            (*(float(i == at % count) for i in range(count)), 1.0 - at // count, 1.0)
+            for at in order.tolist()
         ),
-        modes=tuple(i for i in range(count) for _ in range(2)),
-        lost=(1, 0) * count if faults.has_channel else (),
+        modes=tuple((order % count).tolist()),
+        lost=tuple(lost.astype(int).tolist()) if channel is not None else (),
         plants=count,
         rows=tuple(range(spec.model.ny)),
     )
 
 
 def _of_sensors(spec: Spec, faults: SensorFaults) -> Conditions:
-    numbers = [(g, math.sqrt(d)) for g in (1.0, 0.0) for d in (1.0, faults.noise_factor)]
+    numbers = [(gamma, math.sqrt(delta)) for gamma, delta in faults.conditions]
     if faults.kernel:
         return Conditions(
             initial=faults.initial,

@@ -95,15 +95,14 @@ class Simulation:
             return self.trials.coin.astype(np.float64)
         if self.mode is None or self.spec.faults.sensor is None:
             return None
-        return np.array([1.0, 1.0, 0.0, 0.0])[self.mode]
+        return np.array(self.spec.faults.sensor.conditions)[:, 0][self.mode]
 
     @cached_property
     def delta(self) -> Array | None:
         """(M, T): noise variance over R of the rows that can fail, 1 or C, for sensor faults."""
         if self.mode is None or self.spec.faults.sensor is None:
             return None
-        factor = self.spec.faults.sensor.noise_factor
-        return np.array([1.0, factor, 1.0, factor])[self.mode]
+        return np.array(self.spec.faults.sensor.conditions)[:, 1][self.mode]
 
     @cached_property
     def arrival(self) -> NDArray[np.bool_] | None:

@@ -10,8 +10,8 @@ import pytest
 from jump_plants import EXAMPLE_B, EXAMPLE_S, GILBERT, random_table, spec_of
 from mutants import proved, recursion, refusals, rewritten, started
 
-from fkgen.estimators.lmmse import jump, jumping, loss_tests, stationary
-from fkgen.estimators.lmmse.jumping import Jumping
+from fkgen.estimators.lmmse import jump, loss_tests, stationary
+from fkgen.estimators.lmmse.jump import Jumping
 from fkgen.symbolic.packing import triangle
 
 PATHS = "projections over all paths"
@@ -153,7 +153,7 @@ def test_mistake_offset_left_out_of_the_second_moments(monkeypatch):
 
 
 def test_mistake_feedthrough_of_the_first_mode_for_all(monkeypatch):
-    right = jumping.measured
+    right = jump.measured
 
     def wrong(split, plants, u):
         return right(split, tuple(replace(plant, D=plants[0].D) for plant in plants), u)
@@ -168,7 +168,7 @@ def test_mistake_no_doubt_about_the_signal(monkeypatch):
 
 
 def test_mistake_doubt_without_the_part_of_the_estimate(monkeypatch):
-    right = jumping.measured
+    right = jump.measured
     monkeypatch.setattr(
         jump,
         "measured",

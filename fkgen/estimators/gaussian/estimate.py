@@ -21,7 +21,7 @@ from fkgen.estimators.gaussian.conditioning import (
 )
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.sequential import Form
-from fkgen.faults import JumpMode
+from fkgen.faults.chain import Mode
 from fkgen.problem import Model, Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Status
@@ -80,7 +80,7 @@ def prior_to_noise(spec: Spec) -> float:
     return max(_prior_to_noise(spec, each) for each in plants)
 
 
-def _prior_to_noise(spec: Spec, plant: Model | JumpMode) -> float:
+def _prior_to_noise(spec: Spec, plant: Model | Mode) -> float:
     P0 = spec.model.P0.values()
     C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
     noise = np.diag(R)

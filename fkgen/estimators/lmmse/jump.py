@@ -1,25 +1,25 @@
-"""The LMMSE filter of a jumping plant, with a gain that follows the moments.
+"""The LMMSE filter of a plant whose matrices follow a Markov chain; the gain follows the moments.
 
 Costa 1994; Costa, Fragoso & Marques 2005, sec. 5.4; Nahi 1969 for arrivals of which only the rate
-is known; Sun & Zhao & Yin for samples that a test rejects.
+is known; Sun, Zhao & Yin for samples that a test rejects.
 
-Moments of a jumping plant, and the covariance of its split noise: Lemma 3 and what follows.
-
-Written as second moments of indicators around their prediction, so that nothing cancels; the rows
-of x itself hold the plant's own noise only.
-
-Prediction of the split state: every mode's step, then the mixing by the chain.
-
-F = (P' (x) I) diag(A_i) is never formed. With u = A_N x + sum (A_i - A_N) z^i, which is the next x
-but for noise, and t^i = A_i z^i, the next part j is p_Nj u + sum_i (p_ij - p_Nj) t^i.
+The filter estimates z^i = x 1{mode = i} in the coordinates (z^1, ..., z^(N-1), x): x itself in
+place of the last part. Where the second moments of the state grow without bound, those of all z^i
+do, and x as their sum would lose its digits; here its error never meets them unless the modes
+differ. With known offsets every part is (x, 1) 1{mode = i}, and the sum of the ones is known.
+Covariances of the indicators are written as second moments around their prediction, so that nothing
+cancels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.estimate import (
@@ -31,15 +31,236 @@ from fkgen.estimators.gaussian.estimate import (
     update_form,
 )
 from fkgen.estimators.gaussian.sequential import Form
-from fkgen.estimators.lmmse.jumping import Jumping, law_ports, measured, split_ports, split_start
 from fkgen.estimators.lmmse.loss_tests import LossTest, Verdict, loss_outcomes, loss_ports
+from fkgen.faults.chain import Groups
+from fkgen.faults.linear_optimal import EQUAL
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
+from fkgen.symbolic.interface import Port, Role
 from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, sparse, total, unpack
 from fkgen.symbolic.packing import triangle
-from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
+
+Array = NDArray[np.float64]
+
+#: Largest change by one step of probabilities that count as stationary.
+STATIONARY = 1e-13
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jumping:
+    """The augmented state of one spec: its parts, their chain, and what is carried along.
+
+    A part belongs to a group of modes that differ in nothing but R; where losses are a Markov
+    chain that is not observed, to such a pair of both, first all that arrive.
+    """
+
+    spec: Spec
+    plants: tuple[Plant, ...]  # of every mode, then of every mode without a signal
+    groups: Groups  # the modes that share a part
+    kernel: Array  # (N, N), transition of the groups
+    modes_kernel: Array  # (M, M), transition of the modes
+    modes_initial: tuple[float, ...]
+    arrival: Array  # transition of (arrived, lost); of size 1 where losses are no part of the mode
+    shares: tuple[float, ...]  # its stationary law
+    rate: float  # Pr(a sample arrives) as far as it is no part of the mode
+    ones: bool  # parts are (x, 1) 1{mode}: something known is added to the state, or to y
+
+    @classmethod
+    def of(cls, spec: Spec) -> Jumping:
+        """Read the chain of a spec: what a detector decides is no longer random."""
+        chain, faults = spec.faults.chain(spec.model), spec.faults.jump
+        rate, arrival, modes = 1.0, np.eye(1), chain.modes
+        shares: tuple[float, ...] = (1.0,)
+        if faults is not None and faults.arrival == "unknown" and not judges(spec):
+            channel = faults.channel
+            if faults.arrival_rate is not None:
+                rate = faults.arrival_rate
+            elif channel is not None:
+                arrival = np.array(channel.transition)[::-1, ::-1]
+                shares, modes = channel.initial[::-1], chain.times(channel).modes
+        lumping = chain.lumped(tuple((i,) for i in range(len(chain.modes))))
+        if faults is None:  # modes of jump faults are the user's: each has its part
+            lumped = chain.lumped(chain.alike("ABCDQc"))
+            lumping = lumped if lumped.unequal_successors <= EQUAL else lumping
+        plants = mode_plants(spec, modes)
+        return cls(
+            spec=spec,
+            plants=plants,
+            groups=lumping.groups,
+            kernel=np.array(lumping.transition),
+            modes_kernel=np.array(chain.transition),
+            modes_initial=chain.initial,
+            arrival=arrival,
+            shares=shares,
+            rate=rate,
+            ones=bool(spec.model.nu) or any(plant.c.nnz() for plant in plants),
+        )
+
+    @property
+    def base(self) -> Plant:
+        """Any plant: for names and sizes, which all modes share."""
+        return self.plants[0]
+
+    @property
+    def modes(self) -> int:
+        """Number N of groups of modes."""
+        return len(self.groups)
+
+    @property
+    def parts(self) -> int:
+        """Number of parts of the state."""
+        return len(self.shares) * self.modes
+
+    @property
+    def width(self) -> int:
+        """Length of a part: that of x, or of (x, 1)."""
+        return self.base.nx + (1 if self.ones else 0)
+
+    @property
+    def size(self) -> int:
+        """Length of the augmented state: all parts but the last, then x."""
+        return (self.parts - 1) * self.width + self.base.nx
+
+    @property
+    def own(self) -> slice:
+        """Where x stands in the augmented state."""
+        return slice(self.size - self.base.nx, self.size)
+
+    @property
+    def transition(self) -> Array:
+        """Transition of the parts."""
+        return np.asarray(np.kron(self.arrival, self.kernel))
+
+    @property
+    def settled(self) -> bool:
+        """Whether the probabilities of the modes never change."""
+        law = np.array(self.modes_initial)
+        return bool(np.abs(law @ self.modes_kernel - law).max() <= STATIONARY)
+
+    @property
+    def restarts(self) -> bool:
+        """Whether a lock-out starts the filter again."""
+        return judges(self.spec) and self.spec.filter.reinitialise
+
+    @property
+    def means(self) -> bool:
+        """Whether the first moments of the parts are carried along."""
+        return self.ones or self.restarts
+
+    def law(self, symbols: dict[str, ca.SX]) -> ca.SX:
+        """Probabilities of the modes at the sample that is corrected, (M,)."""
+        constant = ca.SX(list(self.modes_initial))
+        return constant if self.settled else symbols["predicted_mode_law"]
+
+    def grouped(self, law: ca.SX) -> ca.SX:
+        """Probabilities of the groups from those of the modes, (N,)."""
+        return column([total([law[i] for i in group]) for group in self.groups])
+
+    def plant(self, plants: tuple[Plant, ...], part: int) -> Plant:
+        """The plant of a part."""
+        arrived, group = divmod(part, self.modes)
+        return plants[(arrived * len(self.modes_initial) + self.groups[group][0]) % len(plants)]
+
+
+def judges(spec: Spec) -> bool:
+    """Whether a test decides which samples are lost."""
+    return spec.faults.jump is not None and spec.filter.detector != "none"
+
+
+def split_ports(split: Jumping, *, covariances: bool) -> tuple[Port, ...]:
+    """Estimate and moments of the split state; with a constant gain there are no covariances."""
+    n, M = split.base.nx, split.size
+    member = "(x, 1) 1{mode}" if split.ones else "x 1{mode}"
+    what = f"{member} for all parts but the last, then of x"
+    ports = [
+        _state("augmented_state", (M,), f"estimate of {what}, at k+1 given y[0..k]"),
+        _state("augmented_filtered_state", (M,), "the same at k given y[0..k]"),
+    ]
+    if covariances:
+        ports += [
+            _state("augmented_covariance", (M, M), "error covariance of augmented_state"),
+            _state("augmented_filtered_covariance", (M, M), "the same at k given y[0..k]"),
+        ]
+    for prefix, k in (("", "k"), ("predicted_", "k+1")):
+        if covariances:
+            meaning = f"E[x x' 1{{mode}}] at {k}, unconditional"
+            name = f"{prefix}mode_second_moment"
+            ports.append(_state(name, (split.modes, n, n), meaning))
+        if split.means if covariances else split.restarts:
+            meaning = f"E[x 1{{mode}}] at {k}, unconditional"
+            ports.append(_state(f"{prefix}mode_first_moment", (split.modes, n), meaning))
+    if split.spec.faults.sensor is not None:
+        meaning = "E[x[k] x[k]'], unconditional"
+        ports.append(replace(_state("state_second_moment", (n, n), meaning), role=Role.OUTPUT))
+    return tuple(ports)
+
+
+def law_ports(split: Jumping) -> tuple[Port, ...]:
+    """The unconditional law of the mode."""
+    size, meaning = (len(split.modes_initial),), "Pr(mode), unconditional, at"
+    now = _state("mode_law", size, f"{meaning} k")
+    return (now,) if split.settled else (now, _state("predicted_mode_law", size, f"{meaning} k+1"))
+
+
+def _state(name: str, shape: tuple[int, ...], meaning: str) -> Port:
+    symmetric = name.endswith(("covariance", "second_moment"))
+    return Port(name=name, shape=shape, role=Role.STATE, meaning=meaning, symmetric=symmetric)
+
+
+def split_start(split: Jumping) -> dict[str, tuple[float, ...]]:
+    """Start values of `split_ports` and `law_ports`: the prior, split by the law of the mode."""
+    model, law = split.spec.model, np.array(split.modes_initial)
+    groups = np.array([law[list(group)].sum() for group in split.groups])
+    x0, P0 = model.x0.values().ravel(), model.P0.values()
+    second = P0 + np.outer(x0, x0)
+    state, covariance = _split_prior(split, groups, x0, P0)
+    start: dict[str, Any] = {"predicted_mode_law": law, "mode_law": law}
+    for of in ("", "filtered_"):
+        start[f"augmented_{of}state"] = state
+        start[f"augmented_{of}covariance"] = _packed(covariance)
+    for of in ("", "predicted_"):
+        start[f"{of}mode_second_moment"] = np.concatenate([p * _packed(second) for p in groups])
+        start[f"{of}mode_first_moment"] = np.kron(groups, x0)
+    return {name: tuple(np.asarray(value, float).tolist()) for name, value in start.items()}
+
+
+def _split_prior(split: Jumping, law: Array, x0: Array, P0: Array) -> tuple[Array, Array]:
+    """Mean and covariance of the split state: x has P0, and that is in every part by its share."""
+    share = np.kron(split.shares, law)[:-1]
+    mean = np.append(x0, 1.0)[: split.width]
+    outer = np.outer(mean, mean)
+    spread = np.zeros_like(outer)
+    spread[: len(x0), : len(x0)] = P0
+    X = np.zeros((split.size, split.size))
+    inner = slice(0, split.size - len(x0))
+    # 1{i} - share: covariance of the indicators; times the mean on both sides.
+    X[inner, inner] = np.kron(np.diag(share), spread) + np.kron(
+        np.diag(share) - np.outer(share, share), outer
+    )
+    X[split.own, split.own] = P0
+    X[inner, split.own] = np.kron(share[:, None], spread[:, : len(x0)])
+    X[split.own, inner] = X[inner, split.own].T
+    return np.concatenate([np.kron(share, mean), x0]), X
+
+
+def _packed(matrix: Array) -> Array:
+    return np.array([matrix[i, j] for i, j in triangle(len(matrix))])
+
+
+def measured(split: Jumping, plants: tuple[Plant, ...], u: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """L and what is known: E[y | split state] = L (split state) + offset, without the rate."""
+
+    def signal(part: int) -> ca.SX:
+        plant = split.plant(plants, part)
+        return ca.horzcat(plant.C, plant.D @ u) if split.ones else plant.C
+
+    last, n = signal(split.parts - 1), split.base.nx
+    blocks = [signal(part) - last for part in range(split.parts - 1)]
+    offset = last[:, n:] if split.ones else ca.SX(split.base.ny, 1)
+    return sparse(ca.horzcat(*blocks, last[:, :n])), offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,19 +279,20 @@ def moments_of(split: Jumping, symbols: dict[str, ca.SX], prefix: str) -> Moment
     first: tuple[ca.SX, ...] = ()
     if split.means:
         first = tuple(ca.vertsplit(symbols[f"{prefix}mode_first_moment"], n))
-    law = split.law(symbols) if prefix else _carried_law(split, symbols)
+    law = split.grouped(law_now(split, symbols, prefix))
     return Moments(tuple(unpack(each, n) for each in second), first, law)
 
 
-def _carried_law(split: Jumping, symbols: dict[str, ca.SX]) -> ca.SX:
-    return split.law(symbols) if split.settled else symbols["mode_law"]
+def law_now(split: Jumping, symbols: dict[str, ca.SX], prefix: str) -> ca.SX:
+    """Probabilities of the modes: predicted, or those of the sample that was corrected."""
+    return split.law(symbols) if prefix or split.settled else symbols["mode_law"]
 
 
 def next_law(split: Jumping, law: ca.SX) -> ca.SX:
-    """Law of the mode one sample later, its rounding taken out of the sum."""
+    """Probabilities of the modes one sample later, their rounding taken out of the sum."""
     if split.settled:
         return law
-    moved = ca.SX(ca.DM(split.kernel)).T @ law
+    moved = ca.SX(ca.DM(split.modes_kernel)).T @ law
     return moved / ca.sum1(moved)
 
 
@@ -93,7 +315,8 @@ def moved_moments(
 ) -> list[ca.SX]:
     """Second moment of (A x + b, 1) 1{mode}, or of A x 1{mode}, mode by mode."""
     n, result = split.base.nx, []
-    for i, plant in enumerate(plants):
+    for i in range(split.modes):
+        plant = split.plant(plants, i)
         if split.ones:
             last = ca.horzcat(ca.SX(1, n), ca.SX(1))
             through = sparse(ca.vertcat(ca.horzcat(plant.A, offset_of(plant, u)), last))
@@ -108,11 +331,9 @@ def moved_moments(
 
 def plant_noise(split: Jumping, plants: tuple[Plant, ...], law: ca.SX) -> list[ca.SX]:
     """sum_i p_ij pi_i Q_i: what the plant's own noise adds in the step to each mode."""
-    P = split.kernel
-    return [
-        shared([p.Q for p in plants], [float(P[i, j]) * law[i] for i in range(split.modes)])
-        for j in range(split.modes)
-    ]
+    P, modes = split.kernel, range(split.modes)
+    Q = [split.plant(plants, i).Q for i in modes]
+    return [shared(Q, [float(P[i, j]) * law[i] for i in modes]) for j in modes]
 
 
 def later_moments(
@@ -227,7 +448,7 @@ def predict_split(split: Jumping, symbols: dict[str, ca.SX]) -> Phase:
     now = moments_of(split, symbols, "")
     with script.titled("second moments, mode by mode"):
         moved = moved_moments(script, split, plants, now, u)
-        law = next_law(split, now.law)
+        law = next_law(split, law_now(split, symbols, ""))
         noise = [
             unpack(script.let(f"plant_noise_{j}", pack(each)), n)
             for j, each in enumerate(plant_noise(split, plants, now.law))
@@ -263,7 +484,8 @@ def moved_means(
     split: Jumping, plants: tuple[Plant, ...], means: tuple[ca.SX, ...], law: ca.SX
 ) -> list[ca.SX]:
     """E[x 1{mode}] one sample later, without inputs."""
-    each = [plant.A @ means[i] + law[i] * plant.c for i, plant in enumerate(plants)]
+    own = [split.plant(plants, i) for i in range(split.modes)]
+    each = [plant.A @ means[i] + law[i] * plant.c for i, plant in enumerate(own)]
     mixed = ca.SX(ca.DM(split.kernel)).T @ ca.horzcat(*each).T
     return [ca.densify(mixed[j, :].T) for j in range(split.modes)]
 
@@ -283,7 +505,7 @@ def jump_filter(spec: Spec, source: str) -> Recursion:
     ports = (
         *state_ports(spec),
         *innovation_ports(spec),
-        *loss_ports(spec),
+        *(loss_ports(spec) if judges(spec) else ()),
         *law_ports(split),
         *split_ports(split, covariances=True),
     )
@@ -301,7 +523,7 @@ def jump_filter(spec: Spec, source: str) -> Recursion:
         update=_update(split, symbols, form),
         predict=predict_split(split, symbols),
         notes=(f"covariance update: {form} form", *notes_of(split)),
-        outcomes=loss_outcomes(spec),
+        outcomes=loss_outcomes(spec) if judges(spec) else (),
     )
 
 
@@ -312,14 +534,14 @@ def noisy(split: Jumping) -> Plant:
 
 def notes_of(split: Jumping) -> tuple[str, ...]:
     """What the header says about modes and arrivals."""
-    options, faults = split.spec.filter, split.faults
+    options, faults = split.spec.filter, split.spec.faults.jump
     notes = [f"state split by {split.parts} modes"]
-    if options.detector != "none":
+    if judges(split.spec):
         notes.append(
             f"a sample that the test {options.detector} rejects is replaced by its prediction;"
             f" status LOCKED_OUT from {options.lock_out} in a row on"
         )
-    elif faults.arrival == "unknown":
+    elif faults is not None and faults.arrival == "unknown":
         law = "a Markov chain" if faults.arrival_chain else f"the rate {faults.arrival_rate:g}"
         notes.append(f"of arrivals only {law} is known")
     return tuple(notes)
@@ -327,18 +549,20 @@ def notes_of(split: Jumping) -> tuple[str, ...]:
 
 def mean_noise(script: Script, split: Jumping, plants: tuple[Plant, ...], law: ca.SX) -> ca.SX:
     """sum_i pi_i R_i, its computed entries named."""
-    weights = [law[i] for i in range(split.modes)]
-    return script.name_entries("mean_noise", sparse(shared([p.R for p in plants], weights)))
+    weights = ca.vertsplit(law)
+    noises = [plant.R for plant in plants[: len(split.modes_initial)]]
+    return script.name_entries("mean_noise", sparse(shared(noises, weights)))
 
 
-def signal_moment(plants: tuple[Plant, ...], now: Moments, u: ca.SX) -> ca.SX:
+def signal_moment(split: Jumping, plants: tuple[Plant, ...], now: Moments, u: ca.SX) -> ca.SX:
     """Packed E[s s'] of the signal s = C x + D u; modes that measure alike are added first."""
     groups: dict[tuple[int, int], list[int]] = {}
-    for i, plant in enumerate(plants):
+    for i in range(split.modes):
+        plant = split.plant(plants, i)
         groups.setdefault((id(plant.C), id(plant.D)), []).append(i)
     terms = []
     for members in groups.values():
-        plant = plants[members[0]]
+        plant = split.plant(plants, members[0])
         second = total([now.second[i] for i in members])
         if plant.D.nnz():
             first = total([now.first[i] for i in members])
@@ -355,7 +579,7 @@ def _update(split: Jumping, symbols: dict[str, ca.SX], form: Form) -> Phase:
     demand_positive(script, symbols["augmented_covariance"], split.size)
     plants = bound_all(script, split.plants, "CDR")
     now = moments_of(split, symbols, "predicted_")
-    noise = mean_noise(script, split, plants, now.law)
+    noise = mean_noise(script, split, plants, split.law(symbols))
     prior = (symbols["augmented_state"], unpack(symbols["augmented_covariance"], split.size))
     L, offset = measured(split, plants, u)
     measurement = measurement_of(
@@ -364,12 +588,12 @@ def _update(split: Jumping, symbols: dict[str, ca.SX], form: Form) -> Phase:
         y=symbols["y"],
         C=sparse(split.rate * L),
         offset=split.rate * offset,
-        R=_with_doubt(script, split, noise, lambda: signal_moment(plants, now, u)),
+        R=_with_doubt(script, split, noise, lambda: signal_moment(split, plants, now, u)),
     )
     found = condition(script, prior, measurement, form=form)
     demand_finite(script, found.mean)
     state, covariance, results = found.mean, found.covariance, {}
-    if split.spec.filter.detector != "none":
+    if judges(split.spec):
         test = LossTest(script, symbols, split.spec)
         verdict = test.verdict(found, measurement, noise)
         state, covariance = _kept(script, split, symbols, (found, verdict, test), now)
@@ -434,4 +658,10 @@ def innovation_results(found: Conditioned) -> dict[str, ca.SX]:
 def carried(split: Jumping, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
     """What y[k] does not change: unconditional moments."""
     names = [name for name in ("mode_second_moment", "mode_first_moment") if name in symbols]
-    return {name: symbols[f"predicted_{name}"] for name in names} | {"mode_law": split.law(symbols)}
+    result = {name: symbols[f"predicted_{name}"] for name in names} | {
+        "mode_law": split.law(symbols)
+    }
+    if "state_second_moment" in symbols:
+        now = moments_of(split, symbols, "predicted_")
+        result["state_second_moment"] = pack(total(list(now.second)))
+    return result

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
@@ -16,12 +18,12 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sensing import demand_indicators, observed
 from fkgen.estimators.gaussian.sequential import Form
-from fkgen.problem import Spec
+from fkgen.faults import SensorFaults
+from fkgen.problem import Name, Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.interface import Kind, Port, Role, Status
+from fkgen.symbolic.plant import Plant, lift, plant_of
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
@@ -62,6 +64,21 @@ def _demand_rates(script: Script, spec: Spec, plant: Plant) -> None:
         demand_rates(script, rates_of(spec.faults.actuator, plant))
 
 
+def _told(spec: Spec, plant: Plant, faults: SensorFaults) -> Plant:
+    """The plant in the condition that the parameters gamma and delta tell."""
+    mode = faults.sensed(spec.model, Name("gamma"), Name("delta"))
+    C, D, R = (lift(matrix, plant.parameters) for matrix in (mode.C, mode.D, mode.R))
+    return replace(plant, C=C, D=D, R=R)
+
+
+def _demand_indicators(script: Script, plant: Plant, faults: SensorFaults) -> None:
+    """Refuse a gamma that is neither 0 nor 1, and a delta that is neither 1 nor C."""
+    gamma, delta = plant.parameters["gamma"], plant.parameters["delta"]
+    for value, other in ((gamma, ca.SX(0)), (delta, ca.SX(faults.noise_factor))):
+        zero = (value - 1) * (value - other)
+        script.demand(Kind.NONNEGATIVE, [zero, -zero], Status.PARAMETER_OUT_OF_RANGE)
+
+
 def _update(
     spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
 ) -> Phase:
@@ -69,8 +86,8 @@ def _update(
     demand_positive(script, symbols["predicted_covariance"], plant.nx)
     _demand_rates(script, spec, plant)
     if spec.faults.sensor is not None:
-        demand_indicators(script, plant, spec.faults.sensor)
-        plant = observed(plant, spec.faults.sensor)
+        _demand_indicators(script, plant, spec.faults.sensor)
+        plant = _told(spec, plant, spec.faults.sensor)
     plant = bound(script, plant, "CDR")
     found, posterior = correct(
         script,

@@ -32,7 +32,6 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sensing import scaled_noise
 from fkgen.estimators.gaussian.sequential import Form
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
 from fkgen.estimators.models.weights import TINY
@@ -140,7 +139,7 @@ class FaultLaw:
         nominal, factor = self.nominal(symbols), self.faults.noise_factor
         own = nominal + (1 - nominal) * factor
         cross = nominal + (1 - nominal) * math.sqrt(factor)
-        return scaled_noise(plant.R, self.faults.rows, own, cross)
+        return _scaled_noise(plant.R, self.faults.rows, own, cross)
 
     def next_law(self, symbols: dict[str, ca.SX]) -> ca.SX:
         """Law of the mode one sample later, its rounding taken out of the sum."""
@@ -169,6 +168,17 @@ class FaultLaw:
 
     def _kernel(self) -> NDArray[np.float64]:
         return np.array(self.faults.kernel)
+
+
+def _scaled_noise(R: ca.SX, rows: tuple[int, ...], own: ca.SX, cross: ca.SX) -> ca.SX:
+    """R times ``own`` among the rows, times ``cross`` between them and the others."""
+    result = ca.SX(R)
+    for i in range(R.shape[0]):
+        for j in range(R.shape[0]):
+            faulty = (i in rows) + (j in rows)
+            if faulty and not is_zero(R[i, j]):
+                result[i, j] = R[i, j] * (own if faulty == 2 else cross)
+    return result
 
 
 def _whole(probability: float) -> float:

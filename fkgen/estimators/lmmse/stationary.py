@@ -18,9 +18,13 @@ from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, RANK_TOLERANC
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import demand_finite, finite
 from fkgen.estimators.lmmse.jump import (
+    Jumping,
     Moments,
     carried,
     innovation_results,
+    judges,
+    law_ports,
+    measured,
     mixing,
     moved_means,
     moved_moments,
@@ -30,9 +34,10 @@ from fkgen.estimators.lmmse.jump import (
     shared,
     signal_moment,
     split_noise,
+    split_ports,
+    split_start,
     steps,
 )
-from fkgen.estimators.lmmse.jumping import Jumping, law_ports, measured, split_ports, split_start
 from fkgen.estimators.lmmse.loss_tests import LossTest, loss_outcomes, loss_ports
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
@@ -106,9 +111,9 @@ def stationary_of(split: Jumping) -> Stationary:
     F = _number(mixing(split)[0] @ steps(split, split.plants, u)[0])
     L = split.rate * _number(measured(split, split.plants, u)[0])
     weights = [now.law[i] for i in range(split.modes)]
-    noise = _number(shared([plant.R for plant in split.plants], weights))
+    noise = _number(shared([plant.R for plant in split.plants[: split.modes]], weights))
     doubt = split.rate * (1.0 - split.rate)
-    signal = _number(unpack(signal_moment(split.plants, now, u), split.base.ny))
+    signal = _number(unpack(signal_moment(split, split.plants, now, u), split.base.ny))
     R = noise + doubt * signal
     X = riccati(F, L, W, R)
     S = L @ X @ L.T + R
@@ -154,7 +159,7 @@ def stationary_filter(spec: Spec, source: str) -> Recursion:
     ports = (
         *state_ports(spec),
         *innovation_ports(spec),
-        *loss_ports(spec),
+        *(loss_ports(spec) if judges(spec) else ()),
         *law_ports(split),
         *split_ports(split, covariances=False),
     )
@@ -175,7 +180,7 @@ def stationary_filter(spec: Spec, source: str) -> Recursion:
             "a missing row of y is replaced by its prediction",
             *notes_of(split),
         ),
-        outcomes=loss_outcomes(spec),
+        outcomes=loss_outcomes(spec) if judges(spec) else (),
     )
 
 
@@ -199,7 +204,7 @@ def _update(split: Jumping, symbols: dict[str, ca.SX], at_rest: Stationary) -> P
     )
     demand_finite(script, corrected)
     results: dict[str, ca.SX] = {}
-    if spec.filter.detector != "none":
+    if judges(spec):
         test = LossTest(script, symbols, spec)
         verdict = test.verdict(found, measurement, sparse(ca.SX(ca.DM(at_rest.noise))))
         state = script.local("kept_state", split.size)

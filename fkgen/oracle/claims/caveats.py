@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from fkgen.faults.lumping import merged
 from fkgen.oracle import (
     FaultMoments,
     LinearSystem,
@@ -84,7 +83,7 @@ def three_modes(spec: Spec) -> tuple[Finding, ...]:
     faults = spec.faults.sensor
     if faults is None or spec.filter.modes != 3 or faults.noise_factor == 1.0:
         return ()
-    defect = merged(faults.kernel, faults.initial).defect
+    defect = faults.lumped().defect
     if defect <= EQUAL:
         return ()
     message = (

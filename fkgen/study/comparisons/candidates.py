@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from fkgen.errors import DataError, UserError
 from fkgen.faults import JumpFaults
+from fkgen.faults.chain import ModeChain
 from fkgen.problem import Spec
 from fkgen.problem.filter import SECTIONS
-from fkgen.problem.probability import stationary_law
 from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.floating]
@@ -111,7 +111,7 @@ def derived(truth: Spec, text: str) -> Spec:
     if family == "kf":
         table["faults"] = {}
     if family == "imm" and truth.faults.jump is not None:
-        table["faults"] = {"jump": with_losses_as_modes(truth.faults.jump)}
+        table["faults"] = {"jump": with_losses_as_modes(truth.faults.jump).plain()}
     if family == "genie":
         sensor = table["faults"]["sensor"]
         table["faults"] = {"sensor": {key: sensor[key] for key in ("noise_factor", "rows")}}
@@ -270,32 +270,12 @@ def indicators(simulation: Simulation) -> dict[str, NDArray[np.float64]]:
     return {INDICATOR.format(i): (mode == i).astype(float) for i in range(len(jump.modes))}
 
 
-def with_losses_as_modes(faults: JumpFaults) -> dict[str, object]:
-    """The section of the same plant for a family without a channel.
+def with_losses_as_modes(faults: JumpFaults) -> JumpFaults:
+    """The same plant for a family without a channel: lost samples are modes of their own.
 
-    Every mode comes twice, first all with a signal, then all without: C = 0, D = 0. Samples that
-    are known to be lost are missing, and need no modes.
-
-    Parameters
-    ----------
-    faults : JumpFaults
+    Samples that are known to be lost are missing, and need no modes.
     """
-    table = faults.plain()
-    stated = {key: table[key] for key in ("transition", "initial", "modes")}
-    channel = faults.channel
-    if faults.arrival != "unknown" or channel is None:
-        return stated
-    modes: Any = stated["modes"]
-    lost = [mode | {key: _zeros(mode[key]) for key in ("C", "D") if key in mode} for mode in modes]
-    arrived_first = channel[::-1, ::-1]
-    law = stationary_law(arrived_first)
-    start = arrived_first[0] if law is None else law
-    return {
-        "transition": np.kron(arrived_first, faults.transition).tolist(),
-        "initial": np.kron(start, faults.initial).tolist(),
-        "modes": [*modes, *lost],
-    }
-
-
-def _zeros(matrix: list[list[object]]) -> list[list[float]]:
-    return [[0.0] * len(row) for row in matrix]
+    chain = ModeChain(faults.modes, faults.transition, faults.initial)
+    if faults.arrival == "unknown" and faults.channel is not None:
+        chain = chain.times(faults.channel)
+    return JumpFaults(chain.transition, chain.initial, chain.modes)
