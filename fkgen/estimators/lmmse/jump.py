@@ -194,7 +194,8 @@ def split_ports(split: Jumping, *, covariances: bool) -> tuple[Port, ...]:
             ports.append(_state(f"{prefix}mode_first_moment", (split.modes, n), meaning))
     if split.spec.faults.sensor is not None:
         meaning = "E[x[k] x[k]'], unconditional"
-        ports.append(replace(_state("state_second_moment", (n, n), meaning), role=Role.OUTPUT))
+        own = _state("state_second_moment", (n, n), meaning)
+        ports.append(replace(own, role=Role.OUTPUT, unit="xx"))
     return tuple(ports)
 
 
