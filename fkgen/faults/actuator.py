@@ -5,7 +5,7 @@ Actuators that fail intermittently: rates, and how the faults of several inputs 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Literal
@@ -13,13 +13,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.errors import InternalError
+from fkgen.faults.chain import Mode, ModeChain
 from fkgen.problem.covariance import checked_covariance, nearby
+from fkgen.problem.model import Model
 from fkgen.problem.table.matrix import Role, read_entry, read_matrix
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
-from fkgen.problem.text.expression import Expression, Number, evaluate, to_text
+from fkgen.problem.text.expression import ZERO, Expression, Number, evaluate, to_text
 from fkgen.problem.text.foreign import plain_entry, plain_list
-from fkgen.problem.text.matrix import Matrix
+from fkgen.problem.text.matrix import NO_PARAMETERS, Matrix
 
 #: Error of a probability that a linear program may leave.
 TOLERANCE = 1e-9
@@ -93,6 +96,34 @@ class ActuatorFaults:
     dependence: Dependence
     covariance: Matrix | None = None
 
+    def chain(self, model: Model, parameters: Mapping[str, float] = NO_PARAMETERS) -> ModeChain:
+        """The patterns of inputs that work (1) or fail (0), as modes that are drawn anew."""
+        rates = np.array([evaluate(rate, parameters) for rate in self.success_rate])
+        patterns = list(product((1.0, 0.0), repeat=model.nu))
+        if self.dependence == "common":
+            patterns, law = [patterns[0], patterns[-1]], np.array([rates[0], 1.0 - rates[0]])
+        elif self.covariance is None:
+            law = np.prod(np.where(np.array(patterns) > 0.0, rates, 1.0 - rates), axis=1)
+        else:
+            found = pattern_law(rates, self.covariance.values(parameters))
+            if found is None:
+                raise InternalError("a covariance of inputs that no joint law has")
+            law = found
+        modes = tuple(
+            Mode(
+                A=model.A,
+                B=_masked(model.B, pattern),
+                C=model.C,
+                D=_masked(model.D, pattern),
+                Q=model.Q,
+                R=model.R,
+                c=Matrix.zeros(model.nx, 1),
+            )
+            for pattern in patterns
+        )
+        initial = tuple(law.tolist())
+        return ModeChain(modes, (initial,) * len(modes), initial)
+
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"dependence": self.dependence}
@@ -104,6 +135,12 @@ class ActuatorFaults:
         if self.covariance is not None:
             table["covariance"] = self.covariance.plain()
         return table
+
+
+def _masked(matrix: Matrix, pattern: Sequence[float]) -> Matrix:
+    """The columns of the inputs that work, zeros for the others."""
+    rows = (zip(row, pattern, strict=True) for row in matrix.rows)
+    return Matrix(tuple(tuple(entry if works else ZERO for entry, works in row) for row in rows))
 
 
 def read_actuator_faults(

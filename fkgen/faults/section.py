@@ -40,9 +40,9 @@ class Faults:
 
     def chain(self, model: Model) -> ModeChain:
         """The modes of the plant under faults that are no soft ones, and their chain."""
-        found = self.sensor or self.jump
+        found = self.sensor or self.jump or self.actuator
         if found is None:
-            raise InternalError("no chain of modes without faults of sensors or jumps")
+            raise InternalError("no chain of modes without faults, or for soft ones")
         return found.chain(model)
 
     def plain(self) -> dict[str, object]:
