@@ -203,7 +203,9 @@ def law_ports(split: Jumping) -> tuple[Port, ...]:
     """The unconditional law of the mode."""
     size, meaning = (len(split.modes_initial),), "Pr(mode), unconditional, at"
     now = _state("mode_law", size, f"{meaning} k")
-    return (now,) if split.settled else (now, _state("predicted_mode_law", size, f"{meaning} k+1"))
+    if split.settled:  # modes of a sensor have no port for what is known beforehand
+        return () if split.spec.faults.jump is None else (now,)
+    return now, _state("predicted_mode_law", size, f"{meaning} k+1")
 
 
 def _state(name: str, shape: tuple[int, ...], meaning: str) -> Port:
@@ -658,10 +660,10 @@ def innovation_results(found: Conditioned) -> dict[str, ca.SX]:
 
 def carried(split: Jumping, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
     """What y[k] does not change: unconditional moments."""
-    names = [name for name in ("mode_second_moment", "mode_first_moment") if name in symbols]
-    result = {name: symbols[f"predicted_{name}"] for name in names} | {
-        "mode_law": split.law(symbols)
-    }
+    moments = ("mode_second_moment", "mode_first_moment")
+    result = {name: symbols[f"predicted_{name}"] for name in moments if name in symbols}
+    if "mode_law" in symbols:
+        result["mode_law"] = split.law(symbols)
     if "state_second_moment" in symbols:
         now = moments_of(split, symbols, "predicted_")
         result["state_second_moment"] = pack(total(list(now.second)))
