@@ -1,7 +1,4 @@
-"""Which inputs work together: a joint law of several inputs from rates and covariances.
-
-Actuators that fail intermittently: rates, and how the faults of several inputs depend.
-"""
+"""Actuators that fail intermittently: rates, and how the faults of several inputs depend."""
 
 from __future__ import annotations
 
@@ -32,19 +29,8 @@ def pattern_law(rates: ArrayLike, covariance: ArrayLike) -> NDArray[np.float64] 
     """Probabilities of all patterns of q inputs that work (1) or fail (0).
 
     For more than two inputs the moments leave the law open; this is the one with the smallest total
-    distance from independent inputs.
-
-    Parameters
-    ----------
-    rates : (q,) array_like
-        Pr(input i works).
-    covariance : (q, q) array_like
-        Cov(gamma).
-
-    Returns
-    -------
-    (2**q,) ndarray or None
-        In the order of ``itertools.product((1, 0), repeat=q)``; None if no law has these moments.
+    distance from independent inputs. Patterns are in the order of ``itertools.product``; None if no
+    law has these moments.
     """
     from scipy.optimize import linprog  # noqa: PLC0415 - slow to import
 
@@ -80,21 +66,13 @@ JOINT_TOLERANCE = 1e-9
 class ActuatorFaults:
     """Actuators that work or fail in every sample: ``u`` arrives as ``gamma * u``.
 
-    Parameters
-    ----------
-    success_rate : tuple of Expression
-        Pr(gamma_i = 1): one rate for common faults, else one per input; empty where the filter
-        is to find it out.
-    dependence : str
-        ``"common"``: all inputs fail together (and whenever there is one input);
-        ``"independent"``; ``"covariance"``: as stated by ``covariance``.
-    covariance : (q, q) Matrix or None
-        Cov(gamma), if the dependence is ``"covariance"``.
+    ``"common"``: all inputs fail together (and whenever there is one input); ``"independent"``;
+    ``"covariance"``: as stated.
     """
 
-    success_rate: tuple[Expression, ...]
+    success_rate: tuple[Expression, ...]  # Pr(gamma_i = 1), one if common; empty if unknown
     dependence: Dependence
-    covariance: Matrix | None = None
+    covariance: Matrix | None = None  # (q, q), of gamma
 
     def chain(self, model: Model, parameters: Mapping[str, float] = NO_PARAMETERS) -> ModeChain:
         """The patterns of inputs that work (1) or fail (0), as modes that are drawn anew."""
@@ -146,26 +124,7 @@ def _masked(matrix: Matrix, pattern: Sequence[float]) -> Matrix:
 def read_actuator_faults(
     table: object, place: Place, defaults: Mapping[str, float], *, family: str, inputs: int
 ) -> ActuatorFaults:
-    """Return the actuator faults that a table describes.
-
-    Parameters
-    ----------
-    table : object
-        What stands under ``faults.actuator``.
-    place : Place
-        Where.
-    defaults : mapping of str to float
-        The parameters and their default values.
-    family : str
-        ``mme`` finds the rate out itself.
-    inputs : int
-        Number of inputs, q.
-
-    Raises
-    ------
-    SpecError
-        If a key is missing or unknown, or a rate or a joint probability is impossible.
-    """
+    """Return the actuator faults that a table describes; ``mme`` finds the rate out itself."""
     reader = _ActuatorReader(table, place, defaults, inputs)
     return reader.unknown_rate() if family == "mme" else reader.known_rate()
 

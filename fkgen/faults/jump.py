@@ -36,36 +36,16 @@ class JumpFaults:
     """N modes, their chain, and the channel on which samples are lost.
 
     A lost sample is y = v: noise without signal. A row of y that is NaN is missing, which the
-    filter knows.
-
-    Parameters
-    ----------
-    transition : N tuples of N floats
-        Pr(mode at k+1 is j | mode at k is i).
-    initial : tuple of N floats
-        Law of the mode at sample 0.
-    modes : tuple of N Mode
-    arrival : str
-        What the filter makes of the channel: ``"always"``: every sample holds a signal;
-        ``"known"``: what was lost is NaN; ``"unknown"``: only the law of arrivals is known.
-    arrival_rate : float or None
-        Pr(a sample holds a signal), independent from sample to sample.
-    arrival_chain : 2 tuples of 2 floats
-        In place of the rate: Pr(j at k+1 | i at k), states (lost, arrived); empty without.
+    filter knows. Of the channel it knows that every sample arrives (``"always"``), what was lost
+    (``"known"``: NaN), or probabilities alone (``"unknown"``).
     """
 
-    transition: tuple[Distribution, ...]
-    initial: Distribution
+    transition: tuple[Distribution, ...]  # Pr(mode at k+1 is j | mode at k is i)
+    initial: Distribution  # at sample 0
     modes: tuple[Mode, ...]
     arrival: Arrival = "always"
-    arrival_rate: float | None = None
-    arrival_chain: tuple[Distribution, ...] = ()
-
-    @property
-    def has_offsets(self) -> bool:
-        """Whether a mode adds something known to the state: an offset, or an input."""
-        zero = Matrix.zeros(*self.modes[0].c.shape)
-        return any(mode.c != zero or mode.B.shape[1] > 0 for mode in self.modes)
+    arrival_rate: float | None = None  # Pr(a sample holds a signal), independent
+    arrival_chain: tuple[Distribution, ...] = ()  # in place of the rate, (lost, arrived)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
@@ -110,26 +90,9 @@ def _title(mode: Mode, model: Model) -> str:
 def read_jump_faults(
     table: object, place: Place, defaults: Mapping[str, float], *, family: str, model: Model
 ) -> JumpFaults:
-    """Return the jump faults that a table describes.
+    """Return the jump faults that a table under ``faults.jump`` describes.
 
-    Parameters
-    ----------
-    table : object
-        What stands under ``faults.jump``.
-    place : Place
-        Where.
-    defaults : mapping of str to float
-        The parameters and their default values.
-    family : str
-        The keys about arrivals are for ``mjls_lmmse`` only.
-    model : Model
-        The plant, whose matrices a mode may override.
-
-    Raises
-    ------
-    SpecError
-        If a key is missing or unknown, a matrix has not the size of the model's, or a law is
-        impossible.
+    Keys about arrivals are for ``mjls_lmmse`` only; a mode may override matrices of the model.
     """
     section = Section(table, place, known=("transition", "initial", "modes", *_ARRIVAL_KEYS))
     if family != "mjls_lmmse":

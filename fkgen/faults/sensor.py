@@ -17,9 +17,9 @@ from fkgen.problem.probability import (
     as_transition,
     stationary_law,
 )
-from fkgen.problem.signals import Signal, read_row
+from fkgen.problem.signals import Signal, read_rows
 from fkgen.problem.table.place import Place, show
-from fkgen.problem.table.section import Section, as_list, as_number
+from fkgen.problem.table.section import Section, as_number
 from fkgen.problem.text.expression import ZERO, Expression, Number, operation
 from fkgen.problem.text.matrix import Matrix
 
@@ -47,46 +47,25 @@ ROUNDED = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """The three numbers that a linear filter needs.
+    """The three numbers that a linear filter needs."""
 
-    Parameters
-    ----------
-    gamma_rate : float
-        E[gamma].
-    gamma_persistence : float
-        Pr(gamma_k = 1 | gamma_i = 1) for every i < k: p11.
-    delta_nominal_rate : float
-        Pr(delta = 1).
-    """
-
-    gamma_rate: float
-    gamma_persistence: float
-    delta_nominal_rate: float
+    gamma_rate: float  # E[gamma]
+    gamma_persistence: float  # p11: Pr(gamma_k = 1 | gamma_i = 1) for every i < k
+    delta_nominal_rate: float  # Pr(delta = 1)
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFaults:
     """y = G (C x + D u) + v: rows may lose their signal (gamma = 0) or be noisier (delta = C).
 
-    Parameters
-    ----------
-    noise_factor : float
-        C: the noise covariance of the rows is R delta with delta in {1, C}.
-    rows : tuple of int
-        Rows of y that are subject to faults, ascending; the others are always good.
-    kernel : 4 tuples of 4 floats
-        Pr(mode at k+1 is j | mode at k is i), modes (1,1) (1,C) (0,1) (0,C) as (gamma, delta);
-        empty if the law is given by moments, or not at all (``genie``).
-    initial : tuple of 4 floats
-        Law of the mode at sample 0; empty with the kernel.
-    moments : Moments or None
-        In place of kernel and initial.
+    Modes are (1,1) (1,C) (0,1) (0,C) as (gamma, delta). There is no kernel where moments take its
+    place, or nothing is said (``genie``).
     """
 
-    noise_factor: float
-    rows: tuple[int, ...]
-    kernel: tuple[Distribution, ...] = ()
-    initial: Distribution = ()
+    noise_factor: float  # C: the noise covariance of the rows is R delta, delta in {1, C}
+    rows: tuple[int, ...]  # of y that can fail, ascending
+    kernel: tuple[Distribution, ...] = ()  # Pr(mode at k+1 is j | mode at k is i)
+    initial: Distribution = ()  # at sample 0
     moments: Moments | None = None
 
     @property
@@ -162,24 +141,7 @@ class SensorFaults:
 def read_sensor_faults(
     table: object, place: Place, outputs: Sequence[Signal], family: str
 ) -> SensorFaults:
-    """Return the sensor faults that a table describes.
-
-    Parameters
-    ----------
-    table : object
-        What stands under ``faults.sensor``.
-    place : Place
-        Where.
-    outputs : sequence of Signal
-        The rows of y.
-    family : str
-        ``genie`` needs no law; moments are for ``linear_optimal`` only.
-
-    Raises
-    ------
-    SpecError
-        If a key is missing, unknown, or of another problem, or a law is impossible.
-    """
+    """Return the sensor faults that a table under ``faults.sensor`` describes."""
     known = ("noise_factor", "rows", "problem", "initial", *_ALL_LAW_KEYS)
     section = Section(table, place, known=known)
     factor = _noise_factor(section)
@@ -214,14 +176,10 @@ def _rows(section: Section, outputs: Sequence[Signal]) -> tuple[int, ...]:
     place = section.place.entry("rows")
     names = [signal.name for signal in outputs]
     expected = f"a list of rows of y, out of 0..{len(names) - 1} ({', '.join(names)})"
-    entries = as_list(section.table["rows"], place, expected)
-    if not entries:
+    rows = read_rows(section.table["rows"], place, expected, names)
+    if not rows:
         raise place.error("an empty list", f"{expected}; leave the key out if all rows can fail")
-    rows = [read_row(entry, place.item(i), names) for i, entry in enumerate(entries)]
-    for i, row in enumerate(rows):
-        if row in rows[:i]:
-            raise place.item(i).error(f"row {row} a second time", "every row once")
-    return tuple(sorted(rows))
+    return rows
 
 
 def _problem(section: Section, family: str) -> Problem:

@@ -12,7 +12,7 @@ from fkgen.problem.table.place import Place
 from fkgen.problem.text.matrix import Matrix
 
 if TYPE_CHECKING:
-    from fkgen.faults.jump import JumpMode
+    from fkgen.faults.chain import Mode
 
 #: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
 LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
@@ -33,7 +33,7 @@ def check_magnitudes(
 
 
 def check_mode_magnitudes(
-    mode: JumpMode, place: Place, defaults: Mapping[str, float], scalar: str
+    mode: Mode, place: Place, defaults: Mapping[str, float], scalar: str
 ) -> None:
     """The same for one mode of a jumping plant."""
     names = ("A", "B", "C", "D", "Q", "R", "c")

@@ -17,7 +17,7 @@ from fkgen.problem.table.section import Section, as_number, as_table
 from fkgen.problem.text.naming import check_distinct, read_parameter_name, read_prefix
 
 if TYPE_CHECKING:
-    from fkgen.faults.jump import JumpMode
+    from fkgen.faults.chain import Mode
     from fkgen.faults.section import Faults
 
 _KEYS = ("name", "model", "parameters", "faults", "filter", "code")
@@ -136,7 +136,7 @@ class Spec:
         return {parameter.name: parameter.default for parameter in self.parameters}
 
     @property
-    def plants(self) -> tuple[Model | JumpMode, ...]:
+    def plants(self) -> tuple[Model | Mode, ...]:
         """The model, or every mode in place of it where the plant jumps."""
         return (self.model,) if self.faults.jump is None else self.faults.jump.modes
 

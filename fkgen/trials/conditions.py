@@ -1,4 +1,4 @@
-"""What is random in a plant: coins that fall in every sample, and a chain of conditions."""
+"""What is random in a plant: Bernoulli variables, drawn anew in every sample, and a chain."""
 
 from __future__ import annotations
 
@@ -25,15 +25,7 @@ _COUNTED = 255
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """One decision per sample: which pattern the coins show.
-
-    Attributes
-    ----------
-    coins : tuple of int
-        Which coins it decides about.
-    patterns : tuple of tuple of int
-        What they may show.
-    """
+    """One decision per sample: which pattern some of the Bernoulli variables show."""
 
     coins: tuple[int, ...]
     patterns: tuple[tuple[int, ...], ...]
@@ -41,42 +33,18 @@ class Draw:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conditions:
-    """Everything random besides noise.
+    """Everything random besides noise; empty where there is nothing of the kind."""
 
-    Attributes
-    ----------
-    coins : int
-        Number of coins.
-    draws : tuple of Draw
-        How they fall.
-    prior : tuple of float
-        Probabilities of hypotheses, of which one is true throughout a trial; empty without.
-    initial : tuple of float
-        Law of the chain at sample 0; empty without a chain.
-    kernel : tuple of tuple of float
-        Its transition probabilities.
-    indicators : tuple of tuple of float
-        The numbers that each of its conditions hands to the plant.
-    modes : tuple of int
-        The mode that each condition belongs to: several may if their past matters.
-    lost : tuple of int
-        For each condition whether the sample is lost, where packets may be; empty otherwise.
-    plants : int
-        Number N of plants: the first N indicators say which of them moves. 0 if there is one.
-    rows : tuple of int
-        Rows of y whose signal is times the next indicator, and their noise times the one after.
-    """
-
-    coins: int = 0
-    draws: tuple[Draw, ...] = ()
-    prior: tuple[float, ...] = ()
-    initial: tuple[float, ...] = ()
+    coins: int = 0  # number of Bernoulli variables
+    draws: tuple[Draw, ...] = ()  # how they are drawn
+    prior: tuple[float, ...] = ()  # of hypotheses, one of which is true throughout a trial
+    initial: tuple[float, ...] = ()  # probabilities of the chain at sample 0
     kernel: tuple[tuple[float, ...], ...] = ()
-    indicators: tuple[tuple[float, ...], ...] = ()
-    modes: tuple[int, ...] = ()
-    lost: tuple[int, ...] = ()
-    plants: int = 0
-    rows: tuple[int, ...] = ()
+    indicators: tuple[tuple[float, ...], ...] = ()  # what each condition hands to the plant
+    modes: tuple[int, ...] = ()  # the mode of each condition: several if their past matters
+    lost: tuple[int, ...] = ()  # whether the sample is lost, by condition
+    plants: int = 0  # N: the first N indicators say which plant moves; 0 if there is one
+    rows: tuple[int, ...] = ()  # of y: signal times the next indicator, noise times the one after
 
     def driven(self, u: ca.SX, coin: ca.SX) -> ca.SX:
         """What reaches the plant of the inputs."""
@@ -97,14 +65,7 @@ class Conditions:
 
 
 def conditions_of(spec: Spec) -> Conditions:
-    """What is random in the plant of a spec.
-
-    Raises
-    ------
-    SpecError
-        If the spec does not say how its faults come about, or there are more conditions or
-        hypotheses than can be counted.
-    """
+    """What is random in the plant of a spec, which has to say how its faults come about."""
     found = Conditions()
     if spec.faults.actuator is not None:
         found = _of_actuators(spec, spec.faults.actuator)

@@ -33,15 +33,6 @@ def lower_root(covariance: ca.SX) -> ca.SX:
 
     The column of a pivot that is zero, or rounding beside its diagonal entry, is zero. Expressions
     need no branch for that.
-
-    Parameters
-    ----------
-    covariance : (n, n) SX
-        Symmetric positive semidefinite, of constants or expressions.
-
-    Returns
-    -------
-    (n, n) SX
     """
     n = covariance.shape[0]
     left, root = ca.SX(covariance), ca.SX(n, n)
@@ -74,43 +65,19 @@ INPUTS = ("x", "u", "w", "v", "coin", "indicator", "hypothesis")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sampling:
-    """One plant with its faults, ready to be lowered.
-
-    Attributes
-    ----------
-    spec : Spec
-        Where it comes from.
-    conditions : Conditions
-        The chain, the coins, and the hypotheses of which each trial has one.
-    ports : tuple of Port
-        ``state``, ``measurement`` and ``threshold``: what the phases write.
-    start : Phase
-        x[0] = x0 + root(P0) w.
-    law : Phase
-        The probabilities at which coins fall.
-    measure : Phase
-        y[k] from x[k], u[k], v[k] and the faults.
-    move : Phase
-        x[k+1] from the same and w[k].
-    """
+    """One plant with its faults, ready to be lowered."""
 
     spec: Spec
     conditions: Conditions
-    ports: tuple[Port, ...]
-    start: Phase
-    law: Phase
-    measure: Phase
-    move: Phase
+    ports: tuple[Port, ...]  # ``state``, ``measurement`` and ``threshold``: what phases write
+    start: Phase  # x[0] = x0 + root(P0) w
+    law: Phase  # the probabilities of the Bernoulli variables
+    measure: Phase  # y[k] from x[k], u[k], v[k] and the faults
+    move: Phase  # x[k+1] from the same and w[k]
 
 
 def sampling_of(spec: Spec) -> Sampling:
-    """Write the phases of a spec.
-
-    Raises
-    ------
-    SpecError
-        If the spec leaves open how its faults come about.
-    """
+    """Write the phases of a spec, which must not leave open how its faults come about."""
     jump = spec.faults.jump
     plants = (plant_of(spec),) if jump is None else mode_plants(spec, jump.modes)
     plant = plants[0]

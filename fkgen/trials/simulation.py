@@ -173,25 +173,13 @@ def simulate(
 
 
 def counted(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int = 1) -> int:
-    """A whole number from ``least`` up, below ``beyond``.
-
-    Raises
-    ------
-    DataError
-        If it is none.
-    """
+    """A whole number from ``least`` up, below ``beyond``."""
     expected = f"a whole number from {least} to {beyond - 1}"
     return whole(what, value, least=least, most=beyond - 1, expected=expected)
 
 
 def inputs_of(spec: Spec, u: ArrayLike | None, runs: int, steps: int) -> Array:
-    """Inputs of shape (T, q) or (M, T, q), finite.
-
-    Raises
-    ------
-    DataError
-        If they are missing, not wanted, of another shape or not finite.
-    """
+    """Inputs of shape (T, q) or (M, T, q), finite."""
     q = spec.model.nu
     names = ", ".join(signal.name for signal in spec.model.inputs)
     if u is None:

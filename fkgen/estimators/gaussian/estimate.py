@@ -39,24 +39,13 @@ _DIFFERENCES = ("compression_full", "dfcf")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """(x, gamma - xi) given y[0..k], in blocks; the deviation is empty unless y depends on gamma.
+    """(x, gamma - xi) given y[0..k]; the deviation is empty unless y depends on gamma."""
 
-    Attributes
-    ----------
-    state : (n,) SX
-    covariance : (n (n + 1) / 2,) SX
-        Packed.
-    deviation : (r,) SX
-    deviation_covariance : (r (r + 1) / 2,) SX
-        Packed.
-    cross_covariance : (r, n) SX
-    """
-
-    state: ca.SX
-    covariance: ca.SX
-    deviation: ca.SX
-    deviation_covariance: ca.SX
-    cross_covariance: ca.SX
+    state: ca.SX  # (n,)
+    covariance: ca.SX  # packed
+    deviation: ca.SX  # (r,)
+    deviation_covariance: ca.SX  # packed
+    cross_covariance: ca.SX  # (r, n)
 
 
 def senses_actuation(plant: Plant, actuation: Actuation) -> bool:

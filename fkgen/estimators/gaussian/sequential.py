@@ -22,7 +22,7 @@ LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
 @dataclass(slots=True, kw_only=True)
-class Fold:
+class SequentialUpdate:
     """Builder of the sequential update: the values so far, which start as the prior.
 
     With S = L E L' over the rows present, ``coupling`` holds L E and ``factor`` holds L below the
@@ -51,8 +51,8 @@ class Fold:
     weight: list[ca.SX] = field(default_factory=list)
     symbols: dict[str, ca.SX] = field(default_factory=dict)
 
-    def take(self, i: int) -> None:
-        """Fold in row i: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
+    def update_row(self, i: int) -> None:
+        """SequentialUpdate in row i: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
         row, script = self.rows[i], self.script
         cross = unpack(self.covariance, self.mean.numel()) @ row.c
         if not all(cross[k].is_leaf() for k in range(cross.numel())):

@@ -1,9 +1,7 @@
-"""What the linear filters need of the law of (gamma, delta): first moments, sample by sample.
+"""Linear optimal filter with uncertain observations: Sigalov & Oshman, eqs. (19)-(23).
 
-Sigalov & Oshman, sec. V-B: E[gamma_k], p11(k) = Pr(gamma_k = 1 | gamma_i = 1) and E[delta_k]. A law
-that the kernel does not change gives constants; another one is carried along with the state.
-
-Linear optimal filter with uncertain observations: Sigalov & Oshman, eqs. (19)-(23).
+It needs E[gamma_k], p11(k) = Pr(gamma_k = 1 | gamma_i = 1) and E[delta_k], sec. V-B. Probabilities
+that the kernel does not change give constants; others are carried along with the state.
 
 With w = (gamma - p11) C x + v the measurement is y = p11 C x + w, whose noise has covariance
 (E[gamma] - p11) E[x x'] C' with the state. Conditioning (x, w) on it is (23) in covariance form: C

@@ -38,21 +38,11 @@ _BOUND = {
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a test says.
+    """What a test says."""
 
-    Attributes
-    ----------
-    excess : SX
-        Positive if a loss is declared; to be asked under the condition that a row is present.
-    rejections : SX
-        Declared in a row, this sample included.
-    results : dict of str to SX
-        Values of the ports.
-    """
-
-    excess: ca.SX
-    rejections: ca.SX
-    results: dict[str, ca.SX]
+    excess: ca.SX  # positive if a loss is declared; to be asked where a row is present
+    rejections: ca.SX  # declared in a row, this sample included
+    results: dict[str, ca.SX]  # values of the ports
 
 
 def loss_ports(spec: Spec) -> tuple[Port, ...]:
@@ -95,16 +85,7 @@ def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
 
 
 class LossTest:
-    """Writes the blocks of a test.
-
-    Parameters
-    ----------
-    script : Script
-    symbols : dict of str to SX
-        Ports of the instance.
-    spec : Spec
-        Detector and thresholds.
-    """
+    """Writes the blocks of a test; the options of the spec are detector and thresholds."""
 
     def __init__(self, script: Script, symbols: dict[str, ca.SX], spec: Spec) -> None:
         self.script, self.symbols, self.spec = script, symbols, spec

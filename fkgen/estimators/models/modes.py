@@ -27,22 +27,14 @@ class Variant:
 class Modes:
     """The modes of a switching filter.
 
-    Attributes
-    ----------
-    variants : tuple of tuple of Variant
-        Per mode; several where a mode lumps conditions together that only the density tells apart.
-        They move alike.
-    kernel : N tuples of N floats
-    initial : tuple of N floats
-        Law of the mode at sample 0.
-    entangled : bool
-        The variants of a mode lead to different estimates, because R correlates the rows that they
-        differ in with others.
+    A mode has several variants where it lumps conditions together that only the density tells
+    apart; they move alike. They are entangled where they lead to different estimates, because R
+    correlates the rows that they differ in with others.
     """
 
     variants: tuple[tuple[Variant, ...], ...]
     kernel: Kernel
-    initial: tuple[float, ...]
+    initial: tuple[float, ...]  # at sample 0
     entangled: bool
 
     @property
@@ -58,9 +50,9 @@ class Modes:
 
     @property
     def predicted_as(self) -> tuple[int, ...]:
-        """Per mode the mode whose prediction it takes: its own.
+        """Index of the mode whose prediction each mode uses.
 
-        A mode that can never come takes that of the first that can, so that nothing grows unseen.
+        Unreachable modes reuse a reachable one so that their covariance cannot overflow.
         """
         possible = visited(self.kernel, self.initial)
         first = int(np.argmax(possible))

@@ -1,8 +1,4 @@
-"""The update of the partial compression filter: host, maintenance, compression; Theorem 4.
-
-The end of a window of the partial compression filter: test (50), (51), host update (47).
-
-The correlated partial error-state compression filter: Lee & Lee, Theorem 4.
+"""The correlated partial error-state compression filter: Lee & Lee, Theorem 4.
 
 Within a sample, in the order in which nothing is used twice: host update with its rows, maintenance
 of Z, then compression of the other rows with the a posteriori host; at the end of a window the host
@@ -28,7 +24,7 @@ from fkgen.estimators.gaussian.estimate import (
     update_form,
 )
 from fkgen.estimators.gaussian.rank import DIRECTION, thresholds
-from fkgen.estimators.gaussian.sequential import Fold
+from fkgen.estimators.gaussian.sequential import SequentialUpdate
 from fkgen.estimators.lmmse.kalman import from_rows
 from fkgen.estimators.windows.partial_state import (
     Compressed,
@@ -221,16 +217,16 @@ def closing(given: PartialFilter) -> Phase:
     """The test (50), (51) and the host update (47); Z is discarded whatever comes of it."""
     script, symbols, n = Script(given.symbols), given.symbols, given.plant.nx
     state, covariance = symbols["filtered_state"], symbols["filtered_covariance"]
-    fold, rank = _taken_over(script, given)
-    accepted, rejected = _verdict(script, given, fold.nis, rank)
+    taken, rank = _taken_over(script, given)
+    accepted, rejected = _verdict(script, given, taken.nis, rank)
     names = {"closed_state": n, "closed_covariance": covariance.numel()}
     closed = [script.local(name, size) for name, size in names.items()]
     with script.titled("the host takes over"):
         script.put(dict(zip(names, (state, covariance), strict=True)))
         with script.where(accepted):
-            moved = state + fold.mean[:n], parts(fold.covariance, n, given.partial.size)[0]
+            moved = state + taken.mean[:n], parts(taken.covariance, n, given.partial.size)[0]
             script.put(dict(zip(names, moved, strict=True)))
-    limit, known = given.spec.filter.reacquire, (fold.mean[:n], "closed_covariance")
+    limit, known = given.spec.filter.reacquire, (taken.mean[:n], "closed_covariance")
     counted = reacquired(script, limit, ([accepted], [rejected]), known)
     with script.titled("results of the window"):
         collecting = symbols["collecting"]
@@ -239,7 +235,7 @@ def closing(given: PartialFilter) -> Phase:
                 "filtered_state": closed[0],
                 "filtered_covariance": closed[1],
                 "collecting": ca.SX(0),
-                "test_statistic": fold.nis * collecting,
+                "test_statistic": taken.nis * collecting,
                 "test_dof": rank * collecting,
                 "fault_declared": rejected,
                 **counted,
@@ -249,7 +245,7 @@ def closing(given: PartialFilter) -> Phase:
     return script.phase(unless=COUNTDOWN)
 
 
-def _taken_over(script: Script, given: PartialFilter) -> tuple[Fold, ca.SX]:
+def _taken_over(script: Script, given: PartialFilter) -> tuple[SequentialUpdate, ca.SX]:
     """(e, V) given that T1 e + V is Z, (47), and how many rows of Z say something.
 
     Rows of a group of which only others have begun say nothing, up to rounding of T1 P T1' + R.
@@ -259,7 +255,7 @@ def _taken_over(script: Script, given: PartialFilter) -> tuple[Fold, ca.SX]:
     covariance = given.symbols["filtered_covariance"]
     prior = pack(carried.joint(covariance))
     start = {f"mean{tag}": ca.SX.zeros(n + m), f"covariance{tag}": prior}
-    fold = Fold(
+    taken = SequentialUpdate(
         script=script,
         rows=[
             Row(
@@ -286,10 +282,10 @@ def _taken_over(script: Script, given: PartialFilter) -> tuple[Fold, ca.SX]:
     rank = script.local("rank", 1, 0.0)
     for i, row in enumerate(given.rows):
         with script.titled(f"row {i} of the compressed measurement, {given.plant.rows[row]}"):
-            fold.take(i)
+            taken.update_row(i)
             with script.where(script.symbol(f"inverse{tag}_{i}")):
                 script.put({"rank": rank + 1})
-    return fold, rank
+    return taken, rank
 
 
 def _verdict(

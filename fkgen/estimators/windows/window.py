@@ -1,13 +1,8 @@
-"""A host filter and its compression filters: sizes, symbols, and which rows each of them takes.
+"""Windows at whose end a host filter takes over, or rejects, what compression filters collected.
 
-Windows at whose end a host filter takes over, or rejects, what was collected meanwhile.
-
-The end of a window is at samples k > 0 with k mod window = 0. It is the closing phase of a
-recursion; a countdown port tells when it is due.
-
-The end of a window: every compression filter is tested, the host takes over what passes.
-
-Lee & Lee, (50), (51) and (25).
+A window ends at samples k > 0 with k mod window = 0: it is the closing phase of a recursion, and a
+countdown port tells when it is due. Every compression filter is tested then, Lee & Lee, (50), (51),
+and the host takes over what passes, (25).
 """
 
 from __future__ import annotations
@@ -160,18 +155,8 @@ def reacquired(
     """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
 
     d is what it would have been corrected by. It is so again after every further rejection, until
-    something passes: the vaguer the host, the more of its error is in d.
-
-    Parameters
-    ----------
-    script : Script
-        Of the closing phase.
-    limit : int or None
-        ``filter.reacquire``.
-    verdicts : (list of SX, list of SX)
-        1 where a group is accepted; 1 where it is rejected.
-    host : (SX, str)
-        d, and the local that holds P, packed.
+    something passes: the vaguer the host, the more of its error is in d. The ``verdicts``
+    are 1 where a group is accepted, and where it is rejected; ``host`` is d and the local of P.
     """
     if limit is None:
         return {}
