@@ -93,7 +93,7 @@ Operand = Temp | Literal | Element
 class Operate:
     """``target = operator(arguments)``."""
 
-    target: Temp
+    target: Temp | Element
     operator: Operator
     arguments: tuple[Operand, ...]
 
@@ -124,10 +124,20 @@ class Require:
 
 
 @dataclass(frozen=True, slots=True)
+class RowArgument:
+    """A row of y that the caller of a routine names."""
+
+    index: int
+
+
+Row = int | RowArgument
+
+
+@dataclass(frozen=True, slots=True)
 class IfPresent:
     """Run ``body`` if this row of y is present (any row, if None)."""
 
-    row: int | None
+    row: Row | None
     body: tuple[Statement, ...]
 
 
@@ -150,10 +160,10 @@ class Heading:
 class Call:
     """Run a routine: where its arguments begin, its row of constants, the rows of y it is about."""
 
-    routine: Routine
+    routine: str
     arguments: tuple[Element, ...]
     constants: int
-    rows: tuple[int, ...]
+    rows: tuple[Row, ...]
 
 
 Statement = Operate | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
@@ -385,4 +395,6 @@ def operands(node: Statement) -> tuple[Operand, ...]:
             return values
         case Copy(_, value) | Assign(_, value) | IfPositive(value, _):
             return (value,)
+        case Call(_, arguments, _, _):
+            return arguments
     return ()
