@@ -77,8 +77,9 @@ def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
     own = fault_section(spec)
     everyone = {name: family(name) for name in NAMES}
     able = [n for n, f in everyone.items() if own in f.accepts and not f.traits.told]
+    able += [n for n, f in everyone.items() if not f.accepts]
     found, left_out = [], []
-    for name in (*able, "kf"):
+    for name in able:
         try:
             derived(spec, name)
         except UserError as error:
