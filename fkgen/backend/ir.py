@@ -93,7 +93,16 @@ Operand = Temp | Literal | Element
 class Operate:
     """``target = operator(arguments)``."""
 
-    target: Temp | Element
+    target: Temp
+    operator: Operator
+    arguments: tuple[Operand, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """``target := operator(arguments)``: an operation whose result goes nowhere else."""
+
+    target: Element
     operator: Operator
     arguments: tuple[Operand, ...]
 
@@ -166,7 +175,7 @@ class Call:
     rows: tuple[Row, ...]
 
 
-Statement = Operate | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
+Statement = Operate | Store | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
 
 
 @dataclass(frozen=True, slots=True)
@@ -389,7 +398,7 @@ def walk(body: tuple[Statement, ...]) -> Iterator[Statement]:
 def operands(node: Statement) -> tuple[Operand, ...]:
     """What a statement reads itself (not its body)."""
     match node:
-        case Operate(_, _, arguments):
+        case Operate(_, _, arguments) | Store(_, _, arguments):
             return arguments
         case Require(values, _, _):
             return values

@@ -28,6 +28,7 @@ from fkgen.backend.ir import (
     Scalar,
     Space,
     Statement,
+    Store,
     Temp,
     operands,
     walk,
@@ -125,6 +126,14 @@ class StatementPrinter:
 
     @statement.register
     def _(self, node: Operate, depth: int) -> str:
+        value = self._operation(node)
+        return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
+
+    @statement.register
+    def _(self, node: Store, depth: int) -> str:
+        return f"{_indent(depth)}{self.operand(node.target)} = {self._operation(node)};"
+
+    def _operation(self, node: Operate | Store) -> str:
         a = [self.operand(argument) for argument in node.arguments]
         match node.operator:
             case Operator.NEG:
@@ -139,8 +148,7 @@ class StatementPrinter:
                 value = f"{a[0]} {_INFIX[operator]} {a[1]}"
             case operator:
                 value = f"{self.elementary}_{operator.value}({', '.join(a)})"
-        new = f"const {self.real} " if isinstance(node.target, Temp) else ""
-        return f"{_indent(depth)}{new}{self.operand(node.target)} = {value};"
+        return value
 
     @statement.register
     def _(self, node: Copy, depth: int) -> str:

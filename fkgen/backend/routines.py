@@ -34,6 +34,7 @@ from fkgen.backend.ir import (
     RowArgument,
     Space,
     Statement,
+    Store,
     Temp,
     operands,
     walk,
@@ -84,7 +85,7 @@ class _Reader:
         slot, base = self.variables.setdefault(key, (len(self.variables), operand.index))
         return slot, None if operand.index is None or base is None else operand.index - base
 
-    def statement(self, node: Statement) -> Any:
+    def statement(self, node: Statement) -> Any:  # noqa: PLR0911 - one per node
         match node:
             case Operate(target, operator, arguments):
                 return operator, tuple(map(self.operand, arguments)), self.operand(target)
@@ -129,7 +130,7 @@ class _Writer:
     def many(self, nodes: Sequence[Statement]) -> Chunk:
         return tuple(map(self.statement, nodes))
 
-    def statement(self, node: Statement) -> Statement:
+    def statement(self, node: Statement) -> Statement:  # noqa: PLR0911 - one per node
         match node:
             case Operate(target, operator, arguments):
                 values = tuple(map(self.operand, arguments))
@@ -521,8 +522,9 @@ def expanded(routine: Routine, call: Call, locals_: dict[str, str]) -> Chunk:
         match operand:
             case Element(Space.ARGUMENT, name, index):
                 begin = bound[name]
-                whole = index is None or begin.index is None
-                return begin if whole else replace(begin, index=begin.index + index)
+                if index is None or begin.index is None:
+                    return begin
+                return replace(begin, index=begin.index + index)
             case Element(Space.CONSTANT, "numbers", index) if (
                 index is not None and routine.constants[0]
             ):
@@ -574,29 +576,26 @@ def stored(body: Chunk) -> Chunk:
 
 
 def _stored(body: Chunk, uses: Counter[int]) -> Chunk:
-    nodes: list[Statement | None] = list(body)
-    origin: dict[int, int] = {}
+    nodes: dict[int, Statement] = dict(enumerate(body))
+    origin = {n.target.index: i for i, n in enumerate(body) if isinstance(n, Operate)}
     last: dict[Element, int] = {}  # where an element was used last
     for i, node in enumerate(body):
         if isinstance(node, IfPresent | IfPositive):
             nodes[i] = replace(node, body=_stored(node.body, uses))
-        if isinstance(node, Operate) and isinstance(node.target, Temp):
-            origin[node.target.index] = i
         if isinstance(node, Assign) and isinstance(node.value, Temp):
             at = origin.get(node.value.index)
-            clear = at is not None and last.get(node.target, -1) <= at and barrier(body, at, i)
-            if at is not None and clear and uses[node.value.index] == 1:
-                nodes[at] = replace(body[at], target=node.target)
-                nodes[i] = None
-        for inner in walk((node,)):
-            for operand in operands(inner):
-                if isinstance(operand, Element):
-                    last[operand] = i
-            if isinstance(inner, Assign):
-                last[inner.target] = i
-    return tuple(node for node in nodes if node is not None)
+            source = None if at is None else body[at]
+            if at is not None and isinstance(source, Operate) and uses[node.value.index] == 1:
+                called = any(isinstance(each, Call) for each in walk(body[at:i]))
+                if not called and last.get(node.target, -1) <= at:
+                    nodes[at] = Store(node.target, source.operator, source.arguments)
+                    del nodes[i]
+        last |= dict.fromkeys(_elements(node), i)
+    return tuple(nodes[i] for i in sorted(nodes))
 
 
-def barrier(body: Chunk, start: int, stop: int) -> bool:
-    """Whether no call stands between two statements: a call may use any element."""
-    return not any(isinstance(node, Call) for node in walk(body[start:stop]))
+def _elements(node: Statement) -> Iterator[Element]:
+    for inner in walk((node,)):
+        yield from (o for o in operands(inner) if isinstance(o, Element))
+        if isinstance(inner, Assign):
+            yield inner.target
