@@ -1,6 +1,7 @@
 """What can fail, one file per kind of fault."""
 
 from fkgen.faults.actuator import ActuatorFaults
+from fkgen.faults.chain import Mode
 from fkgen.faults.jump import JumpFaults
 from fkgen.faults.section import Faults
 from fkgen.faults.sensor import Moments, SensorFaults
@@ -10,6 +11,7 @@ __all__ = [
     "ActuatorFaults",
     "Faults",
     "JumpFaults",
+    "Mode",
     "Moments",
     "SensorFaults",
     "SoftFaults",

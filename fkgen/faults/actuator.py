@@ -122,11 +122,24 @@ def _masked(matrix: Matrix, pattern: Sequence[float]) -> Matrix:
 
 
 def read_actuator_faults(
-    table: object, place: Place, defaults: Mapping[str, float], *, family: str, inputs: int
+    table: object,
+    place: Place,
+    defaults: Mapping[str, float],
+    model: Model,
+    family: str,
+    *,
+    rate_known: bool = True,
 ) -> ActuatorFaults:
-    """Return the actuator faults that a table describes; ``mme`` finds the rate out itself."""
-    reader = _ActuatorReader(table, place, defaults, inputs)
-    return reader.unknown_rate() if family == "mme" else reader.known_rate()
+    """The actuator faults that a table describes, for a family that is told the rate or not."""
+    if not model.nu:
+        raise (
+            Place(place.file)
+            .entry("model")
+            .entry("B")
+            .error("nothing (no input)", f"B: the family {family} is about faults of the input")
+        )
+    reader = _ActuatorReader(table, place, defaults, model.nu)
+    return reader.known_rate() if rate_known else reader.unknown_rate()
 
 
 class _ActuatorReader:

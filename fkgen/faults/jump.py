@@ -88,14 +88,17 @@ def _title(mode: Mode, model: Model) -> str:
 
 
 def read_jump_faults(
-    table: object, place: Place, defaults: Mapping[str, float], *, family: str, model: Model
+    table: object,
+    place: Place,
+    defaults: Mapping[str, float],
+    model: Model,
+    family: str,
+    *,
+    arrivals: bool = False,
 ) -> JumpFaults:
-    """Return the jump faults that a table under ``faults.jump`` describes.
-
-    Keys about arrivals are for ``mjls_lmmse`` only; a mode may override matrices of the model.
-    """
+    """The jump faults that a table describes; ``arrivals``: the family knows of lost samples."""
     section = Section(table, place, known=("transition", "initial", "modes", *_ARRIVAL_KEYS))
-    if family != "mjls_lmmse":
+    if not arrivals:
         for key in _ARRIVAL_KEYS:
             if key in section:
                 raise place.entry(key).error(

@@ -33,7 +33,7 @@ from fkgen.estimators.gaussian.estimate import (
 from fkgen.estimators.gaussian.sequential import Form
 from fkgen.estimators.lmmse.loss_tests import LossTest, Verdict, loss_outcomes, loss_ports
 from fkgen.faults.chain import Groups
-from fkgen.faults.linear_optimal import EQUAL
+from fkgen.faults.sensor import EQUAL
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port, Role
@@ -143,7 +143,7 @@ class AugmentedState:
     @property
     def restarts(self) -> bool:
         """Whether a lock-out starts the filter again."""
-        return judges(self.spec) and self.spec.filter.reinitialise
+        return judges(self.spec) and bool(self.spec.filter.options.reinitialise)
 
     @property
     def means(self) -> bool:
@@ -167,7 +167,7 @@ class AugmentedState:
 
 def judges(spec: Spec) -> bool:
     """Whether a test decides which samples are lost."""
-    return spec.faults.jump is not None and spec.filter.detector != "none"
+    return spec.faults.jump is not None and spec.filter.options.detector != "none"
 
 
 def augmented_ports(z: AugmentedState, *, covariances: bool) -> tuple[Port, ...]:
@@ -525,7 +525,8 @@ def jump_filter(spec: Spec, source: str) -> Recursion:
         initial={port.name: start[port.name] for port in ports if port.name in start},
         update=_update(z, symbols, form),
         predict=_predict(z, symbols),
-        notes=(f"covariance update: {form} form", *notes_of(z)),
+        form=form,
+        notes=notes_of(z),
         outcomes=loss_outcomes(spec) if judges(spec) else (),
     )
 
@@ -537,7 +538,7 @@ def noisy(z: AugmentedState) -> Plant:
 
 def notes_of(z: AugmentedState) -> tuple[str, ...]:
     """What the header says about modes and arrivals."""
-    options, faults = z.spec.filter, z.spec.faults.jump
+    options, faults = z.spec.filter.options, z.spec.faults.jump
     notes = [f"state split by {z.parts} modes"]
     if judges(z.spec):
         notes.append(

@@ -99,7 +99,7 @@ def modes_of(spec: Spec, plants: Sequence[Plant]) -> Modes:
     Three modes for four conditions of a sensor: the mixture of both noises at gamma = 0.
     """
     chain, sensor = spec.faults.chain(spec.model), spec.faults.sensor
-    lumps = sensor is not None and spec.filter.modes < len(chain.modes)
+    lumps = sensor is not None and spec.filter.option("modes", 4) < len(chain.modes)
     if sensor is not None and lumps:
         found = sensor.lumped()
     else:

@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError, UserError
+from fkgen.families import ALIASES, NAMES, family
 from fkgen.faults import JumpFaults
-from fkgen.faults.chain import ModeChain
 from fkgen.problem import Spec
-from fkgen.problem.filter import SECTIONS
 from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.floating]
+
+#: Label of the filter that is told every fault.
+YARDSTICK = "genie"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +75,11 @@ def contenders_of(specs: Sequence[Spec], families: Sequence[str]) -> tuple[Conte
 def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Every family that the faults of a spec fit, and a sentence for each that does not take it."""
     own = fault_section(spec)
-    able = [name for name, sections in SECTIONS.items() if own in sections and name != "genie"]
+    everyone = {name: family(name) for name in NAMES}
+    able = [n for n, f in everyone.items() if own in f.accepts and not f.traits.told]
+    able += [n for n, f in everyone.items() if not f.accepts]
     found, left_out = [], []
-    for name in (*able, "kf"):
+    for name in able:
         try:
             derived(spec, name)
         except UserError as error:
@@ -88,46 +92,35 @@ def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def derived(truth: Spec, text: str) -> Spec:
     """The spec of a family for the plant of another spec.
 
-    Options of the family are those of the truth if it is of the same family, unless stated. ``kf``
-    is for the same plant with its faults left out: it takes every sensor and actuator to be good.
-    For ``imm`` samples that may be lost are modes of their own.
+    Options of the family are those of the truth if it is of the same family, unless stated. A
+    family that is about no faults is for the same plant with its faults left out: it takes every
+    sensor and actuator to be good.
 
     Raises
     ------
     DataError
         If the family is not about these faults, or an option does not fit.
     """
-    family, *options = text.split(":")
+    name, options = _wish(text)
     own = fault_section(truth)
-    fitting = ["kf", *(name for name, sections in SECTIONS.items() if own in sections)]
-    if family not in fitting:
+    fitting = [each for each in NAMES if not (takes := family(each).accepts) or own in takes]
+    if ":" not in name and ALIASES.get(name, name) not in fitting:
         about = f"{own} faults" if own else "a plant without faults"
-        raise DataError(
-            "families", given=repr(family), expected=f"of {about}: {', '.join(fitting)}"
-        )
-    table: dict[str, Any] = truth.to_dict()
-    same = truth.filter.family == family
-    table["filter"] = (dict(table["filter"]) if same else {"family": family}) | _options(options)
-    if family == "kf":
+        expected = f"of {about}: {', '.join(fitting)}"
+        raise DataError("families", given=repr(name), expected=expected)
+    found, table = family(name), truth.to_dict()
+    same = family(truth.filter.family) is found
+    table["filter"] = (truth.filter.plain() if same else {"family": name}) | _options(options)
+    if not found.accepts:
         table["faults"] = {}
-    if family == "imm" and truth.faults.jump is not None:
-        table["faults"] = {"jump": with_losses_as_modes(truth.faults.jump).plain()}
-    if family == "genie":
-        sensor = table["faults"]["sensor"]
-        table["faults"] = {"sensor": {key: sensor[key] for key in ("noise_factor", "rows")}}
-    if family == "mme" and "hypotheses" not in table["filter"]:
-        raise DataError(
-            "families",
-            given="'mme' for a spec without hypotheses",
-            expected="a spec of its own beside this one: mme needs filter.hypotheses",
-        )
-    if family == "mkf" and not table["faults"]["actuator"].get("success_rate"):
-        raise DataError(
-            "families",
-            given="'mkf' for actuators whose rate is not stated",
-            expected="faults.actuator.success_rate in the spec",
-        )
-    return Spec.from_dict(table, file=truth.file)
+    return Spec.from_dict(found.adopt(table, truth), file=truth.file)
+
+
+def _wish(text: str) -> tuple[str, list[str]]:
+    """The family, which may be ``module:NAME``, and its options ``key=value``."""
+    parts = text.split(":")
+    name = ":".join(part for part in parts if "=" not in part)
+    return name, [part for part in parts if "=" in part]
 
 
 def healthy_modes(truth: Spec) -> int:
@@ -171,8 +164,10 @@ def genie_of(truth: Spec) -> Contender:
     itself.
     """
     if truth.faults.jump is not None:
-        return Contender("genie", informed(truth, truth.faults.jump))
-    return Contender("genie", derived(truth, "genie" if fault_section(truth) == "sensor" else "kf"))
+        return Contender(YARDSTICK, informed(truth, truth.faults.jump))
+    return Contender(
+        YARDSTICK, derived(truth, "genie" if fault_section(truth) == "sensor" else "kf")
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,14 +263,3 @@ def indicators(simulation: Simulation) -> dict[str, NDArray[np.float64]]:
     if jump is None or mode is None:
         return {}
     return {INDICATOR.format(i): (mode == i).astype(float) for i in range(len(jump.modes))}
-
-
-def with_losses_as_modes(faults: JumpFaults) -> JumpFaults:
-    """The same plant for a family without a channel: lost samples are modes of their own.
-
-    Samples that are known to be lost are missing, and need no modes.
-    """
-    chain = ModeChain(faults.modes, faults.transition, faults.initial)
-    if faults.arrival == "unknown" and faults.channel is not None:
-        chain = chain.times(faults.channel)
-    return JumpFaults(chain.transition, chain.initial, chain.modes)

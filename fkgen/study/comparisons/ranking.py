@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError
+from fkgen.families import family
 from fkgen.problem import Spec
-from fkgen.study.comparisons.candidates import fault_section
+from fkgen.study.comparisons.candidates import YARDSTICK, fault_section
 from fkgen.study.comparisons.estimates import Estimate, error_of, influence_of, mean, ratio
 from fkgen.study.comparisons.experiment import Experiment
 from fkgen.study.comparisons.footprint import Footprint
@@ -266,7 +267,7 @@ def _row(
         squared = mean(scores.squared[:, i])
         root = float(np.sqrt(squared.value))
         rmse[state] = Estimate(root, squared.error / (2.0 * root) if root > 0.0 else 0.0)
-    told = entry.label == "genie" or not np.isfinite(found.healthy).all()
+    told = entry.label == YARDSTICK or not np.isfinite(found.healthy).all()
     unknown = Estimate(float("nan"), float("nan"))
     return Row(
         label=entry.label,
@@ -295,9 +296,13 @@ def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[st
     )
     counted = f"samples {experiment.skip} to {experiment.steps - 1} count"
     paired = f"+- one standard error over {experiment.runs} trials, the same for every filter"
+    without = [row.family for row in rows if not family(row.family).accepts]
     notes = [f"genie {genie}", f"{paired}; {counted}"]
-    if any(row.family == "kf" for row in rows) and fault_section(truth):
-        notes.append("kf: the same plant with its faults left out; it takes every y and u for good")
+    if without and fault_section(truth):
+        notes.append(
+            f"{without[0]}: the same plant with its faults left out;"
+            " it takes every y and u for good"
+        )
     if any(np.isfinite(row.false_alarms.value) for row in rows):
         notes.append(
             "faults are declared where the mode without fault has a probability below one half; "

@@ -18,14 +18,13 @@ import numpy as np
 from fkgen.study.diagnostics.findings import Finding, Part
 from fkgen.study.diagnostics.model_numbers import Figures, listed
 from fkgen.study.diagnostics.size import used_parameters
-from fkgen.study.effects.response import LINEAR
 
 
 def condition(figures: Figures) -> Part:
     """Say which condition holds, and gain and norm of the filter at rest."""
     spec, rest = figures.spec, figures.rest
     if rest is None:
-        if spec.filter.family not in LINEAR:
+        if not spec.filter.traits.linear:
             return Part()
         return Part((_only_e("the filter does not come to rest"),))
     values = {
@@ -35,7 +34,7 @@ def condition(figures: Figures) -> Part:
     }
     M = (np.eye(len(figures.A)) - rest.filtered_gain @ figures.C) @ figures.A
     values["closed_loop_norm"] = float(np.linalg.norm(M, 2))
-    if spec.filter.family not in LINEAR:
+    if not spec.filter.traits.linear:
         message = (
             f"the gains of {spec.filter.family} depend on the measurements or on the law of their "
             "faults: no condition on its products of gains is known; the figures are those of the "
@@ -56,7 +55,7 @@ def condition(figures: Figures) -> Part:
 def _varying(figures: Figures) -> str:
     """What makes gains vary for ever, if anything does."""
     spec = figures.spec
-    if spec.filter.family == "genie":
+    if spec.filter.traits.told:
         return "signals may be lost"
     moving = [p.name for p in spec.parameters if p.name in used_parameters(spec)]
     if moving:

@@ -28,7 +28,7 @@ _LARGEST_FLOOR = 1e-2
 def known_rate(figures: Figures) -> Part:
     """Rates of 0 and 1, and D = 0, for ``mkf``."""
     spec, faults = figures.spec, figures.spec.faults.actuator
-    if spec.filter.family != "mkf" or faults is None:
+    if faults is None or spec.first_rates is not None:
         return Part()
     rates = [evaluate(rate, spec.defaults) for rate in faults.success_rate]
     values = {f"success_rate.{i}": rate for i, rate in enumerate(rates)}
@@ -55,10 +55,10 @@ def known_rate(figures: Figures) -> Part:
 def hypotheses(figures: Figures) -> Part:
     """Hypotheses of ``mme`` that are the same, mirrored, or certain."""
     spec = figures.spec
-    if spec.filter.family != "mme":
+    if spec.first_rates is None:
         return Part()
     findings = []
-    for a, b in combinations(spec.filter.hypotheses, 2):
+    for a, b in combinations(spec.filter.options.hypotheses, 2):
         names = f"{_shown(a)} and {_shown(b)}"
         if a == b:
             message = f"hypotheses {names} are the same: their probabilities never part"
@@ -69,17 +69,17 @@ def hypotheses(figures: Figures) -> Part:
                 "them apart"
             )
             findings.append(Finding("mirrored_hypotheses", "note", message, a[0]))
-    for each, prior in zip(spec.filter.hypotheses, spec.filter.prior, strict=True):
+    for each, prior in zip(spec.filter.options.hypotheses, spec.filter.options.prior, strict=True):
         if {0.0, 1.0} & set(each):
             message = f"hypothesis {_shown(each)} is certain: a plain Kalman filter for that input"
             findings.append(Finding("certain_rate", "note", message, each[0]))
-        if prior == 0.0 and spec.filter.weight_floor == 0.0:
+        if prior == 0.0 and spec.filter.options.weight_floor == 0.0:
             message = (
                 f"hypothesis {_shown(each)} has prior 0 and no floor: it never comes into play"
             )
             remedy = "a prior above 0, or a weight_floor"
             findings.append(Finding("dead_hypothesis", "warning", message, 0.0, remedy))
-    return Part(tuple(findings), {"hypotheses": float(len(spec.filter.hypotheses))})
+    return Part(tuple(findings), {"hypotheses": float(len(spec.filter.options.hypotheses))})
 
 
 def _shown(rates: tuple[float, ...]) -> str:
@@ -91,13 +91,13 @@ def _shown(rates: tuple[float, ...]) -> str:
 def identification(figures: Figures) -> Part:
     """Whether and how fast y can tell the hypotheses apart."""
     spec, faults = figures.spec, figures.spec.faults.actuator
-    if spec.filter.family != "mme" or faults is None:
+    if faults is None or spec.first_rates is None:
         return Part()
     message = "while u = 0 the probabilities do not move: identification needs inputs"
     findings = [Finding("needs_input", "note", message)]
     independent = faults.dependence == "independent" and spec.model.nu > LARGEST_MIXTURE
     if figures.D.any():
-        if independent and spec.filter.likelihood == "mixture":
+        if independent and spec.filter.options.likelihood == "mixture":
             message = (
                 f"{spec.model.nu} independent inputs, at most {LARGEST_MIXTURE} for the mixture "
                 "likelihood: the Gaussian is used, which is overconfident at first"
@@ -134,8 +134,8 @@ def _inputs_reach_outputs(figures: Figures) -> bool:
 
 def floor(figures: Figures) -> Part:
     """The floor under the weights of ``mme``."""
-    options = figures.spec.filter
-    if options.family != "mme":
+    options = figures.spec.filter.options
+    if figures.spec.first_rates is None:
         return Part()
     total = len(options.hypotheses) * options.weight_floor
     values = {"weight_floor_total": total}
@@ -201,7 +201,7 @@ def law(figures: Figures) -> Part:
         message = f"the modes {listed(never)} never come: their probability is exactly zero"
         remedy = "another initial, or a kernel that leads there, if they can happen"
         findings.append(Finding("impossible_mode", "note", message, len(never), remedy))
-    if spec.filter.family == "imm" and np.ptp(kernel, axis=0).max() <= _EQUAL:
+    if spec.filter.traits.models == "mixed" and np.ptp(kernel, axis=0).max() <= _EQUAL:
         message = "the rows of the kernel are equal: imm gives what one_step gives, at more cost"
         findings.append(
             Finding("no_memory", "note", message, None, 'family = "one_step" is cheaper')
@@ -212,7 +212,7 @@ def law(figures: Figures) -> Part:
 def lost_signal(figures: Figures) -> Part:
     """An unstable plant under a linear filter: the second moment of the state acts as noise."""
     spec, faults = figures.spec, figures.spec.faults.sensor
-    if faults is None or spec.filter.family != "linear_optimal":
+    if faults is None or not spec.filter.traits.moments:
         return Part()
     rate = faults.moments.gamma_rate if faults.moments is not None else _lowest_rate(figures)
     radius = float(np.abs(np.linalg.eigvals(figures.A)).max())
@@ -246,7 +246,7 @@ _MUCH = 0.1
 def compression_loss(figures: Figures) -> Part:
     """Variance after the first window over that of a Kalman filter, all rows at every sample."""
     spec, soft = figures.spec, figures.spec.faults.soft
-    if spec.filter.family != "cpcf" or soft is None or soft.window > _LONGEST:
+    if spec.filter.traits.windows != "partial" or soft is None or soft.window > _LONGEST:
         return Part()
     system = LinearSystem.from_spec(spec, soft.window + 1)
     design = replace(design_of(spec, soft.window), false_alarm=None)
@@ -264,7 +264,7 @@ def compression_loss(figures: Figures) -> Part:
         " above that of dfcf, which loses nothing (all rows at every sample)"
     )
     remedy = 'family = "dfcf", or a shorter window'
-    if spec.filter.maintenance == "paper":
+    if spec.filter.options.maintenance == "paper":
         remedy = f'maintenance = "optimal", {remedy}'
     return Part((Finding("compression_loss", "warning", message, loss, remedy),), values)
 

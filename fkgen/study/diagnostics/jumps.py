@@ -7,11 +7,11 @@ import math
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
+from fkgen.families.mjls_lmmse import DEFAULT_ALPHA
 from fkgen.faults import JumpFaults
 from fkgen.faults.jump_filter import MARGIN, is_ergodic, mean_square_radius
 from fkgen.oracle import JumpSystem, SteadyState, composite, stationary_jumps
 from fkgen.oracle.claims.jump import unobserved_chain
-from fkgen.problem.filter import DEFAULT_ALPHA
 from fkgen.problem.probability import period, stationary_law, visited
 from fkgen.study.diagnostics.findings import Finding, Part
 from fkgen.study.diagnostics.model_numbers import Figures, listed
@@ -68,7 +68,7 @@ def radius(figures: Figures) -> Part:
             f"not mean-square stable: radius {found:.6g}, the second moments of the state grow"
             " without bound"
         )
-        if faults.arrival == "unknown" and figures.spec.filter.detector == "none":
+        if faults.arrival == "unknown" and figures.spec.filter.option("detector", "none") == "none":
             message += ", and where it is unknown what was lost they act as noise"
             remedy = "a detector, or arrival = 'known'"
             return Part(
@@ -123,14 +123,14 @@ def rest(figures: Figures) -> Part:
 def _at_rest(figures: Figures, *, believing: bool) -> SteadyState | None:
     """The stationary filter, of a plant without inputs; ``believing`` takes y for good."""
     spec, faults = figures.spec, figures.spec.faults.jump
-    if faults is None or spec.filter.family != "mjls_lmmse" or not is_ergodic(faults.transition):
+    if faults is None or not spec.filter.traits.moments or not is_ergodic(faults.transition):
         return None
     if _radius(figures, faults) >= 1.0 - MARGIN:
         return None
     system = JumpSystem.from_spec(spec, 1).without_inputs()
     if not believing and unobserved_chain(spec):
         return stationary_jumps(composite(system)) if is_ergodic(faults.arrival_chain) else None
-    doubtful = faults.arrival == "unknown" and spec.filter.detector == "none"
+    doubtful = faults.arrival == "unknown" and spec.filter.option("detector", "none") == "none"
     return stationary_jumps(system, 1.0 if believing or not doubtful else _rate(faults))
 
 
@@ -141,7 +141,7 @@ def _rate(faults: JumpFaults) -> float:
 def innovation(figures: Figures) -> Part:
     """Rank of S at the prior and at rest."""
     spec, faults = figures.spec, figures.spec.faults.jump
-    if faults is None or spec.filter.family != "mjls_lmmse":
+    if faults is None or not spec.filter.traits.moments:
         return Part()
     system, p = JumpSystem.from_spec(spec, 1), spec.model.ny
     law, P0 = system.initial, system.P0
@@ -190,7 +190,7 @@ def visibility(figures: Figures) -> Part:
         f"about {share:.1%} of losses are invisible: the predicted signal is then within"
         f" {VISIBLE:g} noise deviations of zero"
     )
-    if share <= MANY or figures.spec.filter.detector == "none":
+    if share <= MANY or figures.spec.filter.option("detector", "none") == "none":
         return Part((Finding("invisible_losses", "note", message, share),), values)
     remedy = "measure from another zero, or filter without a detector"
     return Part((Finding("invisible_losses", "warning", message, share, remedy),), values)
@@ -198,13 +198,11 @@ def visibility(figures: Figures) -> Part:
 
 def detector(figures: Figures) -> Part:
     """What a test does to good samples, and options that it does not use."""
-    options, p = figures.spec.filter, figures.spec.model.ny
+    options, p = figures.spec.filter.options, figures.spec.model.ny
     findings, values = [], {}
-    if (
-        options.family == "mjls_lmmse"
-        and options.detector != "nis"
-        and options.alpha != DEFAULT_ALPHA
-    ):
+    if figures.spec.filter.option("detector", None) is None:
+        return Part()
+    if options.detector != "nis" and options.alpha != DEFAULT_ALPHA:
         message = f"nothing uses alpha = {options.alpha:g}: it is the false alarm rate of nis"
         findings.append(Finding("unused_alpha", "note", message, options.alpha))
     if options.detector == "energy":

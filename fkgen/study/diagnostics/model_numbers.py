@@ -48,8 +48,7 @@ class Figures:
     @cached_property
     def system(self) -> LinearSystem:
         """One sample of the plant."""
-        hypotheses = self.spec.filter.hypotheses
-        return LinearSystem.from_spec(self.spec, 1, None, hypotheses[0] if hypotheses else None)
+        return LinearSystem.from_spec(self.spec, 1, None, self.spec.first_rates)
 
     @property
     def A(self) -> Array:

@@ -24,7 +24,6 @@ from fkgen.problem import Code
 from fkgen.study.diagnostics.findings import Finding, Part, Severity
 from fkgen.study.diagnostics.model_numbers import Array, Figures, Rest
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE
-from fkgen.study.effects.response import LINEAR
 from fkgen.symbolic.interface import Status
 from fkgen.symbolic.packing import triangle
 
@@ -47,7 +46,7 @@ def float_suitability(figures: Figures) -> Part:
     deviations.
     """
     rest = figures.rest
-    if rest is None or figures.spec.filter.family not in LINEAR:
+    if rest is None or not figures.spec.filter.traits.linear:
         return Part()
     bound = filtered_bound(figures, rest)
     if bound is None:

@@ -20,7 +20,6 @@ from fkgen.problem.covariance import is_singular
 from fkgen.study.diagnostics.findings import Finding, Part
 from fkgen.study.diagnostics.model_numbers import Array, Figures, Rest, listed
 from fkgen.study.effects.power import required_noncentrality
-from fkgen.study.effects.response import LINEAR
 
 #: Singular values below this, relative to the size of the scaled matrices, count as zero: the
 #: matrices are known to about ten digits at best.
@@ -173,7 +172,7 @@ def states(figures: Figures) -> Part:
 def sensors(figures: Figures) -> Part:
     """The least bias of each row that one sample shows, and what remains of a lasting one."""
     rest = figures.rest
-    if rest is None or figures.spec.filter.family not in LINEAR:
+    if rest is None or not figures.spec.filter.traits.linear:
         return Part()
     inverse = np.linalg.pinv(rest.innovation, hermitian=True)
     needed = required_noncentrality(1, FALSE_ALARM, POWER)
@@ -232,7 +231,7 @@ def _together(figures: Figures, rest: Rest, values: dict[str, float]) -> list[Fi
 
 def inputs(figures: Figures) -> Part:
     """Inputs whose faults never reach y, in no sample."""
-    if figures.spec.filter.family not in LINEAR:
+    if not figures.spec.filter.traits.linear:
         return Part()
     findings = []
     for j, signal in enumerate(figures.spec.model.inputs):

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
+from fkgen.families import NAMES, family
 from fkgen.problem import Matrix, Spec
 from fkgen.problem.numbers import probability, whole
 from fkgen.runtime.record import choice, numbers
@@ -28,7 +29,7 @@ from fkgen.study.effects.power import required_noncentrality
 from fkgen.study.effects.profiles import step
 from fkgen.study.effects.question import ask
 from fkgen.study.effects.report import numbers_of
-from fkgen.study.effects.response import LINEAR, linear_response
+from fkgen.study.effects.response import linear_response
 from fkgen.study.reports.jsonable import finite_or_none
 
 Array = NDArray[np.float64]
@@ -175,10 +176,11 @@ def _inputs(spec: Spec, u: ArrayLike | None) -> Array:
 
 def _rest(figures: Figures, driven: Array) -> Rest:
     """The filter at rest."""
-    family = figures.spec.filter.family
-    if family not in LINEAR:
-        given = f"the family {family}"
-        expected = f"one of {', '.join(LINEAR)}: the NIS of a filter that is not linear in y, or"
+    chosen = figures.spec.filter
+    if not chosen.traits.linear:
+        given = f"the family {chosen.family}"
+        linear = ", ".join(name for name in NAMES if family(name).traits.linear)
+        expected = f"one of {linear}: the NIS of a filter that is not linear in y, or"
         expected += " whose y is a mixture, is not chi-square; simulate it"
         raise DataError("detectability", given=given, expected=expected)
     rest = figures.rest_at(driven)

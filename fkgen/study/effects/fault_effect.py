@@ -16,7 +16,7 @@ from fkgen.problem import Spec
 from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.effects.paired import RUNS, differenced_response, paired_response
 from fkgen.study.effects.question import ask
-from fkgen.study.effects.response import LINEAR, linear_response
+from fkgen.study.effects.response import linear_response
 
 __all__ = ["FaultEffect", "fault_effect"]
 
@@ -64,8 +64,9 @@ def fault_effect(
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
     """
     question = ask(spec, (sensor, input), mode, steps, params=params, u=u, y=y)
-    if spec.filter.family in LINEAR:
+    traits = spec.filter.traits
+    if traits.linear:
         return linear_response(question)
-    if spec.filter.family == "linear_optimal" and not question.anomaly.any():
+    if traits.moments and spec.faults.sensor is not None and not question.anomaly.any():
         return differenced_response(question)
     return paired_response(question, runs, seed)

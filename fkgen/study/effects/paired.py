@@ -15,7 +15,6 @@ from fkgen.errors import DataError
 from fkgen.oracle import draw_record, simulate
 from fkgen.pipeline import build
 from fkgen.problem import Code, Spec
-from fkgen.problem.filter import SECTIONS
 from fkgen.problem.numbers import whole
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
@@ -46,7 +45,7 @@ def paired_response(question: Question, runs: int, seed: int) -> FaultEffect:
     """
     whole("runs", runs, least=2, expected="a number of pairs, at least 2")
     built = _built(question.spec)
-    question.system(_rates(question.spec))  # refuses what no record can be drawn from
+    question.system(question.spec.first_rates)  # refuses what no record can be drawn from
     reached = question.mode != "filter" and bool(question.anomaly.any())
     streams = [np.random.SeedSequence((seed, m)) for m in range(runs)]
     arrived = question.anomaly if reached else np.zeros_like(question.anomaly)
@@ -89,11 +88,6 @@ def _built(spec: Spec) -> CompiledFilter:
     return built
 
 
-def _rates(spec: Spec) -> tuple[float, ...] | None:
-    """Of hypotheses the first one is true, as in records that are drawn."""
-    return spec.filter.hypotheses[0] if spec.filter.hypotheses else None
-
-
 def _measured(question: Question, u: Array, stream: np.random.SeedSequence) -> Array:
     """One record of the plant, (T, p); the same stream gives the same noise, whatever u is."""
     spec, T = question.spec, question.samples
@@ -107,10 +101,10 @@ def _measured(question: Question, u: Array, stream: np.random.SeedSequence) -> A
 def _moved(question: Question, anomaly: Array, stream: np.random.SeedSequence) -> Array:
     """What an input anomaly changes in the state, (T, n): the same commands are lost as in y."""
     spec, T = question.spec, question.samples
-    if spec.faults.jump is not None or spec.filter.family not in SECTIONS:
+    if spec.faults.jump is not None:
         given = f"an input fault under the family {spec.filter.family}"
         raise DataError("input", given=given, expected="faults of sensors: its plant jumps itself")
-    system = question.system(_rates(spec))
+    system = question.system(spec.first_rates)
     n = system.nx
     quiet = replace(
         system,
