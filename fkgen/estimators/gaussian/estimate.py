@@ -25,7 +25,7 @@ from fkgen.faults.chain import Mode
 from fkgen.problem import Model, Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, congruence, is_zero, pack, unpack
+from fkgen.symbolic.linalg import column, congruence, diagonal, is_zero, pack, unpack
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.recursion import Guard
 
@@ -201,7 +201,7 @@ def demand_rates(script: Script, rates: list[ca.SX]) -> None:
 def finite(state: ca.SX, packed: ca.SX) -> Guard:
     """Refuse the sample unless the state and the variances are finite."""
     n = state.numel()
-    values = [state[i] for i in range(n)] + [packed[i * (i + 3) // 2] for i in range(n)]
+    values = [*(state[i] for i in range(n)), *diagonal(packed, n)]
     return Guard(column(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
 
 
@@ -217,5 +217,4 @@ def demand_finite(script: Script, state: ca.SX) -> None:
 
 def demand_positive(script: Script, packed: ca.SX, n: int) -> None:
     """Refuse to go on from a covariance with a negative variance."""
-    variances = [packed[i * (i + 3) // 2] for i in range(n)]
-    script.demand(Kind.NONNEGATIVE, variances, Status.NOT_POSITIVE_DEFINITE)
+    script.demand(Kind.NONNEGATIVE, diagonal(packed, n), Status.NOT_POSITIVE_DEFINITE)

@@ -13,7 +13,7 @@ from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.decorrelation import Row
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, is_zero, outer_lower, unpack
+from fkgen.symbolic.linalg import column, diagonal, is_zero, outer_lower, unpack
 from fkgen.symbolic.packing import triangle
 
 Form = Literal["short", "joseph"]
@@ -95,7 +95,7 @@ class SequentialUpdate:
         """Positive when row i is no combination of the rows before it; None if that cannot be."""
         if self.rank_tolerance is None or self.variance is None:
             return None
-        own = self.variance[i * (i + 3) // 2]
+        own = diagonal(self.variance, len(self.rows))[i]
         self.script.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
         return pivot - self.rank_tolerance * own
 

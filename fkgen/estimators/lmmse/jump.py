@@ -37,7 +37,16 @@ from fkgen.faults.sensor import EQUAL
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, sparse, total, unpack
+from fkgen.symbolic.linalg import (
+    column,
+    congruence,
+    outer_lower,
+    pack,
+    row_congruence,
+    sparse,
+    total,
+    unpack,
+)
 from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
@@ -391,9 +400,7 @@ def unconditional(z: AugmentedState, now: Moments) -> tuple[ca.SX, ca.SX]:
         X[z.own, i * w : (i + 1) * w] = seconds[i][:n, :]
     mean[z.own] = total([each[:n] for each in means])
     X[z.own, z.own] = total([each[:n, :n] for each in seconds])
-    spread = outer_lower(mean, mean)
-    lower = [X[i, j] for i, j in triangle(z.size)]
-    return mean, ca.densify(ca.vertcat(*lower)) - spread
+    return mean, pack(X) - outer_lower(mean, mean)
 
 
 def steps(z: AugmentedState, plants: tuple[Plant, ...], u: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -432,17 +439,6 @@ def mixing(z: AugmentedState) -> tuple[ca.SX, ca.SX]:
     return sparse(M), sparse(constant)
 
 
-def lean_congruence(M: ca.SX, P: ca.SX) -> ca.SX:
-    """Packed ``M P M'``, the second product of each entry along the emptier of its two rows."""
-    T = M @ P
-    rows = [sparse(M[i, :].T) for i in range(M.shape[0])]
-    entries = []
-    for i, j in triangle(len(rows)):
-        a, b = (i, j) if rows[j].nnz() <= rows[i].nnz() else (j, i)
-        entries.append(ca.mtimes(T[a, :], rows[b]))
-    return column(entries)
-
-
 def _predict(z: AugmentedState, symbols: dict[str, ca.SX]) -> Phase:
     """The phase ``predict`` of a gain that follows the moments."""
     script, n = Script(symbols), z.base.nx
@@ -468,11 +464,11 @@ def _predict(z: AugmentedState, symbols: dict[str, ca.SX]) -> Phase:
         G, known = steps(z, plants, u)
         moved_state = script.let("moved_state", G @ symbols["augmented_filtered_state"] + known)
         filtered = unpack(symbols["augmented_filtered_covariance"], z.size)
-        packed = script.let("moved_covariance", lean_congruence(G, filtered))
+        packed = script.let("moved_covariance", row_congruence(G, filtered))
     with script.titled("mixing by the chain"):
         M, constant = mixing(z)
         state = M @ moved_state + constant
-        covariance = lean_congruence(M, unpack(packed, z.size))
+        covariance = row_congruence(M, unpack(packed, z.size))
         covariance += pack(augmented_noise(z, moved, noise))
     with script.titled("prediction of the next sample"):
         results |= {"augmented_state": state, "augmented_covariance": covariance}

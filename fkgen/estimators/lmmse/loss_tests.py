@@ -19,7 +19,7 @@ from fkgen.estimators.models.weights import LOG_ZERO
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Outcome, Port, Role, Status
-from fkgen.symbolic.linalg import column, total
+from fkgen.symbolic.linalg import column, diagonal, total
 
 #: Between two whole numbers.
 HALF = 0.5
@@ -162,8 +162,7 @@ class LossTest:
         """Mean square over the window, what it is expected to be, and the window moved on."""
         script = self.script
         energy, expected = (script.local(name, 1, initial=0.0) for name in ("energy", "expected"))
-        for i in range(self.spec.model.ny):
-            variance = found.innovation_covariance[i * (i + 3) // 2]
+        for i, variance in enumerate(diagonal(found.innovation_covariance, self.spec.model.ny)):
             with script.when(i):
                 script.put(
                     {

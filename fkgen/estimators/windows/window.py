@@ -18,7 +18,7 @@ from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Outcome, Port, Role, Status
-from fkgen.symbolic.linalg import column, outer_lower
+from fkgen.symbolic.linalg import column, diagonal, outer_lower
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.recursion import Phase
 
@@ -226,7 +226,7 @@ def _test(design: Pair, script: Script, group: int) -> QuadraticForm:
         script.local(name, size, initial=0.0)
     with script.titled(f"test of group {group}"):
         with script.where(design.symbols["collecting"][group] - 0.5):
-            variances = column([host[i * (i + 3) // 2] for i in range(n)])
+            variances = column(diagonal(host, n))
             script.put(dict(zip(names, (host - P, d, variances), strict=True)))
         table = thresholds(design.soft.false_alarm, n)
         return quadratic_form(script, names, n, DIRECTION[scalar], table)
