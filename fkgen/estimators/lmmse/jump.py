@@ -36,7 +36,7 @@ from fkgen.faults.chain import Groups
 from fkgen.faults.sensor import EQUAL
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import (
     column,
     congruence,
@@ -49,7 +49,7 @@ from fkgen.symbolic.linalg import (
 )
 from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, mode_plants
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import carried, innovation_ports, shown, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 Array = NDArray[np.float64]
@@ -203,8 +203,7 @@ def augmented_ports(z: AugmentedState, *, covariances: bool) -> tuple[Port, ...]
             ports.append(_state(f"{prefix}mode_first_moment", (z.modes, n), meaning))
     if z.spec.faults.sensor is not None:
         meaning = "E[x[k] x[k]'], unconditional"
-        own = _state("state_second_moment", (n, n), meaning)
-        ports.append(replace(own, role=Role.OUTPUT, unit="xx"))
+        ports.append(shown("state_second_moment", (n, n), meaning, unit="xx", symmetric=True))
     return tuple(ports)
 
 
@@ -219,7 +218,7 @@ def law_ports(z: AugmentedState) -> tuple[Port, ...]:
 
 def _state(name: str, shape: tuple[int, ...], meaning: str) -> Port:
     symmetric = name.endswith(("covariance", "second_moment"))
-    return Port(name=name, shape=shape, role=Role.STATE, meaning=meaning, symmetric=symmetric)
+    return carried(name, shape, meaning, symmetric=symmetric)
 
 
 def augmented_start(z: AugmentedState) -> dict[str, tuple[float, ...]]:
@@ -510,10 +509,7 @@ def jump_filter(spec: Spec, source: str) -> Recursion:
     )
     symbols = symbols_of(spec, z.base, ports)
     form = update_form(spec, noisy(z), augmented=False)
-    x0, packed = prior_of(spec)
-    start = augmented_start(z)
-    start |= {f"{of}_state": x0 for of in ("predicted", "filtered")}
-    start |= {f"{of}_covariance": packed for of in ("predicted", "filtered")}
+    start = augmented_start(z) | start_of(spec)
     return Recursion(
         spec=spec,
         source=source,
@@ -603,7 +599,7 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], form: Form) -> Phase:
         "augmented_filtered_covariance": covariance,
         **whole(z, state, covariance, "filtered"),
         **innovation_results(found),
-        **carried(z, symbols),
+        **unchanged(z, symbols),
     }
     with script.titled("results of the update"):
         script.put(results)
@@ -657,7 +653,7 @@ def innovation_results(found: Conditioned) -> dict[str, ca.SX]:
     }
 
 
-def carried(z: AugmentedState, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
+def unchanged(z: AugmentedState, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
     """What y[k] does not change: unconditional moments."""
     moments = ("mode_second_moment", "mode_first_moment")
     result = {name: symbols[f"predicted_{name}"] for name in moments if name in symbols}

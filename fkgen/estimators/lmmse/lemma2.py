@@ -37,11 +37,19 @@ from fkgen.faults import SensorFaults
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, is_zero, pack, sparse, unpack
 from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    carried,
+    innovation_ports,
+    prior_of,
+    shown,
+    start_of,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: Largest change by one step of a law that counts as stationary.
@@ -72,7 +80,7 @@ class FaultLaw:
             return ()
         meaning = "unconditional law of the mode (1,1) (1,C) (0,1) (0,C) at"
         return tuple(
-            Port(name=f"{prefix}mode_law", shape=(4,), role=Role.STATE, meaning=f"{meaning} {k}")
+            carried(f"{prefix}mode_law", (4,), f"{meaning} {k}")
             for prefix, k in (("", "k"), ("predicted_", "k+1"))
         )
 
@@ -86,10 +94,10 @@ class FaultLaw:
             return ()
         if self.stationary:
             meaning = "p11: Pr(gamma[k+1] = 1 | gamma[k] = 1)"
-            return (Port(name="gamma_persistence", shape=(), role=Role.STATE, meaning=meaning),)
+            return (carried("gamma_persistence", (), meaning),)
         meaning = "law of the mode given the last signal that was possible before, at"
         return tuple(
-            Port(name=f"{prefix}signal_law", shape=(4,), role=Role.STATE, meaning=f"{meaning} {k}")
+            carried(f"{prefix}signal_law", (4,), f"{meaning} {k}")
             for prefix, k in (("", "k"), ("predicted_", "k+1"))
         )
 
@@ -227,13 +235,12 @@ def uncertain_filter(spec: Spec, source: str) -> Recursion:
 
 
 def _start(spec: Spec, law: FaultLaw) -> dict[str, tuple[float, ...]]:
-    x0, packed = prior_of(spec)
+    x0 = prior_of(spec)[0]
     n = spec.model.nx
     moment = spec.model.P0.values() + np.outer(x0, x0)
     second = tuple(float(moment[i, j]) for i, j in triangle(n))
     return {
-        **{f"{of}_state": x0 for of in ("predicted", "filtered")},
-        **{f"{of}_covariance": packed for of in ("predicted", "filtered")},
+        **start_of(spec),
         "predicted_state_second_moment": second,
         "transition": tuple(np.eye(n).ravel().tolist()),
         **({"predicted_state_mean": x0} if spec.model.nu else {}),
@@ -244,46 +251,24 @@ def _start(spec: Spec, law: FaultLaw) -> dict[str, tuple[float, ...]]:
 
 def _gain_ports(plant: Plant) -> tuple[Port, ...]:
     n, p = plant.nx, plant.ny
+    F1 = "F1: d x(k|k) / d x(k-1|k-1); at k = 0 d x(0|0) / d x0"
+    F2 = "F2: d x(k|k) / d y[k]; columns of missing rows are 0"
     return (
-        Port(
-            name="state_gain",
-            shape=(n, n),
-            role=Role.OUTPUT,
-            meaning="F1: d x(k|k) / d x(k-1|k-1); at k = 0 d x(0|0) / d x0",
-        ),
-        Port(
-            name="measurement_gain",
-            unit="x/y",
-            shape=(n, p),
-            role=Role.OUTPUT,
-            meaning="F2: d x(k|k) / d y[k]; columns of missing rows are 0",
-        ),
-        Port(
-            name="transition",
-            shape=(n, n),
-            role=Role.STATE,
-            meaning="A of the prediction for this sample; 1 at sample 0",
-        ),
+        shown("state_gain", (n, n), F1),
+        shown("measurement_gain", (n, p), F2, unit="x/y"),
+        carried("transition", (n, n), "A of the prediction for this sample; 1 at sample 0"),
     )
 
 
 def _moment_ports(plant: Plant) -> tuple[Port, ...]:
     n, ports = plant.nx, []
     for prefix, k in (("", "k"), ("predicted_", "k+1")):
-        ports.append(
-            Port(
-                name=f"{prefix}state_second_moment",
-                unit="xx",
-                shape=(n, n),
-                role=Role.STATE,
-                symmetric=True,
-                meaning=f"E[x[{k}] x[{k}]'], unconditional",
-            )
-        )
+        second = f"E[x[{k}] x[{k}]'], unconditional"
+        name = f"{prefix}state_second_moment"
+        ports.append(carried(name, (n, n), second, unit="xx", symmetric=True))
         if plant.nu:
-            meaning = f"E[x[{k}]], unconditional"
-            name = f"{prefix}state_mean"
-            ports.append(Port(name=name, unit="x", shape=(n,), role=Role.STATE, meaning=meaning))
+            mean = f"E[x[{k}]], unconditional"
+            ports.append(carried(f"{prefix}state_mean", (n,), mean, unit="x"))
     return tuple(ports)
 
 

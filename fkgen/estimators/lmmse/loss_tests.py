@@ -18,8 +18,9 @@ from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.models.weights import LOG_ZERO
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Outcome, Port, Role, Status
+from fkgen.symbolic.interface import Outcome, Port, Status
 from fkgen.symbolic.linalg import column, diagonal, total
+from fkgen.symbolic.ports import carried, shown
 
 #: Between two whole numbers.
 HALF = 0.5
@@ -52,26 +53,19 @@ def loss_ports(spec: Spec) -> tuple[Port, ...]:
     if detector == "none":
         return ()
 
-    def scalar(name: str, role: Role, meaning: str) -> Port:
-        return Port(name=name, shape=(), role=role, meaning=meaning)
-
     ports = [
-        scalar(
-            "fault_declared", Role.OUTPUT, f"1 if sample k was rejected as lost, else 0{_ABSENT}"
-        ),
-        scalar("test_statistic", Role.OUTPUT, f"{_MEANING[detector]}{_ABSENT}"),
-        scalar("test_threshold", Role.OUTPUT, _BOUND[detector]),
-        scalar("test_dof", Role.OUTPUT, "rows of y that were tested"),
-        scalar("consecutive_rejections", Role.STATE, "samples rejected in a row, up to k"),
+        shown("fault_declared", (), f"1 if sample k was rejected as lost, else 0{_ABSENT}"),
+        shown("test_statistic", (), f"{_MEANING[detector]}{_ABSENT}"),
+        shown("test_threshold", (), _BOUND[detector]),
+        shown("test_dof", (), "rows of y that were tested"),
+        carried("consecutive_rejections", (), "samples rejected in a row, up to k"),
     ]
     if detector == "energy" and window > 1:
-        past = Port(
-            name="energy_window",
-            shape=(window - 1,),
-            role=Role.STATE,
-            meaning="|innovation|^2 of the last samples with a row, newest first",
-        )
-        ports += [past, scalar("energy_count", Role.STATE, "how many of them there are")]
+        past = "|innovation|^2 of the last samples with a row, newest first"
+        ports += [
+            carried("energy_window", (window - 1,), past),
+            carried("energy_count", (), "how many of them there are"),
+        ]
     return tuple(ports)
 
 

@@ -23,7 +23,6 @@ from fkgen.estimators.lmmse.jump import (
     augmented_noise,
     augmented_ports,
     augmented_start,
-    carried,
     innovation_results,
     judges,
     law_ports,
@@ -37,6 +36,7 @@ from fkgen.estimators.lmmse.jump import (
     shared,
     signal_moment,
     steps,
+    unchanged,
 )
 from fkgen.estimators.lmmse.loss_tests import LossTest, loss_outcomes, loss_ports
 from fkgen.problem import Spec
@@ -44,7 +44,7 @@ from fkgen.problem.covariance import is_singular
 from fkgen.problem.probability import stationary_law
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.linalg import pack, sparse, unpack
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import innovation_ports, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 Array = NDArray[np.float64]
@@ -152,10 +152,7 @@ def stationary_filter(spec: Spec, source: str) -> Recursion:
         *augmented_ports(z, covariances=False),
     )
     symbols = symbols_of(spec, z.base, ports)
-    x0, packed = prior_of(spec)
-    start = augmented_start(z)
-    start |= {f"{of}_state": x0 for of in ("predicted", "filtered")}
-    start |= {f"{of}_covariance": packed for of in ("predicted", "filtered")}
+    start = augmented_start(z) | start_of(spec)
     return Recursion(
         spec=spec,
         source=source,
@@ -208,7 +205,7 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], at_rest: Stationary) -
         "augmented_filtered_state": corrected,
         "filtered_state": corrected[z.own],
         "filtered_covariance": _own(z, at_rest.filtered),
-        **carried(z, symbols),
+        **unchanged(z, symbols),
     }
     with script.titled("results of the update"):
         script.put(results)

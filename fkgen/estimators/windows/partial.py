@@ -8,7 +8,6 @@ takes Z over, unless the test rejects it, and Z is discarded.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import casadi as ca
 
@@ -45,10 +44,10 @@ from fkgen.estimators.windows.window import (
 )
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Kind, Port, Role, Status
+from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.linalg import column, congruence, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import carried, innovation_ports, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
@@ -324,13 +323,11 @@ def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
         form=update_form(spec, plant, augmented=False),
         partial=partial_state(spec, plant, faults.compressed),
     )
-    start = dict(zip(("state", "covariance"), prior_of(spec), strict=True))
-    initial = {f"{of}_{what}": v for what, v in start.items() for of in ("predicted", "filtered")}
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
-        initial=initial | window_start(faults),
+        initial=start_of(spec) | window_start(faults),
         update=update(given),
         closing=closing(given),
         predict=_predict(given),
@@ -342,26 +339,14 @@ def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
 
 def _compressed_ports(n: int, m: int) -> tuple[Port, ...]:
     """Z, R and S after sample k and before sample k + 1."""
-    port = partial(Port, role=Role.STATE)
     result: list[Port] = []
     for prefix, when in (("", ""), ("predicted_", " before sample k+1")):
+        measurement = f"Z = T1 e + V{when}, e = x minus the estimate of the host; 0 without one"
+        noise, cross = f"R: covariance of V{when}", f"S: covariance of V with e{when}"
         result += [
-            port(
-                name=f"{prefix}compressed_measurement",
-                shape=(m,),
-                meaning=f"Z = T1 e + V{when}, e = x minus the estimate of the host; 0 without one",
-            ),
-            port(
-                name=f"{prefix}compressed_noise",
-                shape=(m, m),
-                symmetric=True,
-                meaning=f"R: covariance of V{when}",
-            ),
-            port(
-                name=f"{prefix}compressed_cross_covariance",
-                shape=(m, n),
-                meaning=f"S: covariance of V with e{when}",
-            ),
+            carried(f"{prefix}compressed_measurement", (m,), measurement),
+            carried(f"{prefix}compressed_noise", (m, m), noise, symmetric=True),
+            carried(f"{prefix}compressed_cross_covariance", (m, n), cross),
         ]
     return tuple(result)
 

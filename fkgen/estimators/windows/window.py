@@ -17,9 +17,10 @@ from fkgen.estimators.gaussian.sequential import Form
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Outcome, Port, Role, Status
+from fkgen.symbolic.interface import Outcome, Port, Status
 from fkgen.symbolic.linalg import column, diagonal, outer_lower
 from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.ports import carried, shown
 from fkgen.symbolic.recursion import Phase
 
 Groups = tuple[int, ...]
@@ -64,31 +65,13 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
         counters.append(
             ("rejections", (), "window ends in a row at which all that was tested was rejected")
         )
+    statistic = f"zeta{of}: chi-square distributed without fault; 0 where no test is made"
     return (
-        Port(
-            name="test_statistic",
-            shape=each,
-            role=Role.OUTPUT,
-            given="test_dof",
-            meaning=f"zeta{of}: chi-square distributed without fault; 0 where no test is made",
-        ),
-        Port(
-            name="test_dof",
-            shape=each,
-            role=Role.OUTPUT,
-            meaning="its degrees of freedom; 0 where no test is made",
-        ),
-        Port(
-            name="fault_declared",
-            shape=each,
-            role=Role.OUTPUT,
-            meaning=f"1 where the compression filter{of} is rejected",
-        ),
-        *(Port(name=n, shape=s, role=Role.STATE, meaning=m) for n, s, m in counters),
-        *(
-            Port(name=f"predicted_{n}", shape=s, role=Role.STATE, meaning=f"{n} before sample k+1")
-            for n, s, _ in counters
-        ),
+        replace(shown("test_statistic", each, statistic), given="test_dof"),
+        shown("test_dof", each, "its degrees of freedom; 0 where no test is made"),
+        shown("fault_declared", each, f"1 where the compression filter{of} is rejected"),
+        *(carried(*counter) for counter in counters),
+        *(carried(f"predicted_{n}", s, f"{n} before sample k+1") for n, s, _ in counters),
     )
 
 
