@@ -104,7 +104,7 @@ def test_the_printed_cost_is_what_stands_in_the_file():
     source = generated(motor("kf"))
     text = source.files["plant.c"]
     body = text[text.index("plant_correct(") : text.index("plant_init(")]
-    infix = re.findall(r"const double t\d+ = (?:-?\S+ [-+*/] \S+|-\S+);", body)
+    infix = re.findall(r"^ *(?:const double )?\S+ = (?:-?\S+ [-+*/] \S+|-\S+);", body, re.MULTILINE)
     assert len(infix) == source.program.flops
 
 
