@@ -92,6 +92,7 @@ def test_a_step_costs_no_more_than_it_should(name):
     assert int(printed[1]) == source.program.flops
 
 
+@pytest.mark.exhaustive
 def test_fifteen_states_and_six_measurements_build_and_filter():
     plant = LIMITS["n15p6"][0]
     y, u = record(plant, 50, missing=0.1)
