@@ -15,59 +15,61 @@ from __future__ import annotations
 
 import numpy as np
 
-from fkgen.study.diagnostics.findings import Finding, Part
-from fkgen.study.diagnostics.model_numbers import Figures, listed
+from fkgen.study.diagnostics.findings import ReportBuilder
+from fkgen.study.diagnostics.model_numbers import ModelNumbers, listed
 from fkgen.study.diagnostics.size import used_parameters
 from fkgen.study.effects.response import LINEAR
 
 
-def condition(figures: Figures) -> Part:
-    """Say which condition holds, and gain and norm of the filter at rest."""
-    spec, rest = figures.spec, figures.rest
-    if rest is None:
-        if spec.filter.family not in LINEAR:
-            return Part()
-        return Part((_only_e("the filter does not come to rest"),))
-    values = {
-        f"filtered_gain.{state}.{output}": float(rest.filtered_gain[i, j])
-        for i, state in enumerate(figures.states)
-        for j, output in enumerate(figures.outputs)
-    }
-    M = (np.eye(len(figures.A)) - rest.filtered_gain @ figures.C) @ figures.A
-    values["closed_loop_norm"] = float(np.linalg.norm(M, 2))
+def condition(model: ModelNumbers, report: ReportBuilder) -> None:
+    """Say which condition holds, and gain and norm of the filter in its steady state."""
+    spec, steady = model.spec, model.steady
+    if steady is None:
+        if spec.filter.family in LINEAR:
+            _only_e(report, "the filter does not come to rest")
+        return
+    for i, state in enumerate(model.states):
+        for j, output in enumerate(model.outputs):
+            gain = float(steady.filtered_gain[i, j])
+            report.values[f"filtered_gain.{state}.{output}"] = gain
+    M = (np.eye(len(model.A)) - steady.filtered_gain @ model.C) @ model.A
+    norm = float(np.linalg.norm(M, 2))
+    report.values["closed_loop_norm"] = norm
     if spec.filter.family not in LINEAR:
         message = (
             f"the gains of {spec.filter.family} depend on the measurements or on the law of their "
             "faults: no condition on its products of gains is known; the figures are those of the "
             "Kalman filter without faults"
         )
-        return Part((Finding("error_decay_unknown", "note", message),), values)
+        report.note("error_decay_unknown", message)
+        return
     decays = (
-        f"the effect of a fault dies away: M[k] tends to M with rho(M) = {rest.radius:.9g} < 1 "
+        f"the effect of a fault dies away: M[k] tends to M with rho(M) = {steady.radius:.9g} < 1 "
         "(condition c)"
     )
-    if (norm := values["closed_loop_norm"]) >= 1.0:
+    if norm >= 1.0:
         decays += f", after it may have grown at first: ||M|| = {norm:.4g}"
-    if reason := _varying(figures):
-        return Part((_only_e(f"{decays}, as long as nothing varies; but {reason}"),), values)
-    return Part((Finding("error_decay", "note", decays, rest.radius),), values)
+    if reason := _varying(model):
+        _only_e(report, f"{decays}, as long as nothing varies; but {reason}")
+    else:
+        report.note("error_decay", decays, steady.radius)
 
 
-def _varying(figures: Figures) -> str:
+def _varying(model: ModelNumbers) -> str:
     """What makes gains vary for ever, if anything does."""
-    spec = figures.spec
+    spec = model.spec
     if spec.filter.family == "genie":
         return "signals may be lost"
     moving = [p.name for p in spec.parameters if p.name in used_parameters(spec)]
     if moving:
         return f"the model changes with {listed(moving)}"
-    return "the gain changes with u" if figures.has_faults else ""
+    return "the gain changes with u" if model.has_faults else ""
 
 
-def _only_e(reason: str) -> Finding:
+def _only_e(report: ReportBuilder, reason: str) -> None:
     message = (
         f"{reason}: then it is only certain that the effect, measured by P(k|k), never grows once "
         "the fault is over (condition e); that every rho(M[k]) < 1 would prove nothing more"
     )
     remedy = "see fault-effect, over parameters and inputs that occur"
-    return Finding("error_decay_unproved", "note", message, None, remedy)
+    report.note("error_decay_unproved", message, None, remedy)

@@ -22,7 +22,7 @@ from fkgen.errors import DataError
 from fkgen.problem import Matrix, Spec
 from fkgen.problem.numbers import probability, whole
 from fkgen.runtime.record import choice, numbers
-from fkgen.study.diagnostics.model_numbers import Figures, Rest
+from fkgen.study.diagnostics.model_numbers import ModelNumbers, SteadyFilter
 from fkgen.study.diagnostics.visibility import lasting_innovation
 from fkgen.study.effects.power import required_noncentrality
 from fkgen.study.effects.profiles import step
@@ -133,15 +133,15 @@ def _information(
     spec: Spec, bias: Array, d: Array, inputs: ArrayLike | None
 ) -> tuple[Array, float]:
     """Noncentrality of every sample of a bias that begins at rest, and what it tends to."""
-    figures, driven = Figures(spec), _inputs(spec, inputs)
-    rest = _rest(figures, driven)
+    model, driven = ModelNumbers(spec), _inputs(spec, inputs)
+    rest = _rest(model, driven)
     rested = replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted)))
     u = np.tile(driven, (len(bias), 1)) if driven.size else None
     effect = linear_response(ask(rested, (bias, None), "both", None, params=None, u=u, y=None))
     if not effect.gaussian:
         expected = "u = 0, or D = 0: with both, y shows which commands are lost and is a mixture"
         raise DataError("u", given=f"{driven} under mkf with D", expected=expected)
-    left = lasting_innovation(figures, rest, d)
+    left = lasting_innovation(model, rest, d)
     plateau = float(left @ np.linalg.pinv(rest.innovation, hermitian=True) @ left)
     return effect.noncentrality, plateau
 
@@ -173,15 +173,15 @@ def _inputs(spec: Spec, u: ArrayLike | None) -> Array:
     return driven
 
 
-def _rest(figures: Figures, driven: Array) -> Rest:
+def _rest(model: ModelNumbers, driven: Array) -> SteadyFilter:
     """The filter at rest."""
-    family = figures.spec.filter.family
+    family = model.spec.filter.family
     if family not in LINEAR:
         given = f"the family {family}"
         expected = f"one of {', '.join(LINEAR)}: the NIS of a filter that is not linear in y, or"
         expected += " whose y is a mixture, is not chi-square; simulate it"
         raise DataError("detectability", given=given, expected=expected)
-    rest = figures.rest_at(driven)
+    rest = model.steady_at(driven)
     if rest is None:
         given = "a filter that does not come to rest"
         expected = "a stabilising solution of the Riccati equation; see fkgen.check"
