@@ -19,23 +19,13 @@ DECIDED = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """Counts per trial, (M,) each.
+    """Counts per trial, (M,) each."""
 
-    Attributes
-    ----------
-    healthy, alarms : ndarray
-        Samples without fault, and those of them that were declared faulty.
-    onsets, found : ndarray
-        Faults that set in, and those that were declared before they ended.
-    waited : ndarray
-        Samples between onset and declaration, summed over those found.
-    """
-
-    healthy: Array
-    alarms: Array
-    onsets: Array
-    found: Array
-    waited: Array
+    healthy: Array  # samples without fault
+    alarms: Array  # and those of them that were declared faulty
+    onsets: Array  # faults that set in
+    found: Array  # and those that were declared before they ended
+    waited: Array  # samples between onset and declaration, summed over those found
 
 
 def faulty(simulation: Simulation) -> Flags | None:
@@ -55,20 +45,12 @@ def faulty(simulation: Simulation) -> Flags | None:
 
 
 def declared(run: Run, limits: Array, healthy: int) -> Flags | None:
-    """(M, T): samples that a filter declares faulty: by its modes, or by a test of its innovation.
+    """(M, T): samples that a filter declares faulty: by its verdict, its modes, or its NIS.
 
-    Parameters
-    ----------
-    run : Run
-        With ``mode_probability`` of a sensor, or ``nis``.
-    limits : (M, T) ndarray
-        Of the NIS.
-    healthy : int
-        The first so many modes are those without fault.
+    ``limits`` (M, T) are those of the NIS; the first ``healthy`` modes are those without fault.
     """
-    if "fault_declared" in run.ports:  # one verdict, or one per group of rows
-        verdict = run["fault_declared"] > 0.0
-        return np.asarray(verdict if verdict.ndim == 2 else verdict.any(axis=2))
+    if "fault_declared" in run.ports:
+        return _of_any_group(run, "fault_declared")
     if "mode_probability" in run.ports:
         return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < DECIDED)
     return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
@@ -76,29 +58,25 @@ def declared(run: Run, limits: Array, healthy: int) -> Flags | None:
 
 def tested(run: Run) -> Flags | None:
     """(M, T): samples at which a filter decides, if that is not every sample."""
-    if "test_dof" not in run.ports:
-        return None
-    freedom = run["test_dof"] > 0.0
-    return np.asarray(freedom if freedom.ndim == 2 else freedom.any(axis=2))
+    return _of_any_group(run, "test_dof") if "test_dof" in run.ports else None
+
+
+def _of_any_group(run: Run, name: str) -> Flags:
+    """Whether a port, which has one number or one per group of rows, is positive."""
+    positive = run[name] > 0.0
+    return np.asarray(positive if positive.ndim == 2 else positive.any(axis=2))
 
 
 def detection(
     faults: Flags, declarations: Flags, skip: int, decided: Flags | None = None
 ) -> Detection:
-    """Count what was declared rightly and wrongly, from sample ``skip`` on.
+    """Count what was declared rightly and wrongly, from sample ``skip`` on; flags are (M, T).
 
-    Parameters
-    ----------
-    faults, declarations : (M, T) ndarray of bool
-    skip : int
-    decided : (M, T) ndarray of bool, optional
-        Samples without fault that count: those at which something is decided. All by default.
+    Of the samples without fault those count at which something is ``decided``; all by default.
     """
     faults, declarations = faults[:, skip:], declarations[:, skip:]
-    steps = faults.shape[1]
-    at = np.arange(steps)
-    next_declared = _next(declarations)
-    end = _next(~faults)
+    at = np.arange(faults.shape[1])
+    next_declared, end = _next(declarations), _next(~faults)
     onset = faults.copy()
     onset[:, 0] = False  # it may have set in before
     onset[:, 1:] &= ~faults[:, :-1]

@@ -27,24 +27,21 @@ class Estimate:
         return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
 
 
-def mean(each: Array) -> Estimate:
-    """The mean over trials.
+UNKNOWN = Estimate(float("nan"), float("nan"))
 
-    Parameters
-    ----------
-    each : (M,) ndarray
-        One number per trial; NaN where a trial has nothing to say.
-    """
+
+def mean(each: Array) -> Estimate:
+    """The mean over trials, of (M,) numbers; NaN where a trial has nothing to say."""
     known = each[np.isfinite(each)]
     if not known.size:
-        return Estimate(float("nan"), float("nan"))
-    return Estimate(float(known.mean()), _error(known - known.mean()))
+        return UNKNOWN
+    return Estimate(float(known.mean()), error_of(known - known.mean()))
 
 
 def ratio(above: Array, below: Array) -> Estimate:
     """The ratio of two means over the same trials, with its error by the delta method."""
     value, influence = influence_of(above, below)
-    return Estimate(value, _error(influence))
+    return Estimate(value, error_of(influence))
 
 
 def influence_of(above: Array, below: Array) -> tuple[float, Array]:
@@ -61,10 +58,6 @@ def influence_of(above: Array, below: Array) -> tuple[float, Array]:
 
 def error_of(influence: Array) -> float:
     """Standard error of the mean of numbers with mean zero, one per trial."""
-    return _error(influence)
-
-
-def _error(deviation: Array) -> float:
-    if deviation.size < 2:
+    if influence.size < 2:
         return float("nan")
-    return float(np.sqrt((deviation**2).sum() / (deviation.size - 1) / deviation.size))
+    return float(np.sqrt((influence**2).sum() / (influence.size - 1) / influence.size))

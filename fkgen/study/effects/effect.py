@@ -80,32 +80,21 @@ class FaultEffect:
             If the probability is not in (0, 1), or the NIS of this filter is not chi-square.
         """
         if not self.gaussian:
-            raise DataError(
-                "power of the NIS test",
-                given="a filter whose innovation is a mixture",
-                expected="a filter whose innovation is Gaussian, or nearly so",
-            )
-        return detection_power(
-            self.noncentrality, self.degrees, probability("false_alarm", false_alarm)
-        )
+            given = "a filter whose innovation is a mixture"
+            expected = "a filter whose innovation is Gaussian, or nearly so"
+            raise DataError("power of the NIS test", given=given, expected=expected)
+        alarms = probability("false_alarm", false_alarm)
+        return detection_power(self.noncentrality, self.degrees, alarms)
 
     def settled(self, fraction: float) -> NDArray[np.int64]:
         """First sample from which on a state's error stays below a share of its peak, (n,).
 
+        T where it does not get there within the record; 0 where there is no effect at all.
+
         Parameters
         ----------
         fraction : float
-            Of the peak of |error_deviation|, in (0, 1).
-
-        Returns
-        -------
-        (n,) ndarray of int
-            T where it does not get there within the record; 0 where there is no effect at all.
-
-        Raises
-        ------
-        DataError
-            If the fraction is not in (0, 1).
+            Of the peak of |error_deviation|, in (0, 1), or a `DataError`.
         """
         share = probability("fraction", fraction)
         size = np.abs(self.error_deviation)

@@ -12,24 +12,7 @@ Array = NDArray[np.float64]
 
 
 def required_noncentrality(degrees: int, false_alarm: float, power: float) -> float:
-    """The noncentrality at which a chi-square test has a given power.
-
-    Parameters
-    ----------
-    degrees : int
-        Degrees of freedom.
-    false_alarm, power : float
-        Probability of an alarm without and with the fault, false_alarm < power.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    DataError
-        If they are no probabilities, or in the wrong order.
-    """
+    """The noncentrality at which a chi-square test has a given power above its false alarm rate."""
     from scipy.optimize import brentq  # noqa: PLC0415 - slow to import
     from scipy.stats import chi2, ncx2  # noqa: PLC0415 - slow to import
 
@@ -49,15 +32,7 @@ def required_noncentrality(degrees: int, false_alarm: float, power: float) -> fl
 
 
 def detection_power(noncentrality: Array, degrees: NDArray[np.int64], false_alarm: float) -> Array:
-    """Power of chi-square tests, one per sample; 0 where there is nothing to test.
-
-    Parameters
-    ----------
-    noncentrality : (T,) ndarray
-    degrees : (T,) ndarray of int
-    false_alarm : float
-        In (0, 1).
-    """
+    """Power of chi-square tests, (T,), one per sample; 0 where there is nothing to test."""
     from scipy.stats import chi2, ncx2  # noqa: PLC0415 - slow to import
 
     used = np.maximum(degrees, 1)

@@ -10,13 +10,7 @@ from fkgen.runtime.record import choice
 
 
 def starter(family: str) -> str:
-    """The text of a commented spec that loads and validates as it is.
-
-    Raises
-    ------
-    DataError
-        If there is no such family.
-    """
+    """The text of a commented spec of a family that loads and validates as it is."""
     if family not in FAMILIES:
         raise DataError("family", given=repr(family), expected=choice(family, FAMILIES))
     return resource(f"templates/starter_{family}.toml").read_text(encoding="utf-8")
