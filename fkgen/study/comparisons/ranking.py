@@ -16,14 +16,7 @@ from fkgen.errors import DataError
 from fkgen.problem import Spec
 from fkgen.problem.numbers import probability
 from fkgen.study.comparisons.candidates import fault_section
-from fkgen.study.comparisons.estimates import (
-    UNKNOWN,
-    Estimate,
-    error_of,
-    influence_of,
-    mean,
-    ratio,
-)
+from fkgen.study.comparisons.estimates import UNKNOWN, Estimate, error_of, influence_of, mean, ratio
 from fkgen.study.comparisons.footprint import Footprint
 from fkgen.study.comparisons.scores import Scores
 from fkgen.study.reports.jsonable import finite_or_none
