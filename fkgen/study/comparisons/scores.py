@@ -1,4 +1,4 @@
-"""What a filter made of trials: errors and consistency, one number per trial."""
+"""What a filter made of trials: errors, consistency, faults noticed; one number per trial."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
 from fkgen.study.comparisons.candidates import FilterInputs
-from fkgen.study.comparisons.detection import Detection, declared, detection, faulty, tested
 from fkgen.symbolic.interface import Status
 from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 #: Ports that scores need, as far as a filter has them.
 PORTS = (
@@ -23,6 +23,19 @@ PORTS = (
 )
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
 _ROUNDED = 512.0
+#: A sensor is declared faulty when it is more probably so than not.
+_DECIDED = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """Counts per trial, (M,) each."""
+
+    healthy: Array  # samples without fault
+    alarms: Array  # and those of them that were declared faulty
+    onsets: Array  # faults that set in
+    found: Array  # and those that were declared before they ended
+    waited: Array  # samples between onset and declaration, summed over those found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,10 +81,10 @@ def score(
     nis = _nis(run, rows, skip, host=len(given.tested) < given.y.shape[2])
     jump = simulation.spec.faults.jump
     counts = np.full((runs, 5), np.nan)
-    faults = faulty(simulation)
-    alarms = declared(run, limits[rows], 1 if jump is None else len(jump.modes))
+    faults = _faulty(simulation)
+    alarms = _declared(run, limits[rows], 1 if jump is None else len(jump.modes))
     if faults is not None and alarms is not None:
-        counts = np.stack(astuple(detection(faults, alarms, skip, tested(run))), axis=1)
+        counts = np.stack(astuple(detection(faults, alarms, skip, _tested(run))), axis=1)
     refused = run.refused.sum(axis=1).astype(np.float64)
     return Scores((error**2).mean(axis=1), nees, nis, refused, counts)
 
@@ -111,3 +124,69 @@ def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> A
 def _over(total: Array, count: NDArray[np.number]) -> Array:
     """Means; NaN where nothing was counted."""
     return np.asarray(np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0))
+
+
+def _faulty(simulation: Simulation) -> Flags | None:
+    """(M, T): samples whose measurement is struck by a fault; None if that is not for a detector.
+
+    Actuators that fail at random and modes of the plant act on the state: no sample is good or bad
+    by itself.
+    """
+    if simulation.delta is not None:
+        return np.asarray(simulation.mode != 0)
+    if simulation.arrival is not None:
+        return ~simulation.arrival
+    if simulation.gamma is not None or simulation.mode is not None:
+        return None
+    clean = simulation.trials.measurement
+    return np.asarray(((simulation.y != clean) & np.isfinite(clean)).any(axis=2))
+
+
+def _declared(run: Run, limits: Array, healthy: int) -> Flags | None:
+    """(M, T): samples that a filter declares faulty: by its verdict, its modes, or its NIS.
+
+    ``limits`` (M, T) are those of the NIS; the first ``healthy`` modes are those without fault.
+    """
+    if "fault_declared" in run.ports:
+        return _of_any_group(run, "fault_declared")
+    if "mode_probability" in run.ports:
+        return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < _DECIDED)
+    return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
+
+
+def _tested(run: Run) -> Flags | None:
+    """(M, T): samples at which a filter decides, if that is not every sample."""
+    return _of_any_group(run, "test_dof") if "test_dof" in run.ports else None
+
+
+def _of_any_group(run: Run, name: str) -> Flags:
+    """Whether a port, which has one number or one per group of rows, is positive."""
+    positive = run[name] > 0.0
+    return np.asarray(positive if positive.ndim == 2 else positive.any(axis=2))
+
+
+def detection(
+    faults: Flags, declarations: Flags, skip: int, decided: Flags | None = None
+) -> Detection:
+    """Count what was declared rightly and wrongly, from sample ``skip`` on; flags are (M, T).
+
+    Of the samples without fault those count at which something is ``decided``; all by default.
+    """
+    faults, declarations = faults[:, skip:], declarations[:, skip:]
+    at = np.arange(faults.shape[1])
+    next_declared, end = _next(declarations), _next(~faults)
+    onset = faults.copy()
+    onset[:, 0] = False  # it may have set in before
+    onset[:, 1:] &= ~faults[:, :-1]
+    found = onset & (next_declared < end)
+    wait = np.where(found, next_declared - at, 0)
+    healthy = ~faults if decided is None else ~faults & decided[:, skip:]
+    counts = (healthy, healthy & declarations, onset, found, wait)
+    return Detection(*(each.sum(axis=1).astype(np.float64) for each in counts))
+
+
+def _next(flags: Flags) -> NDArray[np.int64]:
+    """Index of the first flag at or after each sample; the number of samples if there is none."""
+    steps = flags.shape[1]
+    index = np.where(flags, np.arange(steps), steps)
+    return np.asarray(np.minimum.accumulate(index[:, ::-1], axis=1)[:, ::-1])

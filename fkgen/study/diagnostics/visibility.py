@@ -17,7 +17,7 @@ from fkgen.oracle.exact.gaussian import square_root
 from fkgen.problem.covariance import is_singular
 from fkgen.study.diagnostics.findings import ReportBuilder
 from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter, listed
-from fkgen.study.effects.power import required_noncentrality
+from fkgen.study.effects.effect import required_noncentrality
 from fkgen.study.effects.response import LINEAR
 
 #: Singular values below this, relative to the size of the scaled matrices, count as zero: the

@@ -22,11 +22,11 @@ from fkgen.problem.numbers import probability, whole
 from fkgen.runtime.record import choice, numbers
 from fkgen.study.diagnostics.model_numbers import ModelNumbers
 from fkgen.study.diagnostics.visibility import lasting_innovation
-from fkgen.study.effects.power import required_noncentrality
+from fkgen.study.effects.effect import required_noncentrality
 from fkgen.study.effects.profiles import step
 from fkgen.study.effects.response import LINEAR, linear_response
 from fkgen.study.effects.scenario import scenario_of
-from fkgen.study.records.given import numbers_of
+from fkgen.study.records.table import numbers_of
 from fkgen.study.reports.jsonable import finite_or_none
 
 Array = NDArray[np.float64]

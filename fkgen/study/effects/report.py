@@ -20,7 +20,7 @@ from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.effects.fault_effect import fault_effect
 from fkgen.study.effects.profiles import drift, pulse, ramp, step
 from fkgen.study.records.files import refuse_targets
-from fkgen.study.records.given import constants_or_record, profile_of
+from fkgen.study.records.table import constants_or_record, profile_of
 from fkgen.study.reports.jsonable import finite_or_none
 from fkgen.study.reports.plots import BAND, BLUE, GREY, LARGEST, ORANGE, axis_label, finish, save
 

@@ -1,4 +1,4 @@
-"""Read a record from a CSV file: columns by name, and an error that says where."""
+"""Read what commands are given: records and profiles of faults from CSV files, constant inputs."""
 
 from __future__ import annotations
 
@@ -88,6 +88,40 @@ def read_columns(path: str | os.PathLike[str], names: Sequence[str]) -> dict[str
         raise reader.error(given, f"at least one of: {', '.join(names)}", line=1)
     zero = np.zeros(len(reader.lines))
     return {n: reader.finite(n, "a fault") if n in reader.place else zero for n in names}
+
+
+def numbers_of(option: str, text: str, count: int) -> Array | None:
+    """Numbers separated by commas, one per signal; None if the option was left out."""
+    if not text.strip():
+        return None
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count or not np.isfinite(values).all():
+        expected = f"{count} finite numbers, separated by commas"
+        raise DataError(option, given=repr(text), expected=expected)
+    return values
+
+
+def constants_or_record(
+    spec: Spec, inputs: str, record: Path | None
+) -> tuple[Array | None, Table | None]:
+    """Constant inputs (q,) from ``--u``, or the table of ``--record``, or neither; not both."""
+    constants = numbers_of("--u", inputs, spec.model.nu)
+    if record is None:
+        return constants, None
+    if constants is not None:
+        raise DataError("--u", given="inputs beside --record", expected="one of the two")
+    return None, read_table(record, spec)
+
+
+def profile_of(spec: Spec, path: Path) -> tuple[Array, Array | None]:
+    """What is added to y (T, p) and to u (T, q), from a file that names one signal at least."""
+    p = spec.model.ny
+    names = [signal.name for signal in (*spec.model.outputs, *spec.model.inputs)]
+    both = np.stack(list(read_columns(path, names).values()), axis=1)
+    return both[:, :p], both[:, p:] if spec.model.nu else None
 
 
 class _Reader:

@@ -13,11 +13,10 @@ from sensor_specs import SCALAR
 
 import fkgen
 from fkgen.cli import main
-from fkgen.study.comparisons.detection import detection
 from fkgen.study.comparisons.estimates import Estimate, mean, ratio
 from fkgen.study.comparisons.footprint import Footprint
 from fkgen.study.comparisons.ranking import Score, beaten, recommended
-from fkgen.study.comparisons.scores import normalised
+from fkgen.study.comparisons.scores import detection, normalised
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 EXAMPLE_1 = EXAMPLES / "sensor_faults" / "example1.toml"
