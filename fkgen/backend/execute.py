@@ -22,6 +22,7 @@ from fkgen.backend.ir import (
     Operator,
     Phase,
     Require,
+    RowArgument,
     Space,
     Statement,
     Temp,
@@ -149,7 +150,7 @@ class _Run:
             case Require(values, kind, status):
                 holds = all(_holds(kind, self.value(value)) for value in values)
                 return Status.OK if holds else status
-            case IfPresent(row, body):
+            case IfPresent(row, body) if not isinstance(row, RowArgument):
                 if any(self.present) if row is None else self.present[row]:
                     return self.body(body)
             case IfPositive(value, body):

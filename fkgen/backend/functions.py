@@ -81,14 +81,15 @@ def argument_doc(c: Printer) -> str:
     return "\n".join(lines)
 
 
-def phases_of(c: Printer) -> list[PhaseText]:
+def phases_of(c: Printer, phases: tuple[Phase, ...]) -> list[PhaseText]:
     """The phases as static functions; what few samples need is never inlined."""
     result, program = [], c.program
+    update, *closing, predict = phases
     small = program.flops <= INLINED
     for words, phase, inlined in (
-        (("correct", "Condition on y[k]"), program.update, small),
-        (("close_window", "At the end of a window"), program.closing, False),
-        (("propagate", "Move to k + 1"), program.predict, small),
+        (("correct", "Condition on y[k]"), update, small),
+        (("close_window", "At the end of a window"), next(iter(closing), None), False),
+        (("propagate", "Move to k + 1"), predict, small),
     ):
         if phase is None:
             continue
@@ -97,7 +98,7 @@ def phases_of(c: Printer) -> list[PhaseText]:
             arguments.append(f"const {c.name}_params_t *params")
         if phase.reads_input:
             arguments.append(f"const {c.real} *u")
-        if phase is program.update:
+        if phase is update:
             present = "uint32_t present" if c.words == 1 else "const uint32_t *present"
             arguments += [f"const {c.real} *y", present]
         arguments.append(f"{c.name}_t *next")

@@ -99,6 +99,15 @@ class Operate:
 
 
 @dataclass(frozen=True, slots=True)
+class Store:
+    """``target := operator(arguments)``: an operation whose result goes nowhere else."""
+
+    target: Element
+    operator: Operator
+    arguments: tuple[Operand, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Copy:
     """``target = value``, to keep a value that is about to be overwritten."""
 
@@ -124,10 +133,20 @@ class Require:
 
 
 @dataclass(frozen=True, slots=True)
+class RowArgument:
+    """A row of y that the caller of a routine names."""
+
+    index: int
+
+
+Row = int | RowArgument
+
+
+@dataclass(frozen=True, slots=True)
 class IfPresent:
     """Run ``body`` if this row of y is present (any row, if None)."""
 
-    row: int | None
+    row: Row | None
     body: tuple[Statement, ...]
 
 
@@ -150,13 +169,13 @@ class Heading:
 class Call:
     """Run a routine: where its arguments begin, its row of constants, the rows of y it is about."""
 
-    routine: Routine
+    routine: str
     arguments: tuple[Element, ...]
     constants: int
-    rows: tuple[int, ...]
+    rows: tuple[Row, ...]
 
 
-Statement = Operate | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
+Statement = Operate | Store | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,10 +398,12 @@ def walk(body: tuple[Statement, ...]) -> Iterator[Statement]:
 def operands(node: Statement) -> tuple[Operand, ...]:
     """What a statement reads itself (not its body)."""
     match node:
-        case Operate(_, _, arguments):
+        case Operate(_, _, arguments) | Store(_, _, arguments):
             return arguments
         case Require(values, _, _):
             return values
         case Copy(_, value) | Assign(_, value) | IfPositive(value, _):
             return (value,)
+        case Call(_, arguments, _, _):
+            return arguments
     return ()

@@ -86,7 +86,7 @@ def lower(recursion: sym.Recursion) -> CProgram:
             scalar=spec.code.scalar,
             family=spec.filter.family,
             source=recursion.source,
-            notes=recursion.notes,
+            notes=_notes(recursion),
             digest=hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16],
             sample_time=model.sample_time,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
@@ -102,6 +102,12 @@ def lower(recursion: sym.Recursion) -> CProgram:
             **signals,
         )
     )
+
+
+def _notes(recursion: sym.Recursion) -> tuple[str, ...]:
+    """Decisions that the header repeats."""
+    form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
+    return (*form, *recursion.notes)
 
 
 def lower_phase(

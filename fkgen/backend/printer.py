@@ -9,6 +9,7 @@ import numpy as np
 
 from fkgen.backend.ir import (
     Assign,
+    Call,
     Copy,
     CProgram,
     Element,
@@ -21,10 +22,15 @@ from fkgen.backend.ir import (
     Operator,
     Phase,
     Require,
+    Routine,
+    Row,
+    RowArgument,
     Scalar,
     Space,
     Statement,
+    Store,
     Temp,
+    operands,
     walk,
 )
 from fkgen.errors import InternalError
@@ -53,6 +59,8 @@ class StatementPrinter:
         self.rows = rows
         self.upper = name.upper()
         self.names: dict[float, str] = {}
+        self.routines: dict[str, Routine] = {}
+        self.needs: dict[str, set[str]] = {}
         self.elementary = name
 
     @property
@@ -103,6 +111,10 @@ class StatementPrinter:
         word = f"[{row // _WORD_BITS}]" if self.words > 1 else ""
         return f"(present{word} & {hex(1 << row % _WORD_BITS)}u) != 0u"
 
+    def row(self, row: Row) -> str:
+        """Test whether a row of y is present."""
+        return f"row_{row.index} != 0" if isinstance(row, RowArgument) else self.bit(row)
+
     def block(self, body: tuple[Statement, ...], depth: int = 1) -> str:
         """Statements with indentation."""
         return "\n".join(self.statement(node, depth) for node in body)
@@ -114,6 +126,14 @@ class StatementPrinter:
 
     @statement.register
     def _(self, node: Operate, depth: int) -> str:
+        value = self._operation(node)
+        return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
+
+    @statement.register
+    def _(self, node: Store, depth: int) -> str:
+        return f"{_indent(depth)}{self.operand(node.target)} = {self._operation(node)};"
+
+    def _operation(self, node: Operate | Store) -> str:
         a = [self.operand(argument) for argument in node.arguments]
         match node.operator:
             case Operator.NEG:
@@ -128,7 +148,7 @@ class StatementPrinter:
                 value = f"{a[0]} {_INFIX[operator]} {a[1]}"
             case operator:
                 value = f"{self.elementary}_{operator.value}({', '.join(a)})"
-        return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
+        return value
 
     @statement.register
     def _(self, node: Copy, depth: int) -> str:
@@ -158,8 +178,8 @@ class StatementPrinter:
 
     @statement.register
     def _(self, node: IfPresent, depth: int) -> str:
-        rows = range(self.rows) if node.row is None else [node.row]
-        test = self.bit(rows[0]) if len(rows) == 1 else self._any()
+        one = 0 if node.row is None and self.rows == 1 else node.row
+        test = self._any() if one is None else self.row(one)
         return f"{_indent(depth)}if ({test})\n{_braced(self.block(node.body, depth + 1), depth)}"
 
     @statement.register
@@ -170,6 +190,35 @@ class StatementPrinter:
     @statement.register
     def _(self, node: Heading, depth: int) -> str:
         return f"\n{_indent(depth)}/* {node.text} */"
+
+    @statement.register
+    def _(self, node: Call, depth: int) -> str:
+        routine = self.routines[node.routine]
+        given = [
+            self.operand(element) if argument.single else self._address(element)
+            for argument, element in zip(routine.arguments, node.arguments, strict=True)
+        ]
+        if routine.constants[0]:
+            given.append(f"{self.name}_{routine.name}_numbers[{node.constants}]")
+        needs = self.needs[routine.name]
+        given += [name for name in ("params", "present") if name in needs]
+        given += [
+            f"row_{row.index}" if isinstance(row, RowArgument) else f"({self.row(row)})"
+            for row in node.rows
+        ]
+        call = f"{self.name}_{routine.name}({', '.join(given)});"
+        if "status" not in needs:
+            return f"{_indent(depth)}{call}"
+        ok = self.status(Status.OK)
+        test = f"{_indent(depth)}if (status != {ok})"
+        refusal = _braced(f"{_indent(depth + 1)}return status;", depth)
+        return f"{_indent(depth)}status = {call}\n{test}\n{refusal}"
+
+    def _address(self, element: Element) -> str:
+        text = self.operand(element)
+        if element.index == 0:
+            return text.removesuffix("[0]")
+        return f"&{text}"
 
     def _any(self) -> str:
         words = [f"present[{i}]" for i in range(self.words)] if self.words > 1 else ["present"]
@@ -204,6 +253,50 @@ class Printer(StatementPrinter):
         if program.shares_functions:
             self.elementary = shared_prefix(program.scalar)
         self.names = {each.value: f"{self.upper}_{each.name}" for each in program.constants}
+
+    def take(self, routines: tuple[Routine, ...]) -> None:
+        """Learn the routines that may be called, callees first."""
+        for routine in routines:
+            self.routines[routine.name] = routine
+            self.needs[routine.name] = self.needs_of(routine.body)
+
+    def needs_of(self, body: tuple[Statement, ...]) -> set[str]:
+        """What statements use besides arrays: ``params``, ``present``, a ``status`` to return."""
+        needs: set[str] = set()
+        for node in walk(body):
+            if any(isinstance(o, Element) and o.space is Space.PARAMETER for o in operands(node)):
+                needs.add("params")
+            if isinstance(node, IfPresent) and not isinstance(node.row, RowArgument):
+                needs.add("present")
+            if isinstance(node, Require):
+                needs.add("status")
+            if isinstance(node, Call):
+                needs |= self.needs[node.routine]
+                if any(not isinstance(row, RowArgument) for row in node.rows):
+                    needs.add("present")
+        return needs
+
+    def calls_that_refuse(self, body: tuple[Statement, ...]) -> bool:
+        """Whether a call may return a status."""
+        return any(isinstance(n, Call) and "status" in self.needs[n.routine] for n in walk(body))
+
+    def head(self, routine: Routine) -> str:
+        """Prototype of a routine."""
+        needs = self.needs[routine.name]
+        arguments = []
+        for each in routine.arguments:
+            pointer = "" if each.single else "*"
+            const = "" if each.written else "const "
+            arguments.append(f"{const}{self.real} {pointer}{each.name}")
+        if routine.constants[0]:
+            arguments.append(f"const {self.real} *numbers")
+        if "params" in needs:
+            arguments.append(f"const {self.name}_params_t *params")
+        if "present" in needs:
+            arguments.append("uint32_t present" if self.words == 1 else "const uint32_t *present")
+        arguments += [f"int row_{i}" for i in range(routine.rows)]
+        result = f"{self.name}_status_t" if "status" in needs else "void"
+        return f"static {result} {self.name}_{routine.name}({', '.join(arguments) or 'void'})"
 
     @property
     def outcome(self) -> str:

@@ -23,6 +23,7 @@ from fkgen.backend.functions import (
 from fkgen.backend.ir import CProgram, Operator
 from fkgen.backend.lines import filled_lines, folded, model_lines, unit_text
 from fkgen.backend.printer import Printer
+from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
@@ -73,7 +74,8 @@ def filled(template: str, context: dict[str, object]) -> str:
 
 
 def _context(program: CProgram) -> dict[str, object]:
-    c = Printer(program)
+    c, outlined = Printer(program), outline(program)
+    c.take(outlined.routines)
     vectors, starts = self_test_vectors(program), _starts(program)
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
     return elementary_context(c, program.functions) | {
@@ -101,7 +103,9 @@ def _context(program: CProgram) -> dict[str, object]:
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
         "valid_argument": valid_argument(c),
-        "phases": phases_of(c),
+        "phases": phases_of(c, outlined.phases),
+        "routines": outlined.routines,
+        "calls_that_refuse": c.calls_that_refuse,
         "inlined": program.flops <= INLINED,
         "functions": functions_of(c),
         "signature": lambda name: signature(c, name),

@@ -124,7 +124,7 @@ def _actuator(spec: Spec) -> Statements:
         "covariance": "the covariance of gamma couples the inputs",
     }
     how = f"; {together[actuator.dependence]}" if actuator is not None and many else ""
-    tried = spec.filter.hypotheses
+    tried: tuple[tuple[float, ...], ...] = spec.filter.option("hypotheses", ())
     own = (*listings, *((_numbers("hypotheses", tried),) if tried else ()))
     return Statements(
         f"Faults: gamma u[k] arrives in place of u[k], gamma is 0 or 1 and independent from sample"

@@ -1,25 +1,53 @@
-"""What a family is: a value with a builder, closed forms and theorems."""
+"""What a family is: a value that says all there is to say about one kind of filter."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
 
-from fkgen.oracle import Identity
-from fkgen.oracle.claims.claim import ClosedForm
-from fkgen.problem import Spec
+from fkgen.problem import Model, Spec
+from fkgen.problem.covariance import is_singular
+from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
-from fkgen.symbolic.recursion import Recursion
+from fkgen.problem.table.place import Place
+
+if TYPE_CHECKING:  # reading a spec loads none of what proves and builds its filter
+    from fkgen.oracle import Identity
+    from fkgen.oracle.claims.claim import ClosedForm
+    from fkgen.symbolic.recursion import Recursion
+
+#: ``reader(table, place, defaults, model, family)`` reads one section of ``faults``.
+FaultReader = Callable[[object, Place, Mapping[str, float], Model, str], Any]
+
+#: A spec as nested plain dicts.
+Table = dict[str, Any]
 
 
-def no_caveats(_: Spec) -> tuple[Finding, ...]:
-    """For families that are what they say, whatever the spec."""
-    return ()
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """What a filter is held against.
+
+    Attributes
+    ----------
+    closed_forms : tuple of ClosedForm
+        All of them hold before any C is generated.
+    theorems : tuple of Identity
+        What SymPy proves once for all models.
+    """
+
+    closed_forms: tuple[ClosedForm, ...]
+    theorems: tuple[Identity, ...] = ()
+
+
+def as_it_is(table: Table, _: Spec) -> Table:
+    """For families that take the faults of the plant as they are stated."""
+    return table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
-    """A filter family.
+    """A filter family; its module loads nothing heavy before ``build`` or ``proof`` is called.
 
     Attributes
     ----------
@@ -29,17 +57,71 @@ class Family:
         One line for ``fkgen families``.
     build : callable
         ``build(spec) -> Recursion``.
-    closed_forms : tuple of ClosedForm
-        All of them hold before any C is generated.
-    theorems : tuple of Identity
-        What SymPy proves once for all models.
+    proof : callable
+        ``proof() -> Proof``: closed forms and theorems.
+    traits : Traits
+        What other code asks.
+    options : type of Options
+        A frozen dataclass that reads its fields from the section ``filter``.
+    accepts : mapping of str to callable
+        Sections of ``faults`` that it is about, of which a spec has one, and how each is read.
+    optional_faults : bool
+        Whether the first section may be missing.
+    check : callable
+        ``check(spec)`` raises SpecError where the family is not defined.
     caveats : callable
         ``caveats(spec)``: where the filter of this spec is less than its name says.
+    adopt : callable
+        ``adopt(table, truth)``: the spec of this family for the plant of another spec, to be
+        compared with it; ``table["faults"]`` is that of the truth.
+    starter : str
+        File among the templates that holds a spec to begin with.
     """
 
     name: str
     title: str
     build: Callable[[Spec], Recursion]
-    closed_forms: tuple[ClosedForm, ...]
-    theorems: tuple[Identity, ...] = ()
-    caveats: Callable[[Spec], tuple[Finding, ...]] = no_caveats
+    proof: Callable[[], Proof]
+    traits: Traits = field(default_factory=Traits)
+    options: type[Options] = Options
+    accepts: Mapping[str, FaultReader] = field(default_factory=dict)
+    optional_faults: bool = False
+    check: Callable[[Spec], None] = lambda _: None
+    caveats: Callable[[Spec], tuple[Finding, ...]] = lambda _: ()
+    adopt: Callable[[Table, Spec], Table] = as_it_is
+    starter: str = ""
+
+    @property
+    def closed_forms(self) -> tuple[ClosedForm, ...]:
+        """What every recursion of the family is confronted with."""
+        return self.proof().closed_forms
+
+    @property
+    def theorems(self) -> tuple[Identity, ...]:
+        """What SymPy proves once for all models."""
+        return self.proof().theorems
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the options."""
+        return tuple(each.name for each in fields(self.options))
+
+    def check_spec(self, spec: Spec) -> None:
+        """Refuse a spec for which the family is not defined."""
+        demand_noise(spec, f"the family {self.name}" if self.traits.densities else "")
+        self.check(spec)
+
+
+def demand_noise(spec: Spec, compares: str) -> None:
+    """Refuse a singular R where ``compares`` compares densities, or nothing at all is random."""
+    for plant, place in spec.placed_plants:
+        if not is_singular(plant.R.values(spec.defaults)):
+            continue
+        if compares:
+            expected = f"a positive definite R for {compares}: it compares densities"
+            raise place.entry("R").error("a singular matrix", expected)
+        if not plant.Q.values(spec.defaults).any():
+            raise place.entry("R").error(
+                "a singular matrix, and Q = 0",
+                "a positive definite R where there is no process noise, or some process noise",
+            )

@@ -6,24 +6,45 @@ Sigalov & Oshman, sec. VI: no filter that has to find them out can be better. ``
 
 from __future__ import annotations
 
-from fkgen.errors import InternalError
-from fkgen.estimators.lmmse.kalman import linear_filter
-from fkgen.families.family import Family
-from fkgen.oracle.claims.gaussian import BATCH, RICCATI
-from fkgen.problem import Spec
-from fkgen.symbolic.recursion import Recursion
+from functools import partial
+from typing import TYPE_CHECKING
+
+from fkgen.families.family import Family, Proof, Table
+from fkgen.faults.sensor import read_sensor_faults
+from fkgen.problem import Parameter, Spec
+from fkgen.problem.filter import Traits
+
+if TYPE_CHECKING:
+    from fkgen.symbolic.recursion import Recursion
 
 
 def build(spec: Spec) -> Recursion:
     """Build the Kalman filter with C, D and R under the indicators."""
-    if spec.faults.sensor is None:
-        raise InternalError("genie without sensor faults")
+    from fkgen.estimators.lmmse.kalman import linear_filter
+
     return linear_filter(spec, source="Sigalov & Oshman, sec. VI; eq. (2)", with_gain=False)
+
+
+def proof() -> Proof:
+    """Those of the Kalman filter, whose C, D and R change from sample to sample."""
+    from fkgen.oracle.claims.gaussian import BATCH, RICCATI
+
+    return Proof((BATCH, RICCATI))
+
+
+def without_law(table: Table, _: Spec) -> Table:
+    """The same faults without their law, which one who is told them does not need."""
+    sensor = table["faults"]["sensor"]
+    return table | {"faults": {"sensor": {key: sensor[key] for key in ("noise_factor", "rows")}}}
 
 
 FAMILY = Family(
     name="genie",
     title="Kalman filter that is told the sensor faults: the yardstick",
     build=build,
-    closed_forms=(BATCH, RICCATI),
+    proof=proof,
+    traits=Traits(linear=True, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0))),
+    accepts={"sensor": partial(read_sensor_faults, law="optional")},
+    adopt=without_law,
+    starter="starter_genie.toml",
 )

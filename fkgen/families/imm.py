@@ -1,16 +1,131 @@
-"""Interacting multiple models over the conditions of a sensor, or over modes of the plant."""
+"""Interacting multiple models over the conditions of a sensor, or over modes of the plant.
+
+Blom & Bar-Shalom 1988; for sensors Sigalov & Oshman, sec. IV: one estimate per mode; before each
+sample the estimates are mixed by what the chain says about the mode before, eqs. (17), (18).
+"""
 
 from __future__ import annotations
 
-from fkgen.estimators.models.interacting import interacting_models
-from fkgen.families.family import Family
-from fkgen.oracle.claims.caveats import three_modes
-from fkgen.oracle.claims.sensor import ENUMERATION, IMM
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from fkgen.families.family import Family, Proof, Table
+from fkgen.faults import Faults, JumpFaults
+from fkgen.faults.jump import read_jump_faults
+from fkgen.faults.lumping import merged
+from fkgen.faults.sensor import read_sensor_faults
+from fkgen.problem import Model, Spec
+from fkgen.problem.filter import Options, Traits
+from fkgen.problem.finding import Finding
+from fkgen.problem.probability import stationary_law
+from fkgen.problem.table.place import show
+from fkgen.problem.table.section import Section, as_number
+
+if TYPE_CHECKING:
+    from fkgen.symbolic.recursion import Recursion
+
+#: Probabilities closer than this are the same.
+EQUAL = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class ImmOptions(Options):
+    """How many modes there are: of a sensor 4 or 3 (no signal is one), of a plant all it has."""
+
+    modes: int = 4
+
+    @classmethod
+    def read(cls, section: Section, faults: Faults, _: Model) -> Self:
+        """The number of modes; that of jump faults may be repeated."""
+        place, allowed = section.place.entry("modes"), {3, 4}
+        expected = (
+            "4, or 3: the modes without signal are one, with the mixture of their likelihoods"
+        )
+        if faults.jump is not None:
+            allowed = {len(faults.jump.modes)}
+            expected = f"{max(allowed)}, the number of faults.jump.modes, or no such key"
+        number = as_number(section.table.get("modes", max(allowed)), place, expected)
+        if number not in allowed:
+            given = number if faults.jump is None else section.table["modes"]
+            raise place.error(show(given), expected)
+        return cls(int(number))
+
+
+def build(spec: Spec) -> Recursion:
+    """Build the filter: a correction per mode, Bayes' rule, mixing, a prediction per mode."""
+    from fkgen.estimators.models.interacting import interacting_models
+
+    return interacting_models(spec)
+
+
+def proof() -> Proof:
+    """Interacting matrix filters, and exact Bayes as far as it reaches."""
+    from fkgen.oracle.claims.sensor import ENUMERATION, IMM
+
+    return Proof((IMM, ENUMERATION))
+
+
+def three_modes(spec: Spec) -> tuple[Finding, ...]:
+    """Three modes for four events, which is exact for a lumpable chain only: sec. III and IV."""
+    faults = spec.faults.sensor
+    if faults is None or spec.filter.options.modes != 3 or faults.noise_factor == 1.0:
+        return ()
+    defect = merged(faults.kernel, faults.initial).defect
+    if defect <= EQUAL:
+        return ()
+    message = (
+        "three modes are not Markov here: delta at gamma = 0 depends on the past or tells about the"
+        f" future, and treating it as drawn anew is wrong by up to {defect:.3g} in the probability"
+        " of a step"
+    )
+    return (Finding("three-modes", "warning", message, defect, "modes = 4"),)
+
+
+def without_channel(table: Table, truth: Spec) -> Table:
+    """The same faults; samples that may be lost are modes of their own."""
+    if truth.faults.jump is None:
+        return table
+    return table | {"faults": {"jump": with_losses_as_modes(truth.faults.jump)}}
+
+
+def with_losses_as_modes(faults: JumpFaults) -> dict[str, object]:
+    """The section of the same plant for a family without a channel.
+
+    Every mode comes twice, first all with a signal, then all without: C = 0, D = 0. Samples that
+    are known to be lost are missing, and need no modes.
+    """
+    table = faults.plain()
+    stated = {key: table[key] for key in ("transition", "initial", "modes")}
+    channel = faults.channel
+    if faults.arrival != "unknown" or channel is None:
+        return stated
+    modes: Any = stated["modes"]
+    lost = [mode | {key: _zeros(mode[key]) for key in ("C", "D") if key in mode} for mode in modes]
+    arrived_first = channel[::-1, ::-1]
+    law = stationary_law(arrived_first)
+    start = arrived_first[0] if law is None else law
+    return {
+        "transition": np.kron(arrived_first, faults.transition).tolist(),
+        "initial": np.kron(start, faults.initial).tolist(),
+        "modes": [*modes, *lost],
+    }
+
+
+def _zeros(matrix: list[list[object]]) -> list[list[float]]:
+    return [[0.0] * len(row) for row in matrix]
+
 
 FAMILY = Family(
     name="imm",
     title="modes of the sensor or of the plant that last: interacting multiple models",
-    build=interacting_models,
-    closed_forms=(IMM, ENUMERATION),
+    build=build,
+    proof=proof,
+    traits=Traits(models="mixed", densities=True),
+    options=ImmOptions,
+    accepts={"sensor": read_sensor_faults, "jump": read_jump_faults},
     caveats=three_modes,
+    adopt=without_channel,
+    starter="starter_imm.toml",
 )

@@ -1,15 +1,141 @@
-"""Multiple model estimation (MMAE) of an unknown fault rate: a bank of modified Kalman filters."""
+"""Multiple model estimation of an unknown fault rate: a bank of modified Kalman filters.
+
+Strandt, Schneider & Yaz, sec. 3: one hypothesis per success rate, weighted by Bayes' rule (14)-(16)
+with the mixture likelihood (exact in gamma[k]) or the paper's Gaussian (15).
+"""
 
 from __future__ import annotations
 
-from fkgen.estimators.models.bank import multiple_model_bank
-from fkgen.families.family import Family
-from fkgen.oracle.claims.gaussian import IDENTITIES, MME_BATCH, MME_TEXTBOOK
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Literal, Self
+
+from fkgen.errors import DataError
+from fkgen.families.family import Family, Proof, Table
+from fkgen.faults import Faults
+from fkgen.faults.actuator import read_actuator_faults
+from fkgen.problem import Model, Spec
+from fkgen.problem.filter import Options, Traits
+from fkgen.problem.probability import as_distribution, as_probability
+from fkgen.problem.table.place import Place, show
+from fkgen.problem.table.section import Section, as_list, as_number
+from fkgen.problem.text.foreign import plain_list
+
+if TYPE_CHECKING:
+    from fkgen.symbolic.recursion import Recursion
+
+Likelihood = Literal["mixture", "gaussian"]
+LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
+DEFAULT_FLOOR = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class MmeOptions(Options):
+    """Hypotheses and their weights.
+
+    Parameters
+    ----------
+    hypotheses : tuple of tuple of float
+        The N success rates that are tried, each as long as ``ActuatorFaults.success_rate`` is.
+    prior : tuple of float
+        Their N probabilities at the start; they sum to one.
+    weight_floor : float
+        Every hypothesis keeps this probability, in [0, 1/N).
+    likelihood : str
+        ``"mixture"`` (exact for the present sample) or ``"gaussian"``.
+    """
+
+    hypotheses: tuple[tuple[float, ...], ...]
+    prior: tuple[float, ...]
+    weight_floor: float = DEFAULT_FLOOR
+    likelihood: Likelihood = "mixture"
+
+    @classmethod
+    def read(cls, section: Section, faults: Faults, model: Model) -> Self:
+        """Hypotheses, each of one rate where the inputs fail together."""
+        common = faults.actuator is None or faults.actuator.dependence == "common"
+        hypotheses = _hypotheses(section, 1 if common else model.nu)
+        count = len(hypotheses)
+        return cls(
+            hypotheses,
+            _prior(section, count),
+            _floor(section, count),
+            section.choice("likelihood", LIKELIHOODS, "mixture"),
+        )
+
+
+def _hypotheses(section: Section, length: int) -> tuple[tuple[float, ...], ...]:
+    place = section.place.entry("hypotheses")
+    each = "a rate in [0, 1]" if length == 1 else f"a rate in [0, 1] or a list of {length}"
+    expected = f"a list of hypotheses, each {each}"
+    entries = as_list(section.require("hypotheses", expected), place, expected)
+    if not entries:
+        raise place.error("an empty list", "at least one hypothesis")
+    return tuple(_hypothesis(entry, place.item(i), length) for i, entry in enumerate(entries))
+
+
+def _hypothesis(entry: object, place: Place, length: int) -> tuple[float, ...]:
+    rates = plain_list(entry, place)
+    if not isinstance(rates, list):
+        return (as_probability(entry, place),) * length
+    if len(rates) != length:
+        reason = "the faults are common" if length == 1 else "one per input"
+        raise place.error(f"{len(rates)} rates", f"{length}: {reason}")
+    return tuple(as_probability(rate, place.item(index)) for index, rate in enumerate(rates))
+
+
+def _prior(section: Section, count: int) -> tuple[float, ...]:
+    if "prior" not in section:
+        return (1.0 / count,) * count
+    place = section.place.entry("prior")
+    return as_distribution(section.table["prior"], place, count, "one per hypothesis")
+
+
+def _floor(section: Section, count: int) -> float:
+    if "weight_floor" not in section:
+        return DEFAULT_FLOOR
+    place = section.place.entry("weight_floor")
+    expected = f"a number in [0, 1/{count}): {count} hypotheses share the probability 1"
+    floor = as_number(section.table["weight_floor"], place, expected)
+    if not 0.0 <= floor < 1.0 / count:
+        raise place.error(show(floor), expected)
+    return floor
+
+
+def build(spec: Spec) -> Recursion:
+    """Build the bank."""
+    from fkgen.estimators.models.bank import multiple_model_bank
+
+    return multiple_model_bank(spec)
+
+
+def proof() -> Proof:
+    """Matrix filters with plain probabilities, and the joint density of all samples."""
+    from fkgen.oracle.claims.gaussian import IDENTITIES, MME_BATCH, MME_TEXTBOOK
+
+    return Proof((MME_TEXTBOOK, MME_BATCH), IDENTITIES)
+
+
+def with_hypotheses(table: Table, _: Spec) -> Table:
+    """The same faults; what is tried for their rate cannot be guessed."""
+    if "hypotheses" in table["filter"]:
+        return table
+    raise DataError(
+        "families",
+        given="'mme' for a spec without hypotheses",
+        expected="a spec of its own beside this one: mme needs filter.hypotheses",
+    )
+
 
 FAMILY = Family(
     name="mme",
     title="unknown actuator fault rate: a bank of modified Kalman filters, one per hypothesis",
-    build=multiple_model_bank,
-    closed_forms=(MME_TEXTBOOK, MME_BATCH),
-    theorems=IDENTITIES,
+    build=build,
+    proof=proof,
+    traits=Traits(models="bank", densities=True),
+    options=MmeOptions,
+    accepts={"actuator": partial(read_actuator_faults, rate_known=False)},
+    optional_faults=True,
+    adopt=with_hypotheses,
+    starter="starter_mme.toml",
 )

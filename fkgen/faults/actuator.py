@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.covariance import checked_covariance, nearby
+from fkgen.problem.model import Model
 from fkgen.problem.table.matrix import Role, read_entry, read_matrix
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
@@ -107,30 +108,24 @@ class ActuatorFaults:
 
 
 def read_actuator_faults(
-    table: object, place: Place, defaults: Mapping[str, float], *, family: str, inputs: int
+    table: object,
+    place: Place,
+    defaults: Mapping[str, float],
+    model: Model,
+    family: str,
+    *,
+    rate_known: bool = True,
 ) -> ActuatorFaults:
-    """Return the actuator faults that a table describes.
-
-    Parameters
-    ----------
-    table : object
-        What stands under ``faults.actuator``.
-    place : Place
-        Where.
-    defaults : mapping of str to float
-        The parameters and their default values.
-    family : str
-        ``mme`` finds the rate out itself.
-    inputs : int
-        Number of inputs, q.
-
-    Raises
-    ------
-    SpecError
-        If a key is missing or unknown, or a rate or a joint probability is impossible.
-    """
-    reader = _ActuatorReader(table, place, defaults, inputs)
-    return reader.unknown_rate() if family == "mme" else reader.known_rate()
+    """The actuator faults that a table describes, for a family that is told the rate or not."""
+    if not model.nu:
+        raise (
+            Place(place.file)
+            .entry("model")
+            .entry("B")
+            .error("nothing (no input)", f"B: the family {family} is about faults of the input")
+        )
+    reader = _ActuatorReader(table, place, defaults, model.nu)
+    return reader.known_rate() if rate_known else reader.unknown_rate()
 
 
 class _ActuatorReader:

@@ -134,31 +134,17 @@ class JumpFaults:
 
 
 def read_jump_faults(
-    table: object, place: Place, defaults: Mapping[str, float], *, family: str, model: Model
+    table: object,
+    place: Place,
+    defaults: Mapping[str, float],
+    model: Model,
+    family: str,
+    *,
+    arrivals: bool = False,
 ) -> JumpFaults:
-    """Return the jump faults that a table describes.
-
-    Parameters
-    ----------
-    table : object
-        What stands under ``faults.jump``.
-    place : Place
-        Where.
-    defaults : mapping of str to float
-        The parameters and their default values.
-    family : str
-        The keys about arrivals are for ``mjls_lmmse`` only.
-    model : Model
-        The plant, whose matrices a mode may override.
-
-    Raises
-    ------
-    SpecError
-        If a key is missing or unknown, a matrix has not the size of the model's, or a law is
-        impossible.
-    """
+    """The jump faults that a table describes; ``arrivals``: the family knows of lost samples."""
     section = Section(table, place, known=("transition", "initial", "modes", *_ARRIVAL_KEYS))
-    if family != "mjls_lmmse":
+    if not arrivals:
         for key in _ARRIVAL_KEYS:
             if key in section:
                 raise place.entry(key).error(

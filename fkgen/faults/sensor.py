@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from fkgen.problem.model import Model
 from fkgen.problem.probability import (
     Distribution,
     as_distribution,
     as_probability,
     as_transition,
     stationary_law,
+    visited,
 )
 from fkgen.problem.signals import Signal, read_row
 from fkgen.problem.table.place import Place, show
@@ -98,43 +100,32 @@ class SensorFaults:
 
 
 def read_sensor_faults(
-    table: object, place: Place, outputs: Sequence[Signal], family: str
+    table: object,
+    place: Place,
+    _: Mapping[str, float],
+    model: Model,
+    family: str,
+    *,
+    law: Literal["modes", "moments", "optional"] = "modes",
 ) -> SensorFaults:
-    """Return the sensor faults that a table describes.
-
-    Parameters
-    ----------
-    table : object
-        What stands under ``faults.sensor``.
-    place : Place
-        Where.
-    outputs : sequence of Signal
-        The rows of y.
-    family : str
-        ``genie`` needs no law; moments are for ``linear_optimal`` only.
-
-    Raises
-    ------
-    SpecError
-        If a key is missing, unknown, or of another problem, or a law is impossible.
-    """
+    """The sensor faults that a table describes; moments, or no law, will do for some families."""
     known = ("noise_factor", "rows", "problem", "initial", *_ALL_LAW_KEYS)
     section = Section(table, place, known=known)
     factor = _noise_factor(section)
-    rows = _rows(section, outputs)
-    if family == "genie" and "problem" not in section:
+    rows = _rows(section, model.outputs)
+    if law == "optional" and "problem" not in section:
         for key in ("initial", *_ALL_LAW_KEYS):
             if key in section:
                 raise place.entry("problem").error(
                     f"nothing (the key is missing) beside {key}", "the problem that it belongs to"
                 )
         return SensorFaults(factor, rows)
-    problem = _problem(section, family)
-    law = _Law(section, problem, nominal=factor == 1.0)
+    problem = _problem(section, family, law)
+    reader = _Law(section, problem, nominal=factor == 1.0)
     if problem == "moments":
-        return SensorFaults(factor, rows, moments=law.moments())
-    kernel, default = law.chain()
-    return SensorFaults(factor, rows, kernel, law.initial(default))
+        return SensorFaults(factor, rows, moments=reader.moments())
+    kernel, default = reader.chain()
+    return SensorFaults(factor, rows, kernel, reader.initial(default))
 
 
 def _noise_factor(section: Section) -> float:
@@ -162,7 +153,7 @@ def _rows(section: Section, outputs: Sequence[Signal]) -> tuple[int, ...]:
     return tuple(sorted(rows))
 
 
-def _problem(section: Section, family: str) -> Problem:
+def _problem(section: Section, family: str, law: str) -> Problem:
     place = section.place.entry("problem")
     expected = (
         "1 (gamma_rate, delta_nominal_rate), 2 (joint), 3 (gamma_chain, delta_chain), 4 (kernel)"
@@ -172,8 +163,8 @@ def _problem(section: Section, family: str) -> Problem:
     found = next((p for p in LAW_KEYS if p == given and not isinstance(given, bool)), None)
     if found is None:
         raise place.error(show(given), expected)
-    if found == "moments" and family != "linear_optimal":
-        others = "problem 1, 2, 3 or 4" + (", or no law at all" if family == "genie" else "")
+    if found == "moments" and law != "moments":
+        others = "problem 1, 2, 3 or 4" + (", or no law at all" if law == "optional" else "")
         raise place.error(
             f'"moments" for the family {family}',
             f"{others}: only linear_optimal works with moments",
@@ -261,3 +252,16 @@ class _Law:
     def rate(self, key: str) -> float:
         given = self.section.require(key, f"a probability in [0, 1]: {_RATES[key]}")
         return as_probability(given, self.section.place.entry(key))
+
+
+#: Largest difference of conditional probabilities that are meant to be the same.
+EQUAL = 1e-12
+
+
+def is_white(faults: SensorFaults) -> bool:
+    """Whether gamma is independent of its past: E[gamma_k] = p11(k) for every k."""
+    if faults.moments is not None:
+        return abs(faults.moments.gamma_rate - faults.moments.gamma_persistence) <= EQUAL
+    kernel = np.array(faults.kernel)
+    rates = kernel[visited(kernel, faults.initial), :2].sum(axis=1)
+    return bool(np.ptp(rates) <= EQUAL)

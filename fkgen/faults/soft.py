@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal, Self
 
-from fkgen.faults.partial_state import check_partial_state
-from fkgen.problem.covariance import is_singular, nearby
+from fkgen.problem.covariance import nearby
+from fkgen.problem.filter import Options, count
 from fkgen.problem.model import Model
 from fkgen.problem.signals import Signal, read_row
 from fkgen.problem.table.place import Place, show
@@ -58,47 +59,35 @@ class SoftFaults:
 
 
 def read_soft_faults(
-    table: object, place: Place, defaults: Mapping[str, float], family: str, model: Model
+    table: object,
+    place: Place,
+    defaults: Mapping[str, float],
+    model: Model,
+    _: str,
+    *,
+    host: Literal["some", "any", "optional"] = "any",
+    single: bool = False,
 ) -> SoftFaults:
-    """Return the soft faults that a table describes.
+    """The soft faults that a table describes.
 
-    Parameters
-    ----------
-    table : object
-        What stands under ``faults.soft``.
-    place : Place
-        Where.
-    defaults : mapping of str to float
-        The parameters and their default values.
-    family : str
-        ``compression_full``, ``dfcf`` or ``cpcf``.
-    model : Model
-        The plant; its R must not correlate host and groups.
-
-    Raises
-    ------
-    SpecError
-        If a key is missing or unknown, a group is empty, rows are out of range or named twice, the
-        noises of two groups are correlated, or the group of ``cpcf`` is not phi [I 0] T x.
+    ``host``: whether the host needs rows, or the key; ``single``: there is one group at most.
     """
     section = Section(table, place, known=("host", "window", "false_alarm", "groups"))
-    host = _host(section, family, model.outputs)
-    groups = _groups(section, host, family, model.outputs)
-    faults = SoftFaults(host, groups, _window(section), _false_alarm(section))
-    _check_noise(faults, model, place, defaults, family)
-    if family == "cpcf":
-        check_partial_state(model, faults.compressed, Place(place.file).entry("model"), defaults)
+    rows = _host(section, host, model.outputs)
+    groups = _groups(section, rows, model.outputs, most=1 if single else MOST_GROUPS)
+    faults = SoftFaults(rows, groups, _window(section), _false_alarm(section))
+    _check_noise(faults, model, place, defaults)
     return faults
 
 
-def _host(section: Section, family: str, outputs: Sequence[Signal]) -> Rows:
+def _host(section: Section, wanted: str, outputs: Sequence[Signal]) -> Rows:
     place = section.place.entry("host")
     names = ", ".join(signal.name for signal in outputs)
     expected = f"a list of rows of y, out of 0..{len(outputs) - 1} ({names}), that drift never"
-    if family == "compression_full" and "host" not in section:
+    if wanted == "optional" and "host" not in section:
         return ()
     rows = _rows(section.require("host", expected), place, expected, outputs)
-    if not rows and family == "dfcf":
+    if not rows and wanted == "some":
         raise place.error(
             "an empty list", f"{expected}; a host that only propagates is compression_full"
         )
@@ -108,7 +97,7 @@ def _host(section: Section, family: str, outputs: Sequence[Signal]) -> Rows:
 
 
 def _groups(
-    section: Section, host: Rows, family: str, outputs: Sequence[Signal]
+    section: Section, host: Rows, outputs: Sequence[Signal], *, most: int
 ) -> tuple[Rows, ...]:
     others = tuple(i for i in range(len(outputs)) if i not in host)
     if "groups" not in section:
@@ -118,11 +107,10 @@ def _groups(
     entries = as_list(section.table["groups"], place, expected)
     if not entries:
         raise place.error("an empty list", f"{expected}; leave the key out for one group")
-    most = 1 if family == "cpcf" else MOST_GROUPS
     if len(entries) > most:
         reason = (
             "cpcf has one compression filter; dfcf has one per group"
-            if family == "cpcf"
+            if most == 1
             else f"each of the {2 ** len(entries) - 1} sets of accepted groups needs a filter"
         )
         raise place.error(f"{len(entries)} groups", f"at most {most}: {reason}")
@@ -180,7 +168,7 @@ def _false_alarm(section: Section) -> float:
 
 
 def _check_noise(
-    faults: SoftFaults, model: Model, place: Place, defaults: Mapping[str, float], family: str
+    faults: SoftFaults, model: Model, place: Place, defaults: Mapping[str, float]
 ) -> None:
     """Refuse noise that two groups share: Lee & Lee, (27), have a block-diagonal r."""
     label = dict.fromkeys(faults.host, -1)
@@ -199,10 +187,37 @@ def _check_noise(
                         "0: noise that host and compression filter (or two groups) share would be"
                         " counted twice; put such rows into one group",
                     )
-    if family == "cpcf":
-        rows = list(faults.compressed)
-        if is_singular(model.R.values(defaults)[rows][:, rows]):
-            raise where.error(
-                "a singular block for the rows of the compression filter",
-                "a regular one: cpcf weighs by its inverse, eq. (46); dfcf does not need it",
+
+
+#: A float counts exactly up to 2^24.
+MOST_REJECTIONS = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class CompressionOptions(Options):
+    """What a compression filter does with its test.
+
+    Parameters
+    ----------
+    test : bool
+        False reports the statistic and rejects nothing.
+    reacquire : int or None
+        Rejections in a row from which on the host is inflated; None: never.
+    """
+
+    test: bool = True
+    reacquire: int | None = None
+
+    @classmethod
+    def read(cls, section: Section, _: object, __: Model) -> Self:
+        """The test, and what follows from rejections."""
+        test = section.flag("test", default=True)
+        if "reacquire" not in section:
+            return cls(test)
+        what = "rejections in a row (leave it out for never)"
+        limit = count(section, "reacquire", 1, MOST_REJECTIONS, what)
+        if not test:
+            raise section.place.entry("reacquire").error(
+                "reacquire with test = false", "a test: without it nothing is rejected"
             )
+        return cls(test, limit)

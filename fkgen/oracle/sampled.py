@@ -44,13 +44,12 @@ def draw_record(
     if spec.faults.jump is not None:
         return _jump_record(spec, parameters, u, rng), {**parameters}
     if faults is None:
-        hypotheses = spec.filter.hypotheses
-        rates = hypotheses[0] if hypotheses else None
-        return simulate(LinearSystem.from_spec(spec, T, parameters, rates), u, rng), {**parameters}
+        system = LinearSystem.from_spec(spec, T, parameters, spec.first_rates)
+        return simulate(system, u, rng), {**parameters}
     law = _law(faults)
     y, modes = simulate_sensor(LinearSystem.from_spec(spec, T, parameters), law, u, rng)
     gamma, delta = gamma_delta(law, modes)
-    told = {"gamma": gamma, "delta": delta} if spec.filter.family == "genie" else {}
+    told = {"gamma": gamma, "delta": delta} if spec.filter.traits.told else {}
     return y, {**parameters, **told}
 
 

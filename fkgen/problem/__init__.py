@@ -1,11 +1,11 @@
 """What the user says: plant, faults, filter and code options, as frozen and checked values."""
 
 from fkgen.problem.code import Code
-from fkgen.problem.filter import Filter
+from fkgen.problem.filter import Filter, Parameter
 from fkgen.problem.model import Model
 from fkgen.problem.reader import load
 from fkgen.problem.signals import Signal
-from fkgen.problem.spec import Parameter, Spec
+from fkgen.problem.spec import Spec
 from fkgen.problem.text.expression import (
     Expression,
     Name,

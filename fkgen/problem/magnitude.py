@@ -3,41 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fkgen.problem.model import Model
 from fkgen.problem.table.place import Place
 from fkgen.problem.text.matrix import Matrix
-
-if TYPE_CHECKING:
-    from fkgen.faults.jump import JumpMode
 
 #: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
 LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 
 
 def check_magnitudes(
-    model: Model, place: Place, defaults: Mapping[str, float], scalar: str
+    plant: object, place: Place, defaults: Mapping[str, float], scalar: str
 ) -> None:
-    """Refuse entries beyond `LIMITS`; parameters have their default values.
+    """Refuse entries of a model or mode beyond `LIMITS`; parameters have their default values.
 
     Raises
     ------
     SpecError
         Naming the first entry that is too large, or the first variance that is too small.
     """
-    names = ("A", "B", "C", "D", "Q", "R", "x0", "P0")
-    _check({name: getattr(model, name) for name in names}, place, defaults, scalar)
-
-
-def check_mode_magnitudes(
-    mode: JumpMode, place: Place, defaults: Mapping[str, float], scalar: str
-) -> None:
-    """The same for one mode of a jumping plant."""
-    names = ("A", "B", "C", "D", "Q", "R", "c")
-    _check({name: getattr(mode, name) for name in names}, place, defaults, scalar)
+    names = ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c")
+    found = {name: getattr(plant, name) for name in names if hasattr(plant, name)}
+    _check(found, place, defaults, scalar)
 
 
 def _check(

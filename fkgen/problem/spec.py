@@ -3,44 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fkgen.problem.code import Code, read_code
-from fkgen.problem.covariance import is_singular
-from fkgen.problem.filter import Filter, filter_section, read_filter
+from fkgen.problem.filter import Filter, Parameter, registry
 from fkgen.problem.magnitude import check_magnitudes
 from fkgen.problem.model import Model, read_model
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section, as_number, as_table
 from fkgen.problem.text.naming import check_distinct, read_parameter_name, read_prefix
 
-if TYPE_CHECKING:
-    from fkgen.faults.jump import JumpMode
-    from fkgen.faults.section import Faults
+if TYPE_CHECKING:  # types alone: faults are read by their families
+    from fkgen.faults import Faults, JumpMode
 
 _KEYS = ("name", "model", "parameters", "faults", "filter", "code")
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A number that can change at run time.
-
-    Parameters
-    ----------
-    name : str
-        A C identifier, usable in the expressions of the spec.
-    default : float
-        Its value where the user of the filter states none.
-    """
-
-    name: str
-    default: float
-
-
-#: Parameters that a family has of its own: the indicators that only a genie knows.
-IMPLIED = {"genie": (Parameter("gamma", 1.0), Parameter("delta", 1.0))}
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,42 +71,32 @@ class Spec:
         SpecError
             If anything in it is missing, unknown, of the wrong type or shape, or impossible.
         """
-        from fkgen.faults.jump_filter import check_jumps  # noqa: PLC0415
-        from fkgen.faults.linear_optimal import check_linear_filter  # noqa: PLC0415
-        from fkgen.faults.section import read_faults  # noqa: PLC0415
-
         place = Place(file)
-        section = _whole(table, place)
-        given_name = section.require("name", "a C identifier")
-        given_filter = section.require("filter", "a table with the family of the filter")
-        options = filter_section(given_filter, place.entry("filter"))
-        family = str(options.table["family"])
-        parameters = _read_parameters(section, place, family)
+        whole = _whole(table, place)
+        given_name = whole.require("name", "a C identifier")
+        given_filter = whole.require("filter", "a table with the family of the filter")
+        families = registry()
+        family, options = families.section_of(given_filter, place.entry("filter"))
+        parameters = _read_parameters(whole, place, family)
         defaults = {parameter.name: parameter.default for parameter in parameters}
-        model_place = place.entry("model")
-        given_model = section.require("model", "a table with the plant")
-        model = read_model(given_model, model_place, defaults)
-        _check_inputs(model, model_place, family)
-        given_faults = section.table.get("faults", {})
-        faults = read_faults(given_faults, place.entry("faults"), defaults, family, model)
-        reading = read_filter(options, faults, model.nu)
-        code = read_code(section.table.get("code", {}), place.entry("code"))
-        check_magnitudes(model, model_place, defaults, code.scalar)
-        if faults.sensor is not None:
-            check_linear_filter(model, place, faults.sensor, reading)
-        if faults.jump is not None:
-            check_jumps(faults.jump, place, reading, defaults, code.scalar)
-        else:
-            _check_noise(model, model_place, family, defaults)
-        return cls(
+        given_model = whole.require("model", "a table with the plant")
+        model = read_model(given_model, place.entry("model"), defaults)
+        given_faults, where = whole.table.get("faults", {}), place.entry("faults")
+        faults = families.read_faults(family, given_faults, where, defaults, model)
+        spec = cls(
             name=read_prefix(given_name, place.entry("name")),
             model=model,
             parameters=parameters,
             faults=faults,
-            filter=reading,
-            code=code,
+            filter=Filter(options.table["family"], family.options.read(options, faults, model)),
+            code=read_code(whole.table.get("code", {}), place.entry("code")),
             file=file,
         )
+        check_magnitudes(model, place.entry("model"), defaults, spec.code.scalar)
+        for plant, at in spec.placed_plants if faults.jump is not None else ():
+            check_magnitudes(plant, at, defaults, spec.code.scalar)
+        family.check_spec(spec)
+        return spec
 
     @property
     def defaults(self) -> dict[str, float]:
@@ -141,10 +109,27 @@ class Spec:
         return (self.model,) if self.faults.jump is None else self.faults.jump.modes
 
     @property
+    def placed_plants(self) -> Iterator[tuple[Model | JumpMode, Place]]:
+        """The same, each with the place where the spec states it."""
+        place = Place(self.file)
+        if self.faults.jump is None:
+            yield self.model, place.entry("model")
+            return
+        modes = place.entry("faults").entry("jump").entry("modes")
+        for i, mode in enumerate(self.faults.jump.modes):
+            yield mode, modes.item(i)
+
+    @property
+    def first_rates(self) -> tuple[float, ...] | None:
+        """Of hypotheses about success rates the first, which is true where a record is drawn."""
+        hypotheses: tuple[tuple[float, ...], ...] = self.filter.option("hypotheses", ())
+        return hypotheses[0] if hypotheses else None
+
+    @property
     def stated_parameters(self) -> tuple[Parameter, ...]:
         """The parameters of the file, without those that the family brings along."""
-        implied = IMPLIED.get(self.filter.family, ())
-        return tuple(item for item in self.parameters if item not in implied)
+        told = self.filter.traits.told
+        return tuple(item for item in self.parameters if item not in told)
 
     def to_dict(self) -> dict[str, object]:
         """Return plain dicts, lists, numbers and texts; `from_dict` gives an equal spec back."""
@@ -171,7 +156,7 @@ def _whole(table: object, place: Place) -> Section:
     return Section(table, place, known=_KEYS)
 
 
-def _read_parameters(whole: Section, place: Place, family: str) -> tuple[Parameter, ...]:
+def _read_parameters(whole: Section, place: Place, family: Any) -> tuple[Parameter, ...]:
     place = place.entry("parameters")
     table = whole.table.get("parameters", {})
     entries = as_table(table, place, "a table of default values, such as tau = 0.05")
@@ -182,36 +167,12 @@ def _read_parameters(whole: Section, place: Place, family: str) -> tuple[Paramet
         )
         for name, value in entries.items()
     )
-    for implied in IMPLIED.get(family, ()):
-        if implied.name in entries:
-            raise place.entry(implied.name).error(
-                f"a parameter {implied.name}",
-                f"another name: the family {family} has a parameter {implied.name} of its own",
+    told: tuple[Parameter, ...] = family.traits.told
+    for own in told:
+        if own.name in entries:
+            raise place.entry(own.name).error(
+                f"a parameter {own.name}",
+                f"another name: the family {family.name} has a parameter {own.name} of its own",
             )
-    parameters += IMPLIED.get(family, ())
-    check_distinct((parameter.name for parameter in parameters), place, "parameters")
-    return parameters
-
-
-def _check_inputs(model: Model, place: Place, family: str) -> None:
-    """Refuse plants without what the family is about."""
-    if family in {"mkf", "mme"} and model.nu == 0:
-        raise place.entry("B").error(
-            "nothing (no input)", f"B: the family {family} is about faults of the input"
-        )
-
-
-def _check_noise(model: Model, place: Place, family: str, defaults: Mapping[str, float]) -> None:
-    """Refuse exact measurements where the family compares densities, or nothing is random."""
-    if not is_singular(model.R.values(defaults)):
-        return
-    if family in {"mme", "one_step", "imm"}:
-        raise place.entry("R").error(
-            "a singular matrix",
-            f"a positive definite R for the family {family}: it compares densities",
-        )
-    if not model.Q.values(defaults).any():
-        raise place.entry("R").error(
-            "a singular matrix, and Q = 0",
-            "a positive definite R where there is no process noise, or some process noise",
-        )
+    check_distinct((each.name for each in (*parameters, *told)), place, "parameters")
+    return (*parameters, *told)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +44,6 @@ _WEIGHTS = 1e-12
 
 #: Share of the entries of y that are missing.
 MISSING = 0.2
-
-_FORM = "covariance update: joseph form"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,8 +169,9 @@ def _in_double(design: Validated) -> Validated:
     spec = design.spec
     if spec.code.scalar == "double":
         return design
-    update: Literal["joseph", "short"] = "joseph" if _FORM in design.recursion.notes else "short"
-    return validate(replace(spec, code=Code(scalar="double", update=update)))
+    return validate(
+        replace(spec, code=Code(scalar="double", update=design.recursion.form or "short"))
+    )
 
 
 def _names(ports: list[Port]) -> str:
@@ -188,9 +186,10 @@ def _tolerance(spec: Spec, port: Port) -> float:
         none = np.zeros((0, 0))
         start = Record(y=none, u=none, parameters={}, P0=spec.model.P0.values())
         return digits_at_stake(spec, start)
-    if spec.filter.family in {"one_step", "imm"}:  # mixing makes everything depend on weights
+    models = spec.filter.traits.models
+    if models in {"merged", "mixed"}:  # mixing makes everything depend on weights
         return _WEIGHTS
-    if spec.filter.family == "mme":
+    if models == "bank":
         before = port.name.startswith("mode_") and port.name != "mode_probability"
         return 0.0 if before else _WEIGHTS
     return _LOGARITHM if port.name in {"log_likelihood", "test_statistic"} else 0.0
@@ -199,7 +198,7 @@ def _tolerance(spec: Spec, port: Port) -> float:
 def _reason(spec: Spec) -> str:
     if _goes_through_functions(spec):
         return "entries of the model go through fkgen's own functions, good to one ulp"
-    if spec.filter.family in {"mme", "one_step", "imm"}:
+    if spec.filter.traits.models != "one":
         return "weights are exponentials of sums, which enlarge the last bit of exp and log"
     return "fkgen's own log is good to one unit in the last place"
 

@@ -44,11 +44,6 @@ def _missing(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.boo
     return missing
 
 
-def _rates(spec: Spec) -> tuple[float, ...] | None:
-    """For a bank, the first hypothesis makes the record; otherwise the spec's own rate does."""
-    return spec.filter.hypotheses[0] if spec.filter.hypotheses else None
-
-
 def _varied(
     spec: Spec, parameters: Mapping[str, Array], rng: np.random.Generator
 ) -> dict[str, Array]:
@@ -72,7 +67,7 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
                 M = getattr(plant, letter).values(parameters)
                 if np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
                     return False
-        system = LinearSystem.from_spec(spec, 1, dict(parameters), _rates(spec))
+        system = LinearSystem.from_spec(spec, 1, dict(parameters), spec.first_rates)
     except ArithmeticError:
         return False
     return bool(np.all((system.rate >= 0.0) & (system.rate <= 1.0)))
@@ -83,7 +78,7 @@ def _mild_prior(spec: Spec) -> Array:
 
     Not where P0 is part of the second moments that a gain depends on.
     """
-    if spec.filter.family in {"linear_optimal", "mjls_lmmse"}:
+    if spec.filter.traits.moments:
         return np.asarray(spec.model.P0.values())
     C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
     noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)

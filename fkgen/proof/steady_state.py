@@ -26,12 +26,6 @@ _NEAR = 1e-9
 #: Samples beyond which nobody waits: about ten seconds of interpretation.
 _PATIENCE = 20_000
 
-#: Families for which the Riccati equation of the plant says nothing.
-_OTHERS = (
-    *("linear_optimal", "one_step", "imm", "mjls_lmmse"),
-    *("compression_full", "dfcf", "cpcf"),
-)
-
 _SOURCE = "Anderson & Moore 1979, sec. 4.4; python-control dare"
 
 
@@ -46,9 +40,10 @@ def claims(recursion: Recursion) -> tuple[Claim, ...]:
         are families whose covariance depends on the data, on unconditional moments or on windows.
     """
     spec = recursion.spec
-    if spec.filter.family in _OTHERS:
+    traits = spec.filter.traits
+    if not (traits.linear or traits.models == "bank"):
         return ()
-    hypotheses: tuple[tuple[float, ...] | None, ...] = spec.filter.hypotheses or (None,)
+    hypotheses = _hypotheses(spec)
     found = [_stationary(spec, rates) for rates in hypotheses]
     known = [each for each in found if each is not None]
     if not known:
@@ -72,6 +67,12 @@ def claims(recursion: Recursion) -> tuple[Claim, ...]:
     )
 
 
+def _hypotheses(spec: Spec) -> tuple[tuple[float, ...] | None, ...]:
+    """What is tried for the success rates, or the one that the spec states."""
+    tried: tuple[tuple[float, ...], ...] = spec.filter.option("hypotheses", ())
+    return tried or (None,)
+
+
 def _of(rates: tuple[float, ...] | None) -> str:
     return "" if rates is None else f" of hypothesis {', '.join(f'{rate:g}' for rate in rates)}"
 
@@ -92,12 +93,13 @@ def _tolerance(spec: Spec) -> float:
 def _reached(recursion: Recursion, samples: int, size: float) -> list[Array]:
     """Covariances after many samples of a record that does not matter: they do not depend on y."""
     spec, n = recursion.spec, recursion.spec.model.nx
-    stacked = bool(spec.filter.hypotheses)
+    hypotheses = _hypotheses(spec)
+    stacked = hypotheses[0] is not None
     name = "mode_covariance" if stacked else "predicted_covariance"
     instance = Interpreter(recursion)
     prior = spec.model.P0.values() + size * np.eye(n)
     packed = np.array([prior[i, j] for i, j in triangle(n)])
-    instance.values[name] = np.tile(packed, max(1, len(spec.filter.hypotheses)))
+    instance.values[name] = np.tile(packed, len(hypotheses))
     y, u = np.zeros(spec.model.ny), np.ones(spec.model.nu)
     for _ in range(samples):
         if not instance.step(y, u, spec.defaults):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import casadi as ca
 
@@ -101,8 +102,10 @@ class Recursion:
         ``step`` is update, then predict.
     closing : Phase or None
         The last part of an update, for the samples at which something comes to an end.
+    form : str or None
+        Of the covariance update, ``"short"`` or ``"joseph"``; None where nothing is updated.
     notes : tuple of str
-        Decisions that the header repeats, such as the form of the covariance update.
+        Other decisions that the header repeats.
     outcomes : tuple of Outcome
         Statuses in place of ``OK``, the first that applies.
     """
@@ -114,6 +117,7 @@ class Recursion:
     update: Phase
     predict: Phase
     closing: Phase | None = None
+    form: Literal["short", "joseph"] | None = None
     notes: tuple[str, ...] = field(default=())
     outcomes: tuple[Outcome, ...] = field(default=())
 

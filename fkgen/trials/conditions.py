@@ -122,7 +122,7 @@ def conditions_of(spec: Spec) -> Conditions:
 
 def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:
     q = spec.model.nu
-    prior = () if faults.success_rate else spec.filter.prior
+    prior = () if faults.success_rate else spec.filter.option("prior", ())
     everyone, both = tuple(range(q)), ((1,), (0,))
     match faults.dependence:
         case "independent":
@@ -206,7 +206,7 @@ def probabilities_of(
         return []
     rates = rates_of(faults, plant)
     if conditions.prior:
-        options = ca.SX(list(zip(*spec.filter.hypotheses, strict=True)))
+        options = ca.SX(list(zip(*spec.filter.options.hypotheses, strict=True)))
         rates = ca.vertsplit(options @ hypothesis)
     if faults.covariance is None:
         return [[rate] for rate in rates]

@@ -15,7 +15,6 @@ import pytest
 
 import fkgen
 from fkgen.families import NAMES, family
-from fkgen.problem.filter import SECTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "fkgen"
@@ -141,7 +140,7 @@ def test_the_source_of_a_recursion_names_equations_or_sections(name):
     from plants import SENSED, motor
 
     broken = {"problem": 1, "gamma_rate": 0.9}
-    sections = SECTIONS.get(name, ())
+    sections = tuple(family(name).accepts)
     model = {"sensor": broken} if "sensor" in sections else {}
     if "soft" in sections:
         model = {"soft": {"host": [1], "window": 5}, "model": SENSED}

@@ -11,7 +11,6 @@ import pytest
 
 import fkgen
 from fkgen.families import NAMES, family
-from fkgen.problem.filter import OPTIONS
 from fkgen.study.reports.starters import resource, starter
 
 PAGES = {name: resource(f"docs/families/{name}.md") for name in NAMES}
@@ -67,7 +66,7 @@ def ports_of(name):
         for key, value in changes.items():
             if key == "inputs":
                 each["model"]["B"] = [[1.0]] * len(table["model"]["A"])
-            elif key in OPTIONS.get(name, ()):
+            elif key in family(name).keys:
                 each["filter"][key] = value
             else:
                 each["faults"]["sensor"][key] = value

@@ -141,14 +141,14 @@ def record_of(spec, T, *, seed=1, missing=0.0, params=None):
 def believed(spec, T, params=None):
     """The plant as the filter takes it."""
     system = JumpSystem.from_spec(spec, T, params)
-    known = spec.faults.jump.arrival != "unknown" or spec.filter.detector != "none"
+    known = spec.faults.jump.arrival != "unknown" or spec.filter.options.detector != "none"
     return system.always_arriving() if known else system
 
 
 def textbook_of(spec, y, u, params=None):
     """What whole matrices say."""
     system, chain = believed(spec, len(y), params), unobserved_chain(spec)
-    steady = steady_state(spec, system) if spec.filter.gain == "stationary" else None
+    steady = steady_state(spec, system) if spec.filter.options.gain == "stationary" else None
     plant = composite(system) if chain else system
     result = textbook_jumps(plant, y, u, test=loss_test(spec), steady=steady)
     if not chain:

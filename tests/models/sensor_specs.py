@@ -172,8 +172,8 @@ def textbook(spec, y, u, params=None):
     """The matrix filter of the same name."""
     system, law = LinearSystem.from_spec(spec, len(y), params), SensorLaw.from_spec(spec)
     if spec.filter.family == "imm":
-        return textbook_imm(system, law, y, u, modes=spec.filter.modes)
-    return textbook_one_step(system, law, y, u, covariance=spec.filter.covariance)
+        return textbook_imm(system, law, y, u, modes=spec.filter.options.modes)
+    return textbook_one_step(system, law, y, u, covariance=spec.filter.options.covariance)
 
 
 def final(spec, y, port, u=None):

@@ -86,7 +86,7 @@ def thinned(rng, T, p, host, *, missing=0.4):
 
 def expected(spec, y, u=None, params=None, *, first=None):
     """Ports by name, from the joint distribution of every window."""
-    law, options = spec.faults.soft, spec.filter
+    law, options = spec.faults.soft, spec.filter.options
     policy = Policy(
         first=law.window if first is None else first,
         test=options.test,

@@ -82,7 +82,7 @@ def test_probabilities_are_probabilities_and_sum_to_one(name, data):
     # One rounding per hypothesis.
     np.testing.assert_allclose(weight.sum(axis=1), 1.0, rtol=0.0, atol=1e-12)
     assert ((weight >= 0.0) & (weight <= 1.0 + 1e-15)).all()
-    rates = np.array(plant.filter.hypotheses)
+    rates = np.array(plant.filter.options.hypotheses)
     estimate = result.success_rate_estimate.reshape(len(y), -1)
     assert (estimate >= rates.min(axis=0) - 1e-12).all()
     assert (estimate <= rates.max(axis=0) + 1e-12).all()

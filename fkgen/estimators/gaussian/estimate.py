@@ -34,7 +34,6 @@ SHORT_FORM_RATIO = 1e6
 
 #: The same for families whose statistic divides by a difference of two covariances.
 DIFFERENCE_RATIO = 1e2
-_DIFFERENCES = ("compression_full", "dfcf")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +69,7 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
         return spec.code.update
     if spec.code.scalar == "float" or plant.noise_free or augmented:
         return "joseph"
-    ratio = DIFFERENCE_RATIO if spec.filter.family in _DIFFERENCES else SHORT_FORM_RATIO
+    ratio = DIFFERENCE_RATIO if spec.filter.traits.windows == "full" else SHORT_FORM_RATIO
     return "short" if prior_to_noise(spec) <= ratio else "joseph"
 
 

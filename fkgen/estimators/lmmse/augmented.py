@@ -69,7 +69,8 @@ def augmented_filter(spec: Spec, source: str) -> Recursion:
         initial=split_start(split),
         update=_update(split),
         predict=_predict(split),
-        notes=(f"covariance update: {form} form", f"state split by {split.count} modes"),
+        form=form,
+        notes=(f"state split by {split.count} modes",),
     )
 
 

@@ -300,7 +300,8 @@ def jump_filter(spec: Spec, source: str) -> Recursion:
         initial={port.name: start[port.name] for port in ports if port.name in start},
         update=_update(split, symbols, form),
         predict=predict_split(split, symbols),
-        notes=(f"covariance update: {form} form", *notes_of(split)),
+        form=form,
+        notes=notes_of(split),
         outcomes=loss_outcomes(spec),
     )
 
@@ -312,7 +313,7 @@ def noisy(split: Jumping) -> Plant:
 
 def notes_of(split: Jumping) -> tuple[str, ...]:
     """What the header says about modes and arrivals."""
-    options, faults = split.spec.filter, split.faults
+    options, faults = split.spec.filter.options, split.faults
     notes = [f"state split by {split.parts} modes"]
     if options.detector != "none":
         notes.append(
@@ -369,7 +370,7 @@ def _update(split: Jumping, symbols: dict[str, ca.SX], form: Form) -> Phase:
     found = condition(script, prior, measurement, form=form)
     demand_finite(script, found.mean)
     state, covariance, results = found.mean, found.covariance, {}
-    if split.spec.filter.detector != "none":
+    if split.spec.filter.options.detector != "none":
         test = LossTest(script, symbols, split.spec)
         verdict = test.verdict(found, measurement, noise)
         state, covariance = _kept(script, split, symbols, (found, verdict, test), now)

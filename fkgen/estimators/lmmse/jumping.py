@@ -119,7 +119,7 @@ class Jumping:
         """Read the arrivals of a spec: what a detector decides is no longer random."""
         faults = jump_faults_of(spec)
         rate, arrival, shares = 1.0, np.eye(1), (1.0,)
-        if faults.arrival == "unknown" and spec.filter.detector == "none":
+        if faults.arrival == "unknown" and spec.filter.options.detector == "none":
             if faults.arrival_chain:
                 arrival = np.array(faults.arrival_chain)[::-1, ::-1]
                 law = stationary_law(arrival)
@@ -181,7 +181,8 @@ class Jumping:
     @property
     def restarts(self) -> bool:
         """Whether a lock-out starts the filter again."""
-        return self.spec.filter.detector != "none" and self.spec.filter.reinitialise
+        options = self.spec.filter.options
+        return bool(options.detector != "none" and options.reinitialise)
 
     @property
     def means(self) -> bool:

@@ -48,7 +48,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         },
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=_predict(spec, plant, symbols, with_gain=with_gain),
-        notes=(f"covariance update: {form} form",),
+        form=form,
     )
 
 

@@ -37,7 +37,7 @@ from fkgen.estimators.gaussian.sequential import Form
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
 from fkgen.estimators.models.weights import TINY
 from fkgen.faults import SensorFaults
-from fkgen.faults.linear_optimal import is_white
+from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port, Role
@@ -214,7 +214,7 @@ def uncertain_filter(spec: Spec, source: str) -> Recursion:
         initial=_start(spec, law),
         update=_update(design),
         predict=_predict(design),
-        notes=(f"covariance update: {form} form",),
+        form=form,
     )
 
 

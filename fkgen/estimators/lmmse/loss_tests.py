@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 from scipy.special import gammainccinv
@@ -15,7 +16,7 @@ from scipy.special import gammainccinv
 from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.models.weights import LOG_ZERO
-from fkgen.problem import Filter, Spec
+from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Outcome, Port, Role, Status
 from fkgen.symbolic.linalg import column, total
@@ -57,7 +58,7 @@ class Verdict:
 
 def loss_ports(spec: Spec) -> tuple[Port, ...]:
     """What a detector shows; nothing without one."""
-    detector, window = spec.filter.detector, spec.filter.window
+    detector, window = spec.filter.options.detector, spec.filter.options.window
     if detector == "none":
         return ()
 
@@ -86,10 +87,10 @@ def loss_ports(spec: Spec) -> tuple[Port, ...]:
 
 def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
     """Statuses of rejected samples."""
-    if spec.filter.detector == "none":
+    if spec.filter.options.detector == "none":
         return ()
     return (
-        Outcome(Status.LOCKED_OUT, "consecutive_rejections", spec.filter.lock_out - HALF),
+        Outcome(Status.LOCKED_OUT, "consecutive_rejections", spec.filter.options.lock_out - HALF),
         Outcome(Status.FAULT_DECLARED, "fault_declared", HALF),
     )
 
@@ -110,9 +111,9 @@ class LossTest:
         self.script, self.symbols, self.spec = script, symbols, spec
 
     @property
-    def options(self) -> Filter:
+    def options(self) -> Any:
         """Detector and thresholds."""
-        return self.spec.filter
+        return self.spec.filter.options
 
     def verdict(self, found: Conditioned, measurement: Measurement, noise: ca.SX) -> Verdict:
         """Judge a sample from its innovation, as ``measurement`` and the noise alone explain it."""
@@ -146,7 +147,8 @@ class LossTest:
 
     def locked(self, rejections: ca.SX) -> ca.SX:
         """Positive if so many samples were rejected in a row that the filter is locked out."""
-        return rejections - (self.options.lock_out - HALF)
+        limit: int = self.options.lock_out
+        return rejections - (limit - HALF)
 
     def _present(self, name: str, value: ca.SX) -> ca.SX:
         """The value, or 0 if no row is present."""

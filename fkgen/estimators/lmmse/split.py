@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fkgen.estimators.gaussian.sequential import Form
 from fkgen.estimators.lmmse.lemma2 import FaultLaw
 from fkgen.faults import SensorFaults
-from fkgen.faults.linear_optimal import EQUAL
+from fkgen.faults.sensor import EQUAL
 from fkgen.problem import Spec
 from fkgen.problem.probability import visited
 from fkgen.symbolic.interface import Port, Role

@@ -199,7 +199,7 @@ def _update(split: Jumping, symbols: dict[str, ca.SX], at_rest: Stationary) -> P
     )
     demand_finite(script, corrected)
     results: dict[str, ca.SX] = {}
-    if spec.filter.detector != "none":
+    if spec.filter.options.detector != "none":
         test = LossTest(script, symbols, spec)
         verdict = test.verdict(found, measurement, sparse(ca.SX(ca.DM(at_rest.noise))))
         state = script.local("kept_state", split.size)

@@ -66,7 +66,9 @@ class Bank:
             raise InternalError("mme without actuator faults")
         plant = plant_of(spec)
         u = ca.SX.sym("u", plant.nu)
-        actuations = [_actuation(faults, rates, u, plant) for rates in spec.filter.hypotheses]
+        actuations = [
+            _actuation(faults, rates, u, plant) for rates in spec.filter.options.hypotheses
+        ]
         sensed = [a.size if senses_actuation(plant, a) else 0 for a in actuations]
         ports = _ports(spec, sensed)
         independent = faults.dependence == "independent" and plant.nu > 1
@@ -79,13 +81,13 @@ class Bank:
             symbols=symbols_of(spec, plant, ports),
             random=tuple(sensed),
             form=update_form(spec, plant, augmented=any(sensed)),
-            mixture=any(sensed) and fits and spec.filter.likelihood == "mixture",
+            mixture=any(sensed) and fits and spec.filter.options.likelihood == "mixture",
         )
 
     @property
     def size(self) -> int:
         """Number N of hypotheses."""
-        return len(self.spec.filter.hypotheses)
+        return len(self.spec.filter.options.hypotheses)
 
     def part(self, port: str, i: int) -> ca.SX:
         """Share of hypothesis i in a port that stacks equal shares."""
@@ -95,7 +97,7 @@ class Bank:
 
     def actuation(self, i: int) -> Actuation:
         """Inputs under hypothesis i."""
-        rates = self.spec.filter.hypotheses[i]
+        rates = self.spec.filter.options.hypotheses[i]
         return _actuation(self.faults, rates, self.symbols["u"], self.plant)
 
     def deviation(self, i: int) -> Posterior:
@@ -126,8 +128,8 @@ def _actuation(
 
 
 def _ports(spec: Spec, random: list[int]) -> tuple[Port, ...]:
-    n, count = spec.model.nx, len(spec.filter.hypotheses)
-    rates = len(spec.filter.hypotheses[0])
+    n, count = spec.model.nx, len(spec.filter.options.hypotheses)
+    rates = len(spec.filter.options.hypotheses[0])
     vector = partial(Port, role=Role.STATE)
     ports = [
         *state_ports(spec),
@@ -188,14 +190,14 @@ def _deviation_ports(n: int, random: list[int]) -> tuple[Port, ...]:
 def multiple_model_bank(spec: Spec) -> Recursion:
     """Build the bank: N corrections, one reweighing, the combination, N predictions."""
     bank = Bank.of(spec)
-    count = len(spec.filter.hypotheses)
+    count = len(spec.filter.options.hypotheses)
     x0, packed = prior_of(spec)
     initial = {f"{of}_state": x0 for of in ("predicted", "filtered")}
     initial |= {f"{of}_covariance": packed for of in ("predicted", "filtered")}
     initial |= {"mode_state": x0 * count, "mode_filtered_state": x0 * count}
     initial |= {"mode_covariance": packed * count, "mode_filtered_covariance": packed * count}
-    initial["mode_probability"] = spec.filter.prior
-    initial["log_weight"] = log_prior(spec.filter.prior, spec.code.scalar)
+    initial["mode_probability"] = spec.filter.options.prior
+    initial["log_weight"] = log_prior(spec.filter.options.prior, spec.code.scalar)
     return Recursion(
         spec=spec,
         source="Strandt, Schneider & Yaz, eqs. (4), (9)-(18)",
@@ -203,10 +205,10 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         initial=initial,
         update=_update(bank),
         predict=_predict(bank),
+        form=bank.form,
         notes=(
-            f"covariance update: {bank.form} form",
             f"likelihood: {'mixture' if bank.mixture else 'Gaussian'}",
-            f"weight floor: {spec.filter.weight_floor:g}",
+            f"weight floor: {spec.filter.options.weight_floor:g}",
         ),
     )
 
@@ -236,7 +238,7 @@ def _update(bank: Bank) -> Phase:
     with script.titled("weights of the hypotheses"):
         logs = [_log_likelihood(script, bank, plant, i, found[i]) for i in range(bank.size)]
         held = (bank.symbols["mode_probability"], bank.symbols["log_weight"])
-        weights = reweigh(script, held, logs, spec.filter.weight_floor, spec.code.scalar)
+        weights = reweigh(script, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
     with script.titled("combination"):
         predicted = [
             script.let(
@@ -279,7 +281,7 @@ def _log_likelihood(script: Script, bank: Bank, plant: Plant, i: int, found: Con
 
 def _random_rates(bank: Bank, i: int) -> list[float]:
     """Success rates of the components whose outcome is uncertain under hypothesis i."""
-    return [rate for rate in bank.spec.filter.hypotheses[i] if rate * (1.0 - rate) > 0.0]
+    return [rate for rate in bank.spec.filter.options.hypotheses[i] if rate * (1.0 - rate) > 0.0]
 
 
 def _combined_state(bank: Bank, posteriors: list[Posterior], weights: Weights) -> dict[str, ca.SX]:
@@ -288,7 +290,7 @@ def _combined_state(bank: Bank, posteriors: list[Posterior], weights: Weights) -
     states = [posterior.state for posterior in posteriors]
     covariances = [posterior.covariance for posterior in posteriors]
     state = weighted_sum(w, states)
-    rates = [ca.SX(list(rates)) for rates in bank.spec.filter.hypotheses]
+    rates = [ca.SX(list(rates)) for rates in bank.spec.filter.options.hypotheses]
     result = {
         "filtered_state": state,
         "filtered_covariance": weighted_sum(w, covariances) + spread(w, states, state),

@@ -39,7 +39,7 @@ JUMPING = "the mode of sample k drives the step from x(k-1) to x(k), with parame
 
 def interacting_models(spec: Spec) -> Recursion:
     """Build the filter: a correction per mode, Bayes' rule, mixing, a prediction per mode."""
-    count = spec.filter.modes
+    count = spec.filter.options.modes
     filtering = Switching.of(spec, _mode_ports(spec.model.nx, count))
     x0, packed = prior_of(spec)
     initial = filtering.start()
@@ -55,8 +55,8 @@ def interacting_models(spec: Spec) -> Recursion:
         initial=initial,
         update=_update(filtering, count),
         predict=_predict(filtering),
+        form=filtering.form,
         notes=(
-            f"covariance update: {filtering.form} form",
             filtering.modes.note,
             *((JUMPING,) if jumps else ()),
         ),

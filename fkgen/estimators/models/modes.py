@@ -112,7 +112,7 @@ def modes_of(spec: Spec, plants: Sequence[Plant]) -> Modes:
         return _jumping(plants, spec.faults.jump, spec.model)
     if spec.faults.sensor is None:
         raise InternalError(f"{spec.filter.family} without modes")
-    return _sensing(plants[0], spec.faults.sensor, spec.filter.modes)
+    return _sensing(plants[0], spec.faults.sensor, spec.filter.option("modes", 4))
 
 
 def _jumping(plants: Sequence[Plant], faults: JumpFaults, model: Model) -> Modes:

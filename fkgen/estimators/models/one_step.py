@@ -35,7 +35,7 @@ RICCATIS = {"moment_matched": 0, "weighted": 0, "paper": 2, "paper_nominal": 1}
 
 def one_step_optimal(spec: Spec) -> Recursion:
     """Build the filter: four corrections of one prior, Bayes' rule, one Gaussian."""
-    beside = RICCATIS[spec.filter.covariance]
+    beside = RICCATIS[spec.filter.options.covariance]
     filtering = Switching.of(spec, _riccati_ports(spec.model.nx, beside))
     initial = filtering.start()
     packed = prior_of(spec)[1] * beside
@@ -48,9 +48,9 @@ def one_step_optimal(spec: Spec) -> Recursion:
         initial=initial,
         update=_update(filtering),
         predict=_predict(filtering),
+        form=filtering.form,
         notes=(
-            f"covariance update: {filtering.form} form",
-            f"covariance: {spec.filter.covariance}",
+            f"covariance: {spec.filter.options.covariance}",
             filtering.modes.note,
         ),
     )
@@ -84,7 +84,7 @@ def _parts(filtering: Switching, port: str) -> list[ca.SX]:
 
 def _update(filtering: Switching) -> Phase:
     script, symbols = Script(filtering.symbols), filtering.symbols
-    beside = RICCATIS[filtering.spec.filter.covariance]
+    beside = RICCATIS[filtering.spec.filter.options.covariance]
     parts = _parts(filtering, "riccati_covariance" if beside else "predicted_covariance")
     for packed in parts:
         demand_positive(script, packed, filtering.spec.model.nx)
@@ -112,7 +112,7 @@ def _combined(
     state = script.let("combined_state", weighted_sum(weights, states))
     demand_finite(script, state)
     covariance = weighted_sum(weights, [one.covariance for one in each])
-    if filtering.spec.filter.covariance == "moment_matched":
+    if filtering.spec.filter.options.covariance == "moment_matched":
         covariance += spread(weights, states, state)
     return {"filtered_state": state, "filtered_covariance": covariance}
 
@@ -133,7 +133,7 @@ def _predict(filtering: Switching) -> Phase:
         "predicted_covariance": covariance,
     }
     guards = [finite(state, covariance)]
-    if RICCATIS[spec.filter.covariance]:
+    if RICCATIS[spec.filter.options.covariance]:
         moved = [
             propagate(plant, inputs, estimated(symbols["filtered_state"], packed))[1]
             for packed in _parts(filtering, "riccati_filtered_covariance")

@@ -86,7 +86,7 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
         update=_update(design),
         closing=window_end(design),
         predict=_predict(design),
-        notes=(f"covariance update: {design.form} form",),
+        form=design.form,
         outcomes=window_outcomes(spec),
     )
 

@@ -132,7 +132,7 @@ def _by_host(
     state = found.mean[:n]
     covariance, cross, noise = parts(found.covariance, n, m)
     learnt = given.partial.T1 @ (state - before.state)
-    if given.spec.filter.maintenance == "optimal":
+    if given.spec.filter.options.maintenance == "optimal":
         learnt = learnt + found.mean[n:]
     else:
         noise = carried.noise
@@ -230,7 +230,7 @@ def closing(given: PartialFilter) -> Phase:
         with script.where(accepted):
             moved = state + fold.mean[:n], parts(fold.covariance, n, given.partial.size)[0]
             script.put(dict(zip(names, moved, strict=True)))
-    limit, known = given.spec.filter.reacquire, (fold.mean[:n], "closed_covariance")
+    limit, known = given.spec.filter.options.reacquire, (fold.mean[:n], "closed_covariance")
     counted = reacquired(script, limit, ([accepted], [rejected]), known)
     with script.titled("results of the window"):
         collecting = symbols["collecting"]
@@ -299,7 +299,7 @@ def _verdict(
     accepted, rejected = (script.local(name, 1) for name in ("accepted", "rejected"))
     with script.titled("verdict"):
         script.put({"accepted": given.symbols["collecting"], "rejected": ca.SX(0)})
-        if given.spec.filter.test:
+        if given.spec.filter.options.test:
             threshold = script.local("threshold", 1, 0.0)
             for below, value in enumerate(thresholds(given.faults.false_alarm, len(given.rows))):
                 with script.where(rank - (below + 0.5)):
@@ -338,10 +338,8 @@ def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
         update=update(given),
         closing=closing(given),
         predict=_predict(given),
-        notes=(
-            f"covariance update: {given.form} form",
-            f"maintenance of the compressed measurement: {spec.filter.maintenance}",
-        ),
+        form=given.form,
+        notes=(f"maintenance of the compressed measurement: {spec.filter.options.maintenance}",),
         outcomes=window_outcomes(spec),
     )
 

@@ -65,7 +65,7 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
         (COUNTDOWN, (), "samples until the end of the window; 0 at its last sample"),
         ("collecting", each, f"1 where the compression filter{of} holds a measurement"),
     ]
-    if spec.filter.reacquire is not None:
+    if spec.filter.options.reacquire is not None:
         counters.append(
             ("rejections", (), "window ends in a row at which all that was tested was rejected")
         )
@@ -108,7 +108,9 @@ def of_the_host(ports: tuple[Port, ...]) -> tuple[Port, ...]:
 
 def window_outcomes(spec: Spec) -> tuple[Outcome, ...]:
     """The status of a sample at which a compression filter is rejected."""
-    return (Outcome(Status.FAULT_DECLARED, "fault_declared", 0.5),) if spec.filter.test else ()
+    return (
+        (Outcome(Status.FAULT_DECLARED, "fault_declared", 0.5),) if spec.filter.options.test else ()
+    )
 
 
 def window_start(soft: SoftFaults) -> dict[str, tuple[float, ...]]:
@@ -207,7 +209,7 @@ def window_end(design: Pair) -> Phase:
                 agreed += flag if g in subset else -flag
             with script.where(agreed):
                 script.put({"closed_state": host["state"] + d, "closed_covariance": P})
-    limit, last = design.spec.filter.reacquire, design.filters()[-1][0]
+    limit, last = design.spec.filter.options.reacquire, design.filters()[-1][0]
     results = reacquired(script, limit, (accepted, rejected), (last, "closed_covariance"))
     with script.titled("results of the window"):
         count = len(design.subsets)
@@ -252,7 +254,7 @@ def _verdict(design: Pair, script: Script, group: int, test: QuadraticForm) -> t
     collecting = design.symbols["collecting"][group]
     with script.titled(f"verdict on group {group}"):
         script.put({names[0]: collecting, names[1]: ca.SX(0)})
-        if design.spec.filter.test:
+        if design.spec.filter.options.test:
             with script.where(test.value - test.looked_up):
                 script.put({names[0]: ca.SX(0), names[1]: ca.SX(1)})
     return accepted, rejected

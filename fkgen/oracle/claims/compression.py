@@ -51,7 +51,7 @@ def contradiction(spec: Spec, record: Record) -> Array:
 
 
 def _windows(spec: Spec, record: Record, start: Array | None = None) -> Mapping[str, Array]:
-    options = spec.filter
+    options = spec.filter.options
     policy = Policy(
         first=FIRST,
         test=options.test,

@@ -50,7 +50,7 @@ def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None
     """The linear system of a record, with the record's prior."""
     system = LinearSystem.from_spec(spec, len(record.y), record.parameters, rates)
     faults = spec.faults.sensor
-    if faults is not None and spec.filter.family == "genie":
+    if faults is not None and spec.filter.traits.told:
         gamma, delta = (np.asarray(record.parameters[name]) for name in ("gamma", "delta"))
         system = informed(system, faults, gamma, delta)
     return dataclasses.replace(system, P0=record.P0)
@@ -168,20 +168,20 @@ OPTIMAL_GAIN = ClosedForm(
 
 
 def _systems(spec: Spec, record: Record) -> list[LinearSystem]:
-    return [system_of(spec, record, rates) for rates in spec.filter.hypotheses]
+    return [system_of(spec, record, rates) for rates in spec.filter.options.hypotheses]
 
 
 def _textbook(spec: Spec, record: Record) -> Mapping[str, Array]:
     result = textbook_mme(
         _systems(spec, record),
-        np.array(spec.filter.prior),
+        np.array(spec.filter.options.prior),
         record.y,
         record.u,
-        weight_floor=spec.filter.weight_floor,
-        likelihood=spec.filter.likelihood,
+        weight_floor=spec.filter.options.weight_floor,
+        likelihood=spec.filter.options.likelihood,
     )
     ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
-    rates = len(spec.filter.hypotheses[0])
+    rates = len(spec.filter.options.hypotheses[0])
     if rates > 1:
         estimate = ports["success_rate_estimate"].reshape(len(record.y), -1)
         ports["success_rate_estimate"] = np.broadcast_to(estimate, (len(record.y), rates))
@@ -204,10 +204,10 @@ MME_TEXTBOOK = ClosedForm(
 def _posterior(spec: Spec, record: Record) -> Mapping[str, Array] | None:
     D = spec.model.D
     direct = not D.is_constant or D.values().any()
-    gaussian = spec.filter.likelihood == "gaussian" or not direct
-    if spec.filter.weight_floor > 0.0 or not gaussian:
+    gaussian = spec.filter.options.likelihood == "gaussian" or not direct
+    if spec.filter.options.weight_floor > 0.0 or not gaussian:
         return None
-    prior = np.array(spec.filter.prior)
+    prior = np.array(spec.filter.options.prior)
     return {"mode_probability": batch_posterior(_systems(spec, record), prior, record.y, record.u)}
 
 

@@ -46,7 +46,7 @@ def jump_system(spec: Spec, record: Record) -> JumpSystem:
     system = JumpSystem.from_spec(spec, len(record.y), record.parameters)
     faults = spec.faults.jump
     unknown = faults is not None and faults.arrival == "unknown"
-    if not unknown or spec.filter.detector != "none":
+    if not unknown or spec.filter.options.detector != "none":
         system = system.always_arriving()
     return replace(system, P0=record.P0)
 
@@ -54,10 +54,10 @@ def jump_system(spec: Spec, record: Record) -> JumpSystem:
 def loss_test(spec: Spec) -> LossTest | None:
     """The test of a spec, with nothing seen yet."""
     faults = spec.faults.jump
-    if faults is None or spec.filter.detector == "none":
+    if faults is None or spec.filter.options.detector == "none":
         return None
     rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
-    return LossTest(options=spec.filter, rate=rate)
+    return LossTest(options=spec.filter.options, rate=rate)
 
 
 def exact_modes(spec: Spec) -> bool:
@@ -69,7 +69,7 @@ def exact_modes(spec: Spec) -> bool:
 
 
 def _ports(spec: Spec, result: JumpResult) -> dict[str, Array]:
-    leave_out = set() if spec.filter.detector != "none" else set(VERDICT)
+    leave_out = set() if spec.filter.options.detector != "none" else set(VERDICT)
     if exact_modes(spec):  # a density on a subspace depends on the coordinates chosen there
         leave_out.add("log_likelihood")
     found = {f.name: getattr(result, f.name) for f in fields(result) if f.name not in leave_out}
@@ -113,7 +113,7 @@ def _difference_tolerance(spec: Spec, record: Record) -> float:
 
 
 def _paths(spec: Spec, record: Record) -> Mapping[str, Array] | None:
-    if spec.filter.gain == "stationary":
+    if spec.filter.options.gain == "stationary":
         return None
     system = _first(jump_system(spec, record))
     T = system.length
@@ -132,7 +132,7 @@ PATHS = ClosedForm(
 def unobserved_chain(spec: Spec) -> bool:
     """Whether gamma is a Markov chain that the filter does not see."""
     faults = spec.faults.jump
-    if faults is None or spec.filter.detector != "none" or faults.arrival != "unknown":
+    if faults is None or spec.filter.options.detector != "none" or faults.arrival != "unknown":
         return False
     return bool(faults.arrival_chain)
 
@@ -146,10 +146,10 @@ def steady_state(spec: Spec, system: JumpSystem) -> SteadyState | None:
 
 def _textbook(spec: Spec, record: Record) -> Mapping[str, Array] | None:
     system, chain = jump_system(spec, record), unobserved_chain(spec)
-    steady = steady_state(spec, system) if spec.filter.gain == "stationary" else None
+    steady = steady_state(spec, system) if spec.filter.options.gain == "stationary" else None
     if chain:
         system = composite(system)
-    if spec.filter.gain == "stationary" and steady is None:
+    if spec.filter.options.gain == "stationary" and steady is None:
         return None
     if _difference_tolerance(spec, record) > NO_DIGITS:
         return None

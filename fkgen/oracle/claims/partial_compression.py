@@ -30,7 +30,7 @@ def _countdown(spec: Spec, _: Record) -> Mapping[str, Array]:
 
 def design_of(spec: Spec, first: int) -> PartialCompression:
     """What the spec says about host and compression filter, with a first window of its own."""
-    soft, options = soft_faults_of(spec), spec.filter
+    soft, options = soft_faults_of(spec), spec.filter.options
     rows = spec.model.C.values(spec.defaults)[list(soft.compressed)]
     return PartialCompression(
         host=soft.host,

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from fkgen.faults.linear_optimal import is_white
+from fkgen.faults.sensor import is_white
 from fkgen.oracle import (
     LINEAR_IDENTITIES,
     FaultMoments,
@@ -47,7 +47,9 @@ def _tolerance(spec: Spec, record: Record) -> float:
 def _one_step(spec: Spec, record: Record) -> Mapping[str, Array]:
     system, law = system_of(spec, record), SensorLaw.from_spec(spec)
     return _ports(
-        textbook_one_step(system, law, record.y, record.u, covariance=spec.filter.covariance)
+        textbook_one_step(
+            system, law, record.y, record.u, covariance=spec.filter.options.covariance
+        )
     )
 
 
@@ -65,7 +67,7 @@ def _conditions(spec: Spec, record: Record) -> tuple[JumpSystem, Lumping | None]
         system = JumpSystem.from_spec(spec, len(record.y), record.parameters)
         return replace(system, P0=record.P0), None
     law = SensorLaw.from_spec(spec)
-    lumps = spec.filter.family == "imm" and spec.filter.modes == 3
+    lumps = spec.filter.option("modes", 4) == 3
     return sensed_modes(system_of(spec, record), law), silent_lumped(law) if lumps else None
 
 
@@ -95,7 +97,7 @@ def _enumerated(spec: Spec, record: Record) -> Mapping[str, Array] | None:
     samples = 2 if system.initial.max() == 1.0 else 1
     exact = enumerate_jumps(system.first(samples), record.y[:samples], record.u[:samples])
     names = {"filtered_state", "log_likelihood", "mode_probability"}
-    if spec.filter.covariance == "moment_matched":
+    if spec.filter.option("covariance", "moment_matched") == "moment_matched":
         names.add("filtered_covariance")
     elif samples > 1:  # other readings go on with another covariance
         return None
@@ -124,7 +126,7 @@ def _moment_tolerance(spec: Spec, record: Record) -> float:
 
 
 def _lemma_2_form(spec: Spec, record: Record) -> Mapping[str, Array] | None:
-    if spec.filter.form != "lemma2":
+    if spec.filter.options.form != "lemma2":
         return None
     system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
     result = linear_optimal(system, moments, record.y, record.u)
@@ -160,7 +162,7 @@ def lemma_2_holds(spec: Spec) -> bool:
 
 
 def _linear_batch(spec: Spec, record: Record) -> Mapping[str, Array] | None:
-    if spec.filter.form == "lemma2" and not lemma_2_holds(spec):
+    if spec.filter.options.form == "lemma2" and not lemma_2_holds(spec):
         return None
     system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
     likelihood = frozenset({"log_likelihood"} if has_exact_rows(spec) else ())

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fkgen.oracle.exact.gaussian import RANK_TOLERANCE, Array, log_density, square_root, whiten
 from fkgen.oracle.plants.jump import JumpSystem
 from fkgen.oracle.textbook.loss_tests import LossTest
-from fkgen.problem import Filter
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -151,8 +151,8 @@ class _Runs:
             self.test.energies.clear()
         return self._locked(options)
 
-    def _locked(self, options: Filter) -> bool:
-        return options.reinitialise and self.length >= options.lock_out
+    def _locked(self, options: Any) -> bool:
+        return bool(options.reinitialise and self.length >= options.lock_out)
 
 
 class _Past:

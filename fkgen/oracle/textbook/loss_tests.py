@@ -6,11 +6,11 @@ Rules of the filter ``mjls_lmmse``; a tie is no loss, and a sample without a row
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from fkgen.oracle.exact.gaussian import Array, log_density, square_root, whiten
-from fkgen.problem import Filter
 
 
 @dataclass(slots=True, kw_only=True)
@@ -19,15 +19,15 @@ class LossTest:
 
     Attributes
     ----------
-    options : Filter
-        Rule and thresholds.
+    options : options of the family
+        ``detector`` and its thresholds.
     rate : float
         Pr(a sample holds a signal), for ``llr``.
     energies : list of float
         Past |r|^2, for ``energy``.
     """
 
-    options: Filter
+    options: Any
     rate: float
     energies: list[float] = field(default_factory=list)
 

@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError, UserError
+from fkgen.families import ALIASES, NAMES, family
 from fkgen.faults import JumpFaults
 from fkgen.problem import Spec
-from fkgen.problem.filter import SECTIONS
-from fkgen.problem.probability import stationary_law
 from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.floating]
+
+#: Label of the genie-aided filter.
+GENIE = "genie"
 
 #: Parameter of the genie-aided filter of a jumping plant: 1 in a mode and 0 in the others.
 _INDICATOR = "in_mode_{}"
@@ -59,10 +61,10 @@ def candidates_of(specs: Sequence[Spec], families: Sequence[str]) -> tuple[Candi
 
 def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Every family that the faults of a spec fit, and a sentence for each that does not take it."""
-    own = fault_section(spec)
-    able = [name for name, sections in SECTIONS.items() if own in sections and name != "genie"]
+    own, everyone = fault_section(spec), {name: family(name) for name in NAMES}
+    able = [n for n, f in everyone.items() if own in f.accepts and not f.traits.told]
     found, left_out = [], []
-    for name in (*able, "kf"):
+    for name in (*able, *(n for n, f in everyone.items() if not f.accepts)):
         try:
             derived(spec, name)
         except UserError as error:
@@ -73,39 +75,26 @@ def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def derived(truth: Spec, text: str) -> Spec:
-    """The spec of a family for the plant of another spec.
+    """The spec of a family, stated as in `candidates_of`, for the plant of another spec.
 
-    Options of the family are those of the truth if it is of the same family, unless stated. ``kf``
-    is for the same plant with its faults left out: it takes every sensor and actuator to be good.
-    For ``imm`` samples that may be lost are modes of their own.
+    Options of the family are those of the truth if it is of the same family, unless stated. A
+    family that is about no faults is for the same plant with its faults left out: it takes every
+    sensor and actuator to be good.
     """
-    family, *options = text.split(":")
-    own = fault_section(truth)
-    fitting = ["kf", *(name for name, sections in SECTIONS.items() if own in sections)]
-    if family not in fitting:
+    parts, own = text.split(":"), fault_section(truth)
+    name = ":".join(part for part in parts if "=" not in part)  # may be module:NAME
+    fitting = [each for each in NAMES if not (takes := family(each).accepts) or own in takes]
+    if ":" not in name and ALIASES.get(name, name) not in fitting:
         about = f"{own} faults" if own else "a plant without faults"
         expected = f"of {about}: {', '.join(fitting)}"
-        raise DataError("families", given=repr(family), expected=expected)
-    table: dict[str, Any] = truth.to_dict()
-    same = truth.filter.family == family
-    table["filter"] = (dict(table["filter"]) if same else {"family": family}) | _options(options)
-    if family == "kf":
+        raise DataError("families", given=repr(name), expected=expected)
+    found, table = family(name), truth.to_dict()
+    same = family(truth.filter.family) is found
+    options = _options([part for part in parts if "=" in part])
+    table["filter"] = (truth.filter.plain() if same else {"family": name}) | options
+    if not found.accepts:
         table["faults"] = {}
-    if family == "imm" and truth.faults.jump is not None:
-        table["faults"] = {"jump": _with_losses_as_modes(truth.faults.jump)}
-    if family == "genie":
-        sensor = table["faults"]["sensor"]
-        table["faults"] = {"sensor": {key: sensor[key] for key in ("noise_factor", "rows")}}
-    if family == "mme" and "hypotheses" not in table["filter"]:
-        expected = "a spec of its own beside this one: mme needs filter.hypotheses"
-        given = "'mme' for a spec without hypotheses"
-        raise DataError("families", given=given, expected=expected)
-    if family == "mkf" and not table["faults"]["actuator"].get("success_rate"):
-        given = "'mkf' for actuators whose rate is not stated"
-        raise DataError(
-            "families", given=given, expected="faults.actuator.success_rate in the spec"
-        )
-    return Spec.from_dict(table, file=truth.file)
+    return Spec.from_dict(found.adopt(table, truth), file=truth.file)
 
 
 def _options(texts: Sequence[str]) -> dict[str, object]:
@@ -137,8 +126,8 @@ def genie_of(truth: Spec) -> Candidate:
     itself.
     """
     if truth.faults.jump is not None:
-        return Candidate("genie", _mode_aided(truth, truth.faults.jump))
-    return Candidate("genie", derived(truth, "genie" if fault_section(truth) == "sensor" else "kf"))
+        return Candidate(GENIE, _mode_aided(truth, truth.faults.jump))
+    return Candidate(GENIE, derived(truth, "genie" if truth.faults.sensor is not None else "kf"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,28 +198,3 @@ def _chosen(matrices: Sequence[Any]) -> list[list[Any]]:
         [entry(entries) for entries in zip(*rows, strict=True)]
         for rows in zip(*matrices, strict=True)
     ]
-
-
-def _with_losses_as_modes(faults: JumpFaults) -> dict[str, object]:
-    """The section of the same plant for a family without a channel.
-
-    Every mode comes twice, first all with a signal, then all without: C = 0, D = 0. Samples that
-    are known to be lost are missing, and need no modes.
-    """
-    table = faults.plain()
-    channel = faults.channel
-    modes: Any = table["modes"]
-    if faults.arrival != "unknown" or channel is None:
-        return {key: table[key] for key in ("transition", "initial", "modes")}
-    lost = [
-        mode | {key: [[0.0] * len(row) for row in mode[key]] for key in ("C", "D") if key in mode}
-        for mode in modes
-    ]
-    arrived_first = channel[::-1, ::-1]
-    law = stationary_law(arrived_first)
-    start = arrived_first[0] if law is None else law
-    return {
-        "transition": np.kron(arrived_first, faults.transition).tolist(),
-        "initial": np.kron(start, faults.initial).tolist(),
-        "modes": [*modes, *lost],
-    }

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
+from fkgen.families import family
 from fkgen.problem import Spec
 from fkgen.problem.numbers import probability
-from fkgen.study.comparisons.candidates import fault_section
+from fkgen.study.comparisons.candidates import GENIE, fault_section
 from fkgen.study.comparisons.estimates import UNKNOWN, Estimate, error_of, influence_of, mean, ratio
 from fkgen.study.comparisons.footprint import Footprint
 from fkgen.study.comparisons.scores import Scores
@@ -31,7 +32,7 @@ MARGIN = 0.1
 #: A filter whose NEES is farther from 1 is not believed about its own error.
 HONEST = 0.1
 
-_GENIE = {
+_GENIE_IS = {
     "sensor": "is told gamma and delta of every sample",
     "actuator": "is a Kalman filter that is told what reaches the plant",
     "jump": "is a Kalman filter that is told the mode of every sample, and what was lost",
@@ -283,7 +284,7 @@ def _row(score: Score, entry: Entry, states: Sequence[str], *, pareto: bool) -> 
         squared = mean(scores.squared[:, i])
         root = float(np.sqrt(squared.value))
         rmse[state] = Estimate(root, squared.error / (2.0 * root) if root > 0.0 else 0.0)
-    declares = entry.label != "genie" and np.isfinite(found.healthy).all()
+    declares = entry.label != GENIE and np.isfinite(found.healthy).all()
     return Row(
         label=entry.label,
         family=entry.family,
@@ -305,9 +306,11 @@ def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[st
     no_faults = "is the Kalman filter of the plant, told of no soft fault but free of them"
     paired = f"+- one standard error over {experiment.runs} trials, the same for every filter"
     counted_ones = f"samples {experiment.skip} to {experiment.steps - 1} count"
-    notes = [f"genie {_GENIE.get(faults, no_faults)}", f"{paired}; {counted_ones}"]
-    if any(row.family == "kf" for row in rows) and faults:
-        notes.append("kf: the same plant with its faults left out; it takes every y and u for good")
+    notes = [f"genie {_GENIE_IS.get(faults, no_faults)}", f"{paired}; {counted_ones}"]
+    without = [row.family for row in rows if not family(row.family).accepts]
+    if without and faults:
+        taken = "the same plant with its faults left out; it takes every y and u for good"
+        notes.append(f"{without[0]}: {taken}")
     if any(np.isfinite(row.false_alarms.value) for row in rows):
         notes.append(
             "faults are declared where the mode without fault has a probability below one half; "

@@ -52,17 +52,7 @@ _DIAGNOSTICS = (
 )
 
 #: Where every mode has matrices of its own, those of the model say little.
-_OF_JUMPS = (
-    jumps.chain,
-    jumps.radius,
-    jumps.steady_state,
-    jumps.innovation,
-    jumps.visibility,
-    jumps.detector,
-    faults.caveats,
-    size.parameters,
-    size.cost,
-)
+_OF_JUMPS = (jumps.diagnose, faults.caveats, size.parameters, size.cost)
 
 
 def check(spec: Spec) -> Report:

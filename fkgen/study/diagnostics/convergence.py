@@ -18,14 +18,13 @@ import numpy as np
 from fkgen.study.diagnostics.findings import ReportBuilder
 from fkgen.study.diagnostics.model_numbers import ModelNumbers, listed
 from fkgen.study.diagnostics.size import used_parameters
-from fkgen.study.effects.response import LINEAR
 
 
 def condition(model: ModelNumbers, report: ReportBuilder) -> None:
     """Say which condition holds, and gain and norm of the filter in its steady state."""
     spec, steady = model.spec, model.steady
     if steady is None:
-        if spec.filter.family in LINEAR:
+        if spec.filter.traits.linear:
             _only_e(report, "the filter does not come to rest")
         return
     for i, state in enumerate(model.states):
@@ -35,7 +34,7 @@ def condition(model: ModelNumbers, report: ReportBuilder) -> None:
     M = (np.eye(len(model.A)) - steady.filtered_gain @ model.C) @ model.A
     norm = float(np.linalg.norm(M, 2))
     report.values["closed_loop_norm"] = norm
-    if spec.filter.family not in LINEAR:
+    if not spec.filter.traits.linear:
         message = (
             f"the gains of {spec.filter.family} depend on the measurements or on the law of their "
             "faults: no condition on its products of gains is known; the figures are those of the "
@@ -58,7 +57,7 @@ def condition(model: ModelNumbers, report: ReportBuilder) -> None:
 def _varying(model: ModelNumbers) -> str:
     """What makes gains vary for ever, if anything does."""
     spec = model.spec
-    if spec.filter.family == "genie":
+    if spec.filter.traits.told:
         return "signals may be lost"
     moving = [p.name for p in spec.parameters if p.name in used_parameters(spec)]
     if moving:

@@ -31,7 +31,7 @@ _MUCH = 0.1
 def known_rate(model: ModelNumbers, report: ReportBuilder) -> None:
     """Rates of 0 and 1, and D = 0, for ``mkf``."""
     spec, faults = model.spec, model.spec.faults.actuator
-    if spec.filter.family != "mkf" or faults is None:
+    if faults is None or spec.first_rates is not None:
         return
     rates = [evaluate(rate, spec.defaults) for rate in faults.success_rate]
     report.values |= {f"success_rate.{i}": rate for i, rate in enumerate(rates)}
@@ -49,8 +49,8 @@ def known_rate(model: ModelNumbers, report: ReportBuilder) -> None:
 
 def hypotheses(model: ModelNumbers, report: ReportBuilder) -> None:
     """Hypotheses of ``mme`` that are the same, mirrored, or certain."""
-    options = model.spec.filter
-    if options.family != "mme":
+    options = model.spec.filter.options
+    if model.spec.first_rates is None:
         return
     report.values["hypotheses"] = float(len(options.hypotheses))
     for a, b in combinations(options.hypotheses, 2):
@@ -83,7 +83,7 @@ def _shown(rates: tuple[float, ...]) -> str:
 def identification(model: ModelNumbers, report: ReportBuilder) -> None:
     """Whether and how fast y can tell the hypotheses apart."""
     spec, faults = model.spec, model.spec.faults.actuator
-    if spec.filter.family != "mme" or faults is None:
+    if faults is None or spec.first_rates is None:
         return
     if not model.D.any() and not any(reaches(model, j) for j in range(spec.model.nu)):
         message = "the inputs never reach y: no measurement tells one hypothesis from another"
@@ -93,7 +93,7 @@ def identification(model: ModelNumbers, report: ReportBuilder) -> None:
     report.note("needs_input", message)
     if model.D.any():
         independent = faults.dependence == "independent" and spec.model.nu > LARGEST_MIXTURE
-        if independent and spec.filter.likelihood == "mixture":
+        if independent and spec.filter.options.likelihood == "mixture":
             message = (
                 f"{spec.model.nu} independent inputs, at most {LARGEST_MIXTURE} for the mixture "
                 "likelihood: the Gaussian is used, which is overconfident at first"
@@ -111,8 +111,8 @@ def identification(model: ModelNumbers, report: ReportBuilder) -> None:
 
 def floor(model: ModelNumbers, report: ReportBuilder) -> None:
     """The floor under the weights of ``mme``."""
-    options = model.spec.filter
-    if options.family != "mme":
+    options = model.spec.filter.options
+    if model.spec.first_rates is None:
         return
     total = len(options.hypotheses) * options.weight_floor
     report.values["weight_floor_total"] = total
@@ -166,7 +166,7 @@ def distribution(model: ModelNumbers, report: ReportBuilder) -> None:
         message = f"the modes {listed(never)} never come: their probability is exactly zero"
         remedy = "another initial, or a kernel that leads there, if they can happen"
         report.note("impossible_mode", message, len(never), remedy)
-    if model.spec.filter.family == "imm" and np.ptp(kernel, axis=0).max() <= _EQUAL:
+    if model.spec.filter.traits.models == "mixed" and np.ptp(kernel, axis=0).max() <= _EQUAL:
         message = "the rows of the kernel are equal: imm gives what one_step gives, at more cost"
         report.note("no_memory", message, None, 'family = "one_step" is cheaper')
 
@@ -174,7 +174,7 @@ def distribution(model: ModelNumbers, report: ReportBuilder) -> None:
 def lost_signal(model: ModelNumbers, report: ReportBuilder) -> None:
     """An unstable plant under a linear filter: the second moment of the state acts as noise."""
     spec, faults = model.spec, model.spec.faults.sensor
-    if faults is None or spec.filter.family != "linear_optimal":
+    if faults is None or not spec.filter.traits.moments:
         return
     if faults.moments is not None:
         rate = faults.moments.gamma_rate
@@ -194,7 +194,7 @@ def lost_signal(model: ModelNumbers, report: ReportBuilder) -> None:
 def compression_loss(model: ModelNumbers, report: ReportBuilder) -> None:
     """Variance after the first window over that of a Kalman filter, all rows at every sample."""
     spec, soft = model.spec, model.spec.faults.soft
-    if spec.filter.family != "cpcf" or soft is None or soft.window > _LONGEST:
+    if spec.filter.traits.windows != "partial" or soft is None or soft.window > _LONGEST:
         return
     system = LinearSystem.from_spec(spec, soft.window + 1)
     design = replace(design_of(spec, soft.window), false_alarm=None)
@@ -211,7 +211,7 @@ def compression_loss(model: ModelNumbers, report: ReportBuilder) -> None:
             " above that of dfcf, which loses nothing (all rows at every sample)"
         )
         remedy = 'family = "dfcf", or a shorter window'
-        if spec.filter.maintenance == "paper":
+        if spec.filter.options.maintenance == "paper":
             remedy = f'maintenance = "optimal", {remedy}'
         report.warning("compression_loss", message, loss, remedy)
 

@@ -7,11 +7,12 @@ import math
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
+from fkgen.families.mjls_lmmse import DEFAULT_ALPHA
 from fkgen.faults import JumpFaults
 from fkgen.faults.jump_filter import MARGIN, is_ergodic, mean_square_radius
 from fkgen.oracle import JumpSystem, SteadyState, composite, stationary_jumps
 from fkgen.oracle.claims.jump import unobserved_chain
-from fkgen.problem.filter import DEFAULT_ALPHA
+from fkgen.problem import Spec
 from fkgen.problem.probability import period, stationary_law, visited
 from fkgen.study.diagnostics.dynamics import deviations
 from fkgen.study.diagnostics.findings import ReportBuilder
@@ -28,11 +29,31 @@ MANY = 0.5
 ALARMS = 0.05
 
 
-def chain(model: ModelNumbers, report: ReportBuilder) -> None:
-    """Does the distribution of the mode have a limit, and which modes never come."""
-    faults = model.spec.faults.jump
+def diagnose(model: ModelNumbers, report: ReportBuilder) -> None:
+    """All that is special to a jumping plant and its filter."""
+    spec, faults = model.spec, model.spec.faults.jump
     if faults is None:
         return
+    A = [mode.A.values(spec.defaults) for mode in faults.modes]
+    radius = mean_square_radius(faults.transition, A)
+    _chain(faults, report)
+    _stability(spec, faults, radius, report)
+    trusting = own = None
+    if spec.filter.traits.moments:
+        if is_ergodic(faults.transition) and radius < 1.0 - MARGIN:
+            trusting, own = (_steady(spec, faults, believing=each) for each in (True, False))
+        if trusting is not None and own is not None:
+            _steady_state(spec, trusting, own, report)
+        _innovation(spec, own, report)
+    rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
+    if trusting is not None and faults.has_channel and rate < 1.0:
+        _visibility(spec, trusting, report)
+    if spec.filter.option("detector", None) is not None:
+        _detector(spec, report)
+
+
+def _chain(faults: JumpFaults, report: ReportBuilder) -> None:
+    """Does the distribution of the mode have a limit, and which modes never come."""
     P = faults.transition
     ergodic, law = is_ergodic(P), stationary_law(P)
     report.values["ergodic"] = float(ergodic)
@@ -52,43 +73,37 @@ def chain(model: ModelNumbers, report: ReportBuilder) -> None:
         report.note("impossible_mode", message, len(never), remedy)
 
 
-def radius(model: ModelNumbers, report: ReportBuilder) -> None:
+def _stability(spec: Spec, faults: JumpFaults, radius: float, report: ReportBuilder) -> None:
     """Do the second moments of the state have a limit."""
-    faults = model.spec.faults.jump
-    if faults is None:
-        return
-    found = _radius(model, faults)
-    report.values["mean_square_radius"] = found
-    if found >= 1.0 - MARGIN:
+    report.values["mean_square_radius"] = radius
+    if radius >= 1.0 - MARGIN:
         message = (
-            f"not mean-square stable: radius {found:.6g}, the second moments of the state grow"
+            f"not mean-square stable: radius {radius:.6g}, the second moments of the state grow"
             " without bound"
         )
-        if faults.arrival == "unknown" and model.spec.filter.detector == "none":
+        if faults.arrival == "unknown" and _detects_nothing(spec):
             message += ", and where it is unknown what was lost they act as noise"
             remedy = "a detector, or arrival = 'known'"
-            report.warning("not_mean_square_stable", message, found, remedy)
+            report.warning("not_mean_square_stable", message, radius, remedy)
         else:
-            report.note("not_mean_square_stable", message, found)
-    elif found >= NEARLY_UNSTABLE:
+            report.note("not_mean_square_stable", message, radius)
+    elif radius >= NEARLY_UNSTABLE:
         message = (
-            f"nearly not mean-square stable: radius {found:.6g}, the second moments of the state"
-            f" take {-1.0 / math.log(found):.3g} samples to settle by a factor e"
+            f"nearly not mean-square stable: radius {radius:.6g}, the second moments of the state"
+            f" take {-1.0 / math.log(radius):.3g} samples to settle by a factor e"
         )
-        report.warning("nearly_unstable", message, found, "more damping")
+        report.warning("nearly_unstable", message, radius, "more damping")
 
 
-def _radius(model: ModelNumbers, faults: JumpFaults) -> float:
-    defaults = model.spec.defaults
-    return mean_square_radius(faults.transition, [m.A.values(defaults) for m in faults.modes])
+def _detects_nothing(spec: Spec) -> bool:
+    return bool(spec.filter.option("detector", "none") == "none")
 
 
-def steady_state(model: ModelNumbers, report: ReportBuilder) -> None:
+def _steady_state(
+    spec: Spec, trusting: SteadyState, own: SteadyState, report: ReportBuilder
+) -> None:
     """The steady state at u = 0: error of the filter, and what its innovation is expected."""
-    trusting, own = _steady(model, believing=True), _steady(model, believing=False)
-    if trusting is None or own is None:
-        return
-    n = model.spec.model.nx
+    n = spec.model.nx
     E = np.tile(np.eye(n, n + 1), len(own.covariance) // (n + 1))
     J1, J0 = trusting.expected_squares
     parts = np.arange(len(trusting.covariance)) % (n + 1) < n
@@ -99,33 +114,22 @@ def steady_state(model: ModelNumbers, report: ReportBuilder) -> None:
         "stationary_trace": float(np.trace(trusting.covariance[np.ix_(parts, parts)])),
     }
     covariances = E @ own.covariance @ E.T, E @ own.filtered @ E.T
-    deviations(model.spec, report, covariances, "no row missing", full=True)
+    deviations(spec, report, covariances, "no row missing", full=True)
 
 
-def _steady(model: ModelNumbers, *, believing: bool) -> SteadyState | None:
+def _steady(spec: Spec, faults: JumpFaults, *, believing: bool) -> SteadyState | None:
     """The steady state, of a plant without inputs; ``believing`` takes y for good."""
-    spec, faults = model.spec, model.spec.faults.jump
-    if faults is None or spec.filter.family != "mjls_lmmse" or not is_ergodic(faults.transition):
-        return None
-    if _radius(model, faults) >= 1.0 - MARGIN:
-        return None
     system = JumpSystem.from_spec(spec, 1).without_inputs()
     if not believing and unobserved_chain(spec):
         return stationary_jumps(composite(system)) if is_ergodic(faults.arrival_chain) else None
-    doubtful = faults.arrival == "unknown" and spec.filter.detector == "none"
-    return stationary_jumps(system, 1.0 if believing or not doubtful else _rate(faults))
+    doubtful = faults.arrival == "unknown" and _detects_nothing(spec)
+    rate = 1.0 if believing or not doubtful else faults.arrival_rate
+    return stationary_jumps(system, 1.0 if rate is None else rate)
 
 
-def _rate(faults: JumpFaults) -> float:
-    return 1.0 if faults.arrival_rate is None else faults.arrival_rate
-
-
-def innovation(model: ModelNumbers, report: ReportBuilder) -> None:
+def _innovation(spec: Spec, steady: SteadyState | None, report: ReportBuilder) -> None:
     """Rank of S at the prior and in the steady state."""
-    spec, faults = model.spec, model.spec.faults.jump
-    if faults is None or spec.filter.family != "mjls_lmmse":
-        return
-    system, p = JumpSystem.from_spec(spec, 1), spec.model.ny
+    system = JumpSystem.from_spec(spec, 1)
     initial, P0 = system.initial, system.P0
     C = np.einsum("i,iab->ab", initial, system.C[0])
     spread = np.einsum("i,iab->ab", initial, system.R[0])
@@ -133,22 +137,18 @@ def innovation(model: ModelNumbers, report: ReportBuilder) -> None:
         shift = own @ system.x0
         spread = spread + weight * (own @ P0 @ own.T + np.outer(shift, shift))
     ranks = {"innovation_rank": numerical_rank(C @ P0 @ C.T + spread)}
-    steady = _steady(model, believing=False)
     if steady is not None:
         ranks["innovation_rank_stationary"] = numerical_rank(steady.innovation_covariance)
     report.values |= {name: float(rank) for name, rank in ranks.items()}
-    report.rank(min(ranks.values()), p)
+    report.rank(min(ranks.values()), spec.model.ny)
 
 
-def visibility(model: ModelNumbers, report: ReportBuilder) -> None:
+def _visibility(spec: Spec, steady: SteadyState, report: ReportBuilder) -> None:
     """How many losses find a predicted signal that looks like noise."""
-    faults, found = model.spec.faults.jump, _steady(model, believing=True)
-    if faults is None or found is None or not (faults.has_channel and _rate(faults) < 1.0):
-        return
-    split, n = found.split, model.spec.model.nx
+    split, n = steady.split, spec.model.nx
     # The constant is a part of the state: its second moment with x is the mean of x.
     mean = split.L @ split.now[:, n :: n + 1].sum(axis=1)
-    predicted = split.signal - split.L @ found.covariance @ split.L.T
+    predicted = split.signal - split.L @ steady.covariance @ split.L.T
     shares = []
     for i, center in enumerate(mean):
         noise = math.sqrt(split.R[i, i])
@@ -164,23 +164,22 @@ def visibility(model: ModelNumbers, report: ReportBuilder) -> None:
         f"about {share:.1%} of losses are invisible: the predicted signal is then within"
         f" {VISIBLE:g} noise deviations of zero"
     )
-    if share <= MANY or model.spec.filter.detector == "none":
+    if share <= MANY or _detects_nothing(spec):
         report.note("invisible_losses", message, share)
     else:
         remedy = "measure from another zero, or filter without a detector"
         report.warning("invisible_losses", message, share, remedy)
 
 
-def detector(model: ModelNumbers, report: ReportBuilder) -> None:
+def _detector(spec: Spec, report: ReportBuilder) -> None:
     """What a test does to good samples, and options that it does not use."""
-    options = model.spec.filter
-    unused = options.family == "mjls_lmmse" and options.detector != "nis"
-    if unused and options.alpha != DEFAULT_ALPHA:
+    options = spec.filter.options
+    if options.detector != "nis" and options.alpha != DEFAULT_ALPHA:
         message = f"nothing uses alpha = {options.alpha:g}: it is the false alarm rate of nis"
         report.note("unused_alpha", message, options.alpha)
     remedy = "detector = 'llr', which tests both hypotheses"
     if options.detector == "energy":
-        freedom = model.spec.model.ny * options.window
+        freedom = spec.model.ny * options.window
         rate = float(chdtrc(freedom, options.kappa * freedom))
         report.values["false_alarm_rate"] = rate
         message = (

@@ -32,8 +32,7 @@ class ModelNumbers:
 
     def __init__(self, spec: Spec) -> None:
         self.spec = spec
-        hypotheses = spec.filter.hypotheses
-        one = LinearSystem.from_spec(spec, 1, None, hypotheses[0] if hypotheses else None)
+        one = LinearSystem.from_spec(spec, 1, None, spec.first_rates)
         self.system = one
         self.A, self.B, self.C, self.D, self.Q, self.R = (
             np.asarray(of_samples[0]) for of_samples in (one.A, one.B, one.C, one.D, one.Q, one.R)

@@ -23,7 +23,6 @@ from fkgen.problem import Code
 from fkgen.study.diagnostics.findings import ReportBuilder
 from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE
-from fkgen.study.effects.response import LINEAR
 from fkgen.symbolic.interface import Status
 from fkgen.symbolic.packing import triangle
 
@@ -49,7 +48,7 @@ def float_suitability(model: ModelNumbers, report: ReportBuilder) -> None:
     deviations.
     """
     steady = model.steady
-    if steady is None or model.spec.filter.family not in LINEAR:
+    if steady is None or not model.spec.filter.traits.linear:
         return
     bound = _filtered_bound(model, steady)
     if bound is None:

@@ -33,7 +33,7 @@ def used_parameters(spec: Spec) -> frozenset[str]:
     )
     if spec.faults.jump is not None:
         used = used.union(*(mode.c.names for mode in spec.faults.jump.modes))
-    if faults is not None and spec.filter.family == "mkf":
+    if faults is not None and spec.first_rates is None:
         used = used.union(*(names(rate) for rate in faults.success_rate))
         used |= faults.covariance.names if faults.covariance is not None else frozenset()
     return used

@@ -18,7 +18,6 @@ from fkgen.problem.covariance import is_singular
 from fkgen.study.diagnostics.findings import ReportBuilder
 from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter, listed
 from fkgen.study.effects.effect import required_noncentrality
-from fkgen.study.effects.response import LINEAR
 
 #: Singular values below this, relative to the size of the scaled matrices, count as zero: the
 #: matrices are known to about ten digits at best.
@@ -136,7 +135,7 @@ def states(model: ModelNumbers, report: ReportBuilder) -> None:
 def sensors(model: ModelNumbers, report: ReportBuilder) -> None:
     """The least bias of each row that one sample shows, and what remains of a lasting one."""
     steady = model.steady
-    if steady is None or model.spec.filter.family not in LINEAR:
+    if steady is None or not model.spec.filter.traits.linear:
         return
     inverse = np.linalg.pinv(steady.innovation, hermitian=True)
     needed = required_noncentrality(1, FALSE_ALARM, POWER)
@@ -193,7 +192,7 @@ def _several_sensors(model: ModelNumbers, report: ReportBuilder, steady: SteadyF
 
 def inputs(model: ModelNumbers, report: ReportBuilder) -> None:
     """Inputs whose faults never reach y, in no sample."""
-    if model.spec.filter.family not in LINEAR:
+    if not model.spec.filter.traits.linear:
         return
     for j, signal in enumerate(model.spec.model.inputs):
         if not model.D[:, j].any() and not reaches(model, j):

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
+from fkgen.families import NAMES, family
 from fkgen.problem import Matrix, Spec
 from fkgen.problem.numbers import probability, whole
 from fkgen.runtime.record import choice, numbers
@@ -24,7 +25,7 @@ from fkgen.study.diagnostics.model_numbers import ModelNumbers
 from fkgen.study.diagnostics.visibility import lasting_innovation
 from fkgen.study.effects.effect import required_noncentrality
 from fkgen.study.effects.profiles import step
-from fkgen.study.effects.response import LINEAR, linear_response
+from fkgen.study.effects.response import linear_response
 from fkgen.study.effects.scenario import scenario_of
 from fkgen.study.records.table import numbers_of
 from fkgen.study.reports.jsonable import finite_or_none
@@ -131,11 +132,14 @@ def _information(
     spec: Spec, bias: Array, d: Array, inputs: ArrayLike | None
 ) -> tuple[Array, float]:
     """Noncentrality of every sample of a bias that begins at rest, and what it tends to."""
-    driven, family = _inputs(spec, inputs), spec.filter.family
-    if family not in LINEAR:
-        expected = f"one of {', '.join(LINEAR)}: the NIS of a filter that is not linear in y, or"
+    driven = _inputs(spec, inputs)
+    if not spec.filter.traits.linear:
+        linear = ", ".join(name for name in NAMES if family(name).traits.linear)
+        expected = f"one of {linear}: the NIS of a filter that is not linear in y, or"
         expected += " whose y is a mixture, is not chi-square; simulate it"
-        raise DataError("detectability", given=f"the family {family}", expected=expected)
+        raise DataError(
+            "detectability", given=f"the family {spec.filter.family}", expected=expected
+        )
     model = ModelNumbers(spec)
     steady = model.steady_at(driven)
     if steady is None:

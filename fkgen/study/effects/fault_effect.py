@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from fkgen.problem import Spec
 from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.effects.paired import RUNS, differenced_response, paired_response
-from fkgen.study.effects.response import LINEAR, linear_response
+from fkgen.study.effects.response import linear_response
 from fkgen.study.effects.scenario import scenario_of
 
 
@@ -62,8 +62,9 @@ def fault_effect(
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
     """
     scenario = scenario_of(spec, (sensor, input), mode, steps, params=params, u=u, y=y)
-    if spec.filter.family in LINEAR:
+    traits = spec.filter.traits
+    if traits.linear:
         return linear_response(scenario)
-    if spec.filter.family == "linear_optimal" and not scenario.anomaly.any():
+    if traits.moments and spec.faults.sensor is not None and not scenario.anomaly.any():
         return differenced_response(scenario)
     return paired_response(scenario, runs, seed)

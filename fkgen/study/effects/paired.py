@@ -15,7 +15,6 @@ from fkgen.errors import DataError
 from fkgen.oracle import draw_record, simulate
 from fkgen.pipeline import build
 from fkgen.problem import Code
-from fkgen.problem.filter import SECTIONS
 from fkgen.problem.numbers import whole
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
@@ -35,7 +34,7 @@ def paired_response(scenario: FaultScenario, runs: int, seed: int) -> FaultEffec
     whole("runs", runs, least=2, expected="a number of pairs, at least 2")
     spec, anomaly = scenario.spec, scenario.anomaly
     built = _built(scenario)
-    scenario.system(_rates(scenario))  # refuses what no record can be drawn from
+    scenario.system(spec.first_rates)  # refuses what no record can be drawn from
     streams = [np.random.SeedSequence((seed, m)) for m in range(runs)]
     healthy = np.array([_measured(scenario, scenario.u, each) for each in streams])
     faulty, plant = healthy, np.zeros((runs, scenario.samples, spec.model.nx))
@@ -77,11 +76,6 @@ def _built(scenario: FaultScenario) -> CompiledFilter:
     return built
 
 
-def _rates(scenario: FaultScenario) -> tuple[float, ...] | None:
-    """Of hypotheses the first one is true, as in records that are drawn."""
-    return next(iter(scenario.spec.filter.hypotheses), None)
-
-
 def _measured(scenario: FaultScenario, u: Array, stream: np.random.SeedSequence) -> Array:
     """One record of the plant, (T, p); the same stream gives the same noise, whatever u is."""
     spec, T = scenario.spec, scenario.samples
@@ -95,10 +89,10 @@ def _measured(scenario: FaultScenario, u: Array, stream: np.random.SeedSequence)
 def _moved(scenario: FaultScenario, stream: np.random.SeedSequence) -> Array:
     """What an input anomaly changes in the state, (T, n): the same commands are lost as in y."""
     spec, T = scenario.spec, scenario.samples
-    if spec.faults.jump is not None or spec.filter.family not in SECTIONS:
+    if spec.faults.jump is not None:
         given = f"an input fault under the family {spec.filter.family}"
         raise DataError("input", given=given, expected="faults of sensors: its plant jumps itself")
-    system = scenario.system(_rates(scenario))
+    system = scenario.system(spec.first_rates)
     n = system.nx
     quiet = replace(
         system,

@@ -20,8 +20,7 @@ from fkgen.errors import DataError
 from fkgen.faults import Faults
 from fkgen.oracle.exact.gaussian import square_root
 from fkgen.pipeline import build
-from fkgen.problem import Code, Expression, Filter, Matrix, Name, Number, Signal, Spec
-from fkgen.problem.spec import Parameter
+from fkgen.problem import Code, Expression, Filter, Matrix, Name, Number, Parameter, Signal, Spec
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
 from fkgen.study.effects.effect import FaultEffect
@@ -29,9 +28,6 @@ from fkgen.study.effects.scenario import FaultScenario, Mode
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.float64]
-
-#: Families that are linear in y, with gains that no measurement changes.
-LINEAR = ("kf", "mkf", "genie")
 
 #: Sign of the anomaly in the error of a filter that is told nothing, everything, or too much.
 _SIGN: dict[Mode, float] = {"plant": 1.0, "both": 0.0, "filter": -1.0}
@@ -50,7 +46,7 @@ class _Companion:
 
 
 def linear_response(scenario: FaultScenario) -> FaultEffect:
-    """The effect on ``kf``, ``mkf`` or ``genie``."""
+    """The effect on a filter that is linear in y."""
     spec, n = scenario.spec, scenario.spec.model.nx
     companion = _companion(scenario)
     built = build(companion.spec)

@@ -126,7 +126,8 @@ def _parameters(
 
 def _inputs(spec: Spec, u: ArrayLike | None, samples: int) -> Array:
     """The inputs of the record; needed only where the gain of the filter depends on them."""
-    if u is None and spec.model.nu and spec.filter.family != "kf" and spec.faults.sensor is None:
+    faults = spec.faults
+    if u is None and spec.model.nu and any((faults.actuator, faults.jump, faults.soft)):
         names = ", ".join(each.name for each in spec.model.inputs)
         family = spec.filter.family
         expected = f"shape ({samples}, {spec.model.nu}): {names}; the gain of {family} depends on u"

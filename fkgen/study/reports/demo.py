@@ -37,7 +37,7 @@ def play(folder: Path) -> Iterator[str]:
     built = yield from _built(spec, folder)
     table = _motor_record(spec)
     run = yield from _filtered(spec, built, table, folder)
-    rates = [rate[0] for rate in spec.filter.hypotheses]
+    rates = [rate[0] for rate in spec.filter.options.hypotheses]
     last = run["mode_probability"][-1]
     best = int(np.argmax(last))
     yield (

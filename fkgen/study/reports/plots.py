@@ -206,7 +206,7 @@ def _is_mixture(spec: Spec) -> bool:
     """Whether y may be under several modes that the filter is not told."""
     if spec.faults.jump is not None:
         return True
-    return spec.faults.sensor is not None and spec.filter.family != "genie"
+    return spec.faults.sensor is not None and not spec.filter.traits.told
 
 
 def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
@@ -227,7 +227,7 @@ def _mode_names(spec: Spec, count: int) -> list[str]:
     if spec.faults.jump is not None:
         return [f"mode {i}" for i in range(count)]
     if spec.faults.sensor is None:
-        rates = [", ".join(f"{rate:g}" for rate in each) for each in spec.filter.hypotheses]
+        rates = [", ".join(f"{rate:g}" for rate in each) for each in spec.filter.options.hypotheses]
         return [f"rate {each}" for each in rates]
     noisy = f"noise x {spec.faults.sensor.noise_factor:g}"
     silent = ["no signal"] if count == 3 else ["no signal", f"no signal, {noisy}"]

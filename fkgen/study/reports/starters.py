@@ -5,15 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from fkgen.errors import DataError, InternalError
-from fkgen.problem.filter import FAMILIES
+from fkgen.families import ALIASES, NAMES
+from fkgen.families import family as find
 from fkgen.runtime.record import choice
 
 
 def starter(family: str) -> str:
     """The text of a commented spec of a family that loads and validates as it is."""
-    if family not in FAMILIES:
-        raise DataError("family", given=repr(family), expected=choice(family, FAMILIES))
-    return resource(f"templates/starter_{family}.toml").read_text(encoding="utf-8")
+    if family not in (*NAMES, *ALIASES):
+        raise DataError("family", given=repr(family), expected=choice(family, NAMES))
+    return resource(f"templates/{find(family).starter}").read_text(encoding="utf-8")
 
 
 def resource(name: str) -> Path:

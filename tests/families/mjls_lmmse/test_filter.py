@@ -133,7 +133,7 @@ def test_decisions_and_estimates_are_those_of_whole_matrices(case):
     filtering = spec_of(plant, **options)
     y, u = record_of(filtering, 100, missing=0.05)
     expected, found = textbook_of(filtering, y, u), interpreted(filtering, y, u)
-    tested = filtering.filter.detector != "none"
+    tested = filtering.filter.options.detector != "none"
     # The whole matrices form V as a difference: second moments of 1e3 beside noise of 1.
     assert_same(found, expected, JUDGED if tested else MOMENTS, 1e-9)
     for name in VERDICTS if tested else ():

@@ -42,11 +42,11 @@ ROUNDING = 1e-11
 
 
 def textbook(plant, y, u, **options):
-    systems = [system_of(plant, len(y), rates=rates) for rates in plant.filter.hypotheses]
-    prior = np.array(plant.filter.prior)
+    systems = [system_of(plant, len(y), rates=rates) for rates in plant.filter.options.hypotheses]
+    prior = np.array(plant.filter.options.prior)
     chosen = {
-        "weight_floor": plant.filter.weight_floor,
-        "likelihood": plant.filter.likelihood,
+        "weight_floor": plant.filter.options.weight_floor,
+        "likelihood": plant.filter.options.likelihood,
     } | options
     return textbook_mme(systems, prior, y, u, **chosen)
 
@@ -86,8 +86,8 @@ def test_hypotheses_of_certainty_agree_with_the_textbook():
 def test_gaussian_weights_are_the_posterior_of_the_joint_density():
     plant = motor("mme", likelihood="gaussian", weight_floor=0.0, prior=[0.4, 0.3, 0.2, 0.1, 0.0])
     y, u = record(plant, 12, missing=0.2, rates=(0.5,))
-    systems = [system_of(plant, 12, rates=rates) for rates in plant.filter.hypotheses]
-    expected = batch_posterior(systems, np.array(plant.filter.prior), y, u)
+    systems = [system_of(plant, 12, rates=rates) for rates in plant.filter.options.hypotheses]
+    expected = batch_posterior(systems, np.array(plant.filter.options.prior), y, u)
     assert distance(run(plant, y, u).mode_probability, expected) < EXACT
 
 

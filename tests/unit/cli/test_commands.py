@@ -15,7 +15,7 @@ from click.testing import CliRunner
 import fkgen
 from fkgen.cli import main
 from fkgen.errors import InternalError
-from fkgen.problem.filter import FAMILIES
+from fkgen.families import NAMES as FAMILIES
 from fkgen.study.reports.starters import resource, starter
 
 CAR = resource("examples/car_speed/spec.toml")

@@ -226,12 +226,12 @@ def test_sure_success_and_sure_failure_are_legal(rate: float) -> None:
 
 
 def test_filter_options() -> None:
-    default = SPECS["mme"].filter
+    default = SPECS["mme"].filter.options
     assert default.hypotheses == ((0.1,), (0.5,), (0.9,))
     assert default.prior == (1 / 3, 1 / 3, 1 / 3)
     assert default.weight_floor == 1e-6
     assert default.likelihood == "mixture"
-    stated = SPECS["mme independent"].filter
+    stated = SPECS["mme independent"].filter.options
     assert stated.hypotheses == ((0.1, 0.2), (0.5, 0.5))
     assert stated.prior == (0.25, 0.75)
     assert stated.weight_floor == 0.0

@@ -94,7 +94,10 @@ def test_a_rate_may_stand_where_the_filter_does_not_use_it(arrival: str) -> None
 
 @pytest.mark.parametrize(("given", "detector"), [(True, "llr"), (False, "none"), ("nis", "nis")])
 def test_a_detector_without_a_name_is_the_likelihood_ratio(given: object, detector: str) -> None:
-    assert Spec.from_dict(changed(LOSSY, {"filter.detector": given})).filter.detector == detector
+    assert (
+        Spec.from_dict(changed(LOSSY, {"filter.detector": given})).filter.options.detector
+        == detector
+    )
 
 
 def test_an_offset_may_be_a_column() -> None:
@@ -107,7 +110,7 @@ def test_an_offset_may_be_a_column() -> None:
 
 def test_alpha_may_stand_beside_every_detector() -> None:
     spec = Spec.from_dict(changed(LLR, {"filter.alpha": 0.3}))
-    assert spec.filter.alpha == 0.3
+    assert spec.filter.options.alpha == 0.3
 
 
 J = "faults.jump"

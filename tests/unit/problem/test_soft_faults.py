@@ -65,10 +65,10 @@ def test_the_host_of_compression_full_only_propagates_unless_it_is_given_rows():
 
 
 def test_a_compression_filter_is_tested_and_never_reacquired_by_default():
-    options = Spec.from_dict(DFCF).filter
+    options = Spec.from_dict(DFCF).filter.options
     assert options.test is True
     assert options.reacquire is None
-    assert Spec.from_dict(CPCF).filter.maintenance == "optimal"
+    assert Spec.from_dict(CPCF).filter.options.maintenance == "optimal"
 
 
 @pytest.mark.parametrize(

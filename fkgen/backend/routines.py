@@ -1,0 +1,601 @@
+"""Find what a program does more than once and make it a routine; cut functions that are too long.
+
+The unit is the block of a phase. Two runs of blocks are the same if their statements are, up to the
+arrays they work on, the numbers they use and the rows of y they ask for: those become arguments,
+a table of constants and bits. The statements and their order stay, and so do the bits.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from fkgen.backend.ir import (
+    Argument,
+    Assign,
+    Call,
+    Copy,
+    CProgram,
+    Element,
+    Heading,
+    IfPositive,
+    IfPresent,
+    Literal,
+    Local,
+    Operand,
+    Operate,
+    Phase,
+    Require,
+    Routine,
+    Row,
+    RowArgument,
+    Space,
+    Statement,
+    Store,
+    Temp,
+    operands,
+    walk,
+)
+from fkgen.errors import InternalError
+
+#: Fewer lines than this are not worth a call.
+SHORTEST = 16
+#: A routine is worth its prototype, its braces and its calls.
+OVERHEAD = 12
+#: Lines of one function before it is cut, so that it stays below 400 with what is around them.
+LONGEST = 300
+
+Chunk = tuple[Statement, ...]
+Variable = tuple[Space, str]
+_Place = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """Statements up to names, numbers and rows, and what stands in their places."""
+
+    shape: tuple[Any, ...]
+    variables: tuple[tuple[Variable, int | None], ...]
+    literals: tuple[float, ...]
+    rows: tuple[Row, ...]
+
+
+class _Reader:
+    """Walks statements in order and numbers what it meets."""
+
+    def __init__(self) -> None:
+        self.temps: dict[int, int] = {}
+        self.variables: dict[Variable, tuple[int, int | None]] = {}
+        self.literals: list[float] = []
+        self.rows: list[Row] = []
+
+    def operand(self, operand: Operand) -> Any:
+        match operand:
+            case Temp(index):
+                return "t", self.temps.setdefault(index, len(self.temps))
+            case Literal(value):
+                self.literals.append(value)
+                return "#"
+            case Element(Space.PARAMETER):
+                return operand
+        key = operand.space, operand.name
+        slot, base = self.variables.setdefault(key, (len(self.variables), operand.index))
+        return slot, None if operand.index is None or base is None else operand.index - base
+
+    def statement(self, node: Statement) -> Any:  # noqa: PLR0911 - one per node
+        match node:
+            case Operate(target, operator, arguments):
+                return operator, tuple(map(self.operand, arguments)), self.operand(target)
+            case Copy(target, value):
+                return "copy", self.operand(value), self.operand(target)
+            case Assign(target, value):
+                return "assign", self.operand(value), self.operand(target)
+            case Require(values, kind, status):
+                return kind, status, tuple(map(self.operand, values))
+            case IfPresent(row, body):
+                if row is not None:
+                    self.rows.append(row)
+                return "present", row is None, tuple(map(self.statement, body))
+            case IfPositive(value, body):
+                return "positive", self.operand(value), tuple(map(self.statement, body))
+            case Call(routine, arguments, constants, rows):
+                self.rows += rows
+                return routine, constants, tuple(map(self.operand, arguments))
+        return "heading"
+
+
+def form_of(statements: Sequence[Statement]) -> Form:
+    """The form of statements."""
+    reader = _Reader()
+    shape = tuple(map(reader.statement, statements))
+    variables = tuple((key, base) for key, (_, base) in reader.variables.items())
+    return Form(shape, variables, tuple(reader.literals), tuple(reader.rows))
+
+
+class _Writer:
+    """Walks statements in the same order and puts other operands and rows into their places."""
+
+    def __init__(self, operand: Callable[[Operand], Operand], row: Callable[[Row], Row]) -> None:
+        self._operand, self._row = operand, row
+        self._temps: dict[int, Temp] = {}
+
+    def operand(self, operand: Any) -> Any:
+        if isinstance(operand, Temp):
+            return self._temps.setdefault(operand.index, Temp(len(self._temps)))
+        return self._operand(operand)
+
+    def many(self, nodes: Sequence[Statement]) -> Chunk:
+        return tuple(map(self.statement, nodes))
+
+    def statement(self, node: Statement) -> Statement:  # noqa: PLR0911 - one per node
+        match node:
+            case Operate(target, operator, arguments):
+                values = tuple(map(self.operand, arguments))
+                return Operate(self.operand(target), operator, values)
+            case Copy(target, value):
+                kept = self.operand(value)
+                return Copy(self.operand(target), kept)
+            case Assign(target, value):
+                kept = self.operand(value)
+                return Assign(self.operand(target), kept)
+            case Require(values, kind, status):
+                return Require(tuple(map(self.operand, values)), kind, status)
+            case IfPresent(row, body):
+                return IfPresent(None if row is None else self._row(row), self.many(body))
+            case IfPositive(value, body):
+                return IfPositive(self.operand(value), self.many(body))
+            case Call(routine, arguments, constants, rows):
+                own = tuple(map(self._row, rows))
+                return Call(routine, tuple(map(self.operand, arguments)), constants, own)
+        return node
+
+
+@dataclass(slots=True)
+class _Function:
+    """A function that is being rewritten: a phase, or the body of a routine."""
+
+    name: str
+    chunks: list[Chunk]
+    locals: list[Local]
+    forms: list[Form] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.forms = [form_of(chunk) for chunk in self.chunks]
+
+    def users(self, name: str) -> set[int]:
+        """Which chunks use a local."""
+        key = (Space.LOCAL, name)
+        return {i for i, form in enumerate(self.forms) if key in dict(form.variables)}
+
+    @property
+    def body(self) -> Chunk:
+        return tuple(node for chunk in self.chunks for node in chunk)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Some chunks in a row."""
+
+    function: _Function
+    start: int
+    length: int
+
+    @property
+    def statements(self) -> Chunk:
+        chunks = self.function.chunks[self.start : self.start + self.length]
+        return tuple(node for chunk in chunks for node in chunk)
+
+    @property
+    def headings(self) -> list[str]:
+        """The headings inside, or the one that it stands under."""
+        before = self.function.chunks[: self.start]
+        inside = [node.text for node in self.statements if isinstance(node, Heading)]
+        above = [n.text for chunk in reversed(before) for n in chunk if isinstance(n, Heading)]
+        return inside or above[:1] or [self.function.name.replace("_", " ")]
+
+    def is_private(self, name: str) -> bool:
+        """Whether nothing outside uses a local."""
+        inside = range(self.start, self.start + self.length)
+        return self.function.users(name) <= set(inside)
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """The phases as they are printed, and the routines that they call, callees first."""
+
+    phases: tuple[Phase, ...]
+    routines: tuple[Routine, ...]
+
+
+def outline(program: CProgram) -> Outline:
+    """Rewrite the phases of a program with calls."""
+    verbs = ["correct", *(["close_window"] if program.closing else []), "propagate"]
+    functions = [
+        _Function(verb, _chunks(phase), list(phase.locals))
+        for verb, phase in zip(verbs, program.phases, strict=True)
+    ]
+    book = _Book(functions)
+    while runs := book.repeated():
+        book.take(runs)
+    for function in list(book.functions):
+        book.cut(function)
+    phases = tuple(
+        replace(phase, body=stored(function.body), locals=tuple(function.locals), chunks=())
+        for phase, function in zip(program.phases, functions, strict=True)
+    )
+    return Outline(phases, book.routines())
+
+
+def _chunks(phase: Phase) -> list[Chunk]:
+    ends = (*phase.chunks[1:], len(phase.body))
+    return [phase.body[a:b] for a, b in zip(phase.chunks, ends, strict=True)]
+
+
+def lines_of(statements: Chunk) -> int:
+    """About how many lines statements take in C."""
+    braced = (Require, IfPresent, IfPositive)
+    return sum(
+        4 if isinstance(n, braced) else 5 if isinstance(n, Call) else 1 for n in walk(statements)
+    )
+
+
+class _Book:
+    """The functions of a program while routines are found."""
+
+    def __init__(self, functions: list[_Function]) -> None:
+        self.functions = list(functions)
+        self.bodies: dict[str, tuple[Routine, _Function]] = {}
+
+    def repeated(self) -> list[_Run]:
+        """The runs whose outlining saves most; none if nothing is worth it."""
+        best: tuple[int, list[_Run]] = (0, [])
+        seen: set[_Place] = set()
+        for place in self._candidates():
+            if place in seen:
+                continue
+            f, start, length = place
+            run = _Run(self.functions[f], start, length)
+            runs = self._like(run, seen)
+            lines = lines_of(run.statements)
+            saved = (len(runs) - 1) * lines - OVERHEAD - 4 * len(runs)
+            if len(runs) > 1 and lines >= SHORTEST and saved > best[0]:
+                best = saved, runs
+        return best[1]
+
+    def _candidates(self) -> Iterator[_Place]:
+        """The longest runs that begin with each pair of chunks of one shape."""
+        places: dict[Any, list[tuple[int, int]]] = defaultdict(list)
+        for f, function in enumerate(self.functions):
+            for i, form in enumerate(function.forms):
+                places[form.shape].append((f, i))
+        for same in places.values():
+            for a, (f, i) in enumerate(same):
+                for g, j in same[a + 1 :]:
+                    one, other = self.functions[f].forms[i:], self.functions[g].forms[j:]
+                    length = _alike(one[: j - i] if f == g else one, other)
+                    while length > 1 and one[length - 1].shape == ("heading",):
+                        length -= 1
+                    yield f, i, length
+
+    def _like(self, run: _Run, seen: set[_Place]) -> list[_Run]:
+        """All runs like this one that do not overlap."""
+        forms = run.function.forms[run.start : run.start + run.length]
+        found = []
+        for f, function in enumerate(self.functions):
+            at = 0
+            while at + run.length <= len(function.forms):
+                if _alike(forms, function.forms[at : at + run.length]) == run.length:
+                    seen.add((f, at, run.length))
+                    found.append(_Run(function, at, run.length))
+                    at += run.length
+                else:
+                    at += 1
+        return found
+
+    def take(self, runs: list[_Run]) -> None:
+        """Make one routine of runs of one form and replace them by calls."""
+        titles = _titles(runs)
+        draft = _Draft(runs, self._name(titles), titles)
+        routine, calls = draft.routine, draft.calls
+        body = _Function(routine.name, draft.chunks, list(routine.locals))
+        headed = [isinstance(run.statements[0], Heading) for run in runs]
+        for run, call, title, with_title in sorted(
+            zip(runs, calls, titles, headed, strict=True), key=lambda each: -each[0].start
+        ):
+            text = (Heading(title), call) if with_title else (call,)
+            where = slice(run.start, run.start + run.length)
+            run.function.chunks[where] = [text]
+            run.function.forms[where] = [form_of(text)]
+        for function in {id(run.function): run.function for run in runs}.values():
+            function.locals = [local for local in function.locals if function.users(local.name)]
+        self.functions.append(body)
+        self.bodies[routine.name] = routine, body
+
+    def cut(self, function: _Function) -> None:
+        """Cut a function that is too long into routines that are called once."""
+        while lines_of(function.body) > LONGEST and len(function.chunks) > 1:
+            length, lines, start = 0, 0, 0
+            for i, chunk in enumerate(function.chunks):
+                size = lines_of(chunk)
+                if isinstance(chunk[-1], Call):
+                    start, length, lines = i + 1, 0, 0
+                    continue
+                if lines + size > LONGEST - 60 and length:
+                    break
+                length, lines = length + 1, lines + size
+            if lines < SHORTEST or length == len(function.chunks):
+                return
+            self.take([_Run(function, start, length)])
+
+    def _name(self, titles: list[str]) -> str:
+        """A name after what the titles of the runs have in common."""
+        words = [re.findall(r"[a-z]+", re.split("[:,]", title.lower())[0]) for title in titles]
+        shared = [w for w in words[0] if all(w in other for other in words)][:4]
+        while shared and shared[-1] in _FILLING:
+            shared.pop()
+        stem = "_".join(shared) or "part"
+        name, count = stem, 1
+        while name in self.bodies or name in _FUNCTIONS:
+            count += 1
+            name = f"{stem}_{count}"
+        return name
+
+    def routines(self) -> tuple[Routine, ...]:
+        """All routines, callees first."""
+        ordered: dict[str, Routine] = {}
+
+        def visit(name: str) -> None:
+            routine, body = self.bodies[name]
+            for node in walk(body.body):
+                if isinstance(node, Call) and node.routine not in ordered:
+                    visit(node.routine)
+            ordered[name] = replace(routine, body=stored(body.body), locals=tuple(body.locals))
+
+        for name in self.bodies:
+            if name not in ordered:
+                visit(name)
+        return tuple(ordered.values())
+
+
+def _alike(one: Sequence[Form], other: Sequence[Form]) -> int:
+    """How many forms, from the first on, are the same with the same renaming of variables."""
+    there: dict[Variable, tuple[Variable, int | None]] = {}
+    back: dict[Variable, Variable] = {}
+    for length, (a, b) in enumerate(zip(one, other, strict=False)):
+        if a.shape != b.shape:
+            return length
+        for (key, base), (name, at) in zip(a.variables, b.variables, strict=True):
+            shift = None if base is None or at is None else at - base
+            if there.setdefault(key, (name, shift)) != (name, shift):
+                return length
+            if back.setdefault(name, key) != key:
+                return length
+    return min(len(one), len(other))
+
+
+#: Words that a name does not end with.
+_FILLING = {"a", "and", "by", "every", "for", "in", "of", "s", "the", "what", "with"}
+
+#: Functions that every filter has.
+_FUNCTIONS = {
+    *("correct", "close_window", "propagate", "init", "fill", "finite", "finite_input", "defect"),
+    *("update", "predict", "step", "selftest", "present_rows", "params_init", "part"),
+    *("exp", "log", "sqrt", "sin", "cos", "tan", "atan2", "reduced", "power_of_two"),
+}
+
+#: Names that an argument or a local of a routine must not have.
+_TAKEN = {"self", "next", "params", "present", "numbers", "status"}
+
+
+class _Draft:
+    """A routine in the making: what differs between the runs becomes arguments."""
+
+    def __init__(self, runs: list[_Run], name: str, titles: list[str]) -> None:
+        self.runs, self.forms = runs, [form_of(run.statements) for run in runs]
+        self.names: set[str] = set(_TAKEN)
+        self.places: dict[Variable, Callable[[int | None], Element]] = {}
+        self.arguments: list[Argument] = []
+        self.bindings: list[list[Element]] = [[] for _ in runs]
+        self.locals: list[Local] = []
+        self._indices, self._written = _uses(runs[0].statements)
+        for slot in range(len(self.forms[0].variables)):
+            self._place(slot)
+        self.columns = _Columns([form.literals for form in self.forms])
+        self.row_columns = _Columns([form.rows for form in self.forms])
+        self.chunks = self._chunks()
+        self.routine = Routine(
+            name=name,
+            title="; ".join(dict.fromkeys(titles)),
+            arguments=tuple(self.arguments),
+            constants=self.columns.table,
+            rows=len(self.row_columns.table[0]),
+            locals=tuple(self.locals),
+            body=tuple(node for chunk in self.chunks for node in chunk),
+        )
+        self.calls = [
+            Call(name, tuple(bound), i, tuple(self.row_columns.table[i]))
+            for i, bound in enumerate(self.bindings)
+        ]
+        for form, call in zip(self.forms, self.calls, strict=True):
+            if form_of(expanded(self.routine, call, self._originals(form))) != form:
+                raise InternalError(f"routine {name} is not what it stands for")
+
+    def _place(self, slot: int) -> None:
+        """Decide where one variable of the first run stands in the routine."""
+        each = [form.variables[slot] for form in self.forms]
+        key, base = each[0]
+        name = self._name([name for (_, name), _ in each])
+        own = [self._private(run, *variable) for run, variable in zip(self.runs, each, strict=True)]
+        if own[0] is not None and all(o is not None and _like(o, own[0]) for o in own):
+            self.locals.append(replace(own[0], name=name))
+            self.places[key] = lambda index: Element(Space.LOCAL, name, index)
+            return
+        low = min((i for i in self._indices[key] if i is not None), default=0)
+        single = key not in self._written and len(self._indices[key]) == 1
+        self.arguments.append(Argument(name, key in self._written, single))
+        for bound, ((space, own_name), at) in zip(self.bindings, each, strict=True):
+            begin = None if at is None or base is None else at - base + low
+            bound.append(Element(space, own_name, begin))
+        self.places[key] = lambda index: Element(
+            Space.ARGUMENT, name, None if single else (index or 0) - low
+        )
+
+    def _private(self, run: _Run, key: Variable, base: int | None) -> Local | None:
+        if key[0] is not Space.LOCAL or not run.is_private(key[1]):
+            return None
+        found = next(local for local in run.function.locals if local.name == key[1])
+        return replace(found, name=str(base))
+
+    def _name(self, names: list[str]) -> str:
+        """What the names of the runs have in common."""
+        tokens = [name.split("_") for name in names]
+        shared = [t for t in tokens[0] if all(t in other for other in tokens)]
+        if len({len(each) for each in tokens}) == 1:
+            shared = [each[0] for each in zip(*tokens, strict=True) if len(set(each)) == 1]
+        stem = "_".join(shared) if shared and not shared[0].isdigit() else names[0]
+        name, count = stem, 1
+        while name in self.names:
+            count += 1
+            name = f"{stem}_{count}"
+        self.names.add(name)
+        return name
+
+    def _chunks(self) -> list[Chunk]:
+        literals, rows = iter(self.columns.places), iter(self.row_columns.places)
+
+        def operand(operand: Operand) -> Operand:
+            if isinstance(operand, Literal):
+                at = next(literals)
+                return operand if at is None else Element(Space.CONSTANT, "numbers", at)
+            if isinstance(operand, Element) and operand.space is not Space.PARAMETER:
+                return self.places[operand.space, operand.name](operand.index)
+            return operand
+
+        def row(row: Row) -> Row:
+            at = next(rows)
+            return row if at is None else RowArgument(at)
+
+        writer, run = _Writer(operand, row), self.runs[0]
+        chunks = run.function.chunks[run.start : run.start + run.length]
+        return [writer.many(chunk) for chunk in chunks]
+
+    def _originals(self, form: Form) -> dict[str, str]:
+        """Names of the routine's locals in one run."""
+        result = {}
+        for (first, _), ((_, name), _) in zip(self.forms[0].variables, form.variables, strict=True):
+            place = self.places[first](0)
+            if place.space is Space.LOCAL:
+                result[place.name] = name
+        return result
+
+
+class _Columns:
+    """Values at the same places of several runs: those that differ become columns of a table."""
+
+    def __init__(self, values: Sequence[Sequence[Any]]) -> None:
+        columns: dict[tuple[str, ...], int] = {}
+        kept: list[tuple[Any, ...]] = []
+        self.places: list[int | None] = []
+        for each in zip(*values, strict=True):
+            key = tuple(map(repr, each))
+            if len(set(key)) == 1 and not isinstance(each[0], RowArgument):
+                self.places.append(None)
+                continue
+            if key not in columns:
+                columns[key] = len(kept)
+                kept.append(each)
+            self.places.append(columns[key])
+        self.table = tuple(tuple(column[i] for column in kept) for i in range(len(values)))
+
+
+def expanded(routine: Routine, call: Call, locals_: dict[str, str]) -> Chunk:
+    """The statements that a call runs, in the names of the caller."""
+    bound = {
+        argument.name: element
+        for argument, element in zip(routine.arguments, call.arguments, strict=True)
+    }
+
+    def operand(operand: Operand) -> Operand:
+        match operand:
+            case Element(Space.ARGUMENT, name, index):
+                begin = bound[name]
+                if index is None or begin.index is None:
+                    return begin
+                return replace(begin, index=begin.index + index)
+            case Element(Space.CONSTANT, "numbers", index) if (
+                index is not None and routine.constants[0]
+            ):
+                return Literal(routine.constants[call.constants][index])
+            case Element(Space.LOCAL, name, _):
+                return replace(operand, name=locals_[name])
+        return operand
+
+    def row(row: Row) -> Row:
+        return call.rows[row.index] if isinstance(row, RowArgument) else row
+
+    return _Writer(operand, row).many(routine.body)
+
+
+def _uses(statements: Chunk) -> tuple[dict[Variable, set[int | None]], set[Variable]]:
+    """Which elements of each variable statements use, and which variables they write."""
+    indices: dict[Variable, set[int | None]] = defaultdict(set)
+    written: set[Variable] = set()
+
+    def seen(operand: Operand) -> Operand:
+        if isinstance(operand, Element):
+            indices[operand.space, operand.name].add(operand.index)
+        return operand
+
+    _Writer(seen, lambda row: row).many(statements)
+    for node in walk(statements):
+        if isinstance(node, Assign):
+            written.add((node.target.space, node.target.name))
+    return indices, written
+
+
+def _like(a: Local, b: Local) -> bool:
+    return (a.name, a.size, a.initial) == (b.name, b.size, b.initial)
+
+
+def _titles(runs: list[_Run]) -> list[str]:
+    """For each run the heading that tells it from the others; the first one, where none does."""
+    each = [run.headings for run in runs]
+    telling = [texts for texts in zip(*each, strict=False) if len(set(texts)) == len(runs)]
+    if len(runs) > 1 and telling:
+        return list(telling[0])
+    return [headings[0] for headings in each]
+
+
+def stored(body: Chunk) -> Chunk:
+    """Let operations whose result goes to one place, and nowhere else, store it themselves."""
+    uses = Counter(o.index for node in walk(body) for o in operands(node) if isinstance(o, Temp))
+    return _stored(body, uses)
+
+
+def _stored(body: Chunk, uses: Counter[int]) -> Chunk:
+    nodes: dict[int, Statement] = dict(enumerate(body))
+    origin = {n.target.index: i for i, n in enumerate(body) if isinstance(n, Operate)}
+    last: dict[Element, int] = {}  # where an element was used last
+    for i, node in enumerate(body):
+        if isinstance(node, IfPresent | IfPositive):
+            nodes[i] = replace(node, body=_stored(node.body, uses))
+        if isinstance(node, Assign) and isinstance(node.value, Temp):
+            at = origin.get(node.value.index)
+            source = None if at is None else body[at]
+            if at is not None and isinstance(source, Operate) and uses[node.value.index] == 1:
+                called = any(isinstance(each, Call) for each in walk(body[at:i]))
+                if not called and last.get(node.target, -1) <= at:
+                    nodes[at] = Store(node.target, source.operator, source.arguments)
+                    del nodes[i]
+        last |= dict.fromkeys(_elements(node), i)
+    return tuple(nodes[i] for i in sorted(nodes))
+
+
+def _elements(node: Statement) -> Iterator[Element]:
+    for inner in walk((node,)):
+        yield from (o for o in operands(inner) if isinstance(o, Element))
+        if isinstance(inner, Assign):
+            yield inner.target
