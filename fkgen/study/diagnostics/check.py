@@ -40,8 +40,6 @@ _DIAGNOSTICS = (
     rounding.float_suitability,
     faults.known_rate,
     faults.hypotheses,
-    faults.identification,
-    faults.floor,
     faults.caveats,
     faults.noise_factor,
     faults.distribution,

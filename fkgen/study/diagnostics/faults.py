@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from fkgen.estimators.models.bank import LARGEST_MIXTURE
 from fkgen.families import family
+from fkgen.faults import ActuatorFaults
 from fkgen.oracle import LinearSystem, partial_compression
 from fkgen.oracle.claims.partial_compression import design_of
 from fkgen.problem import evaluate
@@ -48,10 +50,16 @@ def known_rate(model: ModelNumbers, report: ReportBuilder) -> None:
 
 
 def hypotheses(model: ModelNumbers, report: ReportBuilder) -> None:
-    """Hypotheses of ``mme`` that are the same, mirrored, or certain."""
-    options = model.spec.filter.options
-    if model.spec.first_rates is None:
-        return
+    """Success rates of a bank of filters: can they be told apart, by what, and for how long."""
+    spec, faults = model.spec, model.spec.faults.actuator
+    if faults is not None and spec.first_rates is not None:
+        _alike(spec.filter.options, report)
+        _identification(model, faults, report)
+        _floor(spec.filter.options, report)
+
+
+def _alike(options: Any, report: ReportBuilder) -> None:
+    """Hypotheses that are the same, mirrored, or certain."""
     report.values["hypotheses"] = float(len(options.hypotheses))
     for a, b in combinations(options.hypotheses, 2):
         names = f"{_shown(a)} and {_shown(b)}"
@@ -80,11 +88,9 @@ def _shown(rates: tuple[float, ...]) -> str:
     return f"({text})" if len(rates) > 1 else text
 
 
-def identification(model: ModelNumbers, report: ReportBuilder) -> None:
+def _identification(model: ModelNumbers, faults: ActuatorFaults, report: ReportBuilder) -> None:
     """Whether and how fast y can tell the hypotheses apart."""
-    spec, faults = model.spec, model.spec.faults.actuator
-    if faults is None or spec.first_rates is None:
-        return
+    spec = model.spec
     if not model.D.any() and not any(reaches(model, j) for j in range(spec.model.nu)):
         message = "the inputs never reach y: no measurement tells one hypothesis from another"
         report.error("unidentifiable", message, None, "measure something that the inputs drive")
@@ -109,11 +115,8 @@ def identification(model: ModelNumbers, report: ReportBuilder) -> None:
     report.note("no_feedthrough", "D = 0: mixture and Gaussian likelihood are the same")
 
 
-def floor(model: ModelNumbers, report: ReportBuilder) -> None:
-    """The floor under the weights of ``mme``."""
-    options = model.spec.filter.options
-    if model.spec.first_rates is None:
-        return
+def _floor(options: Any, report: ReportBuilder) -> None:
+    """The floor under the weights."""
     total = len(options.hypotheses) * options.weight_floor
     report.values["weight_floor_total"] = total
     if options.weight_floor == 0.0:

@@ -48,29 +48,17 @@ class ReportBuilder:
     findings: list[Finding] = field(default_factory=list)
     values: dict[str, float] = field(default_factory=dict)
 
-    def add(
-        self,
-        code: str,
-        severity: Severity,
-        message: str,
-        value: float | None = None,
-        *,
-        remedy: str,
-    ) -> None:
-        """Add a finding whose severity depends on numbers."""
-        self.findings.append(Finding(code, severity, message, value, remedy))
-
     def note(self, code: str, message: str, value: float | None = None, remedy: str = "") -> None:
         """Add something that is good to know."""
-        self.add(code, "note", message, value, remedy=remedy)
+        self.findings.append(Finding(code, "note", message, value, remedy))
 
     def warning(self, code: str, message: str, value: float | None, remedy: str) -> None:
         """Add something that is probably not what was meant."""
-        self.add(code, "warning", message, value, remedy=remedy)
+        self.findings.append(Finding(code, "warning", message, value, remedy))
 
     def error(self, code: str, message: str, value: float | None, remedy: str) -> None:
         """Add something that keeps the filter from its work."""
-        self.add(code, "error", message, value, remedy=remedy)
+        self.findings.append(Finding(code, "error", message, value, remedy))
 
     def rank(self, rank: int, rows: int, where: str = "") -> None:
         """Warn if the innovation covariance does not have full rank."""

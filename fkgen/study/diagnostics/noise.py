@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from fkgen.estimators.gaussian.estimate import SHORT_FORM_RATIO, prior_to_noise, update_form
-from fkgen.problem.finding import Severity
 from fkgen.study.diagnostics.findings import ReportBuilder
 from fkgen.study.diagnostics.model_numbers import ModelNumbers, listed
 from fkgen.study.diagnostics.visibility import RANK_TOLERANCE, correlations, numerical_rank
@@ -63,13 +62,14 @@ def conditioning(model: ModelNumbers, report: ReportBuilder) -> None:
     }
     ratio, scalar = max(prior, predicted), spec.code.scalar
     if form == "short" and ratio > _LOST[scalar]:
-        severity: Severity = "error" if model.is_float and ratio > SHORT_FORM_RATIO else "warning"
         message = (
             f"prior to noise variance is {ratio:.2g}: the short form of the covariance update "
             f"loses that many digits, and {scalar} has no more"
         )
         remedy = 'code.update = "auto" or "joseph", or a smaller P0'
-        report.add("conditioning", severity, message, ratio, remedy=remedy)
+        severe = model.is_float and ratio > SHORT_FORM_RATIO
+        add = report.error if severe else report.warning
+        add("conditioning", message, ratio, remedy)
     elif ratio > SHORT_FORM_RATIO:
         shown = f"{ratio:.2g}" if math.isfinite(ratio) else "infinite"
         message = (

@@ -11,7 +11,7 @@ driven by the fault and started at zero: generated, proved and compiled like eve
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,29 +36,20 @@ _SIGN: dict[Mode, float] = {"plant": 1.0, "both": 0.0, "filter": -1.0}
 _TRIED = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class _Companion:
-    """A filter for deviations, and what it needs at run time."""
-
-    spec: Spec  # prior mean zero, in double; its first n states are those of the filter
-    params: Mapping[str, ArrayLike]  # numbers or (T,)
-    rate: Array  # (T, q), share of an input fault that arrives, on average
-
-
 def linear_response(scenario: FaultScenario) -> FaultEffect:
     """The effect on a filter that is linear in y."""
     spec, n = scenario.spec, scenario.spec.model.nx
-    companion = _companion(scenario)
-    built = build(companion.spec)
-    anomaly = companion.rate * scenario.anomaly
+    companion, params, rate = _companion(scenario)
+    built = build(companion)
+    anomaly = rate * scenario.anomaly
     # The error deviates by what the filter makes of -f in y, and of the part of the anomaly that
     # only the plant (+) or only the filter (-) has got.
     y = np.where(scenario.missing, np.nan, -scenario.sensor)
-    own = _run(built, y, _SIGN[scenario.mode] * anomaly, companion)
+    own = _run(built, y, _SIGN[scenario.mode] * anomaly, params)
     error = np.asarray(own.filtered_state[:, :n], dtype=float)
     plant = np.zeros_like(error)
     if scenario.mode != "filter" and anomaly.any():  # nothing is measured: the plant, left alone
-        plant = _run(built, np.full_like(y, np.nan), anomaly, companion).filtered_state[:, :n]
+        plant = _run(built, np.full_like(y, np.nan), anomaly, params).filtered_state[:, :n]
     variance = np.diagonal(own.filtered_covariance, axis1=1, axis2=2)[:, :n]
     random = spec.faults.actuator is not None and anomaly.any()
     direct = any(entry != Number(0.0) for row in spec.model.D.rows for entry in row)
@@ -77,8 +68,8 @@ def linear_response(scenario: FaultScenario) -> FaultEffect:
     )
 
 
-def _run(built: CompiledFilter, y: Array, u: Array, companion: _Companion) -> Run:
-    run = built.run(y, u if u.shape[1] else None, companion.params)
+def _run(built: CompiledFilter, y: Array, u: Array, params: Mapping[str, ArrayLike]) -> Run:
+    run = built.run(y, u if u.shape[1] else None, params)
     if run.refused.any():
         k = int(np.argmax(run.refused))
         status = Status(int(run.status[k]))
@@ -90,17 +81,21 @@ def _run(built: CompiledFilter, y: Array, u: Array, companion: _Companion) -> Ru
     return run
 
 
-def _companion(scenario: FaultScenario) -> _Companion:
+def _companion(scenario: FaultScenario) -> tuple[Spec, Mapping[str, ArrayLike], Array]:
+    """The filter for deviations, its parameters, and the share (T, q) of u that arrives on average.
+
+    Its prior mean is zero, it is in double, and its first n states are those of the filter.
+    """
     spec, T = scenario.spec, scenario.samples
     model = replace(spec.model, x0=Matrix.zeros(spec.model.nx, 1))
     still = replace(spec, model=model, code=Code("double", spec.code.update))
     if spec.faults.actuator is None:
-        return _Companion(still, scenario.params, np.ones((T, spec.model.nu)))
+        return still, scenario.params, np.ones((T, spec.model.nu))
     system, u = scenario.system(), scenario.known_inputs
     root = square_root(u[:, :, np.newaxis] * system.fault_covariance * u[:, np.newaxis, :])
     root = root[:, :, np.abs(root).max(axis=(0, 1), initial=0.0) > 0.0]
     wide, params = _with_lost_commands(still, system.B @ root, system.D @ root)
-    return _Companion(wide, {**scenario.params, **params}, system.rate)
+    return wide, {**scenario.params, **params}, system.rate
 
 
 def _with_lost_commands(spec: Spec, driven: Array, sensed: Array) -> tuple[Spec, dict[str, Array]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 from collections import Counter
@@ -195,19 +196,15 @@ class _Reader:
     def measured(self, name: str) -> Array:
         """A column of numbers; NaN where a field is empty or says so."""
         texts = self.texts(name)
-        try:
+        with contextlib.suppress(ValueError):  # the usual record, in one go
             if not any("_" in text for text in texts):
                 return np.array([float(text) if text else np.nan for text in texts])
-        except ValueError:
-            pass
         return np.array([self._number(name, k, text.strip()) for k, text in enumerate(texts)])
 
     def _number(self, name: str, k: int, text: str) -> float:
-        try:
+        with contextlib.suppress(ValueError):
             if "_" not in text:
                 return float(text) if text else np.nan
-        except ValueError:
-            pass
         shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
         expected = "a number such as -1.5e3, or nothing where the sample is missing"
         raise self.error(repr(shown), expected, line=self.lines[k], column=name)

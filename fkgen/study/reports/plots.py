@@ -197,16 +197,10 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
     axis.set_ylabel("NIS / upper bound" if mixed else "NIS", fontsize=9)
     degrees = "rows present" if mixed else f"{int(rows[used][0])} degrees of freedom"
     text = f"{inside:.1%} within the {_CONFIDENCE:.0%} bounds of chi-square ({degrees})"
-    if _is_mixture(sheet.spec):
+    faults, told = sheet.spec.faults, sheet.spec.filter.traits.told
+    if faults.jump is not None or (faults.sensor is not None and not told):
         text += "; a guide and no test: y with faults is a mixture"
     axis.set_title(text, loc="left", fontsize=8, color=GREY)
-
-
-def _is_mixture(spec: Spec) -> bool:
-    """Whether y may be under several modes that the filter is not told."""
-    if spec.faults.jump is not None:
-        return True
-    return spec.faults.sensor is not None and not spec.filter.traits.told
 
 
 def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
