@@ -114,18 +114,14 @@ def check(spec: str, as_json: bool) -> None:
         click.echo(report.to_json())
     else:
         rows = [
-            (
-                _styled(f.severity, _STYLES[f.severity]),
-                f.code,
-                f.message + (f"; {f.remedy}" if f.remedy else ""),
-            )
+            (_styled(f.severity, _STYLES[f.severity]), f.code, "; ".join(filter(None, texts)))
             for f in report.findings
+            for texts in [(f.message, f.remedy)]
         ]
         if rows:
             _print_table(("severity", "code", "finding"), rows)
-        _print_table(
-            ("value", "number"), ((n, f"{v:.6g}") for n, v in report.values.items()), number="right"
-        )
+        values = ((name, f"{value:.6g}") for name, value in report.values.items())
+        _print_table(("value", "number"), values, number="right")
     sys.exit(0 if report.sound else 1)
 
 
@@ -173,15 +169,10 @@ def verify(spec: str) -> None:
             claims += step.run()
             progress.advance(task)
     holds = {True: _styled("yes", "green"), False: _styled("NO", "bold red")}
-    _print_table(
-        ("claim", "source", "error", "allowed", "holds"),
-        (
-            (c.claim, c.source, f"{c.error:.1e}", f"{c.tolerance:.1e}", holds[c.holds])
-            for c in claims
-        ),
-        error="right",
-        allowed="right",
-    )
+    head = ("claim", "source", "error", "allowed", "holds")
+    numbers = ((f"{c.error:.1e}", f"{c.tolerance:.1e}") for c in claims)
+    rows = ((c.claim, c.source, *n, holds[c.holds]) for c, n in zip(claims, numbers, strict=True))
+    _print_table(head, rows, error="right", allowed="right")
     failed = sum(not claim.holds for claim in claims)
     click.echo(f"{len(claims) - failed} of {len(claims)} claims hold")
     sys.exit(1 if failed else 0)

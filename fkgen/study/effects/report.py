@@ -132,22 +132,16 @@ class EffectReport:
 def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool) -> EffectReport:
     """Find the effect, and draw if a picture is wanted; whatever does not fit is a `UserError`."""
     refuse_targets(None, plot, force=force)
-    notes: list[str] = []
-    y, params, steps = None, None, options.steps
-    sensor, anomaly = None, None
     constants, table = constants_or_record(spec, options.inputs, options.record)
-    if options.profile is not None:
-        if options.sensor or options.driven:
-            given, expected = "a file beside --sensor or --input", "the names of the columns of the"
-            raise DataError("--profile", given=given, expected=f"{expected} file only")
-        sensor, anomaly = profile_of(spec, options.profile)
-        steps = len(sensor)
-    u = None if constants is None else np.tile(constants, (steps, 1))
-    if table is not None:
-        u, y, params, steps = table.u, table.y, table.params, len(table.lines)
-        notes += table.notes
-    if options.profile is None:
-        sensor, anomaly = _faults(spec, options, steps)
+    if table is None:
+        u, y, params, notes = None, None, None, list[str]()
+        sensor, anomaly = _faults(spec, options, options.steps)
+        if constants is not None:
+            length = len(next(each for each in (sensor, anomaly) if each is not None))
+            u = np.tile(constants, (length, 1))
+    else:
+        u, y, params, notes = table.u, table.y, table.params, [*table.notes]
+        sensor, anomaly = _faults(spec, options, len(y))
     effect = fault_effect(
         spec, sensor, anomaly, options.mode, params=params, u=u, y=y, runs=options.runs
     )
@@ -159,8 +153,14 @@ def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool) -
 
 
 def _faults(spec: Spec, options: Options, steps: int) -> tuple[Array | None, Array | None]:
-    """What is added to y and to u, of one signal each."""
+    """What is added to y and to u: a file, or one signal of each."""
     outputs, inputs = spec.model.outputs, spec.model.inputs
+    if options.profile is not None:
+        if options.sensor or options.driven:
+            expected = "the names of the columns of the file only"
+            given = "a file beside --sensor or --input"
+            raise DataError("--profile", given=given, expected=expected)
+        return profile_of(spec, options.profile)
     if not options.sensor and not options.driven:
         shown = ", ".join(signal.name for signal in outputs)
         expected = f"--sensor NAME ({shown}), --input NAME, or --profile FILE"
