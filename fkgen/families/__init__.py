@@ -39,13 +39,7 @@ def family(name: str) -> Family:
 
 
 def find(given: object, place: Place) -> Family:
-    """The family that a spec asks for.
-
-    Raises
-    ------
-    SpecError
-        If there is no such family or module, or what is found there is not a `Family`.
-    """
+    """The family that a spec asks for."""
     if isinstance(given, str) and ":" in given:
         return _outside(given, place)
     name = ALIASES.get(given, given) if isinstance(given, str) else given
@@ -106,13 +100,7 @@ def _foreign_key(key: str, found: Family, place: Place) -> Exception:
 def read_faults(
     found: Family, table: object, place: Place, defaults: Mapping[str, float], model: Model
 ) -> Faults:
-    """The faults that a family is about: of the sections that it accepts, the one that is there.
-
-    Raises
-    ------
-    SpecError
-        If a section is missing, unknown or of no use to the family, or its reader refuses it.
-    """
+    """The faults that a family is about: of the sections that it accepts, the one that is there."""
     given = Section(table, place, known=KINDS)
     for kind in given.table:
         if kind not in found.accepts:

@@ -26,18 +26,10 @@ Table = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What a filter is held against.
+    """What a filter is held against."""
 
-    Attributes
-    ----------
-    closed_forms : tuple of ClosedForm
-        All of them hold before any C is generated.
-    theorems : tuple of Identity
-        What SymPy proves once for all models.
-    """
-
-    closed_forms: tuple[ClosedForm, ...]
-    theorems: tuple[Identity, ...] = ()
+    closed_forms: tuple[ClosedForm, ...]  # All of them hold before any C is generated
+    theorems: tuple[Identity, ...] = ()  # What SymPy proves once for all models
 
 
 def as_it_is(table: Table, _: Spec) -> Table:

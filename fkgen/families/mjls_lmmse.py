@@ -15,7 +15,7 @@ from fkgen.faults import Faults, JumpFaults
 from fkgen.faults.jump import read_jump_faults
 from fkgen.faults.jump_filter import MARGIN, is_ergodic, mean_square_radius
 from fkgen.problem import Model, Spec
-from fkgen.problem.filter import Options, Traits, count, positive
+from fkgen.problem.filter import Options, Traits
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
@@ -42,32 +42,19 @@ OF_DETECTORS: dict[str, tuple[Detector, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class LossOptions(Options):
-    """The test for lost samples, and the gain.
+    """The test for lost samples, and the gain."""
 
-    Parameters
-    ----------
-    detector : str
-        The test whether a sample was lost; ``"none"``, ``"llr"``, ``"nis"`` or ``"energy"``.
-    alpha : float
-        Of ``"nis"``: its rate of false alarms, in (0, 1).
-    kappa, window : float and int
-        Of ``"energy"``: a loss is declared when the mean of |r|^2 over the last ``window`` samples
-        exceeds ``kappa`` times its expectation.
-    lock_out : int
-        With a detector: from this many rejections in a row on, the status says so.
-    reinitialise : bool
-        Whether a lock-out starts the filter again from the unconditional moments.
-    gain : str
-        ``"time_varying"`` or ``"stationary"``.
-    """
-
+    #: The test whether a sample was lost; "none", "llr", "nis" or "energy"
     detector: Detector = "none"
-    alpha: float = DEFAULT_ALPHA
+    alpha: float = DEFAULT_ALPHA  # Of "nis": its rate of false alarms, in (0, 1)
+    #: kappa, window: Of "energy": a loss is declared when the mean of |r|^2 over the last
+    #: window samples exceeds kappa times its expectation
     kappa: float = 1.0
     window: int = 1
-    lock_out: int = 10
+    lock_out: int = 10  # With a detector: from this many rejections in a row on, the status says so
+    #: Whether a lock-out starts the filter again from the unconditional moments
     reinitialise: bool = False
-    gain: Gain = "time_varying"
+    gain: Gain = "time_varying"  # "time_varying" or "stationary"
 
     @classmethod
     def read(cls, section: Section, _: Faults, __: Model) -> Self:
@@ -82,10 +69,10 @@ class LossOptions(Options):
                 )
         return cls(
             detector,
-            alpha=positive(section, "alpha", DEFAULT_ALPHA, below=1.0),
-            kappa=positive(section, "kappa", 1.0),
-            window=count(section, "window", 1, LONGEST_WINDOW),
-            lock_out=count(section, "lock_out", 10, 10**6),
+            alpha=section.positive("alpha", DEFAULT_ALPHA, below=1.0),
+            kappa=section.positive("kappa", 1.0),
+            window=section.count("window", 1, LONGEST_WINDOW),
+            lock_out=section.count("lock_out", 10, 10**6),
             reinitialise=section.flag("reinitialise", default=False),
             gain=section.choice("gain", GAINS, "time_varying"),
         )

@@ -31,24 +31,13 @@ DEFAULT_FLOOR = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class MmeOptions(Options):
-    """Hypotheses and their weights.
+    """Hypotheses and their weights."""
 
-    Parameters
-    ----------
-    hypotheses : tuple of tuple of float
-        The N success rates that are tried, each as long as ``ActuatorFaults.success_rate`` is.
-    prior : tuple of float
-        Their N probabilities at the start; they sum to one.
-    weight_floor : float
-        Every hypothesis keeps this probability, in [0, 1/N).
-    likelihood : str
-        ``"mixture"`` (exact for the present sample) or ``"gaussian"``.
-    """
-
+    #: The N success rates that are tried, each as long as ActuatorFaults.success_rate is
     hypotheses: tuple[tuple[float, ...], ...]
-    prior: tuple[float, ...]
-    weight_floor: float = DEFAULT_FLOOR
-    likelihood: Likelihood = "mixture"
+    prior: tuple[float, ...]  # Their N probabilities at the start; they sum to one
+    weight_floor: float = DEFAULT_FLOOR  # Every hypothesis keeps this probability, in [0, 1/N)
+    likelihood: Likelihood = "mixture"  # "mixture" (exact for the present sample) or "gaussian"
 
     @classmethod
     def read(cls, section: Section, faults: Faults, model: Model) -> Self:

@@ -12,24 +12,13 @@ from fkgen.faults.soft import SoftFaults
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What can fail.
+    """What can fail."""
 
-    Parameters
-    ----------
-    actuator : ActuatorFaults or None
-        Intermittent actuator faults, if any.
-    sensor : SensorFaults or None
-        Sensors that lose their signal or gain noise, if any.
-    jump : JumpFaults or None
-        Modes between which the plant jumps, and samples that are lost, if any.
-    soft : SoftFaults or None
-        Sensors that drift slowly, if any.
-    """
-
-    actuator: ActuatorFaults | None = None
-    sensor: SensorFaults | None = None
+    actuator: ActuatorFaults | None = None  # Intermittent actuator faults, if any
+    sensor: SensorFaults | None = None  # Sensors that lose their signal or gain noise, if any
+    #: Modes between which the plant jumps, and samples that are lost, if any
     jump: JumpFaults | None = None
-    soft: SoftFaults | None = None
+    soft: SoftFaults | None = None  # Sensors that drift slowly, if any
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 from fkgen.problem.covariance import nearby
-from fkgen.problem.filter import Options, count
+from fkgen.problem.filter import Options
 from fkgen.problem.model import Model
 from fkgen.problem.signals import Signal, read_row
 from fkgen.problem.table.place import Place, show
@@ -215,7 +215,7 @@ class CompressionOptions(Options):
         if "reacquire" not in section:
             return cls(test)
         what = "rejections in a row (leave it out for never)"
-        limit = count(section, "reacquire", 1, MOST_REJECTIONS, what)
+        limit = section.count("reacquire", 1, MOST_REJECTIONS, what)
         if not test:
             raise section.place.entry("reacquire").error(
                 "reacquire with test = false", "a test: without it nothing is rejected"

@@ -3,9 +3,8 @@
 from fkgen.problem.code import Code
 from fkgen.problem.filter import Filter, Parameter
 from fkgen.problem.model import Model
-from fkgen.problem.reader import load
 from fkgen.problem.signals import Signal
-from fkgen.problem.spec import Spec
+from fkgen.problem.spec import Spec, load
 from fkgen.problem.text.expression import (
     Expression,
     Name,

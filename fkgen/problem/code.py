@@ -20,22 +20,13 @@ _COPIES: tuple[Copies, ...] = ("static", "shared")
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Options of the generated code.
+    """Options of the generated code."""
 
-    Parameters
-    ----------
-    scalar : str
-        The real type of C: ``"double"`` or ``"float"``.
-    update : str
-        Form of the covariance update: ``"short"``, ``"joseph"``, or ``"auto"`` to let fkgen
-        choose.
-    elementary : str
-        Where exp, log and their like are: ``"static"`` in the file of the filter, or ``"shared"``
-        in files beside it, the same for all filters of one program.
-    """
-
-    scalar: Scalar = "double"
+    scalar: Scalar = "double"  # The real type of C: "double" or "float"
+    #: Form of the covariance update: "short", "joseph", or "auto" to let fkgen choose
     update: Update = "auto"
+    #: Where exp, log and their like are: "static" in the file of the filter, or "shared" in
+    #: files beside it, the same for all filters of one program
     elementary: Copies = "static"
 
     def plain(self) -> dict[str, object]:

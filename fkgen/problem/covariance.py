@@ -24,14 +24,7 @@ SINGULAR_TOLERANCE = 1e-12
 
 
 def checked_covariance(matrix: Matrix, place: Place, defaults: Mapping[str, float]) -> Matrix:
-    """Return a covariance matrix with its upper triangle mirroring the lower one.
-
-    Raises
-    ------
-    SpecError
-        If it is not symmetric (for parameters near the defaults too), or has a negative
-        eigenvalue at the defaults.
-    """
+    """Return a covariance matrix with its upper triangle mirroring the lower one."""
     _check_symmetry(matrix, place, defaults)
     result = mirrored(matrix)
     _check_sign(result.values(defaults), place)

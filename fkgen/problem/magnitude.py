@@ -16,13 +16,7 @@ LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 def check_magnitudes(
     plant: object, place: Place, defaults: Mapping[str, float], scalar: str
 ) -> None:
-    """Refuse entries of a model or mode beyond `LIMITS`; parameters have their default values.
-
-    Raises
-    ------
-    SpecError
-        Naming the first entry that is too large, or the first variance that is too small.
-    """
+    """Refuse entries of a model or mode beyond `LIMITS`; parameters have their default values."""
     names = ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c")
     found = {name: getattr(plant, name) for name in names if hasattr(plant, name)}
     _check(found, place, defaults, scalar)

@@ -28,35 +28,21 @@ class Model:
     .. math::
 
         x_{k+1} = A x_k + B u_k + w_k, \qquad y_k = C x_k + D u_k + v_k
-
-    Parameters
-    ----------
-    A : (n, n) Matrix
-    B : (n, q) Matrix
-        q may be 0.
-    C : (p, n) Matrix
-    D : (p, q) Matrix
-        Zeros if the user gave none.
-    Q, R : (n, n) and (p, p) Matrix
-        Covariances of the noises as they enter x and y; the upper triangle mirrors the lower.
-    x0, P0 : (n, 1) and (n, n) Matrix
-        Mean and covariance of the prediction for sample 0; constant.
-    sample_time : float or None
-        In seconds.
-    states, inputs, outputs : tuple of Signal
-        n, q and p of them.
     """
 
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    D: Matrix
+    A: Matrix  # (n, n)
+    B: Matrix  # (n, q): q may be 0
+    C: Matrix  # (p, n)
+    D: Matrix  # (p, q): Zeros if the user gave none
+    #: Q, R: (n, n) and (p, p): Covariances of the noises as they enter x and y; the upper
+    #: triangle mirrors the lower
     Q: Matrix
     R: Matrix
+    #: x0, P0: (n, 1) and (n, n): Mean and covariance of the prediction for sample 0; constant
     x0: Matrix
     P0: Matrix
-    sample_time: float | None
-    states: tuple[Signal, ...]
+    sample_time: float | None  # In seconds
+    states: tuple[Signal, ...]  # states, inputs, outputs: n, q and p of them
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
 
@@ -92,22 +78,7 @@ class Model:
 
 
 def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Model:
-    """Return the model that a table describes.
-
-    Parameters
-    ----------
-    table : object
-        What stands under ``model``.
-    place : Place
-        Where.
-    defaults : mapping of str to float
-        The parameters and their default values.
-
-    Raises
-    ------
-    SpecError
-        If a key is unknown, missing or twice there, or a matrix is not what its role demands.
-    """
+    """Return the model that a table describes."""
     section = Section(table, place, known=_KEYS)
     sample_time = _expand_system(section)
     return _Reader(section, defaults).model(sample_time)

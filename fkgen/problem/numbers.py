@@ -11,13 +11,7 @@ from fkgen.errors import DataError
 
 
 def probability(name: str, value: Any) -> float:
-    """A probability strictly between 0 and 1.
-
-    Raises
-    ------
-    DataError
-        If it is none.
-    """
+    """A probability strictly between 0 and 1."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -28,13 +22,7 @@ def probability(name: str, value: Any) -> float:
 
 
 def whole(name: str, value: Any, *, least: int, expected: str, most: float = math.inf) -> int:
-    """A whole number within bounds.
-
-    Raises
-    ------
-    DataError
-        If it is none.
-    """
+    """A whole number within bounds."""
     number = not isinstance(value, bool) and isinstance(value, int | np.integer)
     if not number or not least <= value <= most:
         raise DataError(name, given=repr(value), expected=expected)

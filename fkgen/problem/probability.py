@@ -31,13 +31,7 @@ def as_probability(value: object, place: Place) -> float:
 
 
 def as_distribution(value: object, place: Place, count: int, what: str) -> Distribution:
-    """Return ``count`` probabilities that sum to one.
-
-    Raises
-    ------
-    SpecError
-        If there are more or fewer, one is outside [0, 1], or the sum is not 1.
-    """
+    """Return ``count`` probabilities that sum to one."""
     expected = f"a list of {count} probabilities, {what}"
     entries = as_list(value, place, expected)
     if len(entries) != count:
@@ -50,24 +44,7 @@ def as_distribution(value: object, place: Place, count: int, what: str) -> Distr
 
 
 def as_transition(value: object, place: Place, order: str, count: int) -> tuple[Distribution, ...]:
-    """Return a (count, count) transition matrix: row i is the law of the next state after i.
-
-    Parameters
-    ----------
-    value : object
-        A list of rows.
-    place : Place
-        Where.
-    order : str
-        The order of the states, for messages.
-    count : int
-        Number of states.
-
-    Raises
-    ------
-    SpecError
-        If it has another size, or a row is no distribution.
-    """
+    """Return a (count, count) transition matrix: row i is the law of the next state after i."""
     expected = f"a {count} x {count} matrix, states ordered {order}, rows that sum to 1"
     rows = as_list(value, place, expected)
     if len(rows) != count:
@@ -82,18 +59,6 @@ Array = NDArray[np.float64]
 def stationary_law(transition: ArrayLike) -> Array | None:
     """The law that one step does not change; None if there are several.
 
-    Parameters
-    ----------
-    transition : (N, N) array_like
-        Rows sum to one.
-
-    Returns
-    -------
-    (N,) ndarray or None
-        Transient states have exactly zero.
-
-    References
-    ----------
     Grassmann, Taksar & Heyman 1985: elimination without a subtraction.
     """
     P = np.asarray(transition, float)
@@ -113,13 +78,7 @@ def visited(transition: ArrayLike, initial: ArrayLike) -> NDArray[np.bool_]:
 
 
 def period(transition: ArrayLike) -> int:
-    """Greatest common divisor of the lengths of all cycles among recurrent states.
-
-    Parameters
-    ----------
-    transition : (N, N) array_like
-        A chain with one recurrent class.
-    """
+    """Greatest common divisor of the lengths of all cycles among recurrent states."""
     P = np.asarray(transition, float)
     reach = _reaches(P)
     start = next(i for i in range(len(P)) if all(reach[j, i] for j in np.flatnonzero(reach[i])))

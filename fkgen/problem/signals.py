@@ -13,34 +13,14 @@ MAX_UNIT = 40
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One component of x, u or y.
+    """One component of x, u or y."""
 
-    Parameters
-    ----------
-    name : str
-        A C identifier.
-    unit : str
-        Such as ``"rad/s"``; empty if not stated.
-    """
-
-    name: str
-    unit: str = ""
+    name: str  # A C identifier
+    unit: str = ""  # Such as "rad/s"; empty if not stated
 
 
 def read_signals(section: Section, key: str, letter: str, count: int) -> tuple[Signal, ...]:
-    """Return the signals under ``key``, or ``x0, x1, ...`` without units.
-
-    Parameters
-    ----------
-    section : Section
-        The table ``model``.
-    key : str
-        ``states``, ``inputs`` or ``outputs``.
-    letter : str
-        For the default names.
-    count : int
-        How many there must be.
-    """
+    """Return the signals under ``key``, or ``x0, x1, ...`` without units."""
     if key not in section:
         return tuple(Signal(f"{letter}{index}") for index in range(count))
     place = section.place.entry(key)

@@ -1,8 +1,11 @@
-"""Outside ``families/`` nobody asks for a family's name, and a spec is read without what proves it."""
+"""Outside ``families/`` nobody asks for the name of a family: code asks for its traits."""
 
 from __future__ import annotations
 
 import ast
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +14,8 @@ from fkgen.families import ALIASES, NAMES, family
 from fkgen.study.reports.starters import resource
 
 PACKAGE = Path(__file__).resolve().parents[2] / "fkgen"
+TEMPLATES = PACKAGE.parent / "templates"
+HEAVY = {"casadi", "sympy", "control", "matplotlib", "scipy", "jinja2"}
 KNOWN = {*NAMES, *ALIASES}
 
 
@@ -64,3 +69,16 @@ def test_a_family_says_its_name_and_has_a_starter(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_options_of_a_family_are_fields_of_its_own(name):
     assert set(family(name).keys).isdisjoint({"family", "options"})
+
+
+def test_reading_a_spec_of_any_family_loads_none_of_the_heavy_libraries():
+    code = (
+        "import sys, tomllib, fkgen\n"
+        "from fkgen.families import NAMES, family\n"
+        f"for name in NAMES: fkgen.load({str(TEMPLATES)!r} + '/' + family(name).starter)\n"
+        f"print(sorted({HEAVY!r} & sys.modules.keys()))"
+    )
+    environment = os.environ | {"PYTHONPATH": str(PACKAGE.parent)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout == "[]\n"

@@ -114,7 +114,7 @@ def record(spec, T, *, seed=1, missing=0.0, params=None, rates=None, u=None):
     rng = np.random.default_rng(seed)
     if u is None:
         u = rng.standard_normal((T, spec.model.nu))
-    if rates is None and spec.filter.options.hypotheses:
+    if rates is None and spec.first_rates is not None:
         rates = spec.filter.options.hypotheses[-1]
     y = simulate(system_of(spec, T, params, rates), u, rng, missing=missing)
     return y, u

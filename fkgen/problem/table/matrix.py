@@ -29,19 +29,11 @@ _ENTRY = "a finite number or an expression of the parameters"
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What a matrix is for: the shape it must have, and why.
+    """What a matrix is for: the shape it must have, and why."""
 
-    Parameters
-    ----------
-    rows, columns : int or None
-        The shape; None where any size will do.
-    because : str
-        What the matrix maps to what.
-    """
-
-    rows: int | None
+    rows: int | None  # rows, columns: The shape; None where any size will do
     columns: int | None
-    because: str
+    because: str  # What the matrix maps to what
 
     @property
     def shape(self) -> str:
@@ -55,25 +47,7 @@ class Role:
 
 
 def read_matrix(value: object, place: Place, role: Role, defaults: Mapping[str, float]) -> Matrix:
-    """Return a matrix from nested lists or from an object of another library.
-
-    Parameters
-    ----------
-    value : object
-        What the user gave.
-    place : Place
-        Where.
-    role : Role
-        The shape it must have.
-    defaults : mapping of str to float
-        The parameters it may use; every entry must be finite at their default values.
-
-    Raises
-    ------
-    SpecError
-        If it is no matrix, its rows differ in length, an entry is neither a finite number nor
-        an expression of the parameters, or the shape is wrong.
-    """
+    """Return a matrix from nested lists or from an object of another library."""
     matrix = Matrix(tuple(_rows(value, place, defaults)))
     if not role.fits(matrix.shape):
         raise place.error(f"shape {matrix.shape}", f"shape {role.shape}: {role.because}")

@@ -21,18 +21,10 @@ _WORDS: dict[type, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A dotted path in a spec file: everything an error has to name.
+    """A dotted path in a spec file: everything an error has to name."""
 
-    Parameters
-    ----------
-    file : str
-        The spec file, or ``"<dict>"``.
-    key : str
-        Dotted path, such as ``model.A[0][1]``; ``"spec"`` is the whole of it.
-    """
-
-    file: str = "<dict>"
-    key: str = WHOLE
+    file: str = "<dict>"  # The spec file, or "<dict>"
+    key: str = WHOLE  # Dotted path, such as model.A[0][1]; "spec" is the whole of it
 
     def entry(self, name: str) -> Place:
         """Return the place of one key of this table."""

@@ -14,22 +14,7 @@ Choice = TypeVar("Choice", bound=str)
 
 
 class Section:
-    """A table of a spec.
-
-    Parameters
-    ----------
-    table : object
-        What was given; anything but a mapping with text keys is refused.
-    place : Place
-        Where it stands.
-    known : sequence of str
-        The keys it may have.
-
-    Raises
-    ------
-    SpecError
-        If it is no table or has any other key.
-    """
+    """A table of a spec."""
 
     def __init__(self, table: object, place: Place, *, known: Sequence[str]) -> None:
         self.place = place
@@ -66,6 +51,24 @@ class Section:
         if not isinstance(given, bool):
             raise self.place.entry(key).error(describe(given), "true or false")
         return given
+
+    def positive(self, key: str, default: float, below: float = math.inf) -> float:
+        """The positive number that was given, or the default."""
+        place = self.place.entry(key)
+        expected = "a positive number" if below == math.inf else f"a number in (0, {below:g})"
+        number = as_number(self.table.get(key, default), place, expected)
+        if not 0.0 < number < below:
+            raise place.error(show(number), expected)
+        return number
+
+    def count(self, key: str, default: int, largest: int, what: str = "samples") -> int:
+        """The whole number from 1 to the largest that was given, or the default."""
+        place = self.place.entry(key)
+        expected = f"a number of {what}, a whole number in 1..{largest}"
+        number = as_number(self.table.get(key, default), place, expected)
+        if number != int(number) or not 1 <= number <= largest:
+            raise place.error(show(self.table[key]), expected)
+        return int(number)
 
 
 def as_table(value: object, place: Place, expected: str) -> dict[str, object]:

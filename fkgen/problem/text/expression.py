@@ -1,12 +1,7 @@
-"""Expression trees: frozen, hashable, evaluated with plain arithmetic, never as Python.
+"""The expression language of spec files: text to a frozen tree and back.
 
-Every operation is built by `operation`, which folds constants. So a tree that it built is in
-normal form: writing it as text and parsing the text gives the same tree.
-
-The expression language of spec files: text to tree and back.
-
-Text is parsed by Python's `ast` and then taken over node by node through a whitelist. Nothing is
-ever compiled or evaluated as Python, so a spec file cannot execute code.
+Text is parsed by Python's `ast` and taken over node by node through a whitelist; nothing is ever
+evaluated as Python. `operation` folds constants, so that text and tree determine each other.
 """
 
 from __future__ import annotations
@@ -57,18 +52,10 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """``operator(*arguments)``.
+    """``operator(*arguments)``."""
 
-    Parameters
-    ----------
-    operator : str
-        One of ``+ - * / **`` (two arguments), ``neg`` (one) or a key of `FUNCTIONS`.
-    arguments : tuple of Expression
-        The operands, in the order in which they are written.
-    """
-
-    operator: str
-    arguments: tuple[Expression, ...]
+    operator: str  # One of + - * / ** (two arguments), neg (one) or a key of `FUNCTIONS`
+    arguments: tuple[Expression, ...]  # The operands, in the order in which they are written
 
 
 Expression = Number | Name | Operation
@@ -95,13 +82,7 @@ _COMPUTE: dict[str, Callable[..., float]] = {
 
 
 def operation(operator: str, *arguments: Expression) -> Expression:
-    """Return ``operator(*arguments)`` with constants folded.
-
-    Raises
-    ------
-    ArithmeticError
-        If all arguments are constants and the value is not a finite real number.
-    """
+    """Return ``operator(*arguments)`` with constants folded."""
     if all(isinstance(argument, Number) for argument in arguments):
         return Number(_compute(operator, [evaluate(argument, {}) for argument in arguments]))
     match operator, arguments:
@@ -142,23 +123,7 @@ def _balanced(operator: str, operands: Sequence[Expression], neutral: Expression
 
 
 def evaluate(expression: Expression, values: Mapping[str, float]) -> float:
-    """Return the value of an expression.
-
-    Parameters
-    ----------
-    expression : Expression
-        The tree.
-    values : mapping of str to float
-        A value for every name in it.
-
-    Raises
-    ------
-    ArithmeticError
-        If any part of it is not a finite real number: a division by zero, a logarithm of
-        something negative, an overflow. The message says which part.
-    KeyError
-        If a name has no value.
-    """
+    """Return the value of an expression."""
     match expression:
         case Number(value):
             return value
@@ -216,18 +181,6 @@ def size(expression: Expression) -> int:
     return 1
 
 
-__all__ = [
-    "FUNCTIONS",
-    "Expression",
-    "Name",
-    "Number",
-    "Operation",
-    "evaluate",
-    "names",
-    "parse",
-    "to_text",
-]
-
 MAX_TEXT = 10_000
 _ALLOWED = re.compile(r"[A-Za-z0-9_.,+\-*/() ]")
 _BINARY: dict[type[ast.operator], str] = {
@@ -257,27 +210,7 @@ _WORDS: dict[type[ast.AST], str] = {
 def parse(
     text: str, *, place: Place | None = None, parameters: Collection[str] | None = None
 ) -> Expression:
-    """Parse an expression.
-
-    Parameters
-    ----------
-    text : str
-        Numbers, names, ``+ - * / ** ( )`` and calls of the functions in `FUNCTIONS`.
-    place : Place, optional
-        Where the text stands, for messages.
-    parameters : collection of str, optional
-        The names it may use; any if not given.
-
-    Returns
-    -------
-    Expression
-        The tree, with constants folded: ``"2*3"`` is ``Number(6.0)``.
-
-    Raises
-    ------
-    SpecError
-        If the text is anything else, or a constant part of it is not a finite real number.
-    """
+    """Parse an expression."""
     where = Place("<text>", "expression") if place is None else place
     return _Parser(text, where, parameters).run()
 

@@ -76,27 +76,7 @@ def _numpy_list(value: Any) -> object:
 
 
 def state_space(system: object, place: Place) -> tuple[dict[str, object], float | None]:
-    """Take a discrete-time python-control ``StateSpace`` apart.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        The plant.
-    place : Place
-        Where it stands.
-
-    Returns
-    -------
-    matrices : dict of str to object
-        A, B, C and D.
-    sample_time : float or None
-        In seconds; None for the unspecified sample time of ``dt=True``.
-
-    Raises
-    ------
-    SpecError
-        If it is no state-space model or not discrete in time.
-    """
+    """Take a discrete-time python-control ``StateSpace`` apart."""
     if library(system) != "control" or not all(
         hasattr(system, key) for key in ("A", "B", "C", "D")
     ):

@@ -40,13 +40,7 @@ _SUPPORTED = "+ - * / **, exp, log, sqrt, sin, cos, tan, atan2 and fabs"
 
 
 def casadi_rows(value: Any, place: Place) -> list[list[float]] | list[list[Expression]]:
-    """Return the rows of a CasADi SX (expressions) or DM matrix (numbers).
-
-    Raises
-    ------
-    SpecError
-        If it is of another CasADi type or uses a function outside the expression language.
-    """
+    """Return the rows of a CasADi SX (expressions) or DM matrix (numbers)."""
     casadi = import_module("casadi")
     if isinstance(value, casadi.DM):
         numbers: list[list[float]] = value.full().tolist()

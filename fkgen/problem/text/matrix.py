@@ -25,26 +25,15 @@ NO_PARAMETERS: Mapping[str, float] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class Matrix:
-    """A frozen matrix of expressions.
+    """A frozen matrix of expressions."""
 
-    Parameters
-    ----------
-    rows : tuple of tuple of Expression
-        The entries, row by row; all rows have the same length. A matrix without columns is rows
-        that are empty.
-    """
-
+    #: The entries, row by row; all rows have the same length. A matrix without columns is rows
+    #: that are empty
     rows: tuple[tuple[Expression, ...], ...]
 
     @classmethod
     def of(cls, values: ArrayLike) -> Matrix:
-        """Return the constant matrix with these values.
-
-        Parameters
-        ----------
-        values : (r, c) array_like
-            Finite numbers.
-        """
+        """Return the constant matrix with these values."""
         array = np.atleast_2d(np.asarray(values, dtype=np.float64))
         return cls(tuple(tuple(Number(float(value)) for value in row) for row in array))
 
@@ -69,25 +58,7 @@ class Matrix:
         return all(isinstance(entry, Number) for row in self.rows for entry in row)
 
     def values(self, parameters: Mapping[str, float] = NO_PARAMETERS) -> NDArray[np.float64]:
-        """Return the values for given parameters.
-
-        Parameters
-        ----------
-        parameters : mapping of str to float
-            A value for every name in `names`; further names are ignored.
-
-        Returns
-        -------
-        (r, c) ndarray of float64
-            The values.
-
-        Raises
-        ------
-        ArithmeticError
-            If an entry is not a finite real number there.
-        KeyError
-            If a parameter has no value.
-        """
+        """Return the values for given parameters."""
         result = np.empty(self.shape)
         for i, row in enumerate(self.rows):
             for j, entry in enumerate(row):
@@ -109,20 +80,7 @@ def mirrored(matrix: Matrix) -> Matrix:
 
 
 def congruence(left: Matrix, middle: Matrix) -> Matrix:
-    """Return ``left @ middle @ left.T``, exactly symmetric.
-
-    Parameters
-    ----------
-    left : (r, m) Matrix
-        Such as F.
-    middle : (m, m) Matrix
-        Symmetric, such as V.
-
-    Raises
-    ------
-    ArithmeticError
-        If a constant entry of the product overflows.
-    """
+    """Return ``left @ middle @ left.T``, exactly symmetric."""
     count = range(len(middle.rows))
 
     def entry(i: int, j: int) -> Expression:

@@ -44,13 +44,7 @@ PREFIX_RESERVED = frozenset(_TYPES.split()) | frozenset(_HEADERS.split())
 
 
 def read_name(value: object, place: Place) -> str:
-    """Return a text that is safe as a C and C++ identifier.
-
-    Raises
-    ------
-    SpecError
-        If it is no identifier, too long, a keyword of C or C++, or reserved.
-    """
+    """Return a text that is safe as a C and C++ identifier."""
     expected = f"a C identifier: letters, digits and _, at most {MAX_LENGTH} characters"
     if not isinstance(value, str):
         raise place.error(describe(value), expected)
