@@ -77,28 +77,35 @@ def compare(
     experiment = replace(size, u=u, params=params, sensor=sensor, input=input, present=present)
     if families is None and len(given) == 1:
         families, left_out = default_families(given[0])
-    if not given:
+    found = _compared(given, families or (), experiment, progress=progress)
+    return replace(found, notes=(*found.notes, *left_out))
+
+
+def _compared(
+    specs: tuple[Spec, ...], families: Sequence[str], experiment: Experiment, *, progress: bool
+) -> Comparison:
+    if not specs:
         raise DataError("specs", given="none", expected="at least one spec")
-    everyone = (genie_of(given[0]), *candidates_of(given, families or ()))
+    truth, compiled = specs[0], []
+    everyone = (genie_of(truth), *candidates_of(specs, families))
     with progressing("build", len(everyone), shown=progress) as advance:
-        compiled = []
         for each in everyone:
             compiled.append(build(each.spec))
             advance(1)
         with ThreadPoolExecutor() as pool:
             costs = list(pool.map(footprint, compiled))
-    scores = _scored(given[0], everyone, compiled, experiment, progress=progress)
+    scores = _scored(truth, everyone, compiled, experiment, progress=progress)
     entries = [
         Entry(each.label, each.spec.filter.family, result, cost)
         for each, result, cost in zip(everyone, scores, costs, strict=True)
     ]
-    found = ranked(given[0], entries, experiment)
+    found = ranked(truth, entries, experiment)
     caveats = (
         f"{each.label}: {finding.message}"
         for each in everyone[1:]
         for finding in family(each.spec.filter.family).caveats(each.spec)
     )
-    return replace(found, notes=(*found.notes, *caveats, *left_out))
+    return replace(found, notes=(*found.notes, *caveats))
 
 
 def _scored(
