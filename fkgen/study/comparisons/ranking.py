@@ -17,9 +17,16 @@ from fkgen.families import family
 from fkgen.problem import Spec
 from fkgen.problem.numbers import probability
 from fkgen.study.comparisons.candidates import GENIE, fault_section
-from fkgen.study.comparisons.estimates import UNKNOWN, Estimate, error_of, influence_of, mean, ratio
 from fkgen.study.comparisons.footprint import Footprint
-from fkgen.study.comparisons.scores import Scores
+from fkgen.study.comparisons.scores import (
+    UNKNOWN,
+    Estimate,
+    Scores,
+    error_of,
+    influence_of,
+    mean,
+    ratio,
+)
 from fkgen.study.reports.jsonable import finite_or_none
 from fkgen.trials.simulation import counted
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from fkgen.problem import Spec
 from fkgen.problem.finding import Finding
 from fkgen.study.diagnostics import (
-    convergence,
     dynamics,
     faults,
     jumps,
@@ -29,7 +28,7 @@ _DIAGNOSTICS = (
     dynamics.excitation,
     dynamics.silence,
     dynamics.steady_state,
-    convergence.condition,
+    dynamics.error_decay,
     visibility.states,
     visibility.sensors,
     visibility.inputs,

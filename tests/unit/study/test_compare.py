@@ -13,10 +13,9 @@ from sensor_specs import SCALAR
 
 import fkgen
 from fkgen.cli import main
-from fkgen.study.comparisons.estimates import Estimate, mean, ratio
 from fkgen.study.comparisons.footprint import Footprint
 from fkgen.study.comparisons.ranking import Score, beaten, recommended
-from fkgen.study.comparisons.scores import detection, normalised
+from fkgen.study.comparisons.scores import Estimate, detection, mean, normalised, ratio
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 EXAMPLE_1 = EXAMPLES / "sensor_faults" / "example1.toml"
