@@ -37,29 +37,15 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[Any]], **justify: A
     console().print(table)
 
 
-def _silent(_: int) -> None:
-    return
-
-
 @contextmanager
 def progressing(title: str, total: int, *, shown: bool) -> Iterator[Advance]:
-    """A function to call with the number of pieces that were done since the last call.
-
-    Parameters
-    ----------
-    title : str
-        What is done.
-    total : int
-        Number of pieces.
-    shown : bool
-        If somebody is there to see it: nothing is written into files and pipes.
-    """
+    """A function to call with the number of pieces done since; only a terminal shows the bar."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     if not (shown and (console.is_terminal or console.is_jupyter)):
-        yield _silent
+        yield lambda _: None
         return
     columns = (
         TextColumn("{task.description}", markup=False),

@@ -1,15 +1,8 @@
-"""The stages in a row.
+"""The stages in a row: Spec -> Validated -> Source -> CompiledFilter.
 
-    Spec -> Validated -> Source -> CompiledFilter
-
-A spec is what the user says. Validation builds the recursion symbolically and confronts it with
-closed forms that share no code with it; only what agrees goes on. Generation lowers the recursion
-to a C program held as data and prints it. Compilation makes a shared library, once per content,
-and loads it. Each stage takes the value of the one before and returns a frozen one; only the last
-touches the disk.
-
-A filter that was built before comes from the cache by its spec, without CasADi: stages are
-imported when they are needed.
+Each takes the value of the one before and returns a frozen one; only the last touches the disk. A
+filter that was built before comes from the cache by its spec, without CasADi: stages are imported
+when they are needed.
 """
 
 from __future__ import annotations

@@ -16,8 +16,7 @@ from typing import Any, NoReturn
 
 import click
 
-from fkgen.cli import faults as cli_faults
-from fkgen.cli import trials as cli_trials
+from fkgen.cli import studies
 from fkgen.console import console as _console
 from fkgen.console import print_table as _print_table
 from fkgen.errors import FkgenError, InternalError
@@ -115,21 +114,21 @@ def check(spec: str, as_json: bool) -> None:
         click.echo(report.to_json())
     else:
         rows = [
-            (_styled(f.severity), f.code, f.message + (f"; {f.remedy}" if f.remedy else ""))
+            (_styled(f.severity, _STYLES[f.severity]), f.code, "; ".join(filter(None, texts)))
             for f in report.findings
+            for texts in [(f.message, f.remedy)]
         ]
         if rows:
             _print_table(("severity", "code", "finding"), rows)
-        _print_table(
-            ("value", "number"), ((n, f"{v:.6g}") for n, v in report.values.items()), number="right"
-        )
+        values = ((name, f"{value:.6g}") for name, value in report.values.items())
+        _print_table(("value", "number"), values, number="right")
     sys.exit(0 if report.sound else 1)
 
 
-def _styled(severity: str) -> Any:
+def _styled(text: str, style: str) -> Any:
     from rich.text import Text
 
-    return Text(severity, style=_STYLES[severity])
+    return Text(text, style=style)
 
 
 @main.command()
@@ -169,40 +168,29 @@ def verify(spec: str) -> None:
             progress.update(task, description=step.title)
             claims += step.run()
             progress.advance(task)
-    _print_table(
-        ("claim", "source", "error", "allowed", "holds"),
-        ((c.claim, c.source, f"{c.error:.1e}", f"{c.tolerance:.1e}", _verdict(c)) for c in claims),
-        error="right",
-        allowed="right",
-    )
+    holds = {True: _styled("yes", "green"), False: _styled("NO", "bold red")}
+    head = ("claim", "source", "error", "allowed", "holds")
+    numbers = ((f"{c.error:.1e}", f"{c.tolerance:.1e}") for c in claims)
+    rows = ((c.claim, c.source, *n, holds[c.holds]) for c, n in zip(claims, numbers, strict=True))
+    _print_table(head, rows, error="right", allowed="right")
     failed = sum(not claim.holds for claim in claims)
     click.echo(f"{len(claims) - failed} of {len(claims)} claims hold")
     sys.exit(1 if failed else 0)
-
-
-def _verdict(claim: Any) -> Any:
-    from rich.text import Text
-
-    return Text("yes", style="green") if claim.holds else Text("NO", style="bold red")
 
 
 @main.command()
 @click.argument("spec")
 @click.argument("record")
 @click.option("-o", "--output", type=Path, help="CSV file to write; default: standard output.")
-@click.option("--plot", type=Path, help="Picture to draw, as PNG, PDF or SVG.")
+@studies.PLOT
 @click.option("--keep", default="", help="Columns instead of the usual ones: port,port,...")
-@click.option("--force", is_flag=True, help="Replace files that exist.")
-def run(
-    spec: str, record: str, *, output: Path | None, plot: Path | None, keep: str, force: bool
-) -> None:
+@studies.FORCE
+def run(spec: str, record: str, **options: Any) -> None:
     """Filter RECORD, a CSV file, with the compiled filter of SPEC."""
     from fkgen.problem import load
     from fkgen.study.records import filtering
 
-    wanted = tuple(name.strip() for name in keep.split(",") if name.strip())
-    job = filtering.Job(Path(record), output=output, plot=plot, keep=wanted, force=force)
-    done = filtering.run(load(spec), job)
+    done = filtering.run(load(spec), Path(record), **options)
     for note in done.notes:
         click.echo(f"note: {note}", err=True)
     if done.text:
@@ -223,10 +211,8 @@ def demo(output: Path) -> None:
         console.print(line, soft_wrap=True)
 
 
-main.add_command(cli_faults.fault_effect)
-main.add_command(cli_faults.detectability)
-main.add_command(cli_trials.simulate)
-main.add_command(cli_trials.compare)
+for _command in (studies.fault_effect, studies.detectability, studies.simulate, studies.compare):
+    main.add_command(_command)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,122 +14,86 @@ from fkgen.errors import DataError
 from fkgen.problem import Spec
 from fkgen.study.comparisons.comparison import compare
 from fkgen.study.comparisons.ranking import Comparison
-from fkgen.study.effects.report import numbers_of
-from fkgen.study.records.files import refuse_existing, refuse_format, write_whole
-from fkgen.study.records.table import read_columns, read_table
+from fkgen.study.records.columns import csv_text
+from fkgen.study.records.files import refuse_targets
+from fkgen.study.records.table import constants_or_record, profile_of
 from fkgen.trials.simulation import Simulation, simulate
 
 STEPS = 200
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Circumstances:
-    """What both commands are told."""
-
-    steps: int | None
-    seed: int
-    record: Path | None
-    inputs: str
-    profile: Path | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Draw(_Circumstances):
-    """One trial, as the command line asks for it."""
-
-    trial: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wish(_Circumstances):
-    """A comparison, as the command line asks for it."""
-
-    families: str
-    runs: int
-    skip: int | None
-    false_alarm: float
-
-
-def drawn(spec: Spec, wish: Draw) -> str:
+def drawn(spec: Spec, *, seed: int, trial: int, **circumstances: Any) -> str:
     """One trial as a CSV text: what a filter is told, then the truth.
 
     Columns are the measurements, inputs and parameters by name, then ``true.<state>`` and the fault
     indicators: ``gamma`` and ``delta`` of sensors, ``gamma.<input>`` of actuators.
     """
-    steps, given = _circumstances(spec, wish)
-    found = simulate(spec, 1, steps, wish.seed, first=wish.trial, **given)
-    columns = _columns(spec, found)
-    out = io.StringIO(newline="")
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(columns)
-    for row in zip(*columns.values(), strict=True):
-        writer.writerow("" if math.isnan(value) else value for value in row)
-    return out.getvalue()
+    steps, given = _circumstances(spec, **circumstances)
+    columns = _columns(spec, simulate(spec, 1, steps, seed, first=trial, **given))
+    texts = [["" if math.isnan(v) else v for v in values.tolist()] for values in columns.values()]
+    return csv_text(list(columns), texts)
 
 
-def compared(specs: tuple[Spec, ...], wish: Wish, *, plot: Path | None, force: bool) -> Comparison:
+def compared(
+    specs: tuple[Spec, ...],
+    *,
+    families: str,
+    plot: Path | None,
+    force: bool,
+    steps: int | None,
+    record: Path | None,
+    inputs: str,
+    profile: Path | None,
+    **sizes: Any,
+) -> Comparison:
     """Compare, and draw the figure if one is asked for; progress is shown on a terminal."""
-    if plot is not None:
-        refuse_existing(plot, force=force, hint=", or --force to replace it")
-        refuse_format(plot)
-    steps, given = _circumstances(specs[0], wish)
-    families = tuple(name.strip() for name in wish.families.split(",") if name.strip())
-    found = compare(
-        specs,
-        families or None,
-        runs=wish.runs,
-        steps=steps,
-        seed=wish.seed,
-        skip=wish.skip,
-        false_alarm=wish.false_alarm,
-        progress=sys.stderr.isatty(),
-        **given,
+    refuse_targets(None, plot, force=force)
+    samples, given = _circumstances(
+        specs[0], steps=steps, record=record, inputs=inputs, profile=profile
     )
+    names = tuple(name.strip() for name in families.split(",") if name.strip())
+    shown = sys.stderr.isatty()
+    found = compare(specs, names or None, steps=samples, progress=shown, **sizes, **given)
     if plot is not None:
         from fkgen.study.comparisons.report import draw_comparison  # noqa: PLC0415 - slow to import
-        from fkgen.study.reports.plots import rendered  # noqa: PLC0415
+        from fkgen.study.reports.plots import save  # noqa: PLC0415
 
-        write_whole(plot, rendered(draw_comparison(found), plot), force=force)
+        save(draw_comparison(found), plot, force=force)
     return found
 
 
-def _circumstances(spec: Spec, wish: _Circumstances) -> tuple[int, dict[str, Any]]:
+def _circumstances(
+    spec: Spec, *, steps: int | None, record: Path | None, inputs: str, profile: Path | None
+) -> tuple[int, dict[str, Any]]:
     """Number of samples; inputs, parameters, missing rows and soft faults."""
-    signals: dict[str, NDArray[Any]] = {**_faults(spec, wish.profile)}
-    lengths = {len(values): wish.profile for values in signals.values()}
-    constant, params = numbers_of("--u", wish.inputs, spec.model.nu), {}
-    if wish.record is not None:
-        if constant is not None:
-            raise DataError("--u", given="inputs beside --record", expected="one of the two")
-        table = read_table(wish.record, spec)
-        lengths[len(table.lines)] = wish.record
-        signals["present"], params = np.isfinite(table.y), table.params
-        signals |= {"u": table.u} if spec.model.nu else {}
-    elif spec.model.nu and constant is None:
+    signals: dict[str, NDArray[Any] | None] = {}
+    lengths: dict[int, Path] = {}
+    params: dict[str, NDArray[Any]] = {}
+    if profile is not None:
+        sensor, signals["input"] = profile_of(spec, profile)
+        signals["sensor"], lengths[len(sensor)] = sensor, profile
+    constants, table = constants_or_record(spec, inputs, record)
+    if table is not None and record is not None:
+        lengths[len(table.lines)] = record
+        signals |= {"present": np.isfinite(table.y), "u": table.u if spec.model.nu else None}
+        params = table.params
+    elif spec.model.nu and constants is None:
         names = ", ".join(signal.name for signal in spec.model.inputs)
         raise DataError("--u", given="nothing", expected=f"numbers for {names}, or a --record")
     most = min(lengths, default=STEPS)
-    steps = most if wish.steps is None else wish.steps
-    if lengths and steps > most:
+    wanted = most if steps is None else steps
+    if lengths and wanted > most:
         expected = f"at most {most}: {lengths[most]} has no more samples"
-        raise DataError("--steps", given=str(steps), expected=expected)
-    given: dict[str, Any] = {name: values[:steps] for name, values in signals.items()}
-    given["params"] = {name: values[:steps] for name, values in params.items()}
-    return steps, {"u": constant} | given
+        raise DataError("--steps", given=str(wanted), expected=expected)
+    given = {name: None if v is None else v[:wanted] for name, v in signals.items()}
+    return wanted, {
+        "u": constants,
+        **given,
+        "params": {name: values[:wanted] for name, values in params.items()},
+    }
 
 
-def _faults(spec: Spec, path: Path | None) -> dict[str, NDArray[np.float64]]:
-    """Soft faults of sensors and inputs from a file that names at least one of them."""
-    if path is None:
-        return {}
-    names = [[s.name for s in signals] for signals in (spec.model.outputs, spec.model.inputs)]
-    columns = read_columns(path, names[0] + names[1])
-    parts = [[columns[name] for name in each] for each in names]
-    sides = zip(("sensor", "input"), parts, strict=True)
-    return {key: np.stack(part, axis=1) for key, part in sides if part}
-
-
-def _columns(spec: Spec, found: Simulation) -> dict[str, list[float]]:
+def _columns(spec: Spec, found: Simulation) -> dict[str, NDArray[np.floating[Any]]]:
     model, steps = spec.model, len(found.y[0])
     columns: dict[str, NDArray[np.floating[Any]]] = {}
     for signals, values in ((model.outputs, found.y[0]), (model.inputs, found.u)):
@@ -147,4 +108,4 @@ def _columns(spec: Spec, found: Simulation) -> dict[str, list[float]]:
         columns["arrival"] = found.arrival[0].astype(float)
     if found.gamma is not None and found.delta is None:
         columns |= {f"gamma.{s.name}": found.gamma[0, :, i] for i, s in enumerate(model.inputs)}
-    return {name: values.tolist() for name, values in columns.items()}
+    return columns

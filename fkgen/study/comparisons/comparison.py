@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fkgen.console import progressing
 from fkgen.errors import DataError
@@ -16,15 +16,14 @@ from fkgen.pipeline import build
 from fkgen.problem import Spec
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.study.comparisons.candidates import (
-    Contender,
-    contenders_of,
+    Candidate,
+    candidates_of,
     default_families,
+    filter_inputs,
     genie_of,
-    told,
 )
-from fkgen.study.comparisons.experiment import Experiment
 from fkgen.study.comparisons.footprint import footprint
-from fkgen.study.comparisons.ranking import Comparison, Entry, judged
+from fkgen.study.comparisons.ranking import Comparison, Entry, Experiment, ranked
 from fkgen.study.comparisons.scores import Scores, score
 from fkgen.trials.simulation import counted, simulate
 
@@ -79,7 +78,7 @@ def compare(
     if families is None and len(given) == 1:
         families, left_out = default_families(given[0])
     found = _compared(given, families or (), experiment, progress=progress)
-    return replace(found, notes=found.notes + left_out)
+    return replace(found, notes=(*found.notes, *left_out))
 
 
 def _compared(
@@ -87,10 +86,9 @@ def _compared(
 ) -> Comparison:
     if not specs:
         raise DataError("specs", given="none", expected="at least one spec")
-    truth = specs[0]
-    everyone = (genie_of(truth), *contenders_of(specs, families))
+    truth, compiled = specs[0], []
+    everyone = (genie_of(truth), *candidates_of(specs, families))
     with progressing("build", len(everyone), shown=progress) as advance:
-        compiled = []
         for each in everyone:
             compiled.append(build(each.spec))
             advance(1)
@@ -101,34 +99,33 @@ def _compared(
         Entry(each.label, each.spec.filter.family, result, cost)
         for each, result, cost in zip(everyone, scores, costs, strict=True)
     ]
-    found = judged(truth, entries, experiment)
-    return replace(found, notes=found.notes + _caveats(everyone[1:]))
-
-
-def _caveats(contenders: Sequence[Contender]) -> tuple[str, ...]:
-    """Where a filter is less than its name says."""
-    return tuple(
+    found = ranked(truth, entries, experiment)
+    caveats = (
         f"{each.label}: {finding.message}"
-        for each in contenders
+        for each in everyone[1:]
         for finding in family(each.spec.filter.family).caveats(each.spec)
     )
+    return replace(found, notes=(*found.notes, *caveats))
 
 
 def _scored(
     truth: Spec,
-    everyone: Sequence[Contender],
+    everyone: Sequence[Candidate],
     compiled: Sequence[CompiledFilter],
     experiment: Experiment,
     *,
     progress: bool,
 ) -> list[Scores]:
-    """Simulate and filter in chunks: only scores are kept."""
+    """Simulate and filter in chunks: only scores are kept; the first candidate is the genie."""
+    from scipy.special import gammainccinv  # noqa: PLC0415 - scipy.stats would take a second
+
     runs, steps = experiment.runs, experiment.steps
-    size = max(1, CHUNK // steps)
-    limits = _limits(experiment.false_alarm, truth.model.ny)
-    results = [Scores.empty(runs, truth.model.nx) for _ in everyone]
+    rows = np.arange(1, truth.model.ny + 1)
+    # What the NIS of 0, 1, ... rows exceeds with the probability of a false alarm.
+    limits = np.array([np.inf, *(2.0 * gammainccinv(0.5 * rows, experiment.false_alarm))])
+    parts: list[list[Scores]] = [[] for _ in everyone]
     with progressing("simulate and filter", runs * len(everyone), shown=progress) as advance:
-        for start in range(0, runs, size):
+        for start in range(0, runs, size := max(1, CHUNK // steps)):
             stop = min(start + size, runs)
             drawn = simulate(
                 truth,
@@ -142,25 +139,15 @@ def _scored(
                 present=_part(experiment.present, start, stop),
                 first=start,
             )
-            for at, (each, filtered, result) in enumerate(
-                zip(everyone, compiled, results, strict=True)
-            ):
-                given = told(drawn, each.spec, everything=at == 0)
-                part = score(filtered, given, drawn, skip=experiment.skip, limits=limits)
-                result.fill(start, stop, part)
+            for at, each in enumerate(everyone):
+                given = filter_inputs(drawn, each.spec, genie=at == 0)
+                part = score(compiled[at], given, drawn, skip=experiment.skip, limits=limits)
+                parts[at].append(part)
                 advance(stop - start)
-    return results
+    return [Scores.joined(each) for each in parts]
 
 
 def _part(signal: ArrayLike | None, start: int, stop: int) -> ArrayLike | None:
     """The trials of a chunk, if a signal has one record for each."""
     array = None if signal is None else np.asarray(signal)
     return array[start:stop] if array is not None and array.ndim == 3 else signal
-
-
-def _limits(false_alarm: float, rows: int) -> NDArray[np.float64]:
-    """What the NIS of 0, 1, ... rows exceeds with this probability."""
-    from scipy.special import gammainccinv  # noqa: PLC0415 - scipy.stats would take a second
-
-    quantiles = 2.0 * gammainccinv(0.5 * np.arange(1, rows + 1), false_alarm)
-    return np.concatenate([[np.inf], quantiles])

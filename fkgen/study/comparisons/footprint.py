@@ -51,12 +51,7 @@ class Footprint:
 
 
 def footprint(compiled: CompiledFilter) -> Footprint:
-    """Measure a compiled filter.
-
-    Parameters
-    ----------
-    compiled : CompiledFilter
-    """
+    """Measure a compiled filter."""
     manifest = json.loads((compiled.folder / MANIFEST).read_text(encoding="utf-8"))
     scalars = sum(port.size for port in compiled.layout.ports)
     return Footprint(

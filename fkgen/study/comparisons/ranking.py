@@ -1,26 +1,34 @@
-"""Which filter to take: the cheapest of those that are as good as the best, as far as is known.
+"""From scores to a table, a Pareto front and one recommendation that the numbers bear out.
 
-From scores to a table, a Pareto front and one recommendation that the numbers bear out.
+Recommended is the cheapest of the filters that are as good as the best, as far as is known.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.problem import Spec
-from fkgen.study.comparisons.candidates import YARDSTICK, fault_section
-from fkgen.study.comparisons.estimates import Estimate, error_of, influence_of, mean, ratio
-from fkgen.study.comparisons.experiment import Experiment
+from fkgen.problem.numbers import probability
+from fkgen.study.comparisons.candidates import GENIE, fault_section
 from fkgen.study.comparisons.footprint import Footprint
-from fkgen.study.comparisons.scores import Scores
+from fkgen.study.comparisons.scores import (
+    UNKNOWN,
+    Estimate,
+    Scores,
+    error_of,
+    influence_of,
+    mean,
+    ratio,
+)
+from fkgen.study.reports.jsonable import finite_or_none
+from fkgen.trials.simulation import counted
 
 Array = NDArray[np.float64]
 
@@ -31,10 +39,41 @@ MARGIN = 0.1
 #: A filter whose NEES is farther from 1 is not believed about its own error.
 HONEST = 0.1
 
+_GENIE_IS = {
+    "sensor": "is told gamma and delta of every sample",
+    "actuator": "is a Kalman filter that is told what reaches the plant",
+    "jump": "is a Kalman filter that is told the mode of every sample, and what was lost",
+}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standing:
-    """What counts for the choice."""
+class Experiment:
+    """Size and circumstances of a comparison: M trials of T samples, checked."""
+
+    runs: int
+    steps: int
+    seed: int
+    skip: int  # samples at the start of a trial that do not count
+    false_alarm: float  # of the NIS test, for filters that declare nothing themselves
+    u: ArrayLike | None = None  # this and the following: as for `simulate`
+    params: Mapping[str, ArrayLike] | None = None
+    sensor: ArrayLike | None = None
+    input: ArrayLike | None = None
+    present: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that cannot be."""
+        counted("runs", self.runs, least=2)
+        counted("steps", self.steps)
+        if not 0 <= self.skip < self.steps:
+            expected = f"from 0 to {self.steps - 1}: some of the {self.steps} samples have to count"
+            raise DataError("skip", given=str(self.skip), expected=expected)
+        probability("false_alarm", self.false_alarm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Score:
+    """What counts for the choice: error over that of the genie, influence of each trial, costs."""
 
     label: str
     footprint: Footprint
@@ -44,25 +83,28 @@ class Standing:
     @property
     def price(self) -> tuple[int, int, int]:
         """Operations, then code, then memory."""
-        print_ = self.footprint
-        return print_.cost, min(print_.flash.values(), default=0), print_.state
+        costs = self.footprint
+        return costs.cost, min(costs.flash.values(), default=0), costs.state
 
-    def not_worse_than(self, other: Standing) -> bool:
+    def gap(self, better: Score) -> Estimate:
+        """The paired difference to another one."""
+        return Estimate(self.value - better.value, error_of(self.influence - better.influence))
+
+    def not_worse_than(self, other: Score) -> bool:
         """Whether its error is smaller, or a tie, over the same trials."""
-        gap, doubt = self.value - other.value, TIE * self.apart(other)
-        return gap <= 0.0 or (gap <= doubt and gap + doubt <= MARGIN * other.value)
+        gap = self.gap(other)
+        doubt = TIE * gap.error
+        return gap.value <= 0.0 or (
+            gap.value <= doubt and gap.value + doubt <= MARGIN * other.value
+        )
 
-    def undecided_against(self, other: Standing) -> bool:
+    def undecided_against(self, other: Score) -> bool:
         """Whether its larger error may be chance, and may as well be much larger."""
-        gap = self.value - other.value
-        return 0.0 < gap <= TIE * self.apart(other) and not self.not_worse_than(other)
-
-    def apart(self, other: Standing) -> float:
-        """Standard error of the paired difference."""
-        return error_of(self.influence - other.influence)
+        gap = self.gap(other)
+        return 0.0 < gap.value <= TIE * gap.error and not self.not_worse_than(other)
 
 
-def beaten(one: Standing, everyone: Sequence[Standing]) -> bool:
+def beaten(one: Score, everyone: Sequence[Score]) -> bool:
     """Whether a cheaper filter is not worse, or one of the same price is better."""
     return any(
         other.not_worse_than(one)
@@ -74,46 +116,34 @@ def beaten(one: Standing, everyone: Sequence[Standing]) -> bool:
     )
 
 
-def recommended(everyone: Sequence[Standing], nees: dict[str, Estimate]) -> tuple[str, str]:
+def recommended(everyone: Sequence[Score], nees: dict[str, Estimate]) -> tuple[str, str]:
     """The cheapest of those whose error is not worse than the smallest, and why."""
     best = everyone[0]
     ties = [one for one in everyone if one.not_worse_than(best)]
     chosen = min(ties, key=lambda one: one.price)
-    about = f"its mean squared error, {_of(chosen)} times that of the genie,"
+    size = Estimate(chosen.value, error_of(chosen.influence))
+    about = f"its mean squared error, {size} times that of the genie,"
     if len(everyone) == 1:
         why = f"{about} has nothing to be compared with"
     elif chosen is not best:
         share = chosen.footprint.cost / max(1, best.footprint.cost)
         why = (
             f"{about} is that of {best.label} within {TIE:g} standard errors (difference "
-            f"{_gap(chosen, best)}), at {share:.0%} of the operations"
+            f"{chosen.gap(best)}), at {share:.0%} of the operations"
         )
     elif len(ties) > 1:
         names = " and ".join(one.label for one in ties if one is not best)
         why = f"{about} is the smallest, and {names}, which may be as good, costs no less"
     else:
         second = everyone[1]
-        why = f"{about} is the smallest, {_gap(second, best)} below that of {second.label}"
+        why = f"{about} is the smallest, {second.gap(best)} below that of {second.label}"
         if second.undecided_against(best):
             why += ", which more trials would have to decide"
-    return chosen.label, f"Take {chosen.label}: {why}{_caution(nees[chosen.label])}."
-
-
-def _gap(worse: Standing, better: Standing) -> Estimate:
-    return Estimate(worse.value - better.value, worse.apart(better))
-
-
-def _of(one: Standing) -> Estimate:
-    return Estimate(one.value, error_of(one.influence))
-
-
-def _caution(nees: Estimate) -> str:
-    """A clause about a covariance that is not to be believed."""
-    away = abs(nees.value - 1.0)
-    if not away > max(HONEST, TIE * nees.error):
-        return ""
-    word = "too small" if nees.value > 1.0 else "too large"
-    return f"; the covariance that it states is {word} (NEES {nees})"
+    own = nees[chosen.label]
+    if abs(own.value - 1.0) > max(HONEST, TIE * own.error):
+        word = "too small" if own.value > 1.0 else "too large"
+        why += f"; the covariance that it states is {word} (NEES {own})"
+    return chosen.label, f"Take {chosen.label}: {why}."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +207,7 @@ class Comparison:
     runs, steps, skip, seed : int
         M trials of T samples, of which those from ``skip`` on count.
     genie : Row
-        The yardstick, which is told every fault.
+        The genie-aided filter, which is told every fault: a lower bound.
     rows : tuple of Row
         The filters, the smallest error first.
     recommended : str
@@ -205,40 +235,34 @@ class Comparison:
 
     def to_json(self) -> str:
         """Everything as JSON; what has no value is null."""
-        return json.dumps(_without_nan(asdict(self)), indent=2)
+        return json.dumps(finite_or_none(asdict(self)), indent=2)
 
 
-def judged(truth: Spec, entries: Sequence[Entry], experiment: Experiment) -> Comparison:
-    """Compare entries, of which the first is the genie.
-
-    Raises
-    ------
-    DataError
-        If there is nothing to compare.
-    """
-    genie, others = entries[0], list(entries[1:])
-    relative = {id(e): _relative(e.scores.squared, genie.scores.squared) for e in entries}
-    lost = [e.label for e in others if not np.isfinite(relative[id(e)][0])]
-    others = [e for e in others if e.label not in lost]
-    if not others:
+def ranked(truth: Spec, entries: Sequence[Entry], experiment: Experiment) -> Comparison:
+    """Compare entries, of which the first is the genie-aided filter."""
+    genie, *others = entries
+    of_all = [_score(entry, genie) for entry in entries]
+    lost = [one.label for one in of_all[1:] if not np.isfinite(one.value)]
+    pairs = [(s, e) for s, e in zip(of_all[1:], others, strict=True) if s.label not in lost]
+    if not pairs:
         raise DataError(
             "comparison",
             given="errors that are zero for the genie, or beyond all numbers for every filter",
             expected="a plant with noise, and a horizon over which a filter follows it",
         )
-    others.sort(key=lambda e: relative[id(e)][0])
-    field_of = [Standing(e.label, e.footprint, *relative[id(e)]) for e in others]
-    front = {one.label for one in field_of if not beaten(one, field_of)}
+    pairs.sort(key=lambda pair: pair[0].value)
+    scores = [pair[0] for pair in pairs]
     states = [signal.name for signal in truth.model.states]
-    chosen, sentence = recommended(field_of, {e.label: mean(e.scores.nees) for e in others})
-    rows = [_row(e, relative[id(e)], states, pareto=e.label in front) for e in others]
+    nees = {entry.label: mean(entry.scores.nees) for _, entry in pairs}
+    chosen, sentence = recommended(scores, nees)
+    rows = [_row(one, entry, states, pareto=not beaten(one, scores)) for one, entry in pairs]
     return Comparison(
         name=truth.name,
         runs=experiment.runs,
         steps=experiment.steps,
         skip=experiment.skip,
         seed=experiment.seed,
-        genie=_row(genie, relative[id(genie)], states, pareto=False),
+        genie=_row(of_all[0], genie, states, pareto=False),
         rows=tuple(rows),
         recommended=chosen,
         recommendation=sentence,
@@ -247,38 +271,37 @@ def judged(truth: Spec, entries: Sequence[Entry], experiment: Experiment) -> Com
     )
 
 
-def _relative(squared: Array, best: Array) -> tuple[float, Array]:
+def _score(entry: Entry, genie: Entry) -> Score:
     """MSE over that of the genie: the mean over states, and the influence of every trial."""
+    squared, best = entry.scores.squared, genie.scores.squared
     with np.errstate(invalid="ignore", over="ignore"):
         parts = [influence_of(a, b) for a, b in zip(squared.T, best.T, strict=True)]
     known = [part for part in parts if np.isfinite(part[0])]
     if not known:
-        return float("nan"), np.full(len(squared), np.nan)
+        return Score(entry.label, entry.footprint, float("nan"), np.full(len(squared), np.nan))
     values, influences = zip(*known, strict=True)
-    return float(np.mean(values)), np.asarray(np.mean(influences, axis=0))
+    influence = np.asarray(np.mean(influences, axis=0))
+    return Score(entry.label, entry.footprint, float(np.mean(values)), influence)
 
 
-def _row(
-    entry: Entry, relative: tuple[float, Array], states: Sequence[str], *, pareto: bool
-) -> Row:
+def _row(score: Score, entry: Entry, states: Sequence[str], *, pareto: bool) -> Row:
     scores, found = entry.scores, entry.scores.found
     rmse = {}
     for i, state in enumerate(states):
         squared = mean(scores.squared[:, i])
         root = float(np.sqrt(squared.value))
         rmse[state] = Estimate(root, squared.error / (2.0 * root) if root > 0.0 else 0.0)
-    told = entry.label == YARDSTICK or not np.isfinite(found.healthy).all()
-    unknown = Estimate(float("nan"), float("nan"))
+    declares = entry.label != GENIE and np.isfinite(found.healthy).all()
     return Row(
         label=entry.label,
         family=entry.family,
-        relative=Estimate(relative[0], error_of(relative[1])),
+        relative=Estimate(score.value, error_of(score.influence)),
         rmse=rmse,
         nees=mean(scores.nees),
         nis=mean(scores.nis),
-        detected=unknown if told else ratio(found.found, found.onsets),
-        delay=unknown if told else ratio(found.waited, found.found),
-        false_alarms=unknown if told else ratio(found.alarms, found.healthy),
+        detected=ratio(found.found, found.onsets) if declares else UNKNOWN,
+        delay=ratio(found.waited, found.found) if declares else UNKNOWN,
+        false_alarms=ratio(found.alarms, found.healthy) if declares else UNKNOWN,
         footprint=entry.footprint,
         refused=int(scores.refused.sum()),
         pareto=pareto,
@@ -286,23 +309,15 @@ def _row(
 
 
 def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[str, ...]:
-    genie = {
-        "sensor": "is told gamma and delta of every sample",
-        "actuator": "is a Kalman filter that is told what reaches the plant",
-        "jump": "is a Kalman filter that is told the mode of every sample, and what was lost",
-    }.get(
-        fault_section(truth),
-        "is the Kalman filter of the plant, told of no soft fault but free of them",
-    )
-    counted = f"samples {experiment.skip} to {experiment.steps - 1} count"
+    faults = fault_section(truth)
+    no_faults = "is the Kalman filter of the plant, told of no soft fault but free of them"
     paired = f"+- one standard error over {experiment.runs} trials, the same for every filter"
+    counted_ones = f"samples {experiment.skip} to {experiment.steps - 1} count"
+    notes = [f"genie {_GENIE_IS.get(faults, no_faults)}", f"{paired}; {counted_ones}"]
     without = [row.family for row in rows if not family(row.family).accepts]
-    notes = [f"genie {genie}", f"{paired}; {counted}"]
-    if without and fault_section(truth):
-        notes.append(
-            f"{without[0]}: the same plant with its faults left out;"
-            " it takes every y and u for good"
-        )
+    if without and faults:
+        taken = "the same plant with its faults left out; it takes every y and u for good"
+        notes.append(f"{without[0]}: {taken}")
     if any(np.isfinite(row.false_alarms.value) for row in rows):
         notes.append(
             "faults are declared where the mode without fault has a probability below one half; "
@@ -312,11 +327,3 @@ def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[st
     if refused:
         notes.append(f"samples that filters refused: {', '.join(refused)}")
     return tuple(notes)
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(entry) for entry in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,7 +1,4 @@
-"""The figure of a comparison: error against cost, with the filters that nothing cheaper beats.
-
-The table of a comparison as texts: a column per filter, the genie first.
-"""
+"""A comparison as a table and as a figure: error against cost, with what nothing cheaper beats."""
 
 from __future__ import annotations
 
@@ -14,19 +11,14 @@ from matplotlib.ticker import FuncFormatter
 
 from fkgen.study.comparisons.footprint import CALL
 from fkgen.study.comparisons.ranking import Comparison, Row
+from fkgen.study.reports.plots import BLUE, GREY, ORANGE
 
-_BLUE, _GREY, _ORANGE = "#1f5a94", "#8a8a8a", "#d9741a"
+#: Errors further apart than this share a logarithmic axis.
 _SPREAD = 10.0
-"""Errors further apart than this share a logarithmic axis."""
 
 
 def draw_comparison(comparison: Comparison) -> Figure:
-    """Draw every filter as a point with its standard error, the Pareto front as a line.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    """
+    """Draw every filter as a point with its standard error, the Pareto front as a line."""
     figure = Figure(figsize=(7.5, 4.8), layout="constrained")
     axis = figure.subplots()
     rows = sorted(comparison.rows, key=lambda row: row.footprint.cost)
@@ -35,7 +27,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
         [row.footprint.cost for row in front],
         [row.relative.value for row in front],
         where="post",
-        color=_BLUE,
+        color=BLUE,
         lw=1.2,
         alpha=0.6,
         label="Pareto front",
@@ -57,7 +49,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
 
 def _draw_filter(axis: Axes, row: Row, *, above: bool, chosen: bool) -> None:
     """A point with its standard error and its name, above or below so that neighbours fit."""
-    colour, place = _BLUE if row.pareto else _GREY, (row.footprint.cost, row.relative.value)
+    colour, place = BLUE if row.pareto else GREY, (row.footprint.cost, row.relative.value)
     shape = "o" if row.pareto else "s"
     axis.errorbar(*place, yerr=row.relative.error, fmt=shape, color=colour, capsize=3, ms=6)
     axis.annotate(
@@ -67,7 +59,7 @@ def _draw_filter(axis: Axes, row: Row, *, above: bool, chosen: bool) -> None:
         textcoords="offset points",
         fontsize=9,
         fontweight="bold" if chosen else "normal",
-        color=_ORANGE if chosen else colour,
+        color=ORANGE if chosen else colour,
     )
 
 
@@ -78,36 +70,25 @@ def _scale(axis: Axes, rows: list[Row]) -> None:
     low, high = min(costs), max(costs)
     axis.set_xlim(low / 1.3, high * (2.2 if high > low else 1.6))
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.xaxis.set_minor_formatter(FuncFormatter(_some))
-    values = np.array([row.relative.value for row in rows])
-    if np.nanmax(values) > _SPREAD:
+    between = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
+    axis.xaxis.set_minor_formatter(between)
+    highest = float(np.nanmax([row.relative.value for row in rows]))
+    if highest > _SPREAD:
         axis.set_yscale("log")
-        axis.set_ylim(0.5, 3.0 * float(np.nanmax(values)))
+        axis.set_ylim(0.5, 3.0 * highest)
     else:
-        top = 1.0 + 1.15 * max(0.05, float(np.nanmax(values)) - 1.0)
+        top = 1.0 + 1.15 * max(0.05, highest - 1.0)
         axis.set_ylim(1.0 - 0.12 * (top - 1.0), top)
 
 
-def _some(value: float, _: int) -> str:
-    """Labels at 2 and 5 between powers of ten."""
-    first = f"{value:e}"[0]
-    return f"{value:g}" if first in "25" else ""
-
-
 def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
-    """Head and rows; what no filter has is left out.
-
-    Parameters
-    ----------
-    comparison : Comparison
-
-    Returns
-    -------
-    head : list of str
-    rows : list of list of str
-        The quantity, then a text per filter.
-    """
+    """Head, and rows of the quantity and a text per filter; what no filter has is left out."""
     filters = (comparison.genie, *comparison.rows)
+    targets = dict.fromkeys(key for row in filters for key in row.footprint.flash)
+    code: list[list[object]] = [
+        [f"code {target}, bytes", *(row.footprint.flash.get(target, "-") for row in filters)]
+        for target in targets
+    ]
     rows: list[list[object]] = [
         ["MSE / that of the genie", *(row.relative for row in filters)],
         *([f"rmse {name}", *(row.rmse[name] for row in filters)] for name in filters[0].rmse),
@@ -119,30 +100,18 @@ def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
         ["flops of a step", *(row.footprint.operations for row in filters)],
         ["calls of log, exp, ..", *(row.footprint.calls for row in filters)],
         ["state, bytes", *(row.footprint.state for row in filters)],
-        *_code(filters),
+        *code,
         ["nothing cheaper is as good", *("yes" if row.pareto else "" for row in filters)],
     ]
     texts = [[str(cell) for cell in row] for row in rows]
     return ["", *(row.label for row in filters)], [row for row in texts if set(row[1:]) != {"-"}]
 
 
-def _code(filters: Sequence[Row]) -> list[list[object]]:
-    """Bytes of code, a row per target."""
-    targets = dict.fromkeys(key for row in filters for key in row.footprint.flash)
-    return [
-        [f"code {key}, bytes", *(row.footprint.flash.get(key, "-") for row in filters)]
-        for key in targets
-    ]
-
-
 def markdown(comparison: Comparison) -> str:
     """The same table for a page, with the recommendation and the notes below it."""
     head, rows = table_of(comparison)
     rule = ["---", *("---:" for _ in head[1:])]
-    lines = [_line(cells) for cells in (head, rule, *rows)]
+    cells: Sequence[Sequence[str]] = (head, rule, *rows)
+    lines = [f"| {' | '.join(line)} |" for line in cells]
     notes = [f"- {note}" for note in comparison.notes]
     return "\n".join([*lines, "", comparison.recommendation, "", *notes]) + "\n"
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"

@@ -1,105 +1,90 @@
-"""What a filter made of trials: errors and consistency, one number per trial."""
+"""What a filter made of trials: errors, consistency, faults noticed; numbers and their means."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
-from fkgen.study.comparisons.candidates import Told, healthy_modes
-from fkgen.study.comparisons.detection import Detection, declared, detection, faulty, tested
+from fkgen.study.comparisons.candidates import FilterInputs
 from fkgen.symbolic.interface import Status
 from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 #: Ports that scores need, as far as a filter has them.
 PORTS = (
-    "filtered_state",
-    "filtered_covariance",
-    "nis",
-    "mode_probability",
-    "fault_declared",
-    "test_dof",
+    *("filtered_state", "filtered_covariance", "nis"),
+    *("mode_probability", "fault_declared", "test_dof"),
 )
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
 _ROUNDED = 512.0
+#: A sensor is declared faulty when it is more probably so than not.
+_DECIDED = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """Counts per trial, (M,) each."""
+
+    healthy: Array  # samples without fault
+    alarms: Array  # and those of them that were declared faulty
+    onsets: Array  # faults that set in
+    found: Array  # and those that were declared before they ended
+    waited: Array  # samples between onset and declaration, summed over those found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """One filter over M trials.
+    """One filter over M trials."""
 
-    Attributes
-    ----------
-    squared : (M, n) ndarray
-        Mean squared error of every state.
-    nees, nis : (M,) ndarray
-        Mean normalised squares, per dimension: 1 if the filter is right about itself.
-    refused : (M,) ndarray
-        Samples that the filter refused.
-    detection : (5, M) ndarray
-        The fields of a `Detection`; NaN where the filter declares nothing.
-    """
-
-    squared: Array
-    nees: Array
-    nis: Array
-    refused: Array
-    detection: Array
+    squared: Array  # (M, n), mean squared error of every state
+    nees: Array  # (M,), mean normalised square of the error per dimension: 1 if P is right
+    nis: Array  # (M,), the same of the innovation
+    refused: Array  # (M,), samples that the filter refused
+    detection: Array  # (M, 5), the fields of a `Detection`; NaN where it declares nothing
 
     @classmethod
-    def empty(cls, runs: int, states: int) -> Scores:
-        """Room for M trials."""
-        each = np.full((3, runs), np.nan)
-        return cls(
-            np.full((runs, states), np.nan), each[0], each[1], each[2], np.full((5, runs), np.nan)
-        )
+    def joined(cls, parts: list[Scores]) -> Scores:
+        """The scores of all trials from those of some after the others."""
+        of_each = [[getattr(part, field.name) for part in parts] for field in fields(cls)]
+        return cls(*(np.concatenate(each) for each in of_each))
 
     @property
     def found(self) -> Detection:
         """Counts of declarations."""
-        return Detection(*self.detection)
-
-    def fill(self, start: int, stop: int, part: Scores) -> None:
-        """Put the scores of some trials in place."""
-        for name in ("squared", "nees", "nis", "refused"):
-            getattr(self, name)[start:stop] = getattr(part, name)
-        self.detection[:, start:stop] = part.detection
+        return Detection(*self.detection.T)
 
 
 def score(
-    compiled: CompiledFilter, given: Told, simulation: Simulation, *, skip: int, limits: Array
+    compiled: CompiledFilter,
+    given: FilterInputs,
+    simulation: Simulation,
+    *,
+    skip: int,
+    limits: Array,
 ) -> Scores:
-    """Run a filter over a simulation and compare it with the truth.
+    """Run a filter over a simulation and compare it with the truth, from sample ``skip`` on.
 
-    Parameters
-    ----------
-    compiled : CompiledFilter
-    given : Told
-        What it is told.
-    simulation : Simulation
-    skip : int
-        Samples at the start that do not count.
-    limits : (p + 1,) ndarray
-        NIS of 0, 1, ... p rows beyond which a filter without modes declares a fault.
+    A filter without modes declares a fault where the NIS of 0, 1, ... p rows is above ``limits``.
     """
     kept = [name for name in PORTS if name in compiled.ports]
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
     error = (simulation.state - run["filtered_state"])[:, skip:].astype(np.float64)
     covariance = run["filtered_covariance"][:, skip:]
-    runs, rows = len(error), np.isfinite(given.y[..., list(given.judged)]).sum(axis=2)
+    runs, rows = len(error), np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
-    nis = _nis(run, rows, skip, host=len(given.judged) < given.y.shape[2])
-    counts = np.full((5, runs), np.nan)
-    faults = faulty(simulation)
-    alarms = declared(run, limits[rows], healthy_modes(simulation.spec))
+    nis = _nis(run, rows, skip, host=len(given.tested) < given.y.shape[2])
+    jump = simulation.spec.faults.jump
+    counts = np.full((runs, 5), np.nan)
+    faults = _faulty(simulation)
+    alarms = _declared(run, limits[rows], 1 if jump is None else len(jump.modes))
     if faults is not None and alarms is not None:
-        found = detection(faults, alarms, skip, tested(run))
-        counts = np.array([getattr(found, name) for name in Detection.__slots__])
+        counts = np.stack(astuple(detection(faults, alarms, skip, _tested(run))), axis=1)
     refused = run.refused.sum(axis=1).astype(np.float64)
     return Scores((error**2).mean(axis=1), nees, nis, refused, counts)
 
@@ -110,26 +95,14 @@ def _nis(run: Run, rows: NDArray[np.int64], skip: int, *, host: bool) -> Array:
         return np.full(len(rows), np.nan)
     used = (run.status >= 0 if host else run.status == Status.OK.value)[:, skip:]
     total = (run["nis"][:, skip:] * used).sum(axis=1, dtype=np.float64)
-    count = (rows[:, skip:] * used).sum(axis=1)
-    return np.asarray(np.divide(total, count, out=np.full(len(rows), np.nan), where=count > 0))
+    return _over(total, (rows[:, skip:] * used).sum(axis=1))
 
 
 def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> Array:
-    """Mean of e' P^-1 e over its dimensions, per trial: LDL' of all samples at once.
+    """Mean of e' P^-1 e over its dimensions, (M,), of (M, T, n) errors: LDL' of all at once.
 
-    Directions in which P is zero are left out.
-
-    Parameters
-    ----------
-    error : (M, T, n) ndarray
-    covariance : (M, T, n, n) ndarray
-    unit : float
-        Unit round-off of the covariance.
-
-    Returns
-    -------
-    (M,) ndarray
-        NaN where no direction is left.
+    Directions in which P (M, T, n, n), of this unit round-off, is zero are left out; NaN where none
+    is left.
     """
     n = error.shape[2]
     left = covariance.astype(np.float64)
@@ -145,5 +118,128 @@ def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> A
             share = left[..., i, j] * inverse
             e[..., i] -= share * e[..., j]
             left[..., i, j + 1 :] -= share[..., None] * left[..., j, j + 1 :]
-    total, count = total.sum(axis=1), dimensions.sum(axis=1)
-    return np.asarray(np.divide(total, count, out=np.full(len(e), np.nan), where=count > 0.0))
+    return _over(total.sum(axis=1), dimensions.sum(axis=1))
+
+
+def _over(total: Array, count: NDArray[np.number]) -> Array:
+    """Means; NaN where nothing was counted."""
+    return np.asarray(np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0))
+
+
+def _faulty(simulation: Simulation) -> Flags | None:
+    """(M, T): samples whose measurement is struck by a fault; None if that is not for a detector.
+
+    Actuators that fail at random and modes of the plant act on the state: no sample is good or bad
+    by itself.
+    """
+    if simulation.delta is not None:
+        return np.asarray(simulation.mode != 0)
+    if simulation.arrival is not None:
+        return ~simulation.arrival
+    if simulation.gamma is not None or simulation.mode is not None:
+        return None
+    clean = simulation.trials.measurement
+    return np.asarray(((simulation.y != clean) & np.isfinite(clean)).any(axis=2))
+
+
+def _declared(run: Run, limits: Array, healthy: int) -> Flags | None:
+    """(M, T): samples that a filter declares faulty: by its verdict, its modes, or its NIS.
+
+    ``limits`` (M, T) are those of the NIS; the first ``healthy`` modes are those without fault.
+    """
+    if "fault_declared" in run.ports:
+        return _of_any_group(run, "fault_declared")
+    if "mode_probability" in run.ports:
+        return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < _DECIDED)
+    return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
+
+
+def _tested(run: Run) -> Flags | None:
+    """(M, T): samples at which a filter decides, if that is not every sample."""
+    return _of_any_group(run, "test_dof") if "test_dof" in run.ports else None
+
+
+def _of_any_group(run: Run, name: str) -> Flags:
+    """Whether a port, which has one number or one per group of rows, is positive."""
+    positive = run[name] > 0.0
+    return np.asarray(positive if positive.ndim == 2 else positive.any(axis=2))
+
+
+def detection(
+    faults: Flags, declarations: Flags, skip: int, decided: Flags | None = None
+) -> Detection:
+    """Count what was declared rightly and wrongly, from sample ``skip`` on; flags are (M, T).
+
+    Of the samples without fault those count at which something is ``decided``; all by default.
+    """
+    faults, declarations = faults[:, skip:], declarations[:, skip:]
+    at = np.arange(faults.shape[1])
+    next_declared, end = _next(declarations), _next(~faults)
+    onset = faults.copy()
+    onset[:, 0] = False  # it may have set in before
+    onset[:, 1:] &= ~faults[:, :-1]
+    found = onset & (next_declared < end)
+    wait = np.where(found, next_declared - at, 0)
+    healthy = ~faults if decided is None else ~faults & decided[:, skip:]
+    counts = (healthy, healthy & declarations, onset, found, wait)
+    return Detection(*(each.sum(axis=1).astype(np.float64) for each in counts))
+
+
+def _next(flags: Flags) -> NDArray[np.int64]:
+    """Index of the first flag at or after each sample; the number of samples if there is none."""
+    steps = flags.shape[1]
+    index = np.where(flags, np.arange(steps), steps)
+    return np.asarray(np.minimum.accumulate(index[:, ::-1], axis=1)[:, ::-1])
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number and its standard error."""
+
+    value: float
+    error: float
+
+    def __str__(self) -> str:
+        """The number with as many digits as its error leaves meaning."""
+        if not np.isfinite(self.value):
+            return "-"
+        if not self.error > 0.0:
+            return f"{self.value:.4g}"
+        digits = int(np.clip(1 - np.floor(np.log10(self.error)), 0, 8))
+        return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
+
+
+UNKNOWN = Estimate(float("nan"), float("nan"))
+
+
+def mean(each: Array) -> Estimate:
+    """The mean over trials, of (M,) numbers; NaN where a trial has nothing to say."""
+    known = each[np.isfinite(each)]
+    if not known.size:
+        return UNKNOWN
+    return Estimate(float(known.mean()), error_of(known - known.mean()))
+
+
+def ratio(above: Array, below: Array) -> Estimate:
+    """The ratio of two means over the same trials, with its error by the delta method."""
+    value, influence = influence_of(above, below)
+    return Estimate(value, error_of(influence))
+
+
+def influence_of(above: Array, below: Array) -> tuple[float, Array]:
+    """A ratio of means, and how far each trial moves it: (M,), with mean zero.
+
+    Differences of ratios have the differences of these: that is what pairing trials gains.
+    """
+    total = float(below.mean())
+    if not total > 0.0:
+        return float("nan"), np.full(above.shape, np.nan)
+    value = float(above.mean()) / total
+    return value, (above - value * below) / total
+
+
+def error_of(influence: Array) -> float:
+    """Standard error of the mean of numbers with mean zero, one per trial."""
+    if influence.size < 2:
+        return float("nan")
+    return float(np.sqrt((influence**2).sum() / (influence.size - 1) / influence.size))

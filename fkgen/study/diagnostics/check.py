@@ -1,14 +1,14 @@
 """Look at a model before anyone trusts it: can it be filtered, are there digits, what does it cost.
 
-All figures are for the default parameters, u = 0 (unless their name says otherwise) and all rows of
+All numbers are for the default parameters, u = 0 (unless their name says otherwise) and all rows of
 y present.
 """
 
 from __future__ import annotations
 
 from fkgen.problem import Spec
+from fkgen.problem.finding import Finding
 from fkgen.study.diagnostics import (
-    convergence,
     dynamics,
     faults,
     jumps,
@@ -17,18 +17,18 @@ from fkgen.study.diagnostics import (
     size,
     visibility,
 )
-from fkgen.study.diagnostics.findings import Finding, Report, combined
-from fkgen.study.diagnostics.model_numbers import Figures
+from fkgen.study.diagnostics.findings import Report, ReportBuilder
+from fkgen.study.diagnostics.model_numbers import ModelNumbers
 
 __all__ = ["Finding", "Report", "check"]
 
-_EXAMINATIONS = (
+_DIAGNOSTICS = (
     dynamics.stability,
     dynamics.observability,
     dynamics.excitation,
     dynamics.silence,
-    dynamics.rest,
-    convergence.condition,
+    dynamics.steady_state,
+    dynamics.error_decay,
     visibility.states,
     visibility.sensors,
     visibility.inputs,
@@ -39,11 +39,9 @@ _EXAMINATIONS = (
     rounding.float_suitability,
     faults.known_rate,
     faults.hypotheses,
-    faults.identification,
-    faults.floor,
     faults.caveats,
     faults.noise_factor,
-    faults.law,
+    faults.distribution,
     faults.lost_signal,
     faults.compression_loss,
     size.parameters,
@@ -51,17 +49,7 @@ _EXAMINATIONS = (
 )
 
 #: Where every mode has matrices of its own, those of the model say little.
-_OF_JUMPS = (
-    jumps.chain,
-    jumps.radius,
-    jumps.rest,
-    jumps.innovation,
-    jumps.visibility,
-    jumps.detector,
-    faults.caveats,
-    size.parameters,
-    size.cost,
-)
+_OF_JUMPS = (jumps.diagnose, faults.caveats, size.parameters, size.cost)
 
 
 def check(spec: Spec) -> Report:
@@ -84,6 +72,7 @@ def check(spec: Spec) -> Report:
     Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with the
     conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
     """
-    figures = Figures(spec)
-    examinations = _EXAMINATIONS if spec.faults.jump is None else _OF_JUMPS
-    return combined([examine(figures) for examine in examinations])
+    model, report = ModelNumbers(spec), ReportBuilder()
+    for diagnose in _DIAGNOSTICS if spec.faults.jump is None else _OF_JUMPS:
+        diagnose(model, report)
+    return report.report()

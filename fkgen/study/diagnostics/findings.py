@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass, field
 from fkgen.problem.finding import Finding, Severity
 from fkgen.study.reports.jsonable import finite_or_none
 
-__all__ = ["Finding", "Part", "Report", "Severity", "combined"]
-
 _ORDER: tuple[Severity, ...] = ("error", "warning", "note")
 
 
@@ -36,24 +34,43 @@ class Report:
     def to_json(self) -> str:
         """Findings and values as JSON; a number that is not finite becomes null."""
         findings = [
-            asdict(f) | {"value": None if f.value is None else finite_or_none(f.value)}
+            asdict(f) | {"value": None if f.value is None else float(f.value)}
             for f in self.findings
         ]
-        values = {name: finite_or_none(value) for name, value in self.values.items()}
-        return json.dumps({"sound": self.sound, "findings": findings, "values": values}, indent=2)
+        facts = {"sound": self.sound, "findings": findings, "values": self.values}
+        return json.dumps(finite_or_none(facts), indent=2)
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """What one examination contributes to a report."""
+@dataclass(slots=True)
+class ReportBuilder:
+    """Takes what each diagnostic finds and computes."""
 
-    findings: tuple[Finding, ...] = ()
+    findings: list[Finding] = field(default_factory=list)
     values: dict[str, float] = field(default_factory=dict)
 
+    def note(self, code: str, message: str, value: float | None = None, remedy: str = "") -> None:
+        """Add something that is good to know."""
+        self.findings.append(Finding(code, "note", message, value, remedy))
 
-def combined(parts: list[Part]) -> Report:
-    """All parts as one report, the worst findings first."""
-    findings = [finding for part in parts for finding in part.findings]
-    findings.sort(key=lambda finding: _ORDER.index(finding.severity))
-    values = {name: value for part in parts for name, value in part.values.items()}
-    return Report(tuple(findings), values)
+    def warning(self, code: str, message: str, value: float | None, remedy: str) -> None:
+        """Add something that is probably not what was meant."""
+        self.findings.append(Finding(code, "warning", message, value, remedy))
+
+    def error(self, code: str, message: str, value: float | None, remedy: str) -> None:
+        """Add something that keeps the filter from its work."""
+        self.findings.append(Finding(code, "error", message, value, remedy))
+
+    def rank(self, rank: int, rows: int, where: str = "") -> None:
+        """Warn if the innovation covariance does not have full rank."""
+        if rank < rows:
+            message = (
+                f"the innovation covariance has rank {rank} of {rows}{where}: some rows of y "
+                "follow exactly from the others, and are left out by a decision on rank"
+            )
+            remedy = "give every measurement some noise, at least that of its last digit"
+            self.warning("innovation_rank", message, rank, remedy)
+
+    def report(self) -> Report:
+        """All of it, the worst findings first."""
+        worst_first = sorted(self.findings, key=lambda finding: _ORDER.index(finding.severity))
+        return Report(tuple(worst_first), self.values)

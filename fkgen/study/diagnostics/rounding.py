@@ -1,10 +1,9 @@
-"""Would float do: an a-priori bound on what rounding adds to the estimate of a filter at rest.
+"""Would float do: a bound on what rounding adds to the estimate of a filter in its steady state.
 
-Running error analysis of a generated program: a bound on its rounding, statement by statement.
-
-Every number carries a bound on the distance between what the program computes in float and what
-exact arithmetic would give (Higham 2002, *Accuracy and Stability of Numerical Algorithms*, sec.
-3.3). Of the program's statements, not of the equations they come from.
+Running error analysis of the generated program (Higham 2002, *Accuracy and Stability of Numerical
+Algorithms*, sec. 3.3): every number carries a bound on the distance between what the program
+computes in float and what exact arithmetic would give. Of the program's statements, not of the
+equations they come from.
 """
 
 from __future__ import annotations
@@ -21,23 +20,26 @@ from fkgen.backend.ir import CProgram, Operator
 from fkgen.backend.lower import lower
 from fkgen.families import family
 from fkgen.problem import Code
-from fkgen.study.diagnostics.findings import Finding, Part, Severity
-from fkgen.study.diagnostics.model_numbers import Array, Figures, Rest
+from fkgen.study.diagnostics.findings import ReportBuilder
+from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE
 from fkgen.symbolic.interface import Status
 from fkgen.symbolic.packing import triangle
 
 #: Samples over which errors add up; a filter that forgets more slowly gets no bound.
 _LONGEST = 20_000
-
 #: What remains of an error after which its share is left out.
 _FORGOTTEN = 1e-6
-
 #: Share of a standard deviation that rounding may take without anybody noticing.
 _SMALL = 0.1
+#: Half a unit in the last place of float; what its elementary functions err by.
+UNIT = 2.0**-24
+_FUNCTION = 4.0 * UNIT
+#: Relative errors beyond this say that there are no digits left.
+_HOPELESS = 0.5
 
 
-def float_suitability(figures: Figures) -> Part:
+def float_suitability(model: ModelNumbers, report: ReportBuilder) -> None:
     """Bound the rounding of float in x(k|k) and hold it against its standard deviation.
 
     Local bounds come from the statements of one step, near rest and at the far end of the range of
@@ -45,115 +47,104 @@ def float_suitability(figures: Figures) -> Part:
     F = A - K C. To first order: an error of the gain acts on an innovation of three standard
     deviations.
     """
-    rest = figures.rest
-    if rest is None or not figures.spec.filter.traits.linear:
-        return Part()
-    bound = filtered_bound(figures, rest)
+    steady = model.steady
+    if steady is None or not model.spec.filter.traits.linear:
+        return
+    bound = _filtered_bound(model, steady)
     if bound is None:
-        return Part()
-    names = figures.states
-    deviation = np.sqrt(np.maximum(np.diag(rest.filtered), 0.0))
-    values = {f"float_error_bound.{n}": float(b) for n, b in zip(names, bound, strict=True)}
-    share = np.divide(bound, deviation, out=np.full_like(bound, np.inf), where=deviation > 0.0)
-    worst = int(np.argmax(share))
-    values["float_error_to_sd"] = float(share[worst])
-    unit = figures.spec.model.states[worst].unit
-    size = f"{bound[worst]:.2g} {unit}".rstrip()
+        return
+    names = model.states
+    deviation = np.sqrt(np.maximum(np.diag(steady.filtered), 0.0))
+    report.values |= {f"float_error_bound.{n}": float(b) for n, b in zip(names, bound, strict=True)}
+    shares = np.divide(bound, deviation, out=np.full_like(bound, np.inf), where=deviation > 0.0)
+    worst = int(np.argmax(shares))
+    share = float(shares[worst])
+    report.values["float_error_to_sd"] = share
+    size = f"{bound[worst]:.2g} {model.spec.model.states[worst].unit}".rstrip()
     text = (
-        f"float rounds {names[worst]} by at most {size}, {share[worst]:.2g} of its sd at rest, "
-        f"for states of the usual range (here up to {usual_range(figures)[worst]:.3g})"
+        f"float rounds {names[worst]} by at most {size}, {share:.2g} of its sd at rest, "
+        f"for states of the usual range (here up to {usual_range(model)[worst]:.3g})"
     )
-    if share[worst] <= _SMALL:
-        return Part((Finding("float_suitable", "note", text, float(share[worst])),), values)
-    if not np.isfinite(share[worst]):
+    if share <= _SMALL:
+        report.note("float_suitable", text, share)
+        return
+    if not np.isfinite(share):
         text = f"no bound on what float rounds in {names[worst]}: no digits are certain"
-    severity: Severity = "warning" if figures.is_float else "note"
     remedy = "states of a smaller range, such as offsets from a reference"
-    remedy = f'scalar = "double", or {remedy}' if figures.is_float else f"for float: {remedy}"
-    finding = Finding("float_rounding", severity, text, float(share[worst]), remedy)
-    return Part((finding,), values)
+    if model.is_float:
+        report.warning("float_rounding", text, share, f'scalar = "double", or {remedy}')
+    else:
+        report.note("float_rounding", text, share, f"for float: {remedy}")
 
 
-def filtered_bound(figures: Figures, rest: Rest) -> Array | None:
+def _filtered_bound(model: ModelNumbers, steady: SteadyFilter) -> Array | None:
     """Bound on the rounding of x(k|k), (n,); None if the filter forgets too slowly.
 
     Two passes over one step: the first bounds the rounding of P, which the closed loop adds up;
     the second that of x, with a P that is off by that sum.
     """
-    F = figures.A - rest.gain @ figures.C
-    samples = _samples(rest.radius)
-    if samples is None:
+    F, samples = model.A - steady.gain @ model.C, 2
+    if steady.radius > 0.0:
+        samples += math.ceil(math.log(_FORGOTTEN) / math.log(steady.radius))
+    if samples > _LONGEST:
         return None
-    local = _local(figures, rest, np.zeros_like(rest.predicted))
+    spec = replace(model.spec, code=Code("float", model.spec.code.update))
+    program = lower(family(spec.filter.family).build(spec))
+    local = _local(program, model, steady, np.zeros_like(steady.predicted))
     if local is None:
         return None
-    covariance = np.zeros_like(rest.predicted)
+    covariance = np.zeros_like(steady.predicted)
     memory, power = np.zeros_like(F), np.eye(len(F))
     for _ in range(samples):
         size = np.abs(power)
         covariance += size @ local["predicted_covariance"] @ size.T
         memory += size
         power = F @ power
-    local = _local(figures, rest, covariance)
+    local = _local(program, model, steady, covariance)
     if local is None:
         return None
-    predicted = memory @ local["predicted_state"]
-    kept = np.abs(np.eye(len(F)) - rest.filtered_gain @ figures.C)
-    return np.asarray(local["filtered_state"] + kept @ predicted)
+    kept = np.abs(np.eye(len(F)) - steady.filtered_gain @ model.C)
+    return np.asarray(local["filtered_state"] + kept @ (memory @ local["predicted_state"]))
 
 
-def usual_range(figures: Figures) -> Array:
+def usual_range(model: ModelNumbers) -> Array:
     """How far from zero each state gets, (n,): 3 standard deviations of the prior from x0.
 
     Where the plant is stable, at least as far as it gets by itself, driven by inputs of 1.
     """
     from scipy.linalg import solve_discrete_lyapunov  # noqa: PLC0415 - slow to import
 
-    prior = np.abs(figures.system.x0) + 3.0 * np.sqrt(np.diag(figures.P0).clip(0.0))
-    if np.abs(np.linalg.eigvals(figures.A)).max() >= 1.0 - ON_THE_CIRCLE:
+    prior = np.abs(model.system.x0) + 3.0 * np.sqrt(np.diag(model.P0).clip(0.0))
+    if np.abs(np.linalg.eigvals(model.A)).max() >= 1.0 - ON_THE_CIRCLE:
         return np.asarray(prior)
-    variance = np.diag(solve_discrete_lyapunov(figures.A, figures.Q))
-    size = np.abs(np.linalg.solve(np.eye(len(figures.A)) - figures.A, figures.B)).sum(axis=1)
+    variance = np.diag(solve_discrete_lyapunov(model.A, model.Q))
+    size = np.abs(np.linalg.solve(np.eye(len(model.A)) - model.A, model.B)).sum(axis=1)
     return np.asarray(np.maximum(prior, size + 3.0 * np.sqrt(variance.clip(0.0))))
 
 
-def _samples(radius: float) -> int | None:
-    if radius <= 0.0:
-        return 2
-    samples = math.ceil(math.log(_FORGOTTEN) / math.log(radius)) + 2
-    return samples if samples <= _LONGEST else None
+def _local(
+    program: CProgram, model: ModelNumbers, steady: SteadyFilter, off: Array
+) -> dict[str, Array] | None:
+    """Bounds on every member of the instance after one step from rest, with P off by ``off``.
 
-
-def _local(figures: Figures, rest: Rest, off: Array) -> dict[str, Array] | None:
-    """Bounds after one step that starts at rest with P off by ``off``; covariances full."""
-    spec = figures.spec
-    single = replace(spec, code=Code("float", spec.code.update))
-    program = lower(family(spec.filter.family).build(single))
-    x = usual_range(figures)
-    u = np.ones(spec.model.nu)
-    y = figures.C @ x + figures.D @ u + 3.0 * np.sqrt(np.diag(rest.innovation).clip(0.0))
+    Covariances are full, other members packed as in C; None if the sample would be refused.
+    """
+    x, u = usual_range(model), np.ones(model.spec.model.nu)
+    y = model.C @ x + model.D @ u + 3.0 * np.sqrt(np.diag(steady.innovation).clip(0.0))
     places = list(triangle(len(x)))
-    start = {
-        "predicted_state": [Bounded.stored(float(v)) for v in x],
-        "predicted_covariance": [
-            Bounded.of(float(rest.predicted[i, j]), float(off[i, j])) for i, j in places
-        ],
-    }
-    found = one_step(program, start, (u.tolist(), y.tolist()), spec.defaults)
-    if found is None:
+    machine = Machine(program)
+    machine.use(Bounded.stored, _elementary, ARITHMETIC)
+    machine.ports["predicted_state"] = [Bounded.stored(float(v)) for v in x]
+    machine.ports["predicted_covariance"] = [
+        Bounded.of(float(steady.predicted[i, j]), float(off[i, j])) for i, j in places
+    ]
+    if machine.step(u.tolist(), y.tolist(), model.spec.defaults) is not Status.OK:
         return None
-    full = np.zeros_like(rest.predicted)
-    for (i, j), error in zip(places, found["predicted_covariance"], strict=True):
+    errors = {name: np.array([v.error for v in values]) for name, values in machine.ports.items()}
+    full = np.zeros_like(steady.predicted)
+    for (i, j), error in zip(places, errors["predicted_covariance"], strict=True):
         full[i, j] = full[j, i] = error
-    return {**found, "predicted_covariance": full}
-
-
-#: Half a unit in the last place of float; what its elementary functions err by.
-UNIT = 2.0**-24
-_FUNCTION = 4.0 * UNIT
-
-#: Relative errors beyond this say that there are no digits left.
-_HOPELESS = 0.5
+    return {**errors, "predicted_covariance": full}
 
 
 class Bounded(float):
@@ -194,14 +185,6 @@ def _quotient(a: Bounded, b: Bounded) -> Bounded:
     return _rounded(value, (a.error + abs(value) * b.error) / (abs(b) - b.error))
 
 
-def _larger(a: Bounded, b: Bounded) -> Bounded:
-    return Bounded.of(max(float(a), float(b)), max(a.error, b.error))
-
-
-def _smaller(a: Bounded, b: Bounded) -> Bounded:
-    return Bounded.of(min(float(a), float(b)), max(a.error, b.error))
-
-
 ARITHMETIC: Mapping[Operator, Callable[..., Bounded]] = {
     Operator.ADD: lambda a, b: _rounded(float(a) + float(b), a.error + b.error),
     Operator.SUB: lambda a, b: _rounded(float(a) - float(b), a.error + b.error),
@@ -209,8 +192,8 @@ ARITHMETIC: Mapping[Operator, Callable[..., Bounded]] = {
     Operator.DIV: _quotient,
     Operator.NEG: lambda a: Bounded.of(-float(a), a.error),
     Operator.ABS: lambda a: Bounded.of(abs(float(a)), a.error),
-    Operator.MAX: _larger,
-    Operator.MIN: _smaller,
+    Operator.MAX: lambda a, b: Bounded.of(max(float(a), float(b)), max(a.error, b.error)),
+    Operator.MIN: lambda a, b: Bounded.of(min(float(a), float(b)), max(a.error, b.error)),
 }
 
 _PLAIN: Mapping[Operator, Callable[..., float]] = {
@@ -253,36 +236,3 @@ def _slope(operator: Operator, values: list[float], value: float, error: float) 
             far = math.hypot(*values) - 2.0 * error
             return 2.0 / far if far > 0.0 else math.inf
     return 1.0
-
-
-def one_step(
-    program: CProgram,
-    start: Mapping[str, list[Bounded]],
-    sample: tuple[list[float], list[float]],
-    parameters: Mapping[str, float],
-) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]] | None:
-    """Bounds on the rounding of every member of the instance after one step.
-
-    Parameters
-    ----------
-    program : CProgram
-        As lowered for float.
-    start : mapping of str to list of Bounded
-        Members of the instance before the step, with what they are off already.
-    sample : pair of list of float
-        u and y.
-    parameters : mapping of str to float
-
-    Returns
-    -------
-    dict of str to ndarray, or None
-        Packed as in C; None if the sample would be refused.
-    """
-    machine = Machine(program)
-    machine.use(Bounded.stored, _elementary, ARITHMETIC)
-    machine.ports |= {name: list(values) for name, values in start.items()}
-    if machine.step(*sample, parameters) is not Status.OK:
-        return None
-    return {
-        name: np.array([value.error for value in values]) for name, values in machine.ports.items()
-    }

@@ -1,10 +1,8 @@
-"""What y does not show and what noise does not reach: invariant subspaces, whatever the units are.
+"""What can be seen: each state through y, each fault through the innovation, noise in the state.
 
-Decided on scaled matrices: states are scaled so that what enters and what leaves each of them is of
-one size, measurements so that each row of C has length one. Changing the unit of a state or a
-measurement changes nothing.
-
-What can be seen: each state through y, and each fault through the innovation.
+Invariant subspaces are decided on scaled matrices: states are scaled so that what enters and what
+leaves each of them is of one size, measurements so that each row of C has length one. Changing the
+unit of a state or a measurement changes nothing.
 """
 
 from __future__ import annotations
@@ -17,72 +15,49 @@ from numpy.typing import NDArray
 
 from fkgen.oracle.exact.gaussian import square_root
 from fkgen.problem.covariance import is_singular
-from fkgen.study.diagnostics.findings import Finding, Part
-from fkgen.study.diagnostics.model_numbers import Array, Figures, Rest, listed
-from fkgen.study.effects.power import required_noncentrality
+from fkgen.study.diagnostics.findings import ReportBuilder
+from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter, listed
+from fkgen.study.effects.effect import required_noncentrality
 
 #: Singular values below this, relative to the size of the scaled matrices, count as zero: the
 #: matrices are known to about ten digits at best.
 RANK_TOLERANCE = 1e-10
-
 #: An eigenvalue this near to the unit circle counts as on it; a defective one is known no better.
 ON_THE_CIRCLE = 1e-7
-
+#: The usual test: one false alarm in a thousand samples, nine of ten faults found.
+FALSE_ALARM, POWER = 1e-3, 0.9
+#: Shares of a subspace, and of a fault in the innovation (in standard deviations), that are none.
+_NOTHING = 1e-6
 _SWEEPS = 12
-_INVOLVED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hidden:
-    """A subspace that A maps into itself and that cannot be seen (or reached).
-
-    Attributes
-    ----------
-    size : int
-        Its dimension.
-    states : tuple of int
-        Indices of the states that have a share in it.
-    eigenvalues : (size,) ndarray of complex
-        Of A within it.
-    """
+    """A subspace that A maps into itself and that cannot be seen (or reached)."""
 
     size: int
-    states: tuple[int, ...]
-    eigenvalues: NDArray[np.complex128]
+    states: tuple[int, ...]  # those that have a share in it
+    eigenvalues: NDArray[np.complex128]  # (size,), of A within it
 
 
 def unobservable(A: Array, C: Array) -> Hidden:
-    """The largest A-invariant subspace within the null space of C.
-
-    Parameters
-    ----------
-    A, C : (n, n), (p, n) ndarray
-    """
-    n = len(A)
+    """The largest A-invariant subspace within the null space of C."""
     scale = _scaled(A, C)
     M = A * scale[np.newaxis, :] / scale[:, np.newaxis]
-    rows = C * scale[np.newaxis, :]
-    length = np.linalg.norm(rows, axis=1, keepdims=True)
-    rows = np.divide(rows, length, out=np.zeros_like(rows), where=length > 0.0)
-    V = _null_space(rows, np.eye(n), 1.0)
+    V = _null_space(_unit_rows(C * scale[np.newaxis, :]), np.eye(len(A)), 1.0)
     while V.shape[1]:
         outside = M @ V - V @ (V.T @ (M @ V))
         smaller = _null_space(outside, V, max(1.0, float(np.linalg.norm(M, 2))))
         if smaller.shape[1] == V.shape[1]:
             break
         V = smaller
-    involved = np.flatnonzero(np.linalg.norm(V, axis=1) > _INVOLVED)
+    involved = np.flatnonzero(np.linalg.norm(V, axis=1) > _NOTHING)
     within = np.linalg.eigvals(V.T @ M @ V).astype(complex) if V.shape[1] else np.zeros(0, complex)
     return Hidden(V.shape[1], tuple(int(i) for i in involved), within)
 
 
 def unreachable(A: Array, Q: Array) -> Hidden:
-    """What noise of covariance Q never reaches: the dual of `unobservable`.
-
-    Parameters
-    ----------
-    A, Q : (n, n) ndarray
-    """
+    """What noise of covariance Q never reaches: the dual of `unobservable`."""
     size, correlation = correlations(Q)
     values, vectors = np.linalg.eigh(correlation)
     kept = values > RANK_TOLERANCE
@@ -108,26 +83,24 @@ def _scaled(A: Array, C: Array) -> Array:
     n = len(A)
     d = np.ones(n)
     for _ in range(_SWEEPS):
-        rows = C * d[np.newaxis, :]
-        length = np.linalg.norm(rows, axis=1, keepdims=True)
-        rows = np.divide(rows, length, out=np.zeros_like(rows), where=length > 0.0)
+        rows = _unit_rows(C * d[np.newaxis, :])
         for i in range(n):
             others = np.arange(n) != i
-            leaves = float(
-                np.hypot(
-                    np.linalg.norm(A[others, i] * d[i] / d[others]), np.linalg.norm(rows[:, i])
-                )
-            )
+            left = np.linalg.norm(A[others, i] * d[i] / d[others])
+            leaves = float(np.hypot(left, np.linalg.norm(rows[:, i])))
             enters = float(np.linalg.norm(A[i, others] * d[others] / d[i]))
             if leaves > 0.0 and enters > 0.0:
                 factor = np.sqrt(enters / leaves)
-            elif leaves > 0.0:
-                factor = 1.0 / leaves
             else:
-                factor = enters or 1.0
+                factor = 1.0 / leaves if leaves > 0.0 else enters or 1.0
             d[i] *= factor
             rows[:, i] *= factor
     return d
+
+
+def _unit_rows(matrix: Array) -> Array:
+    length = np.linalg.norm(matrix, axis=1, keepdims=True)
+    return np.asarray(np.divide(matrix, length, out=np.zeros_like(matrix), where=length > 0.0))
 
 
 def _null_space(matrix: Array, basis: Array, size: float) -> Array:
@@ -139,52 +112,41 @@ def _null_space(matrix: Array, basis: Array, size: float) -> Array:
     return np.asarray(basis @ right[rank:].T)
 
 
-#: The usual test: one false alarm in a thousand samples, nine of ten faults found.
-FALSE_ALARM, POWER = 1e-3, 0.9
-
-#: An innovation below this share of the fault, both in standard deviations, counts as none.
-_NOTHING = 1e-6
-
-
-def states(figures: Figures) -> Part:
+def states(model: ModelNumbers, report: ReportBuilder) -> None:
     """How well n samples alone determine each state, in its unit: infinite if they do not."""
-    if is_singular(figures.R):
-        return Part()
-    n = len(figures.A)
-    whitened = np.linalg.solve(square_root(figures.R), figures.C)
-    rows = [whitened]
+    if is_singular(model.R):
+        return
+    n = len(model.A)
+    rows = [np.linalg.solve(square_root(model.R), model.C)]
     for _ in range(n - 1):
-        rows.append(rows[-1] @ figures.A)
+        rows.append(rows[-1] @ model.A)
     stacked = np.vstack(rows)
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0.0] = 1.0
     _, singular, right = np.linalg.svd(stacked / scale, full_matrices=False)
-    hidden = unobservable(figures.A, figures.C)
+    hidden = unobservable(model.A, model.C)
     kept = singular[: n - hidden.size]
     spread = np.linalg.norm(right[: len(kept)].T / kept, axis=1) / scale
-    values = {
-        f"observation_sd.{name}": math.inf if i in hidden.states else float(spread[i])
-        for i, name in enumerate(figures.states)
-    }
-    return Part((), values)
+    for i, name in enumerate(model.states):
+        unseen = i in hidden.states
+        report.values[f"observation_sd.{name}"] = math.inf if unseen else float(spread[i])
 
 
-def sensors(figures: Figures) -> Part:
+def sensors(model: ModelNumbers, report: ReportBuilder) -> None:
     """The least bias of each row that one sample shows, and what remains of a lasting one."""
-    rest = figures.rest
-    if rest is None or not figures.spec.filter.traits.linear:
-        return Part()
-    inverse = np.linalg.pinv(rest.innovation, hermitian=True)
+    steady = model.steady
+    if steady is None or not model.spec.filter.traits.linear:
+        return
+    inverse = np.linalg.pinv(steady.innovation, hermitian=True)
     needed = required_noncentrality(1, FALSE_ALARM, POWER)
-    values, findings = {}, []
-    for i, signal in enumerate(figures.spec.model.outputs):
-        bias = np.eye(len(figures.C))[i]
-        left = lasting_innovation(figures, rest, bias)
+    for i, signal in enumerate(model.spec.model.outputs):
+        bias = np.eye(len(model.C))[i]
+        left = lasting_innovation(model, steady, bias)
         onset, after = (float(v @ inverse @ v) for v in (bias, left))
         least = math.sqrt(needed / onset) if onset > 0.0 else math.inf
         share = math.sqrt(max(after, 0.0) / onset) if onset > 0.0 else 0.0
-        values[f"detectable_bias.{signal.name}"] = least
-        values[f"visible_share.{signal.name}"] = share
+        report.values[f"detectable_bias.{signal.name}"] = least
+        report.values[f"visible_share.{signal.name}"] = share
         if share < _NOTHING:
             message = (
                 f"a lasting bias of {signal.name} cannot be seen: the estimate takes all of it in, "
@@ -192,32 +154,31 @@ def sensors(figures: Figures) -> Part:
                 f"{signal.unit}".rstrip()
                 + " on, GLR of one sample)"
             )
-            remedy = "a second sensor of the same, if that matters"
-            findings.append(Finding("unseen_bias", "note", message, share, remedy))
-    findings += _together(figures, rest, values)
-    return Part(tuple(findings), values)
+            report.note(
+                "unseen_bias", message, share, "a second sensor of the same, if that matters"
+            )
+    _several_sensors(model, report, steady)
 
 
-def _together(figures: Figures, rest: Rest, values: dict[str, float]) -> list[Finding]:
+def _several_sensors(model: ModelNumbers, report: ReportBuilder, steady: SteadyFilter) -> None:
     """Biases of several rows at once that the estimate takes in, though it does not those of one.
 
     The rows are scaled by the standard deviations of their innovations, so units do not count.
     """
-    size = np.sqrt(np.diag(rest.innovation))
+    size = np.sqrt(np.diag(steady.innovation))
     rows = [i for i in range(len(size)) if size[i] > 0.0]
-    rows = [i for i in rows if values[f"visible_share.{figures.outputs[i]}"] >= _NOTHING]
+    rows = [i for i in rows if report.values[f"visible_share.{model.outputs[i]}"] >= _NOTHING]
     if len(rows) < 2:
-        return []
-    columns = [lasting_innovation(figures, rest, size[i] * np.eye(len(size))[i]) for i in rows]
+        return
+    columns = [lasting_innovation(model, steady, size[i] * np.eye(len(size))[i]) for i in rows]
     left = np.array(columns).T[size > 0.0] / size[size > 0.0, np.newaxis]
     _, singular, right = np.linalg.svd(left)
-    seen = int(np.count_nonzero(singular > _NOTHING))
-    unseen = right[seen:]
-    values["unseen_bias_directions"] = float(len(unseen))
+    unseen = right[int(np.count_nonzero(singular > _NOTHING)) :]
+    report.values["unseen_bias_directions"] = float(len(unseen))
     if not len(unseen):
-        return []
+        return
     involved = np.flatnonzero(np.linalg.norm(unseen, axis=0) > _NOTHING)
-    names = listed([figures.outputs[rows[j]] for j in involved])
+    names = listed([model.outputs[rows[j]] for j in involved])
     how = f"{len(unseen)} combinations"
     if len(unseen) == 1:
         bias = unseen[0][involved] * size[[rows[j] for j in involved]]
@@ -226,34 +187,37 @@ def _together(figures: Figures, rest: Rest, values: dict[str, float]) -> list[Fi
         f"lasting biases of {names} together ({how}) cannot be seen: the estimate takes them in"
     )
     remedy = "a sensor that does not share their cause, if they can share one"
-    return [Finding("unseen_biases", "note", message, len(unseen), remedy)]
+    report.note("unseen_biases", message, len(unseen), remedy)
 
 
-def inputs(figures: Figures) -> Part:
+def inputs(model: ModelNumbers, report: ReportBuilder) -> None:
     """Inputs whose faults never reach y, in no sample."""
-    if not figures.spec.filter.traits.linear:
-        return Part()
-    findings = []
-    for j, signal in enumerate(figures.spec.model.inputs):
-        reached, seen = np.abs(figures.B[:, j]), np.abs(figures.D[:, j]).any()
-        for _ in range(len(figures.A)):
-            seen = seen or (np.abs(figures.C) @ reached).any()
-            reached = np.abs(figures.A) @ reached
-        if not seen:
+    if not model.spec.filter.traits.linear:
+        return
+    for j, signal in enumerate(model.spec.model.inputs):
+        if not model.D[:, j].any() and not reaches(model, j):
             message = (
                 f"a fault of the input {signal.name} cannot be seen: it reaches no measurement, "
                 "but it may reach the state"
             )
-            remedy = "measure something that it drives"
-            findings.append(Finding("unseen_input", "warning", message, j, remedy))
-    return Part(tuple(findings))
+            report.warning("unseen_input", message, j, "measure something that it drives")
 
 
-def lasting_innovation(figures: Figures, rest: Rest, bias: Array) -> Array:
+def reaches(model: ModelNumbers, j: int) -> bool:
+    """Whether an input reaches y through the state: a Markov parameter C A^k B is not zero."""
+    reached = np.abs(model.B[:, j])
+    for _ in range(len(model.A)):
+        if (np.abs(model.C) @ reached).any():
+            return True
+        reached = np.abs(model.A) @ reached
+    return False
+
+
+def lasting_innovation(model: ModelNumbers, steady: SteadyFilter, bias: Array) -> Array:
     """The innovation of a bias of y that lasts for ever: (I - C (I - A + K C)^-1 K) b.
 
     Song & Hu 2019, (12) for i -> infinity, in terms of the gain K of x(k+1|k).
     """
-    F = figures.A - rest.gain @ figures.C
-    state = np.linalg.solve(np.eye(len(F)) - F, rest.gain @ bias)
-    return np.asarray(bias - figures.C @ state)
+    F = model.A - steady.gain @ model.C
+    state = np.linalg.solve(np.eye(len(F)) - F, steady.gain @ bias)
+    return np.asarray(bias - model.C @ state)

@@ -1,11 +1,9 @@
-"""How small a bias a filter at rest can still find, and by which test.
+"""How small a bias a filter in its steady state can still find, and by which test.
 
 References
 ----------
 Willsky & Jones 1976, *A generalized likelihood ratio approach to the detection and estimation of
 jumps in linear systems*, sec. III.
-
-The table of least biases, row by row of y: what ``fkgen detectability`` does.
 """
 
 from __future__ import annotations
@@ -23,13 +21,13 @@ from fkgen.families import NAMES, family
 from fkgen.problem import Matrix, Spec
 from fkgen.problem.numbers import probability, whole
 from fkgen.runtime.record import choice, numbers
-from fkgen.study.diagnostics.model_numbers import Figures, Rest
+from fkgen.study.diagnostics.model_numbers import ModelNumbers
 from fkgen.study.diagnostics.visibility import lasting_innovation
-from fkgen.study.effects.power import required_noncentrality
+from fkgen.study.effects.effect import required_noncentrality
 from fkgen.study.effects.profiles import step
-from fkgen.study.effects.question import ask
-from fkgen.study.effects.report import numbers_of
 from fkgen.study.effects.response import linear_response
+from fkgen.study.effects.scenario import scenario_of
+from fkgen.study.records.table import numbers_of
 from fkgen.study.reports.jsonable import finite_or_none
 
 Array = NDArray[np.float64]
@@ -134,26 +132,36 @@ def _information(
     spec: Spec, bias: Array, d: Array, inputs: ArrayLike | None
 ) -> tuple[Array, float]:
     """Noncentrality of every sample of a bias that begins at rest, and what it tends to."""
-    figures, driven = Figures(spec), _inputs(spec, inputs)
-    rest = _rest(figures, driven)
-    rested = replace(spec, model=replace(spec.model, P0=Matrix.of(rest.predicted)))
+    driven = _inputs(spec, inputs)
+    if not spec.filter.traits.linear:
+        linear = ", ".join(name for name in NAMES if family(name).traits.linear)
+        expected = f"one of {linear}: the NIS of a filter that is not linear in y, or"
+        expected += " whose y is a mixture, is not chi-square; simulate it"
+        raise DataError(
+            "detectability", given=f"the family {spec.filter.family}", expected=expected
+        )
+    model = ModelNumbers(spec)
+    steady = model.steady_at(driven)
+    if steady is None:
+        given = "a filter that does not come to rest"
+        expected = "a stabilising solution of the Riccati equation; see fkgen.check"
+        raise DataError("detectability", given=given, expected=expected)
+    rested = replace(spec, model=replace(spec.model, P0=Matrix.of(steady.predicted)))
     u = np.tile(driven, (len(bias), 1)) if driven.size else None
-    effect = linear_response(ask(rested, (bias, None), "both", None, params=None, u=u, y=None))
+    scenario = scenario_of(rested, (bias, None), "both", None, params=None, u=u, y=None)
+    effect = linear_response(scenario)
     if not effect.gaussian:
         expected = "u = 0, or D = 0: with both, y shows which commands are lost and is a mixture"
         raise DataError("u", given=f"{driven} under mkf with D", expected=expected)
-    left = lasting_innovation(figures, rest, d)
-    plateau = float(left @ np.linalg.pinv(rest.innovation, hermitian=True) @ left)
+    left = lasting_innovation(model, steady, d)
+    plateau = float(left @ np.linalg.pinv(steady.innovation, hermitian=True) @ left)
     return effect.noncentrality, plateau
 
 
 def _direction(spec: Spec, direction: ArrayLike | str) -> Array:
     names = [signal.name for signal in spec.model.outputs]
     if isinstance(direction, str):
-        if direction not in names:
-            expected = choice(direction, names)
-            raise DataError("direction", given=repr(direction), expected=expected)
-        return np.asarray(np.eye(len(names))[names.index(direction)])
+        return unit_vector("direction", direction, names)
     d = np.atleast_1d(np.asarray(numbers("direction", direction, np.float64), dtype=float))
     if d.shape != (len(names),):
         expected = f"shape ({len(names)},), one number per row of y, or the name of a row"
@@ -161,6 +169,13 @@ def _direction(spec: Spec, direction: ArrayLike | str) -> Array:
     if not np.isfinite(d).all() or not d.any():
         raise DataError("direction", given=str(d), expected="finite numbers, not all of them zero")
     return d
+
+
+def unit_vector(what: str, name: str, names: Sequence[str]) -> Array:
+    """1 for the signal of this name, 0 for the others."""
+    if name not in names:
+        raise DataError(what, given=repr(name), expected=choice(name, names))
+    return np.asarray(np.eye(len(names))[names.index(name)])
 
 
 def _inputs(spec: Spec, u: ArrayLike | None) -> Array:
@@ -174,112 +189,68 @@ def _inputs(spec: Spec, u: ArrayLike | None) -> Array:
     return driven
 
 
-def _rest(figures: Figures, driven: Array) -> Rest:
-    """The filter at rest."""
-    chosen = figures.spec.filter
-    if not chosen.traits.linear:
-        given = f"the family {chosen.family}"
-        linear = ", ".join(name for name in NAMES if family(name).traits.linear)
-        expected = f"one of {linear}: the NIS of a filter that is not linear in y, or"
-        expected += " whose y is a mixture, is not chi-square; simulate it"
-        raise DataError("detectability", given=given, expected=expected)
-    rest = figures.rest_at(driven)
-    if rest is None:
-        given = "a filter that does not come to rest"
-        expected = "a stabilising solution of the Riccati equation; see fkgen.check"
-        raise DataError("detectability", given=given, expected=expected)
-    return rest
+@dataclass(frozen=True, slots=True, eq=False)
+class LeastBiases:
+    """What ``fkgen detectability`` tells: least biases by sensor (or direction) and window."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wish:
-    """The options of the command, under their names; see its help."""
-
-    direction: str = ""
-    false_alarm: float = 1e-3
-    power: float = 0.9
-    window: str = "1,10,50,200"
-    inputs: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """Least biases by sensor (or direction) and window."""
-
-    wish: Wish
+    false_alarm: float
+    power: float
     windows: tuple[int, ...]
-    found: tuple[tuple[str, str, tuple[Detectability, ...]], ...]
+    found: tuple[tuple[str, str, tuple[Detectability, ...]], ...]  # name, unit, one per window
 
     def table(self) -> tuple[Sequence[str], list[Sequence[str]]]:
         """One row per sensor: first NIS, then each window by sum of NIS and by GLR."""
         wide = [f"{test} {w}" for test in ("NIS sum", "GLR") for w in self.windows]
         rows: list[Sequence[str]] = []
         for name, unit, each in self.found:
-            sums = [f"{one.windowed_nis:.4g}" for one in each]
-            ratios = [f"{one.glr:.4g}" for one in each]
-            rows.append((name, unit, f"{each[0].nis:.4g}", *sums, *ratios))
+            least = [each[0].nis, *(one.windowed_nis for one in each), *(one.glr for one in each)]
+            rows.append((name, unit, *(f"{bias:.4g}" for bias in least)))
         return ("bias of", "unit", "NIS 1", *wide), rows
 
     def sentence(self) -> str:
         """What the numbers mean."""
         return (
-            f"Least constant bias found with probability {self.wish.power:g} at "
-            f"{self.wish.false_alarm:g} false alarms per test, from its onset on, filter at rest."
+            f"Least constant bias found with probability {self.power:g} at "
+            f"{self.false_alarm:g} false alarms per test, from its onset on, filter at rest."
         )
 
     def to_json(self) -> str:
         """All of it; what is infinite becomes null."""
-        rows = [
+        biases = [
             {
                 "name": name,
                 "unit": unit,
-                "direction": each[0].direction.tolist(),
-                "nis": finite_or_none(each[0].nis),
-                "windowed_nis": finite_or_none([one.windowed_nis for one in each]),
-                "glr": finite_or_none([one.glr for one in each]),
+                "direction": each[0].direction,
+                "nis": each[0].nis,
+                "windowed_nis": [one.windowed_nis for one in each],
+                "glr": [one.glr for one in each],
                 "onset_noncentrality": float(each[0].information[0]),
                 "plateau_noncentrality": each[0].plateau,
             }
             for name, unit, each in self.found
         ]
-        facts = {
-            "false_alarm": self.wish.false_alarm,
-            "power": self.wish.power,
-            "windows": list(self.windows),
-        }
-        return json.dumps(facts | {"biases": rows}, indent=2)
+        facts = {"false_alarm": self.false_alarm, "power": self.power, "windows": self.windows}
+        return json.dumps(finite_or_none(facts | {"biases": biases}), indent=2)
 
 
-def answer(spec: Spec, wish: Wish) -> Answer:
-    """Ask for every row of y, or for one direction.
-
-    Raises
-    ------
-    DataError
-        If an option does not fit, or the family has no answer.
-    """
-    windows = _windows(wish.window)
-    u = numbers_of("--u", wish.inputs, spec.model.nu)
-    along = numbers_of("--direction", wish.direction, spec.model.ny)
-    asked = [(signal.name, signal.unit, signal.name) for signal in spec.model.outputs]
-    directions = asked if along is None else [(wish.direction, "", along)]
-    found = tuple(
-        (
-            name,
-            unit,
-            tuple(detectability(spec, each, wish.false_alarm, wish.power, w, u=u) for w in windows),
-        )
-        for name, unit, each in directions
-    )
-    return Answer(wish, windows, found)
-
-
-def _windows(text: str) -> tuple[int, ...]:
+def least_biases(
+    spec: Spec, *, direction: str, false_alarm: float, power: float, window: str, inputs: str
+) -> LeastBiases:
+    """Ask for every row of y, or for one direction; options are texts as on the command line."""
     try:
-        windows = tuple(int(part) for part in text.split(","))
+        windows = tuple(int(part) for part in window.split(","))
     except ValueError:
         windows = ()
     if not windows or min(windows) < 1:
         expected = "numbers of samples, at least 1, separated by commas"
-        raise DataError("--window", given=repr(text), expected=expected)
-    return windows
+        raise DataError("--window", given=repr(window), expected=expected)
+    u = numbers_of("--u", inputs, spec.model.nu)
+    along = numbers_of("--direction", direction, spec.model.ny)
+    rows: list[tuple[str, str, str | Array]] = [
+        (s.name, s.unit, s.name) for s in spec.model.outputs
+    ]
+    found = tuple(
+        (name, unit, tuple(detectability(spec, d, false_alarm, power, w, u=u) for w in windows))
+        for name, unit, d in (rows if along is None else [(direction, "", along)])
+    )
+    return LeastBiases(false_alarm, power, windows, found)

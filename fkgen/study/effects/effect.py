@@ -1,4 +1,4 @@
-"""`FaultEffect`: what a fault does to an estimate, sample by sample."""
+"""What a fault does to an estimate, sample by sample, and the power of chi-square tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.problem.numbers import probability
-from fkgen.study.effects.power import detection_power
 
 Array = NDArray[np.float64]
 
@@ -80,32 +79,21 @@ class FaultEffect:
             If the probability is not in (0, 1), or the NIS of this filter is not chi-square.
         """
         if not self.gaussian:
-            raise DataError(
-                "power of the NIS test",
-                given="a filter whose innovation is a mixture",
-                expected="a filter whose innovation is Gaussian, or nearly so",
-            )
-        return detection_power(
-            self.noncentrality, self.degrees, probability("false_alarm", false_alarm)
-        )
+            given = "a filter whose innovation is a mixture"
+            expected = "a filter whose innovation is Gaussian, or nearly so"
+            raise DataError("power of the NIS test", given=given, expected=expected)
+        alarms = probability("false_alarm", false_alarm)
+        return detection_power(self.noncentrality, self.degrees, alarms)
 
     def settled(self, fraction: float) -> NDArray[np.int64]:
         """First sample from which on a state's error stays below a share of its peak, (n,).
 
+        T where it does not get there within the record; 0 where there is no effect at all.
+
         Parameters
         ----------
         fraction : float
-            Of the peak of |error_deviation|, in (0, 1).
-
-        Returns
-        -------
-        (n,) ndarray of int
-            T where it does not get there within the record; 0 where there is no effect at all.
-
-        Raises
-        ------
-        DataError
-            If the fraction is not in (0, 1).
+            Of the peak of |error_deviation|, in (0, 1), or a `DataError`.
         """
         share = probability("fraction", fraction)
         size = np.abs(self.error_deviation)
@@ -113,3 +101,32 @@ class FaultEffect:
         above = size > share * peak
         after = len(size) - np.argmax(above[::-1], axis=0)
         return np.asarray(np.where(peak > 0.0, after, 0), dtype=np.int64)
+
+
+def required_noncentrality(degrees: int, false_alarm: float, power: float) -> float:
+    """The noncentrality at which a chi-square test has a given power above its false alarm rate."""
+    from scipy.optimize import brentq  # noqa: PLC0415 - slow to import
+    from scipy.stats import chi2, ncx2  # noqa: PLC0415 - slow to import
+
+    alarm, wanted = probability("false_alarm", false_alarm), probability("power", power)
+    if wanted <= alarm:
+        expected = f"more than false_alarm = {alarm:g}: without any fault a test has that power"
+        raise DataError("power", given=f"{wanted:g}", expected=expected)
+    bound = float(chi2.isf(alarm, degrees))
+
+    def missing(noncentrality: float) -> float:
+        return float(ncx2.sf(bound, degrees, noncentrality)) - wanted
+
+    high = 1.0
+    while missing(high) < 0.0:
+        high *= 2.0
+    return float(brentq(missing, 0.0, high, xtol=1e-12, rtol=1e-14))
+
+
+def detection_power(noncentrality: Array, degrees: NDArray[np.int64], false_alarm: float) -> Array:
+    """Power of chi-square tests, (T,), one per sample; 0 where there is nothing to test."""
+    from scipy.stats import chi2, ncx2  # noqa: PLC0415 - slow to import
+
+    used = np.maximum(degrees, 1)
+    found = ncx2.sf(chi2.isf(false_alarm, used), used, noncentrality)
+    return np.asarray(np.where(degrees > 0, found, 0.0))

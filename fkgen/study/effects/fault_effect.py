@@ -15,10 +15,8 @@ from numpy.typing import ArrayLike
 from fkgen.problem import Spec
 from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.effects.paired import RUNS, differenced_response, paired_response
-from fkgen.study.effects.question import ask
 from fkgen.study.effects.response import linear_response
-
-__all__ = ["FaultEffect", "fault_effect"]
+from fkgen.study.effects.scenario import scenario_of
 
 
 def fault_effect(
@@ -63,10 +61,10 @@ def fault_effect(
     DataError
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
     """
-    question = ask(spec, (sensor, input), mode, steps, params=params, u=u, y=y)
+    scenario = scenario_of(spec, (sensor, input), mode, steps, params=params, u=u, y=y)
     traits = spec.filter.traits
     if traits.linear:
-        return linear_response(question)
-    if traits.moments and spec.faults.sensor is not None and not question.anomaly.any():
-        return differenced_response(question)
-    return paired_response(question, runs, seed)
+        return linear_response(scenario)
+    if traits.moments and spec.faults.sensor is not None and not scenario.anomaly.any():
+        return differenced_response(scenario)
+    return paired_response(scenario, runs, seed)

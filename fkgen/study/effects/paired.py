@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.oracle import draw_record, simulate
 from fkgen.pipeline import build
-from fkgen.problem import Code, Spec
+from fkgen.problem import Code
 from fkgen.problem.numbers import whole
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
-from fkgen.study.effects.effect import FaultEffect, Kind
-from fkgen.study.effects.question import Question
+from fkgen.study.effects.effect import FaultEffect
+from fkgen.study.effects.scenario import FaultScenario
 
 Array = NDArray[np.float64]
 
@@ -29,56 +29,44 @@ RUNS = 256
 _PORTS = ("filtered_state", "filtered_covariance", "innovation", "innovation_covariance", "nis")
 
 
-def paired_response(question: Question, runs: int, seed: int) -> FaultEffect:
-    """Answer a question about any family by simulated pairs.
-
-    Parameters
-    ----------
-    question : Question
-    runs, seed : int
-        Number of pairs, and where their random numbers start: pair m has its own stream.
-
-    Raises
-    ------
-    DataError
-        If the filter refuses a sample, or the plant of the family cannot be driven here.
-    """
+def paired_response(scenario: FaultScenario, runs: int, seed: int) -> FaultEffect:
+    """The effect on any filter by simulated pairs; pair m of a seed has its own stream."""
     whole("runs", runs, least=2, expected="a number of pairs, at least 2")
-    built = _built(question.spec)
-    question.system(question.spec.first_rates)  # refuses what no record can be drawn from
-    reached = question.mode != "filter" and bool(question.anomaly.any())
+    spec, anomaly = scenario.spec, scenario.anomaly
+    built = _built(scenario)
+    scenario.system(spec.first_rates)  # refuses what no record can be drawn from
     streams = [np.random.SeedSequence((seed, m)) for m in range(runs)]
-    arrived = question.anomaly if reached else np.zeros_like(question.anomaly)
-    healthy = np.array([_measured(question, question.u, each) for each in streams])
-    faulty = healthy
-    if reached:
-        driven = question.u + arrived
-        faulty = np.array([_measured(question, driven, each) for each in streams])
-    plant = np.zeros((runs, question.samples, question.spec.model.nx))
-    if reached:
-        plant = np.array([_moved(question, arrived, each) for each in streams])
-    before = _run(built, healthy, question.u, question)
-    after = _run(built, faulty + question.sensor, question.told, question)
-    return _difference(question, before, after, plant, "paired")
+    healthy = np.array([_measured(scenario, scenario.u, each) for each in streams])
+    faulty, plant = healthy, np.zeros((runs, scenario.samples, spec.model.nx))
+    if scenario.mode != "filter" and anomaly.any():
+        driven = scenario.u + anomaly
+        faulty = np.array([_measured(scenario, driven, each) for each in streams])
+        plant = np.array([_moved(scenario, each) for each in streams])
+    before = _run(built, healthy, scenario.u, scenario)
+    after = _run(built, faulty + scenario.sensor, scenario.known_inputs, scenario)
+    change = after.filtered_state - before.filtered_state
+    return replace(
+        _difference(scenario, before, after, plant),
+        standard_error=change.std(axis=0, ddof=1) / np.sqrt(runs),
+        kind="paired",
+        runs=runs,
+    )
 
 
-def differenced_response(question: Question) -> FaultEffect:
-    """Answer a question about a sensor fault under a filter that is linear in y: one pair, y = 0.
-
-    Raises
-    ------
-    DataError
-        If the filter refuses a sample.
-    """
-    built = _built(question.spec)
-    healthy = np.where(question.missing, np.nan, np.zeros_like(question.sensor))[np.newaxis]
-    before = _run(built, healthy, question.u, question)
-    after = _run(built, healthy + question.sensor, question.told, question)
-    plant = np.zeros((1, question.samples, question.spec.model.nx))
-    return _difference(question, before, after, plant, "exact")
+def differenced_response(scenario: FaultScenario) -> FaultEffect:
+    """The effect of a sensor fault on a filter that is linear in y: by one pair, y = 0."""
+    built = _built(scenario)
+    healthy = np.where(scenario.missing, np.nan, np.zeros_like(scenario.sensor))[np.newaxis]
+    before = _run(built, healthy, scenario.u, scenario)
+    after = _run(built, healthy + scenario.sensor, scenario.known_inputs, scenario)
+    effect = _difference(scenario, before, after, np.zeros_like(before.filtered_state))
+    S = after.innovation_covariance[0]
+    exact = np.array(list(map(_quadratic, effect.innovation_deviation, S)))
+    return replace(effect, noncentrality=exact)
 
 
-def _built(spec: Spec) -> CompiledFilter:
+def _built(scenario: FaultScenario) -> CompiledFilter:
+    spec = scenario.spec
     built = build(replace(spec, code=Code("double", spec.code.update)))
     lacking = [name for name in _PORTS if name not in built.ports]
     if lacking:
@@ -88,23 +76,23 @@ def _built(spec: Spec) -> CompiledFilter:
     return built
 
 
-def _measured(question: Question, u: Array, stream: np.random.SeedSequence) -> Array:
+def _measured(scenario: FaultScenario, u: Array, stream: np.random.SeedSequence) -> Array:
     """One record of the plant, (T, p); the same stream gives the same noise, whatever u is."""
-    spec, T = question.spec, question.samples
-    given = {**spec.defaults, **question.params}
+    spec, T = scenario.spec, scenario.samples
+    given = {**spec.defaults, **scenario.params}
     params = {n: np.broadcast_to(np.asarray(v, dtype=float), (T,)) for n, v in given.items()}
     y, _ = draw_record(spec, params, u, np.random.default_rng(stream))
-    y[question.missing] = np.nan
+    y[scenario.missing] = np.nan
     return np.asarray(y)
 
 
-def _moved(question: Question, anomaly: Array, stream: np.random.SeedSequence) -> Array:
+def _moved(scenario: FaultScenario, stream: np.random.SeedSequence) -> Array:
     """What an input anomaly changes in the state, (T, n): the same commands are lost as in y."""
-    spec, T = question.spec, question.samples
+    spec, T = scenario.spec, scenario.samples
     if spec.faults.jump is not None:
         given = f"an input fault under the family {spec.filter.family}"
         raise DataError("input", given=given, expected="faults of sensors: its plant jumps itself")
-    system = question.system(spec.first_rates)
+    system = scenario.system(spec.first_rates)
     n = system.nx
     quiet = replace(
         system,
@@ -115,42 +103,32 @@ def _moved(question: Question, anomaly: Array, stream: np.random.SeedSequence) -
         x0=np.zeros(n),
         P0=np.zeros((n, n)),
     )
-    return np.asarray(simulate(quiet, anomaly, np.random.default_rng(stream)))
+    return np.asarray(simulate(quiet, scenario.anomaly, np.random.default_rng(stream)))
 
 
-def _run(built: CompiledFilter, y: Array, u: Array, question: Question) -> Run:
-    given = u if question.spec.model.nu else None
-    run = built.run_batch(y, given, question.params, keep=_PORTS)
+def _run(built: CompiledFilter, y: Array, u: Array, scenario: FaultScenario) -> Run:
+    given = u if scenario.spec.model.nu else None
+    run = built.run_batch(y, given, scenario.params, keep=_PORTS)
     if run.refused.any():
         k = int(np.argmax(run.refused.any(axis=0)))
         expected = f"at most {k}: the filter refuses sample {k}, where numbers overflow"
-        raise DataError("steps", given=f"{question.samples} samples", expected=expected)
+        raise DataError("steps", given=f"{scenario.samples} samples", expected=expected)
     return run
 
 
-def _difference(
-    question: Question, before: Run, after: Run, plant: Array, kind: Kind
-) -> FaultEffect:
+def _difference(scenario: FaultScenario, before: Run, after: Run, plant: Array) -> FaultEffect:
+    """The mean difference of the runs of all pairs, as if it were exact."""
     change = after.filtered_state - before.filtered_state
-    innovation = (after.innovation - before.innovation).mean(axis=0)
-    if kind == "exact":
-        S = after.innovation_covariance[0]
-        noncentrality = np.array(list(map(_quadratic, innovation, S)))
-    else:
-        noncentrality = (after.nis - before.nis).mean(axis=0)
     variance = np.diagonal(after.filtered_covariance, axis1=-2, axis2=-1).mean(axis=0)
-    count = len(change)
-    spread = change.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else 0.0 * change[0]
     return FaultEffect(
         state_deviation=change.mean(axis=0),
         error_deviation=(plant - change).mean(axis=0),
-        innovation_deviation=innovation,
-        noncentrality=noncentrality,
+        innovation_deviation=(after.innovation - before.innovation).mean(axis=0),
+        noncentrality=(after.nis - before.nis).mean(axis=0),
         state_sd=np.sqrt(np.maximum(variance, 0.0)),
-        degrees=np.sum(~question.missing, axis=1),
-        kind=kind,
-        standard_error=spread,
-        runs=count if kind == "paired" else 0,
+        degrees=np.sum(~scenario.missing, axis=1),
+        kind="exact",
+        standard_error=0.0 * change[0],
         gaussian=False,
     )
 

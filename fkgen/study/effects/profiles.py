@@ -1,7 +1,8 @@
 """Profiles of faults over a record: what is added to y or to u, sample by sample.
 
 Every function returns shape (steps, width), where the width is the length of the amplitude: one
-number per row of y (or per input), zero for those that stay healthy.
+number per row of y (or per input), zero for those that stay healthy. All of them refuse samples
+that are not in the record and amplitudes that are not finite with a `DataError`.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from fkgen.errors import DataError
 from fkgen.problem.numbers import whole
 from fkgen.study.records.table import read_columns
 
-__all__ = ["drift", "from_csv", "pulse", "ramp", "step"]
-
 Array = NDArray[np.float64]
+
+_SAMPLES = "a number of samples, at least 1"
 
 
 def pulse(steps: int, start: int, amplitude: ArrayLike) -> Array:
@@ -32,15 +33,6 @@ def pulse(steps: int, start: int, amplitude: ArrayLike) -> Array:
         The faulty sample, 0 <= start < steps.
     amplitude : (width,) array_like
         In units of the signal; a number for width 1.
-
-    Returns
-    -------
-    (steps, width) ndarray
-
-    Raises
-    ------
-    DataError
-        If the sample is not in the record, or an amplitude is not finite.
     """
     return step(steps, start, amplitude, stop=start + 1)
 
@@ -50,23 +42,10 @@ def step(steps: int, start: int, amplitude: ArrayLike, *, stop: int | None = Non
 
     Parameters
     ----------
-    steps : int
-        Length T of the record.
-    start : int
-        First faulty sample, 0 <= start < steps.
-    amplitude : (width,) array_like
-        In units of the signal; a number for width 1.
+    steps, start, amplitude
+        As for `pulse`; ``start`` is the first faulty sample.
     stop : int, optional
         First healthy sample after it; one beyond the record, or None, means that it stays.
-
-    Returns
-    -------
-    (steps, width) ndarray
-
-    Raises
-    ------
-    DataError
-        If the samples are not in the record, or an amplitude is not finite.
     """
     return _shaped(np.ones(_count(steps)), start, amplitude, stop)
 
@@ -80,27 +59,12 @@ def ramp(
 
     Parameters
     ----------
-    steps : int
-        Length T of the record.
-    start : int
-        First faulty sample.
-    amplitude : (width,) array_like
-        Where it ends, in units of the signal; a number for width 1.
+    steps, start, amplitude, stop
+        As for `step`.
     length : int
         Samples that the rise takes, at least 1.
-    stop : int, optional
-        First healthy sample after it.
-
-    Returns
-    -------
-    (steps, width) ndarray
-
-    Raises
-    ------
-    DataError
-        If the samples are not in the record, or an amplitude is not finite.
     """
-    whole("length", length, least=1, expected="a number of samples, at least 1")
+    whole("length", length, least=1, expected=_SAMPLES)
     rise = np.minimum(np.arange(1, _count(steps) + 1) / length, 1.0)
     return _shaped(rise, start, amplitude, stop)
 
@@ -110,23 +74,10 @@ def drift(steps: int, start: int, rate: ArrayLike, *, stop: int | None = None) -
 
     Parameters
     ----------
-    steps : int
-        Length T of the record.
-    start : int
-        First faulty sample.
+    steps, start, stop
+        As for `step`.
     rate : (width,) array_like
         In units of the signal per sample; a number for width 1.
-    stop : int, optional
-        First healthy sample after it.
-
-    Returns
-    -------
-    (steps, width) ndarray
-
-    Raises
-    ------
-    DataError
-        If the samples are not in the record, or a rate is not finite.
     """
     return _shaped(np.arange(1.0, _count(steps) + 1.0), start, rate, stop)
 
@@ -141,21 +92,16 @@ def from_csv(path: str | os.PathLike[str], columns: Sequence[str]) -> Array:
     columns : sequence of str
         Names of the rows of y, or of the inputs, in their order.
 
-    Returns
-    -------
-    (T, width) ndarray
-
     Raises
     ------
     DataError
         If the file cannot be read, has none of the columns, or a field is no finite number.
     """
-    found = read_columns(path, columns)
-    return np.stack(list(found.values()), axis=1)
+    return np.stack(list(read_columns(path, columns).values()), axis=1)
 
 
 def _count(steps: int) -> int:
-    return whole("steps", steps, least=1, expected="a number of samples, at least 1")
+    return whole("steps", steps, least=1, expected=_SAMPLES)
 
 
 def _shaped(shape: Array, start: int, amplitude: ArrayLike, stop: int | None) -> Array:

@@ -11,7 +11,7 @@ driven by the fault and started at zero: generated, proved and compiled like eve
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ from fkgen.problem import Code, Expression, Filter, Matrix, Name, Number, Parame
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.results import Run
 from fkgen.study.effects.effect import FaultEffect
-from fkgen.study.effects.question import Mode, Question
+from fkgen.study.effects.scenario import FaultScenario, Mode
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.float64]
@@ -36,64 +36,40 @@ _SIGN: dict[Mode, float] = {"plant": 1.0, "both": 0.0, "filter": -1.0}
 _TRIED = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class _Companion:
-    """A filter for deviations, and what it needs at run time.
-
-    Attributes
-    ----------
-    spec : Spec
-        Prior mean zero, in double; its first n states are those of the filter.
-    params : mapping of str to float or (T,) ndarray
-    rate : (T, q) ndarray
-        Share of an input fault that arrives, on average.
-    """
-
-    spec: Spec
-    params: Mapping[str, ArrayLike]
-    rate: Array
-
-
-def linear_response(question: Question) -> FaultEffect:
-    """Answer a question about a filter that is linear in y.
-
-    Raises
-    ------
-    DataError
-        If the filter refuses a sample: a parameter out of range, or numbers that overflow.
-    """
-    spec, n = question.spec, question.spec.model.nx
-    companion = _companion(question)
-    built = build(companion.spec)
-    anomaly = companion.rate * question.anomaly
+def linear_response(scenario: FaultScenario) -> FaultEffect:
+    """The effect on a filter that is linear in y."""
+    spec, n = scenario.spec, scenario.spec.model.nx
+    companion, params, rate = _companion(scenario)
+    built = build(companion)
+    anomaly = rate * scenario.anomaly
     # The error deviates by what the filter makes of -f in y, and of the part of the anomaly that
     # only the plant (+) or only the filter (-) has got.
-    y = np.where(question.missing, np.nan, -question.sensor)
-    own = _run(built, y, _SIGN[question.mode] * anomaly, companion)
+    y = np.where(scenario.missing, np.nan, -scenario.sensor)
+    own = _run(built, y, _SIGN[scenario.mode] * anomaly, params)
     error = np.asarray(own.filtered_state[:, :n], dtype=float)
     plant = np.zeros_like(error)
-    if question.mode != "filter" and anomaly.any():  # nothing is measured: the plant, left alone
-        plant = _run(built, np.full_like(y, np.nan), anomaly, companion).filtered_state[:, :n]
+    if scenario.mode != "filter" and anomaly.any():  # nothing is measured: the plant, left alone
+        plant = _run(built, np.full_like(y, np.nan), anomaly, params).filtered_state[:, :n]
     variance = np.diagonal(own.filtered_covariance, axis1=1, axis2=2)[:, :n]
     random = spec.faults.actuator is not None and anomaly.any()
-    entries = [entry for row in spec.model.D.rows for entry in row]
-    seen = question.told.any() and any(entry != Number(0.0) for entry in entries)
-    mixture = spec.faults.actuator is not None and seen  # y shows which commands were lost
+    direct = any(entry != Number(0.0) for row in spec.model.D.rows for entry in row)
+    # y shows which commands were lost
+    mixture = spec.faults.actuator is not None and scenario.known_inputs.any() and direct
     return FaultEffect(
         state_deviation=plant - error,
         error_deviation=error + 0.0,  # no -0.0
         innovation_deviation=np.asarray(0.0 - own.innovation, dtype=float),
         noncentrality=np.asarray(own.nis, dtype=float),
         state_sd=np.sqrt(np.maximum(variance, 0.0)),
-        degrees=np.sum(~question.missing, axis=1),
+        degrees=np.sum(~scenario.missing, axis=1),
         kind="mean" if random else "exact",
         standard_error=np.zeros_like(error),
         gaussian=not mixture,
     )
 
 
-def _run(built: CompiledFilter, y: Array, u: Array, companion: _Companion) -> Run:
-    run = built.run(y, u if u.shape[1] else None, companion.params)
+def _run(built: CompiledFilter, y: Array, u: Array, params: Mapping[str, ArrayLike]) -> Run:
+    run = built.run(y, u if u.shape[1] else None, params)
     if run.refused.any():
         k = int(np.argmax(run.refused))
         status = Status(int(run.status[k]))
@@ -105,34 +81,29 @@ def _run(built: CompiledFilter, y: Array, u: Array, companion: _Companion) -> Ru
     return run
 
 
-def _companion(question: Question) -> _Companion:
-    spec, T = question.spec, question.samples
+def _companion(scenario: FaultScenario) -> tuple[Spec, Mapping[str, ArrayLike], Array]:
+    """The filter for deviations, its parameters, and the share (T, q) of u that arrives on average.
+
+    Its prior mean is zero, it is in double, and its first n states are those of the filter.
+    """
+    spec, T = scenario.spec, scenario.samples
     model = replace(spec.model, x0=Matrix.zeros(spec.model.nx, 1))
     still = replace(spec, model=model, code=Code("double", spec.code.update))
     if spec.faults.actuator is None:
-        return _Companion(still, question.params, np.ones((T, spec.model.nu)))
-    system = question.system()
-    told = question.told
-    covariance = told[:, :, np.newaxis] * system.fault_covariance * told[:, np.newaxis, :]
-    root = square_root(covariance)
-    lost = np.flatnonzero(np.abs(root).max(axis=(0, 1), initial=0.0) > 0.0)
-    root = root[:, :, lost]
-    widened, params = _with_lost_commands(still, system.B @ root, system.D @ root)
-    return _Companion(widened, {**question.params, **params}, system.rate)
+        return still, scenario.params, np.ones((T, spec.model.nu))
+    system, u = scenario.system(), scenario.known_inputs
+    root = square_root(u[:, :, np.newaxis] * system.fault_covariance * u[:, np.newaxis, :])
+    root = root[:, :, np.abs(root).max(axis=(0, 1), initial=0.0) > 0.0]
+    wide, params = _with_lost_commands(still, system.B @ root, system.D @ root)
+    return wide, {**scenario.params, **params}, system.rate
 
 
 def _with_lost_commands(spec: Spec, driven: Array, sensed: Array) -> tuple[Spec, dict[str, Array]]:
     """The Kalman filter that ``mkf`` is, with the lost part of u as r more states.
 
     Strandt, Schneider & Yaz, (1): g u = xi u + (g - xi) u, where the second part is noise in x and
-    in y at once. It is a white state e with covariance I, through (B N^1/2) e and (D N^1/2) e.
-
-    Parameters
-    ----------
-    spec : Spec
-        n states, p outputs.
-    driven, sensed : (T, n, r), (T, p, r) ndarray
-        B N^1/2 and D N^1/2, with N = diag(u) Cov(g) diag(u); they become parameters.
+    in y at once. It is a white state e with covariance I, through (B N^1/2) e and (D N^1/2) e with
+    N = diag(u) Cov(g) diag(u): ``driven`` (T, n, r) and ``sensed`` (T, p, r) become parameters.
     """
     model, r = spec.model, driven.shape[2]
     prefix = "lost"

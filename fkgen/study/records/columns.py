@@ -28,46 +28,22 @@ DEFAULT = (
     *("mode_probability", "success_rate_estimate"),
     *("test_statistic", "test_dof", "fault_declared"),
 )
-
 #: Square roots of the diagonals of covariances: easier to read, and to plot.
 DEVIATIONS = {"filtered_sd": "filtered_covariance", "predicted_sd": "predicted_covariance"}
-
 _STATUS = "status"
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What to keep of a run.
+    """What to keep of a run."""
 
-    Attributes
-    ----------
-    shown : tuple of str
-        Ports and standard deviations, in the order of the columns.
-    ports : tuple of str
-        Ports that the run has to store.
-    """
-
-    shown: tuple[str, ...]
-    ports: tuple[str, ...]
+    shown: tuple[str, ...]  # ports and standard deviations, in the order of the columns
+    ports: tuple[str, ...]  # what the run has to store
 
 
 def select(layout: Layout, names: Sequence[str] = ()) -> Selection:
-    """Decide what to keep.
-
-    Parameters
-    ----------
-    layout : Layout
-        The filter.
-    names : sequence of str
-        Ports, ``filtered_sd``, ``predicted_sd``; the default selection if empty.
-
-    Raises
-    ------
-    DataError
-        If the filter has no such port.
-    """
-    ports = [port.name for port in layout.ports]
-    known = [*ports, *DEVIATIONS, _STATUS]
+    """Decide what to keep: ports and deviations by name, or the default selection."""
+    known = [*(port.name for port in layout.ports), *DEVIATIONS, _STATUS]
     for name in names:
         if name not in known:
             raise DataError("--keep", given=repr(name), expected=record.choice(name, known))
@@ -90,48 +66,40 @@ def deviation(run: Run, name: str) -> Array:
 
 
 def columns_of(layout: Layout, run: Run, selection: Selection) -> Iterator[tuple[str, Array]]:
-    """Names and values (T,) of the selected columns."""
+    """Names and values (T,) of the selected columns; of what is symmetric the lower triangle."""
     ports = {port.name: port for port in layout.ports}
     for name in selection.shown:
         if name in DEVIATIONS:
             values = deviation(run, name)
-            for i, state in enumerate(layout.states):
-                yield f"{name}.{state}", values[:, i]
+            yield from ((f"{name}.{s}", values[:, i]) for i, s in enumerate(layout.states))
             continue
-        for label, index in _entries(layout, ports[name]):
-            column = run[name]
-            for i in index:
-                column = column[:, i]
-            yield ".".join((name, *label)), column
-
-
-def _entries(layout: Layout, port: Port) -> Iterator[tuple[tuple[str, ...], tuple[int, ...]]]:
-    """Labels and indices of the entries of one sample; the lower triangle of what is symmetric."""
-    axes = _labels(layout, port)
-    for index in product(*(range(length) for length in port.shape)):
-        if not (port.symmetric and index[-1] > index[-2]):
-            yield tuple(labels[i] for labels, i in zip(axes, index, strict=True)), index
+        port, entries = ports[name], np.moveaxis(run[name], 0, -1)
+        axes = _labels(layout, port)
+        for index in product(*map(range, port.shape)):
+            if not (port.symmetric and index[-1] > index[-2]):
+                label = (labels[i] for labels, i in zip(axes, index, strict=True))
+                yield ".".join((name, *label)), entries[index]
 
 
 def _labels(layout: Layout, port: Port) -> list[Sequence[str]]:
     """Names along each axis: states, measurements, inputs, or numbers."""
     names: list[Sequence[str]] = [[str(i) for i in range(length)] for length in port.shape]
-    axes: dict[int, Sequence[str]] = {}
+    axes: tuple[Sequence[str], ...] = ()  # of the last axes
     if port.per_row:
-        axes = {-1: layout.outputs}
+        axes = (layout.outputs,)
     elif port.name == "innovation_covariance":
-        axes = {-1: layout.outputs, -2: layout.outputs}
+        axes = (layout.outputs, layout.outputs)
     elif port.name in {"gain", "filtered_gain"}:
-        axes = {-2: layout.states, -1: layout.outputs}
+        axes = (layout.states, layout.outputs)
     elif port.name == "success_rate_estimate":
-        axes = {-1: layout.inputs}
+        axes = (layout.inputs,)
     elif port.name.endswith("_state"):
-        axes = {-1: layout.states}
+        axes = (layout.states,)
     elif port.name.endswith("_covariance") and port.symmetric:
-        axes = {-1: layout.states, -2: layout.states}
-    for axis, labels in axes.items():
-        if len(port.shape) >= -axis and port.shape[axis] == len(labels):
-            names[axis] = labels
+        axes = (layout.states, layout.states)
+    for axis, labels in enumerate(reversed(axes), 1):
+        if len(port.shape) >= axis and port.shape[-axis] == len(labels):
+            names[-axis] = labels
     return names
 
 
@@ -140,21 +108,23 @@ def to_csv(layout: Layout, table: Table, run: Run, selection: Selection) -> byte
 
     Numbers have the digits that give the same number back; a missing one is an empty field.
     """
-    header: list[str] = []
-    columns: list[Sequence[object]] = []
+    columns: list[tuple[str, Sequence[object]]] = []
     if table.time_name:
-        header.append(table.time_name)
-        columns.append(table.time_text)
+        columns.append((table.time_name, table.time_text))
     for name, values in columns_of(layout, run, selection):
-        header.append(name)
-        columns.append(_texts(values))
-    header.append(_STATUS)
-    columns.append(run.status.tolist())
+        columns.append((name, _texts(values)))
+    columns.append((_STATUS, run.status.tolist()))
+    header, texts = zip(*columns, strict=True)
+    return csv_text(header, texts).encode("utf-8")
+
+
+def csv_text(header: Sequence[str], columns: Sequence[Sequence[object]]) -> str:
+    """Columns below their names, as a CSV file."""
     out = io.StringIO(newline="")
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(zip(*columns, strict=True))
-    return out.getvalue().encode("utf-8")
+    return out.getvalue()
 
 
 def _texts(values: Array) -> Sequence[object]:

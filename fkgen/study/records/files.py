@@ -14,42 +14,30 @@ from fkgen.errors import OutputError
 PICTURES = (".png", ".pdf", ".svg")
 
 
+def refuse_targets(output: Path | None, plot: Path | None = None, *, force: bool) -> None:
+    """Refuse what a command cannot or must not write, before any work is done for it."""
+    for path in (output, plot):
+        if path is not None:
+            refuse_existing(path, force=force, hint=", or --force to replace it")
+    if plot is not None:
+        refuse_format(plot)
+
+
 def refuse_existing(path: Path, *, force: bool, hint: str = "") -> None:
-    """Refuse a target that cannot or must not be written, before any work is done for it.
-
-    Parameters
-    ----------
-    path : Path
-        The target.
-    force : bool
-        It may exist.
-    hint : str
-        How to allow that, such as ``", or --force"``.
-
-    Raises
-    ------
-    OutputError
-        If it is a folder, or a file and ``force`` is not set, or lies in no folder.
-    """
+    """Refuse a folder, a file that exists unless ``force`` is set, and a name in no folder."""
+    given = ""
     if path.is_dir():
-        raise OutputError(str(path), given="a folder", expected="the name of a file")
-    if path.is_file() and not force:
-        raise OutputError(
-            str(path), given="a file that exists", expected=f"the name of a new file{hint}"
-        )
-    if not path.parent.is_dir():
-        raise OutputError(
-            str(path), given="a folder that does not exist", expected="one that does; create it"
-        )
+        given, expected = "a folder", "the name of a file"
+    elif path.is_file() and not force:
+        given, expected = "a file that exists", f"the name of a new file{hint}"
+    elif not path.parent.is_dir():
+        given, expected = "a folder that does not exist", "one that does; create it"
+    if given:
+        raise OutputError(str(path), given=given, expected=expected)
 
 
 def refuse_format(path: Path) -> None:
-    """Refuse the name of a picture that ends in no format that can be drawn.
-
-    Raises
-    ------
-    OutputError
-    """
+    """Refuse the name of a picture that ends in no format that can be drawn."""
     if path.suffix.lower() not in PICTURES:
         given = f"the ending {path.suffix!r}" if path.suffix else "a name without ending"
         expected = f"a picture that ends in {', '.join(PICTURES)}"
@@ -59,19 +47,8 @@ def refuse_format(path: Path) -> None:
 def write_whole(path: Path, data: bytes, *, force: bool = False) -> None:
     """Write ``data`` under a name of its own and move it into place in one step.
 
-    Parameters
-    ----------
-    path : Path
-        The target. What is no regular file (a pipe, a terminal) is written directly.
-    data : bytes
-        All of it.
-    force : bool
-        Replace a file that exists.
-
-    Raises
-    ------
-    OutputError
-        If it exists, or cannot be written (no permission, disk full); nothing is left behind then.
+    Whatever fails (no permission, disk full) is an `OutputError`, and nothing is left behind. What
+    is no regular file (a pipe, a terminal) is written directly.
     """
     refuse_existing(path, force=force)
     if path.exists() and not path.is_file():
@@ -112,7 +89,6 @@ def _attempt(path: Path, action: Callable[[], object]) -> None:
     try:
         action()
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise OutputError(
-            str(path), given=reason, expected="a place that can be written; nothing was left there"
-        ) from None
+        given = (error.strerror or str(error)).lower()
+        expected = "a place that can be written; nothing was left there"
+        raise OutputError(str(path), given=given, expected=expected) from None

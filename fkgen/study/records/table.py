@@ -1,7 +1,8 @@
-"""Read a record from a CSV file: columns by name, and an error that says where."""
+"""Read what commands are given: records and profiles of faults from CSV files, constant inputs."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 from collections import Counter
@@ -25,39 +26,17 @@ _SHOWN = 40
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Table:
-    """A record of T samples.
-
-    Attributes
-    ----------
-    file : str
-        Where it comes from.
-    lines : tuple of int
-        Line of the file in which each sample ends.
-    time_name : str
-        Name of the time column; empty if there is none.
-    time_text : tuple of str
-        The times as they stand in the file; empty if there are none.
-    time : (T,) ndarray
-        The times as numbers, or the sample numbers if there are none.
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray
-        Inputs.
-    params : dict of str to (T,) ndarray
-        The run-time parameters that have a column.
-    notes : tuple of str
-        What was ignored or taken for granted.
-    """
+    """A record of T samples."""
 
     file: str
-    lines: tuple[int, ...]
-    time_name: str
-    time_text: tuple[str, ...]
-    time: Array
-    y: Array
-    u: Array
-    params: dict[str, Array]
-    notes: tuple[str, ...]
+    lines: tuple[int, ...]  # line of the file in which each sample ends
+    time_name: str  # of the time column; empty if there is none
+    time_text: tuple[str, ...]  # the times as they stand in the file
+    time: Array  # (T,), the times as numbers, or the sample numbers if there are none
+    y: Array  # (T, p), measurements; NaN = missing
+    u: Array  # (T, q), inputs
+    params: dict[str, Array]  # (T,) each, the run-time parameters that have a column
+    notes: tuple[str, ...]  # what was ignored or taken for granted
 
 
 def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
@@ -70,10 +49,6 @@ def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
         columns with their names; a time column (``t``, ``t_s`` or ``time``) is optional.
     spec : Spec
         Says which columns there have to be.
-
-    Returns
-    -------
-    Table
 
     Raises
     ------
@@ -90,49 +65,64 @@ def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
     notes = [f"default of parameter {n}: no such column" for n in known if n not in given]
     notes += [f"ignored: {', '.join(map(repr, extra))}"] if extra else []
     samples = len(reader.lines)
+    time = reader.times(time_name) if time_name else np.arange(samples, dtype=float)
+    y = [reader.measured(signal.name) for signal in spec.model.outputs]
+    u = [reader.finite(signal.name, "an input") for signal in spec.model.inputs]
     return Table(
         file=str(path),
         lines=tuple(reader.lines),
         time_name=time_name,
         time_text=tuple(t.strip() for t in reader.texts(time_name)) if time_name else (),
-        time=reader.times(time_name) if time_name else np.arange(samples, dtype=float),
-        y=_joined([reader.measured(s.name) for s in spec.model.outputs], samples),
-        u=_joined([reader.finite(s.name, "an input") for s in spec.model.inputs], samples),
+        time=time,
+        y=np.stack(y, axis=1),
+        u=np.stack(u, axis=1) if u else np.zeros((samples, 0)),
         params={name: reader.finite(name, "a parameter") for name in given},
         notes=tuple(f"{path}: {note}" for note in notes),
     )
 
 
 def read_columns(path: str | os.PathLike[str], names: Sequence[str]) -> dict[str, Array]:
-    """Columns of finite numbers by name; those that the file lacks are zero.
-
-    Parameters
-    ----------
-    path : path
-        A CSV file with a header.
-    names : sequence of str
-        The columns that are looked for; others are ignored.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, has none of the columns, or a field is no finite number.
-    """
+    """Columns of finite numbers by name; of them the file has one at least, the others are zero."""
     reader = _Reader(str(path))
     if not any(name in reader.place for name in names):
-        have = ", ".join(reader.place)
-        expected = f"at least one of: {', '.join(names)}"
-        raise reader.error(f"none of the columns (there are: {have})", expected, line=1)
-    return {
-        name: reader.finite(name, "a fault")
-        if name in reader.place
-        else np.zeros(len(reader.lines))
-        for name in names
-    }
+        given = f"none of the columns (there are: {', '.join(reader.place)})"
+        raise reader.error(given, f"at least one of: {', '.join(names)}", line=1)
+    zero = np.zeros(len(reader.lines))
+    return {n: reader.finite(n, "a fault") if n in reader.place else zero for n in names}
 
 
-def _joined(columns: list[Array], samples: int) -> Array:
-    return np.stack(columns, axis=1) if columns else np.zeros((samples, 0))
+def numbers_of(option: str, text: str, count: int) -> Array | None:
+    """Numbers separated by commas, one per signal; None if the option was left out."""
+    if not text.strip():
+        return None
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count or not np.isfinite(values).all():
+        expected = f"{count} finite numbers, separated by commas"
+        raise DataError(option, given=repr(text), expected=expected)
+    return values
+
+
+def constants_or_record(
+    spec: Spec, inputs: str, record: Path | None
+) -> tuple[Array | None, Table | None]:
+    """Constant inputs (q,) from ``--u``, or the table of ``--record``, or neither; not both."""
+    constants = numbers_of("--u", inputs, spec.model.nu)
+    if record is None:
+        return constants, None
+    if constants is not None:
+        raise DataError("--u", given="inputs beside --record", expected="one of the two")
+    return None, read_table(record, spec)
+
+
+def profile_of(spec: Spec, path: Path) -> tuple[Array, Array | None]:
+    """What is added to y (T, p) and to u (T, q), from a file that names one signal at least."""
+    p = spec.model.ny
+    names = [signal.name for signal in (*spec.model.outputs, *spec.model.inputs)]
+    both = np.stack(list(read_columns(path, names).values()), axis=1)
+    return both[:, :p], both[:, p:] if spec.model.nu else None
 
 
 class _Reader:
@@ -153,9 +143,8 @@ class _Reader:
                 try:
                     return self._rows(reader)
                 except csv.Error as error:
-                    raise self.error(
-                        str(error), "fields separated by commas", line=reader.line_num
-                    ) from None
+                    expected, line = "fields separated by commas", reader.line_num
+                    raise self.error(str(error), expected, line=line) from None
         except UnicodeDecodeError as error:
             raise self.error(f"bytes that are not UTF-8 at {error.start}", "UTF-8 text") from None
         except (OSError, ValueError) as error:
@@ -165,9 +154,8 @@ class _Reader:
     def _header(self, names: list[str]) -> list[str]:
         header = [name.strip() for name in names]
         if not any(header):
-            raise self.error(
-                "an empty file", "a header with names of columns, then numbers", line=1
-            )
+            expected = "a header with names of columns, then numbers"
+            raise self.error("an empty file", expected, line=1)
         for separator, word in ((";", "semicolons"), ("\t", "tabs")):
             if len(header) == 1 and separator in header[0]:
                 raise self.error(f"a header with {word}", "columns separated by commas", line=1)
@@ -198,12 +186,8 @@ class _Reader:
         """Refuse a file that lacks one of these columns."""
         missing = [name for name in names if name not in self.place]
         if missing:
-            have = ", ".join(self.place)
-            raise self.error(
-                f"no column {', '.join(missing)} (there are: {have})",
-                f"a column for each of: {', '.join(names)}",
-                line=1,
-            )
+            given = f"no column {', '.join(missing)} (there are: {', '.join(self.place)})"
+            raise self.error(given, f"a column for each of: {', '.join(names)}", line=1)
 
     def texts(self, name: str) -> Sequence[str]:
         """A column as it stands in the file."""
@@ -212,19 +196,15 @@ class _Reader:
     def measured(self, name: str) -> Array:
         """A column of numbers; NaN where a field is empty or says so."""
         texts = self.texts(name)
-        try:
+        with contextlib.suppress(ValueError):  # the usual record, in one go
             if not any("_" in text for text in texts):
                 return np.array([float(text) if text else np.nan for text in texts])
-        except ValueError:
-            pass
         return np.array([self._number(name, k, text.strip()) for k, text in enumerate(texts)])
 
     def _number(self, name: str, k: int, text: str) -> float:
-        try:
+        with contextlib.suppress(ValueError):
             if "_" not in text:
                 return float(text) if text else np.nan
-        except ValueError:
-            pass
         shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
         expected = "a number such as -1.5e3, or nothing where the sample is missing"
         raise self.error(repr(shown), expected, line=self.lines[k], column=name)
@@ -236,9 +216,8 @@ class _Reader:
         if wrong.size:
             k = int(wrong[0])
             given = self.texts(name)[k].strip() or "nothing"
-            raise self.error(
-                given, f"a finite number: {role} is never missing", line=self.lines[k], column=name
-            )
+            expected = f"a finite number: {role} is never missing"
+            raise self.error(given, expected, line=self.lines[k], column=name)
         return values
 
     def times(self, name: str) -> Array:
@@ -247,17 +226,12 @@ class _Reader:
         back = np.flatnonzero(np.diff(values) < 0.0)
         if back.size:
             k = int(back[0]) + 1
-            raise self.error(
-                f"{self.texts(name)[k].strip()} after {self.texts(name)[k - 1].strip()}",
-                "times that do not run backwards",
-                line=self.lines[k],
-                column=name,
-            )
+            given = f"{self.texts(name)[k].strip()} after {self.texts(name)[k - 1].strip()}"
+            expected = "times that do not run backwards"
+            raise self.error(given, expected, line=self.lines[k], column=name)
         return values
 
     def error(self, given: str, expected: str, *, line: int = 0, column: str = "") -> DataError:
         """The error that names the place."""
-        what = self.file
-        what += f", line {line}" if line else ""
-        what += f", column {column}" if column else ""
-        return DataError(what, given=given, expected=expected)
+        place = (f", line {line}" if line else "") + (f", column {column}" if column else "")
+        return DataError(self.file + place, given=given, expected=expected)

@@ -17,9 +17,8 @@ from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.compiler import find_compiler
 from fkgen.runtime.results import Run
 from fkgen.study.records.columns import Selection, run_table
-from fkgen.study.records.files import write_whole
 from fkgen.study.records.table import Table, read_table
-from fkgen.study.reports.plots import draw, rendered
+from fkgen.study.reports.plots import draw, save
 from fkgen.study.reports.starters import resource
 
 _MOTOR, _CAR = "examples/dc_motor/unknown_rate.toml", "examples/car_speed/spec.toml"
@@ -27,20 +26,7 @@ _RATE, _SAMPLES, _REPEATS = 0.7, 500, 5
 
 
 def play(folder: Path) -> Iterator[str]:
-    """Do everything; yield what was done, line by line.
-
-    Parameters
-    ----------
-    folder : Path
-        For the generated C and the pictures.
-
-    Raises
-    ------
-    CompilerError
-        If there is no C compiler.
-    OutputError
-        If the folder cannot be written.
-    """
+    """Write generated C and pictures into a folder; yield what was done, line by line."""
     find_compiler()  # the one thing that may be missing: say so at once
     if folder.exists() and not folder.is_dir():
         raise OutputError(str(folder), given="a file", expected="a folder, or nothing yet")
@@ -93,19 +79,17 @@ def _filtered(
     keep = ["filtered_state", "filtered_covariance", "innovation", "nis", "mode_probability"]
     selection = Selection((), tuple(name for name in keep if name in built.ports))
     run = run_table(built, table, selection)
-    seconds = min(_seconds(built, table) for _ in range(_REPEATS))
+    seconds = np.inf
+    for _ in range(_REPEATS):
+        start = time.perf_counter()
+        run_table(built, table, Selection((), ("filtered_state",)))
+        seconds = min(seconds, time.perf_counter() - start)
     samples = len(table.time)
     yield f"   filtered: {samples} samples, {1e9 * seconds / samples:.0f} ns each"
     picture = folder / f"{spec.name}.png"
-    write_whole(picture, rendered(draw(spec, table, run), picture), force=True)
+    save(draw(spec, table, run), picture, force=True)
     yield f"   drawn: {picture}"
     return run
-
-
-def _seconds(built: CompiledFilter, table: Table) -> float:
-    start = time.perf_counter()
-    run_table(built, table, Selection((), ("filtered_state",)))
-    return time.perf_counter() - start
 
 
 def _motor_record(spec: Spec) -> Table:

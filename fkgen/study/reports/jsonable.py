@@ -6,15 +6,14 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 
-def finite_or_none(value: ArrayLike) -> Any:
-    """A number or nested lists of numbers; those that are not finite become None."""
-    return _plain(np.asarray(value, dtype=float).tolist())
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_plain(entry) for entry in value]
-    return value if math.isfinite(value) else None
+def finite_or_none(value: Any) -> Any:
+    """Numbers, arrays, and nested lists and dicts of them; what is not finite becomes None."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: finite_or_none(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_none(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

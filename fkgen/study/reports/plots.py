@@ -1,7 +1,4 @@
-"""Draw a filtered record: states with bands, innovations, NIS with its bounds, probabilities.
-
-Draw what compression filters were found to be: statistics over their thresholds, rejections.
-"""
+"""Draw a filtered record: states with bands, innovations, NIS with its bounds, probabilities."""
 
 from __future__ import annotations
 
@@ -15,21 +12,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fkgen.faults import SoftFaults
 from fkgen.problem import Signal, Spec
 from fkgen.runtime.results import Run
 from fkgen.study.records.columns import deviation
-from fkgen.study.records.files import refuse_format
+from fkgen.study.records.files import refuse_format, write_whole
 from fkgen.study.records.table import Table
 from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]
 
-_BLUE, _ORANGE, _GREY, _BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
+BLUE, ORANGE, GREY, BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
 _SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
 _WIDTH, _STATE, _REST = 9.0, 2.1, 1.9
-_LARGEST = 12  # panels of states; more would be a page nobody reads
+LARGEST = 12  # panels of states; more would be a page nobody reads
 _CONFIDENCE = 0.95
+_LOWEST = 1e-3  # ratios of a test to its threshold below this are drawn here
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,35 +36,26 @@ class _Sheet:
     spec: Spec
     run: Run
     time: Array
-    present: Array
+    present: Array  # (T, p), of bool
 
 
 def draw(spec: Spec, table: Table, run: Run) -> Figure:
-    """Draw a run.
+    """Draw a run: a panel per state, then innovations, NIS, and probabilities or verdicts.
 
-    Parameters
-    ----------
-    spec : Spec
-        Names and units.
-    table : Table
-        The record.
-    run : Run
-        Needs ``filtered_state``, ``filtered_covariance``, ``innovation`` and ``nis``;
-        ``mode_probability`` is drawn if it is there, and so are ``test_statistic``, ``test_dof``
-        and ``fault_declared``.
-
-    Returns
-    -------
-    Figure
-        One panel per state, then innovations, NIS, and probabilities or verdicts.
+    It needs ``filtered_state``, ``filtered_covariance``, ``innovation`` and ``nis``;
+    ``mode_probability``, and ``test_statistic``, ``test_dof`` and ``fault_declared`` are drawn if
+    they are there.
     """
-    states, groups = spec.model.states[:_LARGEST], _by_unit(spec.model.outputs)
+    states, groups = spec.model.states[:LARGEST], _by_unit(spec.model.outputs)
     modes = "mode_probability" in run.ports
     verdicts = spec.faults.soft is not None and "test_statistic" in run.ports
     heights = [_STATE] * len(states) + [_REST] * (len(groups) + 1 + modes + verdicts)
     figure = Figure(figsize=(_WIDTH, sum(heights)), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    sheet = _sheet(spec, table, run)
+    time, label = np.asarray(table.time, dtype=float), table.time_name or "sample"
+    if not table.time_name and spec.model.sample_time is not None:
+        time, label = time * spec.model.sample_time, "t_s"
+    sheet = _Sheet(spec, run, time, np.isfinite(table.y))
     for i, signal in enumerate(states):
         _draw_state(axes[i], sheet, i, signal)
     rest = list(axes[len(states) :])
@@ -77,25 +65,28 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     if modes:
         _draw_modes(rest[-1], sheet)
     if verdicts:
-        draw_verdicts(rest[-1], spec, sheet.time, run, _SHADES)
-        _legend_above(rest[-1])
-    for axis in axes:
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.margins(x=0.0)
-        axis.tick_params(labelsize=8)
-    axes[-1].set_xlabel(_time_label(spec, table), fontsize=9)
-    figure.align_ylabels(axes)
+        _draw_verdicts(rest[-1], sheet)
+    finish(figure, "time (s)" if label == "t_s" else label)
     return figure
 
 
-def rendered(figure: Figure, path: Path) -> bytes:
-    """The picture in the format that the name asks for; the same run gives the same bytes.
+def finish(figure: Figure, time: str) -> None:
+    """What the panels of a figure share: plain frames, small numbers, time below the last one."""
+    for axis in figure.axes:
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.margins(x=0.0)
+        axis.tick_params(labelsize=8)
+    figure.axes[-1].set_xlabel(time, fontsize=9)
+    figure.align_ylabels(figure.axes)
 
-    Raises
-    ------
-    OutputError
-        If the name ends in no format that is known.
-    """
+
+def save(figure: Figure, path: Path, *, force: bool) -> None:
+    """Write a figure into a file."""
+    write_whole(path, rendered(figure, path), force=force)
+
+
+def rendered(figure: Figure, path: Path) -> bytes:
+    """The picture in the format that the name asks for; the same run gives the same bytes."""
     refuse_format(path)
     out = io.BytesIO()
     suffix = path.suffix.lower().lstrip(".")
@@ -103,19 +94,6 @@ def rendered(figure: Figure, path: Path) -> bytes:
     with mpl.rc_context({"svg.hashsalt": "fkgen"}):
         figure.savefig(out, format=suffix, dpi=130, metadata=metadata[suffix])
     return out.getvalue()
-
-
-def _sheet(spec: Spec, table: Table, run: Run) -> _Sheet:
-    time = np.asarray(table.time, dtype=float)
-    if not table.time_name and spec.model.sample_time is not None:
-        time = time * spec.model.sample_time
-    return _Sheet(spec, run, time, np.isfinite(table.y))
-
-
-def _time_label(spec: Spec, table: Table) -> str:
-    if table.time_name == "t_s" or (not table.time_name and spec.model.sample_time is not None):
-        return "time (s)"
-    return table.time_name or "sample"
 
 
 def axis_label(signal: Signal) -> str:
@@ -130,20 +108,17 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int, signal: Signal) -> None:
     band = 3.0 * deviation(sheet.run, "filtered_sd")[:, i]
     label = r"$\pm 3\sigma$"
     axis.fill_between(
-        sheet.time, mean - band, mean + band, color=_BLUE, alpha=_BAND, lw=0, label=label
+        sheet.time, mean - band, mean + band, color=BLUE, alpha=BAND, lw=0, label=label
     )
-    axis.plot(sheet.time, mean, color=_BLUE, lw=1.2, label="filtered")
+    axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
     axis.set_ylabel(axis_label(signal), fontsize=9)
     axis.set_ylim(*_limits(mean, band))
     if i == 0:
-        axis.set_title(_title(sheet), loc="left", fontsize=10)
+        samples, refused = len(sheet.time), int(sheet.run.refused.sum())
+        text = f"{sheet.spec.name}: {sheet.spec.filter.family}, {samples} samples"
+        text += f", {refused} refused" if refused else ""
+        axis.set_title(text, loc="left", fontsize=10)
         axis.legend(frameon=False, ncols=2, fontsize=8, loc="upper right")
-
-
-def _title(sheet: _Sheet) -> str:
-    samples, refused = len(sheet.time), int(sheet.run.refused.sum())
-    text = f"{sheet.spec.name}: {sheet.spec.filter.family}, {samples} samples"
-    return f"{text}, {refused} refused" if refused else text
 
 
 def _limits(mean: Array, band: Array) -> tuple[float, float]:
@@ -213,25 +188,19 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
     inside = float(np.mean((nis >= low) & (nis <= high)))
     mixed = bool(np.ptp(rows[used]))
     values = nis / high if mixed else nis
-    axis.semilogy(sheet.time[used], np.maximum(values, 1e-12), ".", ms=2.5, color=_BLUE)
+    axis.semilogy(sheet.time[used], np.maximum(values, 1e-12), ".", ms=2.5, color=BLUE)
     bounds = (1.0,) if mixed else (float(low[0]), float(high[0]))
     for bound in bounds:
-        axis.axhline(bound, color=_ORANGE, lw=1.2)
+        axis.axhline(bound, color=ORANGE, lw=1.2)
     top = max(3.0 * bounds[-1], 1.5 * float(np.quantile(values, 0.999)))
     axis.set_ylim(max(1e-4 * bounds[-1], 0.2 * float(np.quantile(values, 0.005))), top)
     axis.set_ylabel("NIS / upper bound" if mixed else "NIS", fontsize=9)
     degrees = "rows present" if mixed else f"{int(rows[used][0])} degrees of freedom"
     text = f"{inside:.1%} within the {_CONFIDENCE:.0%} bounds of chi-square ({degrees})"
-    if _is_mixture(sheet.spec):
+    faults, told = sheet.spec.faults, sheet.spec.filter.traits.told
+    if faults.jump is not None or (faults.sensor is not None and not told):
         text += "; a guide and no test: y with faults is a mixture"
-    axis.set_title(text, loc="left", fontsize=8, color=_GREY)
-
-
-def _is_mixture(spec: Spec) -> bool:
-    """Whether y may be under several modes that the filter is not told."""
-    if spec.faults.jump is not None:
-        return True
-    return spec.faults.sensor is not None and not spec.filter.traits.told
+    axis.set_title(text, loc="left", fontsize=8, color=GREY)
 
 
 def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
@@ -259,39 +228,27 @@ def _mode_names(spec: Spec, count: int) -> list[str]:
     return ["signal", f"signal, {noisy}", *silent]
 
 
-#: Ratios below this are drawn here.
-_LOWEST = 1e-3
-
-
-def draw_verdicts(axis: Axes, spec: Spec, time: Array, run: Run, colours: tuple[str, ...]) -> None:
+def _draw_verdicts(axis: Axes, sheet: _Sheet) -> None:
     """Statistic over threshold of every group at every end of a window; crosses are rejections."""
-    soft = spec.faults.soft
+    from scipy.special import chdtri  # noqa: PLC0415 - scipy.stats would take a second
+
+    soft = sheet.spec.faults.soft
     if soft is None:
         return
-    shape = (len(time), len(soft.groups))
     statistic, dof, declared = (
-        np.asarray(run[name], float).reshape(shape)
+        np.asarray(sheet.run[name], float).reshape(len(sheet.time), len(soft.groups))
         for name in ("test_statistic", "test_dof", "fault_declared")
     )
-    for at, name in enumerate(_names(spec, soft)):
-        tested, colour = dof[:, at] > 0, colours[at % len(colours)]
-        ratio = statistic[tested, at] / _threshold(soft.false_alarm, dof[tested, at])
-        values, rejected = np.maximum(ratio, _LOWEST), declared[tested, at] > 0
-        axis.semilogy(time[tested], values, ".", ms=4, color=colour, label=name)
-        axis.semilogy(time[tested][rejected], values[rejected], "x", ms=6, color=colour)
+    names = [signal.name.replace("_", " ") for signal in sheet.spec.model.outputs]
+    for at, group in enumerate(soft.groups):
+        tested, colour = dof[:, at] > 0, _SHADES[at % len(_SHADES)]
+        time, rejected = sheet.time[tested], declared[tested, at] > 0
+        ratio = statistic[tested, at] / np.asarray(chdtri(dof[tested, at], soft.false_alarm), float)
+        values, label = np.maximum(ratio, _LOWEST), ", ".join(names[row] for row in group)
+        axis.semilogy(time, values, ".", ms=4, color=colour, label=label)
+        axis.semilogy(time[rejected], values[rejected], "x", ms=6, color=colour)
     axis.axhline(1.0, color="black", lw=0.8)
     low, high = axis.get_ylim()
     axis.set_ylim(min(low, 1e-2), max(high, 1e1))
     axis.set_ylabel("test / threshold", fontsize=9)
-
-
-def _threshold(false_alarm: float, dof: Array) -> Array:
-    from scipy.special import chdtri  # noqa: PLC0415 - scipy.stats would take a second
-
-    return np.asarray(chdtri(dof, false_alarm), float)
-
-
-def _names(spec: Spec, soft: SoftFaults) -> list[str]:
-    """The rows of every group."""
-    names = [signal.name.replace("_", " ") for signal in spec.model.outputs]
-    return [", ".join(names[row] for row in group) for group in soft.groups]
+    _legend_above(axis)

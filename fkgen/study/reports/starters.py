@@ -11,13 +11,7 @@ from fkgen.runtime.record import choice
 
 
 def starter(family: str) -> str:
-    """The text of a commented spec that loads and validates as it is.
-
-    Raises
-    ------
-    DataError
-        If there is no such family.
-    """
+    """The text of a commented spec of a family that loads and validates as it is."""
     if family not in (*NAMES, *ALIASES):
         raise DataError("family", given=repr(family), expected=choice(family, NAMES))
     return resource(f"templates/{find(family).starter}").read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ from fkgen.backend.ir import Operator
 from fkgen.oracle import LinearSystem, gains, simulate
 from fkgen.problem import Code
 from fkgen.profiles import pulse
-from fkgen.study.diagnostics.model_numbers import Figures
+from fkgen.study.diagnostics.model_numbers import ModelNumbers
 from fkgen.study.diagnostics.rounding import ARITHMETIC, Bounded, usual_range
 
 
@@ -213,7 +213,7 @@ def test_compiled_float_stays_within_the_bound(plant):
         .filtered_state.astype(float)
         for scalar, update in (("float", "auto"), ("double", "joseph"))
     )
-    inside = np.all(np.abs(double) <= usual_range(Figures(plant)), axis=1)
+    inside = np.all(np.abs(double) <= usual_range(ModelNumbers(plant)), axis=1)
     assert inside.mean() > 0.9
     bound = [values[f"float_error_bound.{s.name}"] for s in plant.model.states]
     off = np.abs(single - double)[T // 2 :][inside[T // 2 :]].max(axis=0)

@@ -13,11 +13,9 @@ from sensor_specs import SCALAR
 
 import fkgen
 from fkgen.cli import main
-from fkgen.study.comparisons.detection import detection
-from fkgen.study.comparisons.estimates import Estimate, mean, ratio
 from fkgen.study.comparisons.footprint import Footprint
-from fkgen.study.comparisons.ranking import Standing, beaten, recommended
-from fkgen.study.comparisons.scores import normalised
+from fkgen.study.comparisons.ranking import Score, beaten, recommended
+from fkgen.study.comparisons.scores import Estimate, detection, mean, normalised, ratio
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 EXAMPLE_1 = EXAMPLES / "sensor_faults" / "example1.toml"
@@ -149,7 +147,7 @@ def test_ratios_have_the_error_of_the_delta_method():
 
 def standing(label, value, cost, noise):
     print_ = Footprint(operations=cost, calls=0, state=8, flash={})
-    return Standing(label, print_, value, noise)
+    return Score(label, print_, value, noise)
 
 
 def test_what_is_not_decided_is_no_tie():

@@ -10,7 +10,7 @@ from plants import common, random_model, spec
 import fkgen
 from fkgen.oracle import LinearSystem, batch_lmmse, gains
 from fkgen.profiles import step
-from fkgen.study.effects.power import detection_power, required_noncentrality
+from fkgen.study.effects.effect import detection_power, required_noncentrality
 
 ANCHORS = {1: 20.9039, 2: 23.8173, 4: 27.6827, 10: 35.1024, 20: 43.3474}
 

@@ -1,4 +1,4 @@
-"""What is asked about a fault: its profile, where it enters, and the record that it falls on."""
+"""A fault, where it enters, and the record that it falls on: checked and completed."""
 
 from __future__ import annotations
 
@@ -22,47 +22,29 @@ MODES: tuple[Mode, ...] = get_args(Mode)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Question:
-    """A fault on a record of T samples.
-
-    Attributes
-    ----------
-    spec : Spec
-    sensor : (T, p) ndarray
-        What is added to y.
-    anomaly : (T, q) ndarray
-        What is added to u.
-    mode : str
-        Who gets the anomaly.
-    u : (T, q) ndarray
-        The inputs without it.
-    params : mapping of str to float or (T,) ndarray
-        Run-time parameters.
-    missing : (T, p) ndarray of bool
-        Entries of y that are missing.
-    """
+class FaultScenario:
+    """A fault on a record of T samples."""
 
     spec: Spec
-    sensor: Array
-    anomaly: Array
-    mode: Mode
-    u: Array
-    params: Mapping[str, ArrayLike]
-    missing: NDArray[np.bool_]
+    sensor: Array  # (T, p), what is added to y
+    anomaly: Array  # (T, q), what is added to u
+    mode: Mode  # who gets the anomaly
+    u: Array  # (T, q), the inputs without it
+    params: Mapping[str, ArrayLike]  # run-time parameters, numbers or (T,)
+    missing: NDArray[np.bool_]  # (T, p), entries of y that are missing
 
     @property
     def samples(self) -> int:
         """Length T of the record."""
         return len(self.sensor)
 
-    def system(self, rates: tuple[float, ...] | None = None) -> LinearSystem:
-        """The plant over the record; with one hypothesis in place of its success rates.
+    @property
+    def known_inputs(self) -> Array:
+        """The inputs that the filter is told, (T, q)."""
+        return self.u if self.mode == "plant" else self.u + self.anomaly
 
-        Raises
-        ------
-        DataError
-            If an entry is no number, or a rate none in [0, 1], at these parameters.
-        """
+    def system(self, rates: tuple[float, ...] | None = None) -> LinearSystem:
+        """The plant over the record; with one hypothesis in place of its success rates."""
         params = {name: np.asarray(value, dtype=float) for name, value in self.params.items()}
         try:
             found = LinearSystem.from_spec(self.spec, self.samples, params, rates)
@@ -75,13 +57,8 @@ class Question:
             raise DataError("params", given=given, expected="rates in [0, 1]")
         return found
 
-    @property
-    def told(self) -> Array:
-        """The inputs that the filter is told, (T, q)."""
-        return self.u if self.mode == "plant" else self.u + self.anomaly
 
-
-def ask(
+def scenario_of(
     spec: Spec,
     faults: tuple[ArrayLike | None, ArrayLike | None],
     mode: str,
@@ -90,14 +67,8 @@ def ask(
     params: Mapping[str, ArrayLike] | None,
     u: ArrayLike | None,
     y: ArrayLike | None,
-) -> Question:
-    """Check and complete what a user asks; ``faults`` is added to y and to u.
-
-    Raises
-    ------
-    DataError
-        If shapes or names do not fit, or a number is not finite.
-    """
+) -> FaultScenario:
+    """Check and complete what a user states; ``faults`` is added to y and to u."""
     if mode not in MODES:
         raise DataError("mode", given=repr(mode), expected=choice(str(mode), MODES))
     sensor, anomaly = faults
@@ -111,7 +82,7 @@ def ask(
     if steps is not None and steps != T:
         raise DataError("steps", given=repr(steps), expected=f"{T}, the length of the profile")
     record = _finite("y", y, model.outputs, T, may_miss=True)
-    return Question(
+    return FaultScenario(
         spec=spec,
         sensor=_finite("sensor", sensor, model.outputs, T),
         anomaly=_finite("input", anomaly, model.inputs, T),
