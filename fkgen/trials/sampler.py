@@ -154,7 +154,7 @@ def sampler(spec: Spec) -> CompiledSampler:
 
 
 def _source_of(spec: Spec) -> SamplerSource:
-    from fkgen.trials.lowering import lower_sampling, render_sampler  # noqa: PLC0415 - CasADi
+    from fkgen.trials.lowering import render_sampler  # noqa: PLC0415 - CasADi
     from fkgen.trials.sampling import sampling_of  # noqa: PLC0415 - CasADi
 
-    return render_sampler(lower_sampling(sampling_of(spec)))
+    return render_sampler(sampling_of(spec))

@@ -10,7 +10,7 @@ import pytest
 from sensor_specs import SCALAR
 from toolchain import BITS, C_COMPILERS, FLAGS, each
 
-from fkgen.trials.lowering import lower_sampling, render_sampler
+from fkgen.trials.lowering import render_sampler
 from fkgen.trials.sampling import sampling_of
 
 MOMENTS = {"problem": "moments", "gamma_rate": 0.6, "gamma_persistence": 0.8}
@@ -27,7 +27,7 @@ SPECS = {
 @pytest.mark.parametrize("compiler", each(C_COMPILERS))
 @pytest.mark.parametrize("name", SPECS)
 def test_a_sampler_compiles_without_a_warning(name, compiler, tmp_path):
-    source = render_sampler(lower_sampling(sampling_of(SPECS[name])))
+    source = render_sampler(sampling_of(SPECS[name]))
     text = tmp_path / "sampler.c"
     text.write_text(source.text)
     flags = ["-std=c99", *FLAGS, BITS, "-O1"]  # without -Wmissing-prototypes: it has no header
