@@ -143,6 +143,9 @@ class _Writer:
             case Operate(target, operator, arguments):
                 values = tuple(map(self.operand, arguments))
                 return Operate(self.operand(target), operator, values)
+            case Store(target, operator, arguments):
+                values = tuple(map(self.operand, arguments))
+                return Store(self.operand(target), operator, values)
             case Copy(target, value):
                 kept = self.operand(value)
                 return Copy(self.operand(target), kept)
@@ -352,15 +355,15 @@ class _Book:
 
     @staticmethod
     def _pieces(function: _Function) -> Iterator[_Run]:
-        """From each chunk on, as much as a routine may hold."""
-        for start in range(len(function.chunks)):
-            length = lines = 0
-            for chunk in function.chunks[start:]:
-                size = lines_of(chunk)
-                if length and lines + size > LONGEST:
-                    break
-                length, lines = length + 1, lines + size
-            yield _Run(function, start, length)
+        """As much as a routine may hold: whole sections from each heading on, or from anywhere."""
+        forms, end = function.forms, len(function.forms)
+        headed = [i for i, form in enumerate(forms) if form.shape[0] == "heading"]
+        sizes = [lines_of(chunk) for chunk in function.chunks]
+        for start in range(end):
+            within = [k for k in range(start + 1, end + 1) if sum(sizes[start:k]) <= LONGEST]
+            sections = [k for k in within if start in headed and k in {*headed, end}]
+            stop = max(sections or ([] if headed else within), default=start + 1)
+            yield _Run(function, start, stop - start)
 
     def _name(self, titles: list[str]) -> str:
         """A name after what the titles of the runs have in common."""
@@ -613,7 +616,7 @@ def _titles(runs: list[_Run]) -> list[str]:
 def stored(body: Chunk) -> Chunk:
     """Let operations whose result goes to one place, and nowhere else, store it themselves."""
     uses = Counter(o.index for node in walk(body) for o in operands(node) if isinstance(o, Temp))
-    return _stored(body, uses)
+    return _Writer(lambda operand: operand, lambda row: row).many(_stored(body, uses))
 
 
 def _stored(body: Chunk, uses: Counter[int]) -> Chunk:
