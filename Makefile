@@ -11,8 +11,12 @@ setup = @command -v $(PYTHON) >/dev/null 2>&1 || \
 	{ echo "setup: there is no $(PYTHON) here. Install Python 3.11 or newer, or name it: make PYTHON=/path/to/python3" >&2; exit 1; }; \
 	UV="$(UV)" $(PYTHON) tools/environment.py
 
+# Workers share the cores, so the linear algebra below them takes one thread each; a file stays with
+# one worker, which then builds its filters once.
+pytest := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(WORKERS) --dist loadfile
+
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench lint golden golden-check wheel-check clean distclean
+.PHONY: help demo test test-all bench lint golden golden-check wheel-check clean distclean
 
 help: ## say what there is
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-20s %s\n", $$1, $$2 }'
@@ -23,11 +27,13 @@ demo: ## generate, compile and run a filter on an example
 	$(setup) run
 	$(bin)/fkgen demo
 
-# Workers share the cores, so the linear algebra below them takes one thread each; a file stays with
-# one worker, which then builds its filters once.
-test: ## run all tests
+test: ## run the tests: every family against its oracle, mutants, bits of the C, bad input, examples
 	$(setup) test
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(bin)/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
+	$(pytest) $(PYTEST_ARGS)
+
+test-all: ## run what takes long too: all compilers, standards and levels, sanitizers, long Monte Carlo
+	$(setup) test
+	$(pytest) -m "" $(PYTEST_ARGS)
 
 bench: ## measure speed, next to other libraries
 	$(setup) bench

@@ -15,4 +15,5 @@ def session_cache(tmp_path_factory):
         base = base.parent
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FKGEN_CACHE", str(base / "fkgen-cache"))
+        patch.setenv("FKGEN_CFLAGS", os.environ.get("FKGEN_CFLAGS", "-O1"))
         yield base / "fkgen-cache"

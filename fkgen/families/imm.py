@@ -7,19 +7,15 @@ sample the estimates are mixed by what the chain says about the mode before, eqs
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
-
-import numpy as np
+from typing import TYPE_CHECKING, Self
 
 from fkgen.families.family import Family, Proof, Table
 from fkgen.faults import Faults, JumpFaults
 from fkgen.faults.jump import read_jump_faults
-from fkgen.faults.lumping import merged
 from fkgen.faults.sensor import read_sensor_faults
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
-from fkgen.problem.probability import stationary_law
 from fkgen.problem.table.place import show
 from fkgen.problem.table.section import Section, as_number
 
@@ -72,7 +68,7 @@ def three_modes(spec: Spec) -> tuple[Finding, ...]:
     faults = spec.faults.sensor
     if faults is None or spec.filter.options.modes != 3 or faults.noise_factor == 1.0:
         return ()
-    defect = merged(faults.kernel, faults.initial).defect
+    defect = faults.lumped().defect
     if defect <= EQUAL:
         return ()
     message = (
@@ -84,37 +80,15 @@ def three_modes(spec: Spec) -> tuple[Finding, ...]:
 
 
 def without_channel(table: Table, truth: Spec) -> Table:
-    """The same faults; samples that may be lost are modes of their own."""
-    if truth.faults.jump is None:
+    """The same faults; samples that may be lost, and may not be known to be, are modes."""
+    faults = truth.faults.jump
+    if faults is None:
         return table
-    return table | {"faults": {"jump": with_losses_as_modes(truth.faults.jump)}}
-
-
-def with_losses_as_modes(faults: JumpFaults) -> dict[str, object]:
-    """The section of the same plant for a family without a channel.
-
-    Every mode comes twice, first all with a signal, then all without: C = 0, D = 0. Samples that
-    are known to be lost are missing, and need no modes.
-    """
-    table = faults.plain()
-    stated = {key: table[key] for key in ("transition", "initial", "modes")}
-    channel = faults.channel
-    if faults.arrival != "unknown" or channel is None:
-        return stated
-    modes: Any = stated["modes"]
-    lost = [mode | {key: _zeros(mode[key]) for key in ("C", "D") if key in mode} for mode in modes]
-    arrived_first = channel[::-1, ::-1]
-    law = stationary_law(arrived_first)
-    start = arrived_first[0] if law is None else law
-    return {
-        "transition": np.kron(arrived_first, faults.transition).tolist(),
-        "initial": np.kron(start, faults.initial).tolist(),
-        "modes": [*modes, *lost],
-    }
-
-
-def _zeros(matrix: list[list[object]]) -> list[list[float]]:
-    return [[0.0] * len(row) for row in matrix]
+    chain = faults.chain(truth.model)
+    if faults.arrival == "unknown" and faults.channel is not None:
+        chain = chain.times(faults.channel)
+    jump = JumpFaults(chain.transition, chain.initial, chain.modes)
+    return table | {"faults": {"jump": jump.plain()}}
 
 
 FAMILY = Family(

@@ -75,11 +75,11 @@ def check(spec: Spec) -> None:
 
 def build(spec: Spec) -> Recursion:
     """Build the filter in the form of the spec."""
-    from fkgen.estimators.lmmse.augmented import augmented_filter
+    from fkgen.estimators.lmmse.jump import jump_filter
     from fkgen.estimators.lmmse.lemma2 import uncertain_filter
 
     if spec.filter.options.form == "augmented":
-        return augmented_filter(spec, "Costa 1994; Sigalov & Oshman, sec. V without Lemma 2")
+        return jump_filter(spec, "Costa 1994; Sigalov & Oshman, sec. V without Lemma 2")
     return uncertain_filter(spec, "Sigalov & Oshman, sec. V, eqs. (19)-(23), covariance form")
 
 

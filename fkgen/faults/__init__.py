@@ -1,7 +1,8 @@
 """What can fail, one file per kind of fault."""
 
 from fkgen.faults.actuator import ActuatorFaults
-from fkgen.faults.jump import JumpFaults, JumpMode
+from fkgen.faults.chain import Mode
+from fkgen.faults.jump import JumpFaults
 from fkgen.faults.section import Faults
 from fkgen.faults.sensor import Moments, SensorFaults
 from fkgen.faults.soft import SoftFaults
@@ -10,7 +11,7 @@ __all__ = [
     "ActuatorFaults",
     "Faults",
     "JumpFaults",
-    "JumpMode",
+    "Mode",
     "Moments",
     "SensorFaults",
     "SoftFaults",

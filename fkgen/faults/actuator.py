@@ -1,11 +1,8 @@
-"""Which inputs work together: a joint law of several inputs from rates and covariances.
-
-Actuators that fail intermittently: rates, and how the faults of several inputs depend.
-"""
+"""Actuators that fail intermittently: rates, and how the faults of several inputs depend."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Literal
@@ -13,14 +10,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.errors import InternalError
+from fkgen.faults.chain import Mode, ModeChain
 from fkgen.problem.covariance import checked_covariance, nearby
 from fkgen.problem.model import Model
 from fkgen.problem.table.matrix import Role, read_entry, read_matrix
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
-from fkgen.problem.text.expression import Expression, Number, evaluate, to_text
+from fkgen.problem.text.expression import ZERO, Expression, Number, evaluate, to_text
 from fkgen.problem.text.foreign import plain_entry, plain_list
-from fkgen.problem.text.matrix import Matrix
+from fkgen.problem.text.matrix import NO_PARAMETERS, Matrix
 
 #: Error of a probability that a linear program may leave.
 TOLERANCE = 1e-9
@@ -30,19 +29,8 @@ def pattern_law(rates: ArrayLike, covariance: ArrayLike) -> NDArray[np.float64] 
     """Probabilities of all patterns of q inputs that work (1) or fail (0).
 
     For more than two inputs the moments leave the law open; this is the one with the smallest total
-    distance from independent inputs.
-
-    Parameters
-    ----------
-    rates : (q,) array_like
-        Pr(input i works).
-    covariance : (q, q) array_like
-        Cov(gamma).
-
-    Returns
-    -------
-    (2**q,) ndarray or None
-        In the order of ``itertools.product((1, 0), repeat=q)``; None if no law has these moments.
+    distance from independent inputs. Patterns are in the order of ``itertools.product``; None if no
+    law has these moments.
     """
     from scipy.optimize import linprog  # noqa: PLC0415 - slow to import
 
@@ -78,21 +66,41 @@ JOINT_TOLERANCE = 1e-9
 class ActuatorFaults:
     """Actuators that work or fail in every sample: ``u`` arrives as ``gamma * u``.
 
-    Parameters
-    ----------
-    success_rate : tuple of Expression
-        Pr(gamma_i = 1): one rate for common faults, else one per input; empty where the filter
-        is to find it out.
-    dependence : str
-        ``"common"``: all inputs fail together (and whenever there is one input);
-        ``"independent"``; ``"covariance"``: as stated by ``covariance``.
-    covariance : (q, q) Matrix or None
-        Cov(gamma), if the dependence is ``"covariance"``.
+    ``"common"``: all inputs fail together (and whenever there is one input); ``"independent"``;
+    ``"covariance"``: as stated.
     """
 
-    success_rate: tuple[Expression, ...]
+    success_rate: tuple[Expression, ...]  # Pr(gamma_i = 1), one if common; empty if unknown
     dependence: Dependence
-    covariance: Matrix | None = None
+    covariance: Matrix | None = None  # (q, q), of gamma
+
+    def chain(self, model: Model, parameters: Mapping[str, float] = NO_PARAMETERS) -> ModeChain:
+        """The patterns of inputs that work (1) or fail (0), as modes that are drawn anew."""
+        rates = np.array([evaluate(rate, parameters) for rate in self.success_rate])
+        patterns = list(product((1.0, 0.0), repeat=model.nu))
+        if self.dependence == "common":
+            patterns, law = [patterns[0], patterns[-1]], np.array([rates[0], 1.0 - rates[0]])
+        elif self.covariance is None:
+            law = np.prod(np.where(np.array(patterns) > 0.0, rates, 1.0 - rates), axis=1)
+        else:
+            found = pattern_law(rates, self.covariance.values(parameters))
+            if found is None:
+                raise InternalError("a covariance of inputs that no joint law has")
+            law = found
+        modes = tuple(
+            Mode(
+                A=model.A,
+                B=_masked(model.B, pattern),
+                C=model.C,
+                D=_masked(model.D, pattern),
+                Q=model.Q,
+                R=model.R,
+                c=Matrix.zeros(model.nx, 1),
+            )
+            for pattern in patterns
+        )
+        initial = tuple(law.tolist())
+        return ModeChain(modes, (initial,) * len(modes), initial)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
@@ -105,6 +113,12 @@ class ActuatorFaults:
         if self.covariance is not None:
             table["covariance"] = self.covariance.plain()
         return table
+
+
+def _masked(matrix: Matrix, pattern: Sequence[float]) -> Matrix:
+    """The columns of the inputs that work, zeros for the others."""
+    rows = (zip(row, pattern, strict=True) for row in matrix.rows)
+    return Matrix(tuple(tuple(entry if works else ZERO for entry, works in row) for row in rows))
 
 
 def read_actuator_faults(

@@ -6,12 +6,10 @@ Mode and sample go together: mode[k] drives y[k] and the step from x[k] to x[k+1
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from fkgen.faults.chain import Channel, Mode, ModeChain
 from fkgen.problem.covariance import checked_covariance
 from fkgen.problem.model import Model, component
 from fkgen.problem.probability import (
@@ -34,76 +32,20 @@ _ORDER = "(lost, arrived)"
 
 
 @dataclass(frozen=True, slots=True)
-class JumpMode:
-    """The matrices of one mode, those of the model where the mode states none.
-
-    Parameters
-    ----------
-    A, B, C, D, Q, R : Matrix
-        As in ``Model``.
-    c : (n, 1) Matrix
-        Known offset: x[k+1] = A x + B u + c + w.
-    """
-
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    D: Matrix
-    Q: Matrix
-    R: Matrix
-    c: Matrix
-
-    @property
-    def is_constant(self) -> bool:
-        """Whether no entry depends on a parameter."""
-        return all(getattr(self, field.name).is_constant for field in fields(self))
-
-    def plain(self) -> dict[str, object]:
-        """Return the table a spec file would hold."""
-        inputs = self.B.shape[1]
-        table: dict[str, object] = {
-            key: getattr(self, key).plain()
-            for key in ("A", "B", "C", "D", "Q", "R")
-            if inputs or key not in {"B", "D"}
-        }
-        return table | {"c": [row[0] for row in self.c.plain()]}
-
-
-@dataclass(frozen=True, slots=True)
 class JumpFaults:
     """N modes, their chain, and the channel on which samples are lost.
 
     A lost sample is y = v: noise without signal. A row of y that is NaN is missing, which the
-    filter knows.
-
-    Parameters
-    ----------
-    transition : N tuples of N floats
-        Pr(mode at k+1 is j | mode at k is i).
-    initial : tuple of N floats
-        Law of the mode at sample 0.
-    modes : tuple of N JumpMode
-    arrival : str
-        What the filter makes of the channel: ``"always"``: every sample holds a signal;
-        ``"known"``: what was lost is NaN; ``"unknown"``: only the law of arrivals is known.
-    arrival_rate : float or None
-        Pr(a sample holds a signal), independent from sample to sample.
-    arrival_chain : 2 tuples of 2 floats
-        In place of the rate: Pr(j at k+1 | i at k), states (lost, arrived); empty without.
+    filter knows. Of the channel it knows that every sample arrives (``"always"``), what was lost
+    (``"known"``: NaN), or probabilities alone (``"unknown"``).
     """
 
-    transition: tuple[Distribution, ...]
-    initial: Distribution
-    modes: tuple[JumpMode, ...]
+    transition: tuple[Distribution, ...]  # Pr(mode at k+1 is j | mode at k is i)
+    initial: Distribution  # at sample 0
+    modes: tuple[Mode, ...]
     arrival: Arrival = "always"
-    arrival_rate: float | None = None
-    arrival_chain: tuple[Distribution, ...] = ()
-
-    @property
-    def has_offsets(self) -> bool:
-        """Whether a mode adds something known to the state: an offset, or an input."""
-        zero = Matrix.zeros(*self.modes[0].c.shape)
-        return any(mode.c != zero or mode.B.shape[1] > 0 for mode in self.modes)
+    arrival_rate: float | None = None  # Pr(a sample holds a signal), independent
+    arrival_chain: tuple[Distribution, ...] = ()  # in place of the rate, (lost, arrived)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
@@ -120,17 +62,29 @@ class JumpFaults:
             table["arrival_chain"] = [list(row) for row in self.arrival_chain]
         return table
 
+    def chain(self, model: Model) -> ModeChain:
+        """Every mode is a plant of its own; losses are apart, see `channel`."""
+        modes = tuple(replace(mode, title=_title(mode, model)) for mode in self.modes)
+        return ModeChain(modes, self.transition, self.initial)
+
     @property
-    def channel(self) -> NDArray[np.float64] | None:
-        """Transition probabilities of the channel, (lost, arrived); None if nothing is said."""
+    def channel(self) -> Channel | None:
+        """How samples are lost; None if nothing is said."""
         if self.arrival_rate is not None:
-            return np.array([[1.0 - self.arrival_rate, self.arrival_rate]] * 2)
-        return np.array(self.arrival_chain) if self.arrival_chain else None
+            return Channel.of([[1.0 - self.arrival_rate, self.arrival_rate]] * 2)
+        return Channel.of(self.arrival_chain) if self.arrival_chain else None
 
     @property
     def has_channel(self) -> bool:
         """Whether something is said about how often samples are lost."""
         return self.arrival_rate is not None or bool(self.arrival_chain)
+
+
+def _title(mode: Mode, model: Model) -> str:
+    """What tells a mode from the model."""
+    own = [letter for letter in "ABCDQR" if getattr(mode, letter) != getattr(model, letter)]
+    own += ["c"] if mode.c != Matrix.zeros(model.nx, 1) else []
+    return "with its own " + ", ".join(own) if own else "the model"
 
 
 def read_jump_faults(
@@ -159,7 +113,7 @@ def read_jump_faults(
     return JumpFaults(transition, initial, modes, arrival, rate, chain)
 
 
-def _modes(section: Section, defaults: Mapping[str, float], model: Model) -> tuple[JumpMode, ...]:
+def _modes(section: Section, defaults: Mapping[str, float], model: Model) -> tuple[Mode, ...]:
     place = section.place.entry("modes")
     expected = "a list of modes, each a table of the matrices in which it differs from the model"
     entries = as_list(section.require("modes", expected), place, expected)
@@ -179,7 +133,7 @@ class _Mode:
         self.section = Section(entry, place, known=("A", "B", "C", "D", "Q", "R", "c"))
         self.place, self.defaults, self.model = place, defaults, model
 
-    def mode(self) -> JumpMode:
+    def mode(self) -> Mode:
         """The matrices of the mode."""
         if not self.model.nu:
             for key in ("B", "D"):
@@ -188,7 +142,7 @@ class _Mode:
                         f"{key} where model.B is missing",
                         "model.B first (zeros will do): it says how many inputs there are",
                     )
-        return JumpMode(
+        return Mode(
             A=self.matrix("A"),
             B=self.matrix("B"),
             C=self.matrix("C"),

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from fkgen.errors import InternalError
 from fkgen.faults.actuator import ActuatorFaults
+from fkgen.faults.chain import ModeChain
 from fkgen.faults.jump import JumpFaults
 from fkgen.faults.sensor import SensorFaults
 from fkgen.faults.soft import SoftFaults
+from fkgen.problem.model import Model
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +22,13 @@ class Faults:
     #: Modes between which the plant jumps, and samples that are lost, if any
     jump: JumpFaults | None = None
     soft: SoftFaults | None = None  # Sensors that drift slowly, if any
+
+    def chain(self, model: Model) -> ModeChain:
+        """The modes of the plant under faults that are no soft ones, and their chain."""
+        found = self.sensor or self.jump or self.actuator
+        if found is None:
+            raise InternalError("no chain of modes without faults, or for soft ones")
+        return found.chain(model)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""

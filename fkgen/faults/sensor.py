@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from fkgen.faults.chain import Lumping, Mode, ModeChain, lump
 from fkgen.problem.model import Model
 from fkgen.problem.probability import (
     Distribution,
@@ -17,9 +18,11 @@ from fkgen.problem.probability import (
     stationary_law,
     visited,
 )
-from fkgen.problem.signals import Signal, read_row
+from fkgen.problem.signals import Signal, read_rows
 from fkgen.problem.table.place import Place, show
-from fkgen.problem.table.section import Section, as_list, as_number
+from fkgen.problem.table.section import Section, as_number
+from fkgen.problem.text.expression import ZERO, Expression, Number, operation
+from fkgen.problem.text.matrix import Matrix
 
 Problem = Literal[1, 2, 3, 4, "moments"]
 
@@ -45,47 +48,84 @@ ROUNDED = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """The three numbers that a linear filter needs.
+    """The three numbers that a linear filter needs."""
 
-    Parameters
-    ----------
-    gamma_rate : float
-        E[gamma].
-    gamma_persistence : float
-        Pr(gamma_k = 1 | gamma_i = 1) for every i < k: p11.
-    delta_nominal_rate : float
-        Pr(delta = 1).
-    """
-
-    gamma_rate: float
-    gamma_persistence: float
-    delta_nominal_rate: float
+    gamma_rate: float  # E[gamma]
+    gamma_persistence: float  # p11: Pr(gamma_k = 1 | gamma_i = 1) for every i < k
+    delta_nominal_rate: float  # Pr(delta = 1)
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFaults:
     """y = G (C x + D u) + v: rows may lose their signal (gamma = 0) or be noisier (delta = C).
 
-    Parameters
-    ----------
-    noise_factor : float
-        C: the noise covariance of the rows is R delta with delta in {1, C}.
-    rows : tuple of int
-        Rows of y that are subject to faults, ascending; the others are always good.
-    kernel : 4 tuples of 4 floats
-        Pr(mode at k+1 is j | mode at k is i), modes (1,1) (1,C) (0,1) (0,C) as (gamma, delta);
-        empty if the law is given by moments, or not at all (``genie``).
-    initial : tuple of 4 floats
-        Law of the mode at sample 0; empty with the kernel.
-    moments : Moments or None
-        In place of kernel and initial.
+    Modes are (1,1) (1,C) (0,1) (0,C) as (gamma, delta). There is no kernel where moments take its
+    place, or nothing is said (``genie``).
     """
 
-    noise_factor: float
-    rows: tuple[int, ...]
-    kernel: tuple[Distribution, ...] = ()
-    initial: Distribution = ()
+    noise_factor: float  # C: the noise covariance of the rows is R delta, delta in {1, C}
+    rows: tuple[int, ...]  # of y that can fail, ascending
+    kernel: tuple[Distribution, ...] = ()  # Pr(mode at k+1 is j | mode at k is i)
+    initial: Distribution = ()  # at sample 0
     moments: Moments | None = None
+
+    @property
+    def conditions(self) -> tuple[tuple[float, float], ...]:
+        """(gamma, delta) of the four modes."""
+        return tuple((gamma, delta) for gamma in (1.0, 0.0) for delta in (1.0, self.noise_factor))
+
+    def chain(self, model: Model) -> ModeChain:
+        """The four conditions as modes of the plant; they all move alike."""
+        noisy = f"noise x {self.noise_factor:g}"
+        titles = [
+            f"{signal}, {noise}" for signal in ("signal", "no signal") for noise in ("R", noisy)
+        ]
+        modes = tuple(
+            replace(self.sensed(model, Number(gamma), Number(delta)), title=title)
+            for (gamma, delta), title in zip(self.conditions, titles, strict=True)
+        )
+        return ModeChain(modes, self.kernel, self.initial)
+
+    def lumped(self) -> Lumping:
+        """Three modes: (1, 1), (1, C) and gamma = 0, whatever the noise; sec. III and IV."""
+        return lump(self.kernel, self.initial, ((0,), (1,), (2, 3)))
+
+    def sensed(self, model: Model, gamma: Expression, delta: Expression) -> Mode:
+        """The plant whose rows have signal ``gamma`` and noise variance R ``delta``, eq. (2).
+
+        Noise that is correlated with that of a healthy row stays so: its deviation grows with the
+        square root of delta.
+        """
+        scale = (Number(1.0), operation("sqrt", delta), delta)
+
+        def signal(matrix: Matrix) -> Matrix:
+            return Matrix(
+                tuple(
+                    tuple(operation("*", gamma, entry) for entry in row) if i in self.rows else row
+                    for i, row in enumerate(matrix.rows)
+                )
+            )
+
+        R = Matrix(
+            tuple(
+                tuple(
+                    operation("*", entry, scale[(i in self.rows) + (j in self.rows)])
+                    for j, entry in enumerate(row)
+                )
+                for i, row in enumerate(model.R.rows)
+            )
+        )
+        still = Matrix.zeros(model.nx, 1)
+        C, D = signal(model.C), signal(model.D)
+        return Mode(A=model.A, B=model.B, C=C, D=D, Q=model.Q, R=R, c=still)
+
+    def entangles(self, R: Matrix) -> bool:
+        """Whether R correlates rows that can fail with rows that cannot."""
+        return any(
+            (i in self.rows) != (j in self.rows) and entry != ZERO
+            for i, row in enumerate(R.rows)
+            for j, entry in enumerate(row)
+        )
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold; every chain is written as problem 4."""
@@ -143,14 +183,10 @@ def _rows(section: Section, outputs: Sequence[Signal]) -> tuple[int, ...]:
     place = section.place.entry("rows")
     names = [signal.name for signal in outputs]
     expected = f"a list of rows of y, out of 0..{len(names) - 1} ({', '.join(names)})"
-    entries = as_list(section.table["rows"], place, expected)
-    if not entries:
+    rows = read_rows(section.table["rows"], place, expected, names)
+    if not rows:
         raise place.error("an empty list", f"{expected}; leave the key out if all rows can fail")
-    rows = [read_row(entry, place.item(i), names) for i, entry in enumerate(entries)]
-    for i, row in enumerate(rows):
-        if row in rows[:i]:
-            raise place.item(i).error(f"row {row} a second time", "every row once")
-    return tuple(sorted(rows))
+    return rows
 
 
 def _problem(section: Section, family: str, law: str) -> Problem:

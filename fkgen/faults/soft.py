@@ -9,7 +9,7 @@ from typing import Literal, Self
 from fkgen.problem.covariance import nearby
 from fkgen.problem.filter import Options
 from fkgen.problem.model import Model
-from fkgen.problem.signals import Signal, read_row
+from fkgen.problem.signals import Signal, read_rows
 from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_list, as_number
 
@@ -26,22 +26,13 @@ Rows = tuple[int, ...]
 class SoftFaults:
     """Rows of y of the host filter and of the compression filters: Lee & Lee, eqs. (26), (27).
 
-    Parameters
-    ----------
-    host : tuple of int
-        Rows of y that the host filter uses at once, ascending; empty: it only propagates.
-    groups : tuple of tuple of int
-        Rows of y of each compression filter, ascending; with ``host``, every row just once.
-    window : int
-        The host takes over compressed measurements at samples k > 0 with k mod window = 0.
-    false_alarm : float
-        Probability that a compression filter without fault is rejected, in (0, 1).
+    The host takes over compressed measurements at samples k > 0 with k mod window = 0.
     """
 
-    host: Rows
-    groups: tuple[Rows, ...]
+    host: Rows  # rows of y that the host uses at once, ascending; empty: it only propagates
+    groups: tuple[Rows, ...]  # of each compression filter; with the host every row just once
     window: int
-    false_alarm: float = 0.05
+    false_alarm: float = 0.05  # Pr(a compression filter without fault is rejected), in (0, 1)
 
     @property
     def compressed(self) -> Rows:
@@ -82,11 +73,12 @@ def read_soft_faults(
 
 def _host(section: Section, wanted: str, outputs: Sequence[Signal]) -> Rows:
     place = section.place.entry("host")
-    names = ", ".join(signal.name for signal in outputs)
-    expected = f"a list of rows of y, out of 0..{len(outputs) - 1} ({names}), that drift never"
+    names = [signal.name for signal in outputs]
+    choice = f"0..{len(names) - 1} ({', '.join(names)})"
+    expected = f"a list of rows of y, out of {choice}, that drift never"
     if wanted == "optional" and "host" not in section:
         return ()
-    rows = _rows(section.require("host", expected), place, expected, outputs)
+    rows = read_rows(section.require("host", expected), place, expected, names)
     if not rows and wanted == "some":
         raise place.error(
             "an empty list", f"{expected}; a host that only propagates is compression_full"
@@ -130,23 +122,14 @@ def _groups(
 def _group(
     entry: object, place: Place, taken: Mapping[int, str], outputs: Sequence[Signal]
 ) -> Rows:
-    group = _rows(entry, place, "a list of rows of y", outputs)
+    names = [signal.name for signal in outputs]
+    group = read_rows(entry, place, "a list of rows of y", names)
     if not group:
         raise place.error("an empty group", "at least one row of y")
     for row in group:
         if row in taken:
             raise place.error(f"row {row}, {taken[row]}", "every row once, in host or in a group")
     return group
-
-
-def _rows(given: object, place: Place, expected: str, outputs: Sequence[Signal]) -> Rows:
-    names = [signal.name for signal in outputs]
-    entries = as_list(given, place, expected)
-    rows = [read_row(entry, place.item(i), names) for i, entry in enumerate(entries)]
-    for i, row in enumerate(rows):
-        if row in rows[:i]:
-            raise place.item(i).error(f"row {row} a second time", "every row once")
-    return tuple(sorted(rows))
 
 
 def _window(section: Section) -> int:

@@ -57,3 +57,13 @@ def read_row(entry: object, place: Place, names: list[str]) -> int:
     if number != int(number) or not 0 <= number < len(names):
         raise place.error(show(entry), expected)
     return int(number)
+
+
+def read_rows(entries: object, place: Place, expected: str, names: list[str]) -> tuple[int, ...]:
+    """Return the indices of rows of y, ascending, each of which is named once."""
+    given = as_list(entries, place, expected)
+    rows = [read_row(entry, place.item(i), names) for i, entry in enumerate(given)]
+    for i, row in enumerate(rows):
+        if row in rows[:i]:
+            raise place.item(i).error(f"row {row} a second time", "every row once")
+    return tuple(sorted(rows))

@@ -19,7 +19,7 @@ from fkgen.problem.table.section import Section, as_number, as_table
 from fkgen.problem.text.naming import check_distinct, read_parameter_name, read_prefix
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
-    from fkgen.faults import Faults, JumpMode
+    from fkgen.faults import Faults, Mode
 
 _KEYS = ("name", "model", "parameters", "faults", "filter", "code")
 
@@ -107,12 +107,12 @@ class Spec:
         return {parameter.name: parameter.default for parameter in self.parameters}
 
     @property
-    def plants(self) -> tuple[Model | JumpMode, ...]:
+    def plants(self) -> tuple[Model | Mode, ...]:
         """The model, or every mode in place of it where the plant jumps."""
         return (self.model,) if self.faults.jump is None else self.faults.jump.modes
 
     @property
-    def placed_plants(self) -> Iterator[tuple[Model | JumpMode, Place]]:
+    def placed_plants(self) -> Iterator[tuple[Model | Mode, Place]]:
         """The same, each with the place where the spec states it."""
         place = Place(self.file)
         if self.faults.jump is None:

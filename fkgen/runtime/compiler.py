@@ -29,14 +29,19 @@ class Compiler:
         Program and leading arguments.
     identity : str
         Changes when the compiler is replaced; part of the cache key.
+    flags : tuple of str
+        Those of ``FKGEN_CFLAGS``, which come after fkgen's own.
     """
 
     command: tuple[str, ...]
     identity: str
+    flags: tuple[str, ...] = ()
 
 
 def find_compiler() -> Compiler:
     """The compiler of ``FKGEN_CC`` or ``CC``, else cc, gcc or clang, else PyPI's ziglang.
+
+    Flags of ``FKGEN_CFLAGS`` come after fkgen's own.
 
     Raises
     ------
@@ -49,25 +54,27 @@ def find_compiler() -> Compiler:
             found = shutil.which(words[0])
             if found is None:
                 raise CompilerError(f"{variable} is {words[0]!r}, which is not on the PATH")
-            return Compiler((found, *words[1:]), _identity(found))
+            return _compiler(found, (found, *words[1:]))
     for name in ("cc", "gcc", "clang"):
         found = shutil.which(name)
         if found is not None:
-            return Compiler((found,), _identity(found))
+            return _compiler(found, (found,))
     zig = importlib.util.find_spec("ziglang")
     if zig is not None and zig.origin is not None:
-        return Compiler((sys.executable, "-m", "ziglang", "cc"), _identity(zig.origin))
+        return _compiler(zig.origin, (sys.executable, "-m", "ziglang", "cc"))
     raise CompilerError(
         "no C compiler found: looked for FKGEN_CC, CC, cc, gcc, clang and ziglang; "
         "install one of them (Debian: apt install gcc), or: pip install 'fkgen[zig]'"
     )
 
 
-def _identity(path: str) -> str:
-    """Path, size and time of the program itself, links followed: no process needs to be started."""
+def _compiler(path: str, command: tuple[str, ...]) -> Compiler:
+    """Known by path, size and time of the program, links followed: no process has to be started."""
     real = Path(path).resolve()
     stat = real.stat()
-    return f"{real}:{stat.st_size}:{stat.st_mtime_ns}"
+    flags = os.environ.get("FKGEN_CFLAGS", "").split()
+    identity = " ".join([f"{real}:{stat.st_size}:{stat.st_mtime_ns}", *flags])
+    return Compiler(command, identity, tuple(flags))
 
 
 def compile_shared(compiler: Compiler, source: Path, library: Path, *, flops: int) -> None:
@@ -79,7 +86,8 @@ def compile_shared(compiler: Compiler, source: Path, library: Path, *, flops: in
         If the compiler cannot be run or refuses the code; its first error is in the message.
     """
     optimisation = "-O2" if flops <= LARGE else "-O1"
-    command = [*compiler.command, *_FLAGS, optimisation, str(source), "-o", str(library)]
+    flags = (*_FLAGS, optimisation, *compiler.flags)
+    command = [*compiler.command, *flags, str(source), "-o", str(library)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_WAIT, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -20,6 +20,11 @@ def pack(matrix: ca.SX) -> ca.SX:
     return column([matrix[i, j] for i, j in triangle(matrix.shape[0])])
 
 
+def diagonal(packed: ca.SX, n: int) -> list[ca.SX]:
+    """The variances of a packed (n, n) covariance."""
+    return [packed[i * (i + 3) // 2] for i in range(n)]
+
+
 def unpack(packed: ca.SX, n: int) -> ca.SX:
     """The symmetric (n, n) matrix of a packed column."""
     element = {(i, j): packed[k] for k, (i, j) in enumerate(triangle(n))}
@@ -55,6 +60,17 @@ def congruence(M: ca.SX, P: ca.SX) -> ca.SX:
         return by_products
     by_entries = column([_quadratic(M[i, :], P, M[j, :]) for i, j in triangle(rows)])
     return min(by_products, by_entries, key=operations)
+
+
+def row_congruence(M: ca.SX, P: ca.SX) -> ca.SX:
+    """Packed ``M P M'``, the second product of each entry along the emptier of its two rows."""
+    T = M @ P
+    rows = [sparse(M[i, :].T) for i in range(M.shape[0])]
+    entries = []
+    for i, j in triangle(len(rows)):
+        a, b = (i, j) if rows[j].nnz() <= rows[i].nnz() else (j, i)
+        entries.append(ca.mtimes(T[a, :], rows[b]))
+    return column(entries)
 
 
 def _quadratic(a: ca.SX, P: ca.SX, b: ca.SX) -> ca.SX:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import operator as arithmetic
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 
 from fkgen.errors import InternalError
+from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
 from fkgen.problem.covariance import is_singular
 
@@ -94,6 +96,23 @@ def plant_of(spec: Spec) -> Plant:
         rows=rows,
         noise_free=is_noise_free(spec),
     )
+
+
+def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
+    """Lift modes of a spec to CasADi: one set of parameters, and equal matrices are one object."""
+    base = plant_of(spec)
+    known: dict[tuple[str, Matrix], ca.SX] = {}
+    plants = []
+    for mode in modes:
+        lifted: dict[str, Any] = {}
+        for letter in LETTERS:
+            key = letter, getattr(mode, letter)
+            if key not in known:
+                known[key] = lift(key[1], base.parameters)
+            lifted[letter] = known[key]
+        exact = mode.R.is_constant and is_singular(mode.R.values())
+        plants.append(replace(base, noise_free=exact, **lifted))
+    return tuple(plants)
 
 
 def is_noise_free(spec: Spec) -> bool:

@@ -1,4 +1,4 @@
-"""What is random in a plant: coins that fall in every sample, and a chain of conditions."""
+"""What is random in a plant: Bernoulli variables, drawn anew in every sample, and a chain."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from fkgen.estimators.gaussian.actuation import rates_of
 from fkgen.faults import ActuatorFaults, JumpFaults, Moments, SensorFaults
 from fkgen.faults.actuator import pattern_law
 from fkgen.problem import Spec
-from fkgen.problem.probability import stationary_law
 from fkgen.problem.table.place import Place
 from fkgen.symbolic.plant import Plant, lift
 
@@ -26,15 +25,7 @@ _COUNTED = 255
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """One decision per sample: which pattern the coins show.
-
-    Attributes
-    ----------
-    coins : tuple of int
-        Which coins it decides about.
-    patterns : tuple of tuple of int
-        What they may show.
-    """
+    """One decision per sample: which pattern some of the Bernoulli variables show."""
 
     coins: tuple[int, ...]
     patterns: tuple[tuple[int, ...], ...]
@@ -42,42 +33,18 @@ class Draw:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conditions:
-    """Everything random besides noise.
+    """Everything random besides noise; empty where there is nothing of the kind."""
 
-    Attributes
-    ----------
-    coins : int
-        Number of coins.
-    draws : tuple of Draw
-        How they fall.
-    prior : tuple of float
-        Probabilities of hypotheses, of which one is true throughout a trial; empty without.
-    initial : tuple of float
-        Law of the chain at sample 0; empty without a chain.
-    kernel : tuple of tuple of float
-        Its transition probabilities.
-    indicators : tuple of tuple of float
-        The numbers that each of its conditions hands to the plant.
-    modes : tuple of int
-        The mode that each condition belongs to: several may if their past matters.
-    lost : tuple of int
-        For each condition whether the sample is lost, where packets may be; empty otherwise.
-    plants : int
-        Number N of plants: the first N indicators say which of them moves. 0 if there is one.
-    rows : tuple of int
-        Rows of y whose signal is times the next indicator, and their noise times the one after.
-    """
-
-    coins: int = 0
-    draws: tuple[Draw, ...] = ()
-    prior: tuple[float, ...] = ()
-    initial: tuple[float, ...] = ()
+    coins: int = 0  # number of Bernoulli variables
+    draws: tuple[Draw, ...] = ()  # how they are drawn
+    prior: tuple[float, ...] = ()  # of hypotheses, one of which is true throughout a trial
+    initial: tuple[float, ...] = ()  # probabilities of the chain at sample 0
     kernel: tuple[tuple[float, ...], ...] = ()
-    indicators: tuple[tuple[float, ...], ...] = ()
-    modes: tuple[int, ...] = ()
-    lost: tuple[int, ...] = ()
-    plants: int = 0
-    rows: tuple[int, ...] = ()
+    indicators: tuple[tuple[float, ...], ...] = ()  # what each condition hands to the plant
+    modes: tuple[int, ...] = ()  # the mode of each condition: several if their past matters
+    lost: tuple[int, ...] = ()  # whether the sample is lost, by condition
+    plants: int = 0  # N: the first N indicators say which plant moves; 0 if there is one
+    rows: tuple[int, ...] = ()  # of y: signal times the next indicator, noise times the one after
 
     def driven(self, u: ca.SX, coin: ca.SX) -> ca.SX:
         """What reaches the plant of the inputs."""
@@ -98,14 +65,7 @@ class Conditions:
 
 
 def conditions_of(spec: Spec) -> Conditions:
-    """What is random in the plant of a spec.
-
-    Raises
-    ------
-    SpecError
-        If the spec does not say how its faults come about, or there are more conditions or
-        hypotheses than can be counted.
-    """
+    """What is random in the plant of a spec, which has to say how its faults come about."""
     found = Conditions()
     if spec.faults.actuator is not None:
         found = _of_actuators(spec, spec.faults.actuator)
@@ -135,28 +95,29 @@ def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:
 
 
 def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
-    """Pairs of a mode and a state of the channel, (lost, arrived), which are independent."""
-    count = len(faults.modes)
-    channel = np.array([[0.0, 1.0]] * 2) if faults.channel is None else faults.channel
-    law = stationary_law(channel)
-    start = channel[0] if law is None else law
+    """The modes; with a channel both states of it in every mode, a lost sample first."""
+    chain, channel, count = faults.chain(spec.model), faults.channel, len(faults.modes)
+    order = np.arange(count)
+    if channel is not None:
+        chain = chain.times(channel)
+        order = np.column_stack([order + count, order]).ravel()
+    lost = order >= count
     return Conditions(
-        initial=tuple(np.kron(faults.initial, start).tolist()),
-        kernel=tuple(map(tuple, np.kron(faults.transition, channel).tolist())),
+        initial=tuple(np.array(chain.initial)[order].tolist()),
+        kernel=tuple(map(tuple, np.array(chain.transition)[np.ix_(order, order)].tolist())),
         indicators=tuple(
-            (*(float(i == j) for j in range(count)), arrived, 1.0)
-            for i in range(count)
-            for arrived in (0.0, 1.0)
+            (*(float(i == at % count) for i in range(count)), 1.0 - at // count, 1.0)
+            for at in order.tolist()
         ),
-        modes=tuple(i for i in range(count) for _ in range(2)),
-        lost=(1, 0) * count if faults.has_channel else (),
+        modes=tuple((order % count).tolist()),
+        lost=tuple(lost.astype(int).tolist()) if channel is not None else (),
         plants=count,
         rows=tuple(range(spec.model.ny)),
     )
 
 
 def _of_sensors(spec: Spec, faults: SensorFaults) -> Conditions:
-    numbers = [(g, math.sqrt(d)) for g in (1.0, 0.0) for d in (1.0, faults.noise_factor)]
+    numbers = [(gamma, math.sqrt(delta)) for gamma, delta in faults.conditions]
     if faults.kernel:
         return Conditions(
             initial=faults.initial,

@@ -30,28 +30,13 @@ from fkgen.version import __version__
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplerProgram:
-    """Statements that draw one sample, and the tables of what is drawn.
-
-    Attributes
-    ----------
-    name, scalar
-        As of a `CProgram`; the truth is always computed in double.
-    parameters : tuple of (str, float)
-        Run-time parameters of the plant with their defaults.
-    ports : tuple of Port
-        What the phases write.
-    sizes : (int, int, int)
-        Numbers of states, inputs and measurements.
-    conditions : Conditions
-        Chain, coins and hypotheses.
-    start, law, measure, move : Phase
-    """
+    """Statements that draw one sample, and the tables of what is drawn; always in double."""
 
     name: str
     scalar: Scalar
-    parameters: tuple[tuple[str, float], ...]
-    ports: tuple[Port, ...]
-    sizes: tuple[int, int, int]
+    parameters: tuple[tuple[str, float], ...]  # of the plant, with their defaults
+    ports: tuple[Port, ...]  # what the phases write
+    sizes: tuple[int, int, int]  # states, inputs, measurements
     conditions: Conditions
     start: Phase
     law: Phase

@@ -26,26 +26,15 @@ Codes = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trials:
-    """A block of trials, as C wrote it.
+    """A block of trials, as C wrote it; empty where there is nothing of the kind."""
 
-    Attributes
-    ----------
-    state, measurement : (M, T, n) and (M, T, p) ndarray
-    condition : (M, T) ndarray of uint8
-        Of the chain; empty without one.
-    coin : (M, T, c) ndarray of uint8
-    hypothesis : (M,) ndarray of uint8
-    modes, lost : (K,) ndarray of uint8
-        The mode of each condition, and whether the sample is lost in it; empty without.
-    """
-
-    state: Array
-    measurement: Array
-    condition: Codes
-    coin: Codes
-    hypothesis: Codes
-    modes: Codes
-    lost: Codes
+    state: Array  # (M, T, n)
+    measurement: Array  # (M, T, p)
+    condition: Codes  # (M, T), of the chain
+    coin: Codes  # (M, T, c)
+    hypothesis: Codes  # (M,)
+    modes: Codes  # (K,), the mode of each condition
+    lost: Codes  # (K,), whether the sample is lost in it
 
     @property
     def written(self) -> tuple[Array, Array, Codes, Codes, Codes]:
@@ -75,13 +64,7 @@ class Overflow(Exception):
 
 
 class CompiledSampler:
-    """A compiled sampler.
-
-    Parameters
-    ----------
-    entry : Path
-        Its folder in the cache.
-    """
+    """A compiled sampler, from its folder in the cache."""
 
     def __init__(self, entry: Path) -> None:
         facts = json.loads((entry / cache.LAYOUT).read_text(encoding="utf-8"))
@@ -117,25 +100,9 @@ class CompiledSampler:
     def draw(
         self, seed: int, first: int, u: Array, parameters: Sequence[Array], room: Trials
     ) -> None:
-        """Draw trials ``first``, ``first + 1``, ... into ``room``.
+        """Draw trials ``first``, ``first + 1``, ... into ``room``; Overflow if C refuses a sample.
 
-        Parameters
-        ----------
-        seed : int
-            In [0, 2**64).
-        first : int
-            Number of the first trial.
-        u : (T, q) or (M, T, q) ndarray
-            Contiguous.
-        parameters : sequence of ndarray
-            Of one number or T, in the order of `parameters`.
-        room : Trials
-            Contiguous; C fills it.
-
-        Raises
-        ------
-        Overflow
-            If C refuses a sample.
+        ``u`` is (T, q) or (M, T, q), each parameter one number or T, all of it contiguous.
         """
         runs, steps = room.state.shape[:2]
         pointers = (ctypes.c_void_p * max(1, len(parameters)))(*[p.ctypes.data for p in parameters])
@@ -180,15 +147,7 @@ def make_sampler(key: str, source: SamplerSource, compiler: Compiler) -> Path:
 
 
 def sampler(spec: Spec) -> CompiledSampler:
-    """Write the plant and the faults of a spec as C that draws trials, compile and load it.
-
-    Raises
-    ------
-    SpecError
-        If the spec does not say how its faults come about.
-    CompilerError, OutputError
-        As `fkgen.compile` does.
-    """
+    """Write the plant and the faults of a spec as C that draws trials, compile and load it."""
     compiler = find_compiler()
     key = cache.key_of("sampler", cache.own_digest(), spec.canonical(), compiler.identity)
     return CompiledSampler(cache.find(key) or make_sampler(key, _source_of(spec), compiler))

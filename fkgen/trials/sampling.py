@@ -1,6 +1,4 @@
-"""Roots of covariances on CasADi matrices: what turns independent normal numbers into noise.
-
-The plant as it happens: drawn faults and noise in, measurements and the next state out.
+"""The plant as it happens: drawn faults and noise in, measurements and the next state out.
 
 The counterpart of a recursion: what a family estimates is generated here. Faults are drawn in two
 ways. *Coins* fall anew in every sample: actuators that work, packets that arrive. One *chain* of
@@ -15,12 +13,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fkgen.estimators.lmmse.jumping import jump_modes_of
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Port, Role, Status
 from fkgen.symbolic.linalg import column, is_zero, sparse
-from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.symbolic.recursion import Phase
 from fkgen.trials.conditions import Conditions, conditions_of, demanded, probabilities_of
@@ -36,15 +33,6 @@ def lower_root(covariance: ca.SX) -> ca.SX:
 
     The column of a pivot that is zero, or rounding beside its diagonal entry, is zero. Expressions
     need no branch for that.
-
-    Parameters
-    ----------
-    covariance : (n, n) SX
-        Symmetric positive semidefinite, of constants or expressions.
-
-    Returns
-    -------
-    (n, n) SX
     """
     n = covariance.shape[0]
     left, root = ca.SX(covariance), ca.SX(n, n)
@@ -77,44 +65,22 @@ INPUTS = ("x", "u", "w", "v", "coin", "indicator", "hypothesis")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sampling:
-    """One plant with its faults, ready to be lowered.
-
-    Attributes
-    ----------
-    spec : Spec
-        Where it comes from.
-    conditions : Conditions
-        The chain, the coins, and the hypotheses of which each trial has one.
-    ports : tuple of Port
-        ``state``, ``measurement`` and ``threshold``: what the phases write.
-    start : Phase
-        x[0] = x0 + root(P0) w.
-    law : Phase
-        The probabilities at which coins fall.
-    measure : Phase
-        y[k] from x[k], u[k], v[k] and the faults.
-    move : Phase
-        x[k+1] from the same and w[k].
-    """
+    """One plant with its faults, ready to be lowered."""
 
     spec: Spec
     conditions: Conditions
-    ports: tuple[Port, ...]
-    start: Phase
-    law: Phase
-    measure: Phase
-    move: Phase
+    ports: tuple[Port, ...]  # ``state``, ``measurement`` and ``threshold``: what phases write
+    start: Phase  # x[0] = x0 + root(P0) w
+    law: Phase  # the probabilities of the Bernoulli variables
+    measure: Phase  # y[k] from x[k], u[k], v[k] and the faults
+    move: Phase  # x[k+1] from the same and w[k]
 
 
 def sampling_of(spec: Spec) -> Sampling:
-    """Write the phases of a spec.
-
-    Raises
-    ------
-    SpecError
-        If the spec leaves open how its faults come about.
-    """
-    plant, plants, offsets = _plants(spec)
+    """Write the phases of a spec, which must not leave open how its faults come about."""
+    jump = spec.faults.jump
+    plants = (plant_of(spec),) if jump is None else mode_plants(spec, jump.modes)
+    plant = plants[0]
     conditions = conditions_of(spec)
     symbols = _symbols(spec, plant, conditions)
     thresholds, law = _law(spec, plant, conditions, symbols)
@@ -125,17 +91,8 @@ def sampling_of(spec: Spec) -> Sampling:
         start=_start(spec, symbols),
         law=law,
         measure=_measure(plants, conditions, symbols),
-        move=_move(plants, offsets, conditions, symbols),
+        move=_move(plants, conditions, symbols),
     )
-
-
-def _plants(spec: Spec) -> tuple[Plant, tuple[Plant, ...], tuple[ca.SX, ...]]:
-    """The plant of the model, those between which it jumps, and what they add to the state."""
-    if spec.faults.jump is None:
-        plant = plant_of(spec)
-        return plant, (plant,), (ca.SX(plant.nx, 1),)
-    modes = jump_modes_of(spec)
-    return modes.base, modes.plants, modes.offsets
 
 
 def _ports(spec: Spec, thresholds: int) -> tuple[Port, ...]:
@@ -212,7 +169,6 @@ def _measure(
 
 def _move(
     plants: tuple[Plant, ...],
-    offsets: tuple[ca.SX, ...],
     conditions: Conditions,
     symbols: Mapping[str, ca.SX],
 ) -> Phase:
@@ -224,7 +180,7 @@ def _move(
     B = conditions.moving([plant.B for plant in plants], indicator)
     root = conditions.moving(_roots([plant.Q for plant in plants]), indicator)
     x = A @ symbols["x"] + B @ u + root @ symbols["w"]
-    script.put({"state": x + conditions.moving(offsets, indicator)})
+    script.put({"state": x + conditions.moving([plant.c for plant in plants], indicator)})
     script.demand(Kind.FINITE, _entries(symbols["state"]), Status.RESULT_NOT_FINITE)
     return script.phase()
 

@@ -95,15 +95,14 @@ class Simulation:
             return self.trials.coin.astype(np.float64)
         if self.mode is None or self.spec.faults.sensor is None:
             return None
-        return np.array([1.0, 1.0, 0.0, 0.0])[self.mode]
+        return np.array(self.spec.faults.sensor.conditions)[:, 0][self.mode]
 
     @cached_property
     def delta(self) -> Array | None:
         """(M, T): noise variance over R of the rows that can fail, 1 or C, for sensor faults."""
         if self.mode is None or self.spec.faults.sensor is None:
             return None
-        factor = self.spec.faults.sensor.noise_factor
-        return np.array([1.0, factor, 1.0, factor])[self.mode]
+        return np.array(self.spec.faults.sensor.conditions)[:, 1][self.mode]
 
     @cached_property
     def arrival(self) -> NDArray[np.bool_] | None:
@@ -174,25 +173,13 @@ def simulate(
 
 
 def counted(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int = 1) -> int:
-    """A whole number from ``least`` up, below ``beyond``.
-
-    Raises
-    ------
-    DataError
-        If it is none.
-    """
+    """A whole number from ``least`` up, below ``beyond``."""
     expected = f"a whole number from {least} to {beyond - 1}"
     return whole(what, value, least=least, most=beyond - 1, expected=expected)
 
 
 def inputs_of(spec: Spec, u: ArrayLike | None, runs: int, steps: int) -> Array:
-    """Inputs of shape (T, q) or (M, T, q), finite.
-
-    Raises
-    ------
-    DataError
-        If they are missing, not wanted, of another shape or not finite.
-    """
+    """Inputs of shape (T, q) or (M, T, q), finite."""
     q = spec.model.nu
     names = ", ".join(signal.name for signal in spec.model.inputs)
     if u is None:

@@ -1,4 +1,4 @@
-"""Outside ``families/`` nobody asks for the name of a family: code asks for its traits."""
+"""Outside ``families/`` nobody asks for a family by name; a spec is read without its proof."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from partial_plants import PAPER, cpcf, dense, record, sparse_positions
 from plants import distance, generated, interpreted, run
-from toolchain import C_COMPILERS, needs_compiler, run_main
+from toolchain import C_COMPILERS, each, needs_compiler, run_main
 
 import fkgen
 from fkgen.backend.execute import Machine
@@ -35,7 +35,7 @@ def bits(values):
     return array.view(np.uint64 if array.dtype == np.float64 else np.uint32)
 
 
-@pytest.mark.parametrize("compiler", list(C_COMPILERS))
+@pytest.mark.parametrize("compiler", each(C_COMPILERS))
 @pytest.mark.parametrize("scalar", ["double", "float"])
 def test_compiled_c_is_the_program_as_data_bit_for_bit(scalar, compiler, monkeypatch):
     monkeypatch.setenv("FKGEN_CC", " ".join(C_COMPILERS[compiler]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jump_plants import EXAMPLE_A, EXAMPLE_B, GILBERT, changed, random_table, record_of, spec_of
 from plants import generated, interpreted, run
-from toolchain import BITS, C_COMPILERS, C_ONLY, FLAGS, call, needs_compiler
+from toolchain import BITS, C_COMPILERS, C_ONLY, FLAGS, call, each, needs_compiler
 
 import fkgen
 from fkgen.backend.execute import Machine
@@ -79,7 +79,7 @@ def test_compiled_code_is_the_recursion(name):
         np.testing.assert_allclose(compiled[port], value, rtol=0, atol=OWN * scale, err_msg=port)
 
 
-@pytest.mark.parametrize("compiler", list(C_COMPILERS))
+@pytest.mark.parametrize("compiler", each(C_COMPILERS))
 @pytest.mark.parametrize(("name", "scalar"), [("nis", "float"), ("energy", "double")])
 def test_the_files_compile_silently_and_their_self_test_passes(name, scalar, compiler, tmp_path):
     generated(plant_of(name, scalar)).write(tmp_path / "out")

@@ -92,6 +92,7 @@ def test_a_step_costs_no_more_than_it_should(name):
     assert int(printed[1]) == source.program.flops
 
 
+@pytest.mark.exhaustive
 def test_fifteen_states_and_six_measurements_build_and_filter():
     plant = LIMITS["n15p6"][0]
     y, u = record(plant, 50, missing=0.1)
@@ -104,7 +105,7 @@ def test_the_printed_cost_is_what_stands_in_the_file():
     source = generated(motor("kf"))
     text = source.files["plant.c"]
     body = text[text.index("plant_correct(") : text.index("plant_init(")]
-    infix = re.findall(r"const double t\d+ = (?:-?\S+ [-+*/] \S+|-\S+);", body)
+    infix = re.findall(r"^ *(?:const double )?\S+ = (?:-?\S+ [-+*/] \S+|-\S+);", body, re.MULTILINE)
     assert len(infix) == source.program.flops
 
 

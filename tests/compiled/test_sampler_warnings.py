@@ -8,7 +8,7 @@ import jump_plants
 import plants
 import pytest
 from sensor_specs import SCALAR
-from toolchain import BITS, FLAGS, c_compilers
+from toolchain import BITS, C_COMPILERS, FLAGS, each
 
 from fkgen.trials.lowering import lower_sampling, render_sampler
 from fkgen.trials.sampling import sampling_of
@@ -24,13 +24,13 @@ SPECS = {
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("compiler", c_compilers())
+@pytest.mark.parametrize("compiler", each(C_COMPILERS))
 @pytest.mark.parametrize("name", SPECS)
 def test_a_sampler_compiles_without_a_warning(name, compiler, tmp_path):
     source = render_sampler(lower_sampling(sampling_of(SPECS[name])))
     text = tmp_path / "sampler.c"
     text.write_text(source.text)
     flags = ["-std=c99", *FLAGS, BITS, "-O1"]  # without -Wmissing-prototypes: it has no header
-    command = [*c_compilers()[compiler], *flags, "-c", str(text), "-o", str(tmp_path / "sampler.o")]
+    command = [*C_COMPILERS[compiler], *flags, "-c", str(text), "-o", str(tmp_path / "sampler.o")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 from plants import generated, interpreted, run
 from sensor_specs import EVERY, every
-from toolchain import BITS, C_COMPILERS, C_ONLY, FLAGS, call, needs_compiler, run_main
+from toolchain import (
+    ANY,
+    BITS,
+    C_COMPILERS,
+    C_ONLY,
+    FLAGS,
+    call,
+    each,
+    needs_compiler,
+    run_main,
+    thorough,
+)
 
 import fkgen
 from fkgen.backend.execute import Machine
@@ -55,9 +66,12 @@ def sample(params, k):
     return {name: value[k] for name, value in params.items()}
 
 
-@pytest.mark.parametrize("compiler", list(C_COMPILERS))
-@pytest.mark.parametrize("scalar", SCALARS)
-@pytest.mark.parametrize("name", EVERY)
+ALL = [(name, scalar, compiler) for name in EVERY for scalar in SCALARS for compiler in C_COMPILERS]
+#: Every filter with one compiler, one of each kind with the others too.
+QUICK = [case for case in ALL if C_COMPILERS[case[2]] == ANY or case[:2] in FEW[:3]]
+
+
+@pytest.mark.parametrize(("name", "scalar", "compiler"), thorough(ALL, QUICK))
 def test_compiled_c_is_the_program_as_data_bit_for_bit(name, scalar, compiler, monkeypatch):
     monkeypatch.setenv("FKGEN_CC", " ".join(C_COMPILERS[compiler]))
     plant = every(scalar)[name]
@@ -112,8 +126,8 @@ def test_other_filters_are_the_recursion_up_to_their_own_functions(name):
         )
 
 
-@pytest.mark.parametrize("compiler", list(C_COMPILERS))
-@pytest.mark.parametrize(("name", "scalar"), FEW)
+@pytest.mark.parametrize("compiler", each(C_COMPILERS))
+@pytest.mark.parametrize(("name", "scalar"), thorough(FEW, FEW[::3]))
 def test_the_files_compile_silently_and_their_self_test_passes(name, scalar, compiler, tmp_path):
     generated(every(scalar)[name]).write(tmp_path / "out")
     units = sorted(path.name for path in (tmp_path / "out").glob("*.c"))
@@ -151,10 +165,16 @@ int main(void)
 """
 
 
+SPLITS = ("one_step", "imm", "imm3", "imm_jump", "linear_absorbing", "augmented", "genie")
+
+
 @pytest.mark.parametrize(
-    "name", ["one_step", "imm", "imm3", "imm_jump", "linear_absorbing", "augmented", "genie"]
+    ("name", "scalar"),
+    thorough(
+        [(name, scalar) for name in SPLITS for scalar in SCALARS],
+        [(name, SCALARS[at % 2]) for at, name in enumerate(SPLITS)],
+    ),
 )
-@pytest.mark.parametrize("scalar", SCALARS)
 def test_update_then_predict_is_step_to_the_bit(name, scalar, tmp_path):
     plant = every(scalar)[name]
     generated(plant).write(tmp_path / "out")

@@ -48,6 +48,22 @@ CPP_COMPILERS = cpp_compilers()
 ANY = next(iter(C_COMPILERS.values()), None)
 
 
+exhaustive = pytest.mark.exhaustive
+
+
+def each(compilers):
+    """Names of compilers to parametrise by; that of ziglang beside another is for test-all."""
+    return [
+        pytest.param(name, marks=exhaustive) if name == "zig" and len(compilers) > 1 else name
+        for name in compilers
+    ]
+
+
+def thorough(cases, few):
+    """Cases to parametrise by; all but a few are for test-all."""
+    return [case if case in few else pytest.param(*case, marks=exhaustive) for case in cases]
+
+
 def check_only(compiler):
     """The flag that compiles without linking, and without an object where the compiler can."""
     return "-c" if compiler == "zig" else "-fsyntax-only"

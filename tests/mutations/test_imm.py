@@ -106,15 +106,14 @@ def test_mistake_offsets_forgotten(monkeypatch):
 
 @pytest.mark.parametrize("letter", ["C", "D", "R"])
 def test_mistake_every_mode_measures_as_the_first(letter, monkeypatch):
-    right = modes.jump_modes_of
+    right = modes.mode_plants
 
-    def same(spec):
-        modes = right(spec)
-        first = getattr(modes.plants[0], letter)
-        plants = tuple(replace(each, **{letter: first}) for each in modes.plants)
-        return replace(modes, plants=plants)
+    def same(*given):
+        plants = right(*given)
+        first = getattr(plants[0], letter)
+        return tuple(replace(each, **{letter: first}) for each in plants)
 
-    monkeypatch.setattr(modes, "jump_modes_of", same)
+    monkeypatch.setattr(modes, "mode_plants", same)
     failed = refusals(recursion(plant("everything")))
     assert BAYES in failed
     assert TEXTBOOK in failed

@@ -11,9 +11,10 @@ from mutants import proved, read_instead, recursion, refusals, rewritten, starte
 from plants import random_model
 from sensor_specs import centred, product, sensed
 
-from fkgen.estimators.gaussian import sensing
 from fkgen.estimators.lmmse import lemma2
 from fkgen.estimators.lmmse.lemma2 import FaultLaw
+from fkgen.faults import SensorFaults
+from fkgen.problem import Number
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.linalg import congruence, unpack
 from fkgen.symbolic.packing import triangle
@@ -122,13 +123,13 @@ def test_mistake_constant_rate_on_the_absorbing_chain(monkeypatch):
 
 
 def test_mistake_genie_updating_without_a_signal(monkeypatch):
-    right = sensing.with_indicators
+    right = SensorFaults.sensed
     plant = sensed(centred(random_model(85, 2, 2)), {}, family="genie")
     y, u = np.ones((1, 2)), np.zeros((1, 0))
     silent = {"gamma": np.zeros(1), "delta": np.ones(1)}
     whole = recursion(plant)
     assert proved(whole)
-    monkeypatch.setattr(sensing, "with_indicators", lambda p, r, _, d: right(p, r, ca.SX(1), d))
+    monkeypatch.setattr(SensorFaults, "sensed", lambda f, m, _, d: right(f, m, Number(1.0), d))
     mutant = recursion(plant)
     assert "joint distribution" in refusals(mutant)
     moved = [Interpreter(r).run(y, u, silent)["filtered_state"].any() for r in (whole, mutant)]

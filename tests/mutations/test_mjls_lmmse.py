@@ -10,8 +10,8 @@ import pytest
 from jump_plants import EXAMPLE_B, EXAMPLE_S, GILBERT, random_table, spec_of
 from mutants import proved, recursion, refusals, rewritten, started
 
-from fkgen.estimators.lmmse import jump, jumping, loss_tests, stationary
-from fkgen.estimators.lmmse.jumping import Jumping
+from fkgen.estimators.lmmse import jump, loss_tests, stationary
+from fkgen.estimators.lmmse.jump import AugmentedState
 from fkgen.symbolic.packing import triangle
 
 PATHS = "projections over all paths"
@@ -57,19 +57,19 @@ def test_what_is_not_mutated_passes(spec):
 
 @pytest.mark.parametrize("spec", [PLAIN, OFFSETS, RATE, CHAIN])
 def test_mistake_transposed_transition(spec, monkeypatch):
-    right = Jumping.transition.fget
-    monkeypatch.setattr(Jumping, "transition", property(lambda split: right(split).T))
+    right = AugmentedState.transition.fget
+    monkeypatch.setattr(AugmentedState, "transition", property(lambda split: right(split).T))
     assert_seen(recursion(spec))
 
 
 def test_mistake_chain_of_arrivals_in_the_order_of_the_spec(monkeypatch):
-    right = Jumping.of
+    right = AugmentedState.of
 
     def turned(spec):
         split = right(spec)
         return replace(split, arrival=split.arrival[::-1, ::-1], shares=split.shares[::-1])
 
-    monkeypatch.setattr(Jumping, "of", staticmethod(turned))
+    monkeypatch.setattr(AugmentedState, "of", staticmethod(turned))
     assert_seen(recursion(CHAIN))
 
 
@@ -104,7 +104,7 @@ def test_mistake_law_that_stands_still(monkeypatch):
 
 @pytest.mark.parametrize("mistake", ["none", "sign", "diagonal"])
 def test_mistake_in_the_noise_of_the_indicators(mistake, monkeypatch):
-    right = jump.split_noise
+    right = jump.augmented_noise
 
     def wrong(split, moved, noise):
         still = right(split, [0 * each for each in moved], noise)
@@ -114,19 +114,19 @@ def test_mistake_in_the_noise_of_the_indicators(mistake, monkeypatch):
             jumps[w : 2 * w, :w] = 0
         return still + {"none": 0, "sign": -1, "diagonal": 1}[mistake] * jumps
 
-    monkeypatch.setattr(jump, "split_noise", wrong)
+    monkeypatch.setattr(jump, "augmented_noise", wrong)
     assert_seen(recursion(PLAIN))
 
 
 def test_mistake_noise_of_the_plant_missing_between_x_and_its_parts(monkeypatch):
-    right = jump.split_noise
+    right = jump.augmented_noise
 
     def wrong(split, moved, noise):
         W = ca.SX(right(split, moved, noise))
         W[split.own, : split.size - split.base.nx] = 0
         return W
 
-    monkeypatch.setattr(jump, "split_noise", wrong)
+    monkeypatch.setattr(jump, "augmented_noise", wrong)
     assert_seen(recursion(PLAIN))
 
 
@@ -153,7 +153,7 @@ def test_mistake_offset_left_out_of_the_second_moments(monkeypatch):
 
 
 def test_mistake_feedthrough_of_the_first_mode_for_all(monkeypatch):
-    right = jumping.measured
+    right = jump.measured
 
     def wrong(split, plants, u):
         return right(split, tuple(replace(plant, D=plants[0].D) for plant in plants), u)
@@ -168,7 +168,7 @@ def test_mistake_no_doubt_about_the_signal(monkeypatch):
 
 
 def test_mistake_doubt_without_the_part_of_the_estimate(monkeypatch):
-    right = jumping.measured
+    right = jump.measured
     monkeypatch.setattr(
         jump,
         "measured",
@@ -178,8 +178,10 @@ def test_mistake_doubt_without_the_part_of_the_estimate(monkeypatch):
 
 
 def test_mistake_mode_plants_in_another_order(monkeypatch):
-    right = Jumping.plant
-    monkeypatch.setattr(Jumping, "plant", lambda split, plants, i: right(split, plants, i + 1))
+    right = AugmentedState.plant
+    monkeypatch.setattr(
+        AugmentedState, "plant", lambda split, plants, i: right(split, plants, i + 1)
+    )
     assert_seen(recursion(PLAIN))
 
 

@@ -16,6 +16,7 @@ from sensor_specs import DENSE, MATCHED, centred, chain, plane, product, sensed
 
 from fkgen.estimators.gaussian.estimate import propagate
 from fkgen.estimators.models import markov, merge, modes, switching, weights
+from fkgen.faults import SensorFaults
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.linalg import spread, unpack
 
@@ -115,7 +116,7 @@ def test_mistake_delta_dropped_in_s():
 @pytest.mark.parametrize("which", MATCHED)
 def test_mistake_nominal_noise_in_the_mode_without_signal_and_with_noise(which, monkeypatch):
     right = modes.mode_plants
-    monkeypatch.setattr(modes, "mode_plants", lambda *a: [(p := right(*a))[0], p[1], p[2], p[2]])
+    monkeypatch.setattr(modes, "mode_plants", lambda *a: ((p := right(*a))[0], p[1], p[2], p[2]))
     assert BAYES in refusals(recursion(scalar(ANY, which)))
 
 
@@ -273,8 +274,13 @@ def test_mistake_m3_not_propagated(law, monkeypatch):
 def test_mistake_one_gaussian_for_m3(shares, monkeypatch):
     plant = sensed(centred(random_model(83, 2, 1)), LUMPABLE, modes=3)
     assert proved(recursion(plant))
-    right = modes.merged
-    monkeypatch.setattr(modes, "merged", lambda *law: replace(right(*law), shares=shares))
+    right = SensorFaults.lumped
+
+    def one(faults):
+        found = right(faults)
+        return replace(found, shares=(*found.shares[:2], shares))
+
+    monkeypatch.setattr(SensorFaults, "lumped", one)
     failed = refusals(recursion(plant))
     assert TEXTBOOK in failed
     assert BAYES in failed  # the law can be lumped: three modes have to be as good as four

@@ -85,6 +85,7 @@ def test_rates_may_change_from_sample_to_sample():
     assert gamma[::2].mean() == pytest.approx(0.25, abs=0.07)
 
 
+@pytest.mark.exhaustive
 def test_records_have_the_joint_mean_and_covariance():
     rng = np.random.default_rng(5)
     T, n, p, runs = 3, 2, 2, 6000

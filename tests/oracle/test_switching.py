@@ -263,6 +263,7 @@ def test_with_equal_noise_a_product_law_of_the_noise_is_of_no_account(run):
     close(*(run(system, a_law, y, u) for a_law in laws), KALMAN)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("signal", "bounds"), [(ALTERNATING, (0.02, 0.05)), (ALTERNATING[::-1], (0.025, 0.05))]
 )

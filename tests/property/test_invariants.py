@@ -31,12 +31,12 @@ KINDS = (
 
 #: Examples are the same in every run; a failure is found again.
 some = settings(
-    max_examples=15,
+    max_examples=6,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
-few = settings(some, max_examples=4)
+few = settings(some, max_examples=3)
 
 numbers = st.floats(-1e3, 1e3, allow_subnormal=False)
 gaps = st.one_of(numbers, st.just(np.nan))

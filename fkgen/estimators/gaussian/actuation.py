@@ -20,21 +20,11 @@ from fkgen.symbolic.plant import Plant, lift, lift_expression
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Actuation:
-    """What reaches the plant.
+    """What reaches the plant; r = 0 if nothing is random."""
 
-    Attributes
-    ----------
-    mean : (q,) SX
-        xi .* u.
-    through : (q, r) SX
-        Input per unit of deviation of gamma from its mean; r = 0 if nothing is random.
-    covariance : (r, r) SX
-        Covariance of the deviations.
-    """
-
-    mean: ca.SX
-    through: ca.SX
-    covariance: ca.SX
+    mean: ca.SX  # (q,), xi .* u
+    through: ca.SX  # (q, r), input per unit of deviation of gamma from its mean
+    covariance: ca.SX  # (r, r), of the deviations
 
     @property
     def size(self) -> int:

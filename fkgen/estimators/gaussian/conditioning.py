@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fkgen.estimators.gaussian.decorrelation import Measurement, decorrelate
-from fkgen.estimators.gaussian.sequential import Fold, Form
+from fkgen.estimators.gaussian.sequential import Form, SequentialUpdate
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.linalg import column, congruence, operations, pack
 
@@ -25,30 +25,15 @@ PIVOTS_PER_LOG = {"double": 4, "float": 1}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conditioned:
-    """What one measurement says.
+    """What one measurement says; NIS and log-likelihood are about the rows present."""
 
-    Attributes
-    ----------
-    mean : (m,) SX
-    covariance : (m (m + 1) / 2,) SX
-        Packed.
-    innovation : (p,) SX
-        Zero where the row is missing.
-    innovation_covariance : (p (p + 1) / 2,) SX
-        Packed, of all rows, present or not.
-    nis, log_likelihood : SX
-        Over the rows present.
-    gain : (m, p) SX or None
-        d mean / d y, columns of missing rows zero.
-    """
-
-    mean: ca.SX
-    covariance: ca.SX
-    innovation: ca.SX
-    innovation_covariance: ca.SX
+    mean: ca.SX  # (m,)
+    covariance: ca.SX  # packed
+    innovation: ca.SX  # (p,), zero where the row is missing
+    innovation_covariance: ca.SX  # packed, of all rows, present or not
     nis: ca.SX
     log_likelihood: ca.SX
-    gain: ca.SX | None
+    gain: ca.SX | None  # (m, p), d mean / d y, columns of missing rows zero
 
 
 def condition(
@@ -74,7 +59,7 @@ def condition(
     start = {f"mean{tag}": mean, f"covariance{tag}": packed}
     symbols = {name: script.local(name, value.numel()) for name, value in start.items()}
     script.put(start)
-    fold = Fold(
+    update = SequentialUpdate(
         script=script,
         rows=rows,
         at=measurement.at,
@@ -91,15 +76,15 @@ def condition(
     )
     for i in range(p):
         with script.titled(f"row {measurement.at[i]} of y, {measurement.rows[i]}"):
-            fold.take(i)
+            update.update_row(i)
     return Conditioned(
-        mean=fold.mean,
-        covariance=fold.covariance,
+        mean=update.mean,
+        covariance=update.covariance,
         innovation=column(innovation),
-        innovation_covariance=fold.innovation_covariance() if variance is None else variance,
-        nis=fold.nis,
-        log_likelihood=-0.5 * (fold.nis + fold.log_determinant()),
-        gain=fold.gain,
+        innovation_covariance=update.innovation_covariance() if variance is None else variance,
+        nis=update.nis,
+        log_likelihood=-0.5 * (update.nis + update.log_determinant()),
+        gain=update.gain,
     )
 
 

@@ -18,21 +18,16 @@ from fkgen.symbolic.linalg import is_zero, sparse
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """y = C z + offset + w for the state z that is to be conditioned, Cov(w) = R.
-
-    ``rank_tolerance`` is given when R is singular: rows that bring nothing new are then left out,
-    as the pseudo-inverse does. ``pivots_per_log`` pivots may be multiplied before their logarithm.
-    ``at`` says which rows of y these are.
-    """
+    """y = C z + offset + w for the state z that is to be conditioned, Cov(w) = R."""
 
     C: ca.SX
     offset: ca.SX
     R: ca.SX
     y: ca.SX
     rows: tuple[str, ...]
-    at: tuple[int, ...]
-    rank_tolerance: float | None
-    pivots_per_log: int
+    at: tuple[int, ...]  # which rows of y these are
+    rank_tolerance: float | None  # for a singular R: rows that bring nothing new are left out
+    pivots_per_log: int  # so many may be multiplied before their logarithm
 
     def only(self, rows: tuple[int, ...]) -> Measurement:
         """Some of the rows, as if there were no others."""
@@ -50,22 +45,12 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One decorrelated row.
+    """One decorrelated row."""
 
-    Attributes
-    ----------
-    c : (m, 1) SX
-        What it measures of the state.
-    innovation, variance : SX
-        Its innovation with respect to the prior, and the variance of its noise.
-    of_y : (p, 1) SX
-        The combination of the rows of y that it is.
-    """
-
-    c: ca.SX
-    innovation: ca.SX
-    variance: ca.SX
-    of_y: ca.SX
+    c: ca.SX  # (m, 1), what it measures of the state
+    innovation: ca.SX  # with respect to the prior
+    variance: ca.SX  # of its noise
+    of_y: ca.SX  # (p, 1), the combination of the rows of y that it is
 
 
 def decorrelate(

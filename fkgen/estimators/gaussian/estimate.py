@@ -21,11 +21,11 @@ from fkgen.estimators.gaussian.conditioning import (
 )
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.sequential import Form
-from fkgen.faults import JumpMode
+from fkgen.faults.chain import Mode
 from fkgen.problem import Model, Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, congruence, is_zero, pack, unpack
+from fkgen.symbolic.linalg import column, congruence, diagonal, is_zero, pack, unpack
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.recursion import Guard
 
@@ -38,24 +38,13 @@ DIFFERENCE_RATIO = 1e2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """(x, gamma - xi) given y[0..k], in blocks; the deviation is empty unless y depends on gamma.
+    """(x, gamma - xi) given y[0..k]; the deviation is empty unless y depends on gamma."""
 
-    Attributes
-    ----------
-    state : (n,) SX
-    covariance : (n (n + 1) / 2,) SX
-        Packed.
-    deviation : (r,) SX
-    deviation_covariance : (r (r + 1) / 2,) SX
-        Packed.
-    cross_covariance : (r, n) SX
-    """
-
-    state: ca.SX
-    covariance: ca.SX
-    deviation: ca.SX
-    deviation_covariance: ca.SX
-    cross_covariance: ca.SX
+    state: ca.SX  # (n,)
+    covariance: ca.SX  # packed
+    deviation: ca.SX  # (r,)
+    deviation_covariance: ca.SX  # packed
+    cross_covariance: ca.SX  # (r, n)
 
 
 def senses_actuation(plant: Plant, actuation: Actuation) -> bool:
@@ -79,7 +68,7 @@ def prior_to_noise(spec: Spec) -> float:
     return max(_prior_to_noise(spec, each) for each in plants)
 
 
-def _prior_to_noise(spec: Spec, plant: Model | JumpMode) -> float:
+def _prior_to_noise(spec: Spec, plant: Model | Mode) -> float:
     P0 = spec.model.P0.values()
     C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
     noise = np.diag(R)
@@ -212,7 +201,7 @@ def demand_rates(script: Script, rates: list[ca.SX]) -> None:
 def finite(state: ca.SX, packed: ca.SX) -> Guard:
     """Refuse the sample unless the state and the variances are finite."""
     n = state.numel()
-    values = [state[i] for i in range(n)] + [packed[i * (i + 3) // 2] for i in range(n)]
+    values = [*(state[i] for i in range(n)), *diagonal(packed, n)]
     return Guard(column(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
 
 
@@ -228,5 +217,4 @@ def demand_finite(script: Script, state: ca.SX) -> None:
 
 def demand_positive(script: Script, packed: ca.SX, n: int) -> None:
     """Refuse to go on from a covariance with a negative variance."""
-    variances = [packed[i * (i + 3) // 2] for i in range(n)]
-    script.demand(Kind.NONNEGATIVE, variances, Status.NOT_POSITIVE_DEFINITE)
+    script.demand(Kind.NONNEGATIVE, diagonal(packed, n), Status.NOT_POSITIVE_DEFINITE)

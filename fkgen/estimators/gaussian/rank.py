@@ -32,18 +32,10 @@ class QuadraticForm:
 def quadratic_form(
     script: Script, names: tuple[str, str, str], n: int, tolerance: float, table: list[float]
 ) -> QuadraticForm:
-    """Write the elimination of D (packed), d and scale, three locals that it uses up.
+    """Write the elimination of D (packed), of d and of the variances that pivots are measured by.
 
-    Parameters
-    ----------
-    script : Script
-    names : (str, str, str)
-        Of D, of d, and of the variances that pivots are measured by.
-    n : int
-    tolerance : float
-        Smallest pivot that counts, as a share of its variance.
-    table : list of float
-        ``table[r - 1]`` is looked up at rank r.
+    All three are locals that it uses up, by their ``names``. ``tolerance`` is the smallest share of
+    a variance that counts; ``table[r - 1]`` is looked up at rank r.
     """
     D, d, _ = names
     tag = D.removeprefix("difference")

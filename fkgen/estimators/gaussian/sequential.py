@@ -13,7 +13,7 @@ from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.decorrelation import Row
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, is_zero, outer_lower, unpack
+from fkgen.symbolic.linalg import column, diagonal, is_zero, outer_lower, unpack
 from fkgen.symbolic.packing import triangle
 
 Form = Literal["short", "joseph"]
@@ -22,7 +22,7 @@ LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
 @dataclass(slots=True, kw_only=True)
-class Fold:
+class SequentialUpdate:
     """Builder of the sequential update: the values so far, which start as the prior.
 
     With S = L E L' over the rows present, ``coupling`` holds L E and ``factor`` holds L below the
@@ -51,8 +51,8 @@ class Fold:
     weight: list[ca.SX] = field(default_factory=list)
     symbols: dict[str, ca.SX] = field(default_factory=dict)
 
-    def take(self, i: int) -> None:
-        """Fold in row i: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
+    def update_row(self, i: int) -> None:
+        """SequentialUpdate in row i: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
         row, script = self.rows[i], self.script
         cross = unpack(self.covariance, self.mean.numel()) @ row.c
         if not all(cross[k].is_leaf() for k in range(cross.numel())):
@@ -95,7 +95,7 @@ class Fold:
         """Positive when row i is no combination of the rows before it; None if that cannot be."""
         if self.rank_tolerance is None or self.variance is None:
             return None
-        own = self.variance[i * (i + 3) // 2]
+        own = diagonal(self.variance, len(self.rows))[i]
         self.script.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
         return pivot - self.rank_tolerance * own
 

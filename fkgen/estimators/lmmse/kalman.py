@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
@@ -16,13 +18,13 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sensing import demand_indicators, observed
 from fkgen.estimators.gaussian.sequential import Form
-from fkgen.problem import Spec
+from fkgen.faults import SensorFaults
+from fkgen.problem import Name, Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.plant import Plant, lift, plant_of
+from fkgen.symbolic.ports import carried, innovation_ports, shown, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
@@ -38,14 +40,11 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     )
     symbols = symbols_of(spec, plant, ports)
     form = update_form(spec, plant, augmented=size > 0)
-    start = dict(zip(("state", "covariance"), prior_of(spec), strict=True))
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
-        initial={
-            f"{of}_{what}": v for what, v in start.items() for of in ("predicted", "filtered")
-        },
+        initial=start_of(spec),
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=_predict(spec, plant, symbols, with_gain=with_gain),
         form=form,
@@ -62,6 +61,21 @@ def _demand_rates(script: Script, spec: Spec, plant: Plant) -> None:
         demand_rates(script, rates_of(spec.faults.actuator, plant))
 
 
+def _told(spec: Spec, plant: Plant, faults: SensorFaults) -> Plant:
+    """The plant in the condition that the parameters gamma and delta tell."""
+    mode = faults.sensed(spec.model, Name("gamma"), Name("delta"))
+    C, D, R = (lift(matrix, plant.parameters) for matrix in (mode.C, mode.D, mode.R))
+    return replace(plant, C=C, D=D, R=R)
+
+
+def _demand_indicators(script: Script, plant: Plant, faults: SensorFaults) -> None:
+    """Refuse a gamma that is neither 0 nor 1, and a delta that is neither 1 nor C."""
+    gamma, delta = plant.parameters["gamma"], plant.parameters["delta"]
+    for value, other in ((gamma, ca.SX(0)), (delta, ca.SX(faults.noise_factor))):
+        zero = (value - 1) * (value - other)
+        script.demand(Kind.NONNEGATIVE, [zero, -zero], Status.PARAMETER_OUT_OF_RANGE)
+
+
 def _update(
     spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
 ) -> Phase:
@@ -69,8 +83,8 @@ def _update(
     demand_positive(script, symbols["predicted_covariance"], plant.nx)
     _demand_rates(script, spec, plant)
     if spec.faults.sensor is not None:
-        demand_indicators(script, plant, spec.faults.sensor)
-        plant = observed(plant, spec.faults.sensor)
+        _demand_indicators(script, plant, spec.faults.sensor)
+        plant = _told(spec, plant, spec.faults.sensor)
     plant = bound(script, plant, "CDR")
     found, posterior = correct(
         script,
@@ -138,48 +152,22 @@ def from_rows(values: ca.SX, rows: int) -> ca.SX:
 
 
 def _deviation_ports(n: int, r: int) -> tuple[Port, ...]:
+    deviation = "E[gamma[k] | y[0..k]] minus the success rate, per random component"
+    covariance = "covariance of gamma[k] given y[0..k]"
+    cross = "covariance of gamma[k] with the state given y[0..k]"
     return (
-        Port(
-            name="actuation_deviation",
-            shape=(r,),
-            role=Role.STATE,
-            meaning="E[gamma[k] | y[0..k]] minus the success rate, per random component",
-        ),
-        Port(
-            name="actuation_covariance",
-            shape=(r, r),
-            role=Role.STATE,
-            symmetric=True,
-            meaning="covariance of gamma[k] given y[0..k]",
-        ),
-        Port(
-            name="actuation_cross_covariance",
-            shape=(r, n),
-            role=Role.STATE,
-            meaning="covariance of gamma[k] with the state given y[0..k]",
-        ),
+        carried("actuation_deviation", (r,), deviation),
+        carried("actuation_covariance", (r, r), covariance, symmetric=True),
+        carried("actuation_cross_covariance", (r, n), cross),
     )
 
 
 def _gain_ports(plant: Plant, r: int) -> tuple[Port, ...]:
-    n, p = plant.nx, plant.ny
+    n, p, missing = plant.nx, plant.ny, "columns of missing rows are 0"
     gains = (
-        Port(
-            name="gain",
-            unit="x/y",
-            shape=(n, p),
-            role=Role.OUTPUT,
-            meaning="K: d x(k+1|k) / d y[k]; columns of missing rows are 0",
-        ),
-        Port(
-            name="filtered_gain",
-            unit="x/y",
-            shape=(n, p),
-            role=Role.OUTPUT,
-            meaning="Kf: d x(k|k) / d y[k]; columns of missing rows are 0",
-        ),
+        shown("gain", (n, p), f"K: d x(k+1|k) / d y[k]; {missing}", unit="x/y"),
+        shown("filtered_gain", (n, p), f"Kf: d x(k|k) / d y[k]; {missing}", unit="x/y"),
     )
     if not r:
         return gains
-    meaning = "d E[gamma[k] | y[0..k]] / d y[k]; columns of missing rows are 0"
-    return (*gains, Port(name="actuation_gain", shape=(r, p), role=Role.OUTPUT, meaning=meaning))
+    return (*gains, shown("actuation_gain", (r, p), f"d E[gamma[k] | y[0..k]] / d y[k]; {missing}"))

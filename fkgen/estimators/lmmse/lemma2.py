@@ -1,9 +1,7 @@
-"""What the linear filters need of the law of (gamma, delta): first moments, sample by sample.
+"""Linear optimal filter with uncertain observations: Sigalov & Oshman, eqs. (19)-(23).
 
-Sigalov & Oshman, sec. V-B: E[gamma_k], p11(k) = Pr(gamma_k = 1 | gamma_i = 1) and E[delta_k]. A law
-that the kernel does not change gives constants; another one is carried along with the state.
-
-Linear optimal filter with uncertain observations: Sigalov & Oshman, eqs. (19)-(23).
+It needs E[gamma_k], p11(k) = Pr(gamma_k = 1 | gamma_i = 1) and E[delta_k], sec. V-B. Probabilities
+that the kernel does not change give constants; others are carried along with the state.
 
 With w = (gamma - p11) C x + v the measurement is y = p11 C x + w, whose noise has covariance
 (E[gamma] - p11) E[x x'] C' with the state. Conditioning (x, w) on it is (23) in covariance form: C
@@ -32,7 +30,6 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sensing import scaled_noise
 from fkgen.estimators.gaussian.sequential import Form
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
 from fkgen.estimators.models.weights import TINY
@@ -40,11 +37,19 @@ from fkgen.faults import SensorFaults
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, is_zero, pack, sparse, unpack
 from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    carried,
+    innovation_ports,
+    prior_of,
+    shown,
+    start_of,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: Largest change by one step of a law that counts as stationary.
@@ -75,7 +80,7 @@ class FaultLaw:
             return ()
         meaning = "unconditional law of the mode (1,1) (1,C) (0,1) (0,C) at"
         return tuple(
-            Port(name=f"{prefix}mode_law", shape=(4,), role=Role.STATE, meaning=f"{meaning} {k}")
+            carried(f"{prefix}mode_law", (4,), f"{meaning} {k}")
             for prefix, k in (("", "k"), ("predicted_", "k+1"))
         )
 
@@ -89,10 +94,10 @@ class FaultLaw:
             return ()
         if self.stationary:
             meaning = "p11: Pr(gamma[k+1] = 1 | gamma[k] = 1)"
-            return (Port(name="gamma_persistence", shape=(), role=Role.STATE, meaning=meaning),)
+            return (carried("gamma_persistence", (), meaning),)
         meaning = "law of the mode given the last signal that was possible before, at"
         return tuple(
-            Port(name=f"{prefix}signal_law", shape=(4,), role=Role.STATE, meaning=f"{meaning} {k}")
+            carried(f"{prefix}signal_law", (4,), f"{meaning} {k}")
             for prefix, k in (("", "k"), ("predicted_", "k+1"))
         )
 
@@ -140,7 +145,7 @@ class FaultLaw:
         nominal, factor = self.nominal(symbols), self.faults.noise_factor
         own = nominal + (1 - nominal) * factor
         cross = nominal + (1 - nominal) * math.sqrt(factor)
-        return scaled_noise(plant.R, self.faults.rows, own, cross)
+        return _scaled_noise(plant.R, self.faults.rows, own, cross)
 
     def next_law(self, symbols: dict[str, ca.SX]) -> ca.SX:
         """Law of the mode one sample later, its rounding taken out of the sum."""
@@ -169,6 +174,17 @@ class FaultLaw:
 
     def _kernel(self) -> NDArray[np.float64]:
         return np.array(self.faults.kernel)
+
+
+def _scaled_noise(R: ca.SX, rows: tuple[int, ...], own: ca.SX, cross: ca.SX) -> ca.SX:
+    """R times ``own`` among the rows, times ``cross`` between them and the others."""
+    result = ca.SX(R)
+    for i in range(R.shape[0]):
+        for j in range(R.shape[0]):
+            faulty = (i in rows) + (j in rows)
+            if faulty and not is_zero(R[i, j]):
+                result[i, j] = R[i, j] * (own if faulty == 2 else cross)
+    return result
 
 
 def _whole(probability: float) -> float:
@@ -219,13 +235,12 @@ def uncertain_filter(spec: Spec, source: str) -> Recursion:
 
 
 def _start(spec: Spec, law: FaultLaw) -> dict[str, tuple[float, ...]]:
-    x0, packed = prior_of(spec)
+    x0 = prior_of(spec)[0]
     n = spec.model.nx
     moment = spec.model.P0.values() + np.outer(x0, x0)
     second = tuple(float(moment[i, j]) for i, j in triangle(n))
     return {
-        **{f"{of}_state": x0 for of in ("predicted", "filtered")},
-        **{f"{of}_covariance": packed for of in ("predicted", "filtered")},
+        **start_of(spec),
         "predicted_state_second_moment": second,
         "transition": tuple(np.eye(n).ravel().tolist()),
         **({"predicted_state_mean": x0} if spec.model.nu else {}),
@@ -236,46 +251,24 @@ def _start(spec: Spec, law: FaultLaw) -> dict[str, tuple[float, ...]]:
 
 def _gain_ports(plant: Plant) -> tuple[Port, ...]:
     n, p = plant.nx, plant.ny
+    F1 = "F1: d x(k|k) / d x(k-1|k-1); at k = 0 d x(0|0) / d x0"
+    F2 = "F2: d x(k|k) / d y[k]; columns of missing rows are 0"
     return (
-        Port(
-            name="state_gain",
-            shape=(n, n),
-            role=Role.OUTPUT,
-            meaning="F1: d x(k|k) / d x(k-1|k-1); at k = 0 d x(0|0) / d x0",
-        ),
-        Port(
-            name="measurement_gain",
-            unit="x/y",
-            shape=(n, p),
-            role=Role.OUTPUT,
-            meaning="F2: d x(k|k) / d y[k]; columns of missing rows are 0",
-        ),
-        Port(
-            name="transition",
-            shape=(n, n),
-            role=Role.STATE,
-            meaning="A of the prediction for this sample; 1 at sample 0",
-        ),
+        shown("state_gain", (n, n), F1),
+        shown("measurement_gain", (n, p), F2, unit="x/y"),
+        carried("transition", (n, n), "A of the prediction for this sample; 1 at sample 0"),
     )
 
 
 def _moment_ports(plant: Plant) -> tuple[Port, ...]:
     n, ports = plant.nx, []
     for prefix, k in (("", "k"), ("predicted_", "k+1")):
-        ports.append(
-            Port(
-                name=f"{prefix}state_second_moment",
-                unit="xx",
-                shape=(n, n),
-                role=Role.STATE,
-                symmetric=True,
-                meaning=f"E[x[{k}] x[{k}]'], unconditional",
-            )
-        )
+        second = f"E[x[{k}] x[{k}]'], unconditional"
+        name = f"{prefix}state_second_moment"
+        ports.append(carried(name, (n, n), second, unit="xx", symmetric=True))
         if plant.nu:
-            meaning = f"E[x[{k}]], unconditional"
-            name = f"{prefix}state_mean"
-            ports.append(Port(name=name, unit="x", shape=(n,), role=Role.STATE, meaning=meaning))
+            mean = f"E[x[{k}]], unconditional"
+            ports.append(carried(f"{prefix}state_mean", (n,), mean, unit="x"))
     return tuple(ports)
 
 

@@ -18,8 +18,9 @@ from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.models.weights import LOG_ZERO
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Outcome, Port, Role, Status
-from fkgen.symbolic.linalg import column, total
+from fkgen.symbolic.interface import Outcome, Port, Status
+from fkgen.symbolic.linalg import column, diagonal, total
+from fkgen.symbolic.ports import carried, shown
 
 #: Between two whole numbers.
 HALF = 0.5
@@ -39,21 +40,11 @@ _BOUND = {
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a test says.
+    """What a test says."""
 
-    Attributes
-    ----------
-    excess : SX
-        Positive if a loss is declared; to be asked under the condition that a row is present.
-    rejections : SX
-        Declared in a row, this sample included.
-    results : dict of str to SX
-        Values of the ports.
-    """
-
-    excess: ca.SX
-    rejections: ca.SX
-    results: dict[str, ca.SX]
+    excess: ca.SX  # positive if a loss is declared; to be asked where a row is present
+    rejections: ca.SX  # declared in a row, this sample included
+    results: dict[str, ca.SX]  # values of the ports
 
 
 def loss_ports(spec: Spec) -> tuple[Port, ...]:
@@ -62,26 +53,19 @@ def loss_ports(spec: Spec) -> tuple[Port, ...]:
     if detector == "none":
         return ()
 
-    def scalar(name: str, role: Role, meaning: str) -> Port:
-        return Port(name=name, shape=(), role=role, meaning=meaning)
-
     ports = [
-        scalar(
-            "fault_declared", Role.OUTPUT, f"1 if sample k was rejected as lost, else 0{_ABSENT}"
-        ),
-        scalar("test_statistic", Role.OUTPUT, f"{_MEANING[detector]}{_ABSENT}"),
-        scalar("test_threshold", Role.OUTPUT, _BOUND[detector]),
-        scalar("test_dof", Role.OUTPUT, "rows of y that were tested"),
-        scalar("consecutive_rejections", Role.STATE, "samples rejected in a row, up to k"),
+        shown("fault_declared", (), f"1 if sample k was rejected as lost, else 0{_ABSENT}"),
+        shown("test_statistic", (), f"{_MEANING[detector]}{_ABSENT}"),
+        shown("test_threshold", (), _BOUND[detector]),
+        shown("test_dof", (), "rows of y that were tested"),
+        carried("consecutive_rejections", (), "samples rejected in a row, up to k"),
     ]
     if detector == "energy" and window > 1:
-        past = Port(
-            name="energy_window",
-            shape=(window - 1,),
-            role=Role.STATE,
-            meaning="|innovation|^2 of the last samples with a row, newest first",
-        )
-        ports += [past, scalar("energy_count", Role.STATE, "how many of them there are")]
+        past = "|innovation|^2 of the last samples with a row, newest first"
+        ports += [
+            carried("energy_window", (window - 1,), past),
+            carried("energy_count", (), "how many of them there are"),
+        ]
     return tuple(ports)
 
 
@@ -96,16 +80,7 @@ def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
 
 
 class LossTest:
-    """Writes the blocks of a test.
-
-    Parameters
-    ----------
-    script : Script
-    symbols : dict of str to SX
-        Ports of the instance.
-    spec : Spec
-        Detector and thresholds.
-    """
+    """Writes the blocks of a test; the options of the spec are detector and thresholds."""
 
     def __init__(self, script: Script, symbols: dict[str, ca.SX], spec: Spec) -> None:
         self.script, self.symbols, self.spec = script, symbols, spec
@@ -181,8 +156,7 @@ class LossTest:
         """Mean square over the window, what it is expected to be, and the window moved on."""
         script = self.script
         energy, expected = (script.local(name, 1, initial=0.0) for name in ("energy", "expected"))
-        for i in range(self.spec.model.ny):
-            variance = found.innovation_covariance[i * (i + 3) // 2]
+        for i, variance in enumerate(diagonal(found.innovation_covariance, self.spec.model.ny)):
             with script.when(i):
                 script.put(
                     {

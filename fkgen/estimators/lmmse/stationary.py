@@ -18,9 +18,15 @@ from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, RANK_TOLERANC
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import demand_finite, finite
 from fkgen.estimators.lmmse.jump import (
+    AugmentedState,
     Moments,
-    carried,
+    augmented_noise,
+    augmented_ports,
+    augmented_start,
     innovation_results,
+    judges,
+    law_ports,
+    measured,
     mixing,
     moved_means,
     moved_moments,
@@ -29,17 +35,16 @@ from fkgen.estimators.lmmse.jump import (
     plant_noise,
     shared,
     signal_moment,
-    split_noise,
     steps,
+    unchanged,
 )
-from fkgen.estimators.lmmse.jumping import Jumping, law_ports, measured, split_ports, split_start
 from fkgen.estimators.lmmse.loss_tests import LossTest, loss_outcomes, loss_ports
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.probability import stationary_law
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.linalg import pack, sparse, unpack
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import innovation_ports, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 Array = NDArray[np.float64]
@@ -53,35 +58,23 @@ RANK = 1e-13
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stationary:
-    """What the split state comes to.
+    """The limits of the filter."""
 
-    Attributes
-    ----------
-    predicted, filtered : (M, M) ndarray
-        Error covariances at k+1 given y[0..k], and at k.
-    innovation : (p, p) ndarray
-        S.
-    noise : (p, p) ndarray
-        Covariance of y without signal.
-    gain : (M, p) ndarray
-        X L' S^-1: from the innovation to the correction.
-    """
-
-    predicted: Array
-    filtered: Array
-    innovation: Array
-    noise: Array
-    gain: Array
+    predicted: Array  # (M, M), error covariance at k+1 given y[0..k]
+    filtered: Array  # (M, M), the same at k
+    innovation: Array  # (p, p), S
+    noise: Array  # (p, p), covariance of y without signal
+    gain: Array  # (M, p), X L' S^-1: from the innovation to the correction
 
 
-def stationary_moments(split: Jumping) -> Moments:
+def stationary_moments(z: AugmentedState) -> Moments:
     """Limits of E[x x' 1{mode}], E[x 1{mode}] and Pr(mode), from linear equations."""
-    law = stationary_law(split.kernel)
+    law = stationary_law(z.kernel)
     if law is None:
         raise InternalError("a stationary gain for a chain without a limit")
-    P, n, N = split.kernel, split.base.nx, split.modes
-    A, Q = ([_number(getattr(plant, x)) for plant in split.plants] for x in ("A", "Q"))
-    c = [_number(plant.c).ravel() for plant in split.plants]
+    P, n, N = z.kernel, z.base.nx, z.modes
+    A, Q = ([_number(getattr(plant, x)) for plant in z.plants] for x in ("A", "Q"))
+    c = [_number(plant.c).ravel() for plant in z.plants]
     F = np.block([[P[i, j] * A[i] for i in range(N)] for j in range(N)])
     source = np.concatenate([sum(P[i, j] * law[i] * c[i] for i in range(N)) for j in range(N)])
     q = np.linalg.solve(np.eye(N * n) - F, source).reshape(N, n)
@@ -96,19 +89,19 @@ def stationary_moments(split: Jumping) -> Moments:
     return Moments(second, tuple(ca.SX(ca.DM(each)) for each in q), ca.SX(ca.DM(law)))
 
 
-def stationary_of(split: Jumping) -> Stationary:
+def stationary_of(z: AugmentedState) -> Stationary:
     """Solve for the stationary error covariance and its gain."""
-    script, u = Script({}), ca.SX(split.base.nu, 1)
-    now = stationary_moments(split)
-    moved = moved_moments(script, split, split.plants, now, u)
-    W = _number(split_noise(split, moved, plant_noise(split, split.plants, now.law)))
+    script, u = Script({}), ca.SX(z.base.nu, 1)
+    now = stationary_moments(z)
+    moved = moved_moments(script, z, z.plants, now, u)
+    W = _number(augmented_noise(z, moved, plant_noise(z, z.plants, now.law)))
     W = np.tril(W) + np.tril(W, -1).T
-    F = _number(mixing(split)[0] @ steps(split, split.plants, u)[0])
-    L = split.rate * _number(measured(split, split.plants, u)[0])
-    weights = [now.law[i] for i in range(split.modes)]
-    noise = _number(shared([plant.R for plant in split.plants], weights))
-    doubt = split.rate * (1.0 - split.rate)
-    signal = _number(unpack(signal_moment(split.plants, now, u), split.base.ny))
+    F = _number(mixing(z)[0] @ steps(z, z.plants, u)[0])
+    L = z.rate * _number(measured(z, z.plants, u)[0])
+    weights = [now.law[i] for i in range(z.modes)]
+    noise = _number(shared([plant.R for plant in z.plants[: z.modes]], weights))
+    doubt = z.rate * (1.0 - z.rate)
+    signal = _number(unpack(signal_moment(z, z.plants, now, u), z.base.ny))
     R = noise + doubt * signal
     X = riccati(F, L, W, R)
     S = L @ X @ L.T + R
@@ -149,47 +142,44 @@ def _number(matrix: ca.SX) -> Array:
 
 def stationary_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion with a constant gain."""
-    split = Jumping.of(spec)
-    at_rest = stationary_of(split)
+    z = AugmentedState.of(spec)
+    at_rest = stationary_of(z)
     ports = (
         *state_ports(spec),
         *innovation_ports(spec),
-        *loss_ports(spec),
-        *law_ports(split),
-        *split_ports(split, covariances=False),
+        *(loss_ports(spec) if judges(spec) else ()),
+        *law_ports(z),
+        *augmented_ports(z, covariances=False),
     )
-    symbols = symbols_of(spec, split.base, ports)
-    x0, packed = prior_of(spec)
-    start = split_start(split)
-    start |= {f"{of}_state": x0 for of in ("predicted", "filtered")}
-    start |= {f"{of}_covariance": packed for of in ("predicted", "filtered")}
+    symbols = symbols_of(spec, z.base, ports)
+    start = augmented_start(z) | start_of(spec)
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
         initial={port.name: start[port.name] for port in ports if port.name in start},
-        update=_update(split, symbols, at_rest),
-        predict=_predict(split, symbols, at_rest),
+        update=_update(z, symbols, at_rest),
+        predict=_predict(z, symbols, at_rest),
         notes=(
             "constant gain: covariances are those the filter comes to, from sample 0 on",
             "a missing row of y is replaced by its prediction",
-            *notes_of(split),
+            *notes_of(z),
         ),
-        outcomes=loss_outcomes(spec),
+        outcomes=loss_outcomes(spec) if judges(spec) else (),
     )
 
 
-def _update(split: Jumping, symbols: dict[str, ca.SX], at_rest: Stationary) -> Phase:
-    script, spec, prior = Script(symbols), split.spec, symbols["augmented_state"]
-    L, _ = measured(split, split.plants, symbols["u"])
+def _update(z: AugmentedState, symbols: dict[str, ca.SX], at_rest: Stationary) -> Phase:
+    script, spec, prior = Script(symbols), z.spec, symbols["augmented_state"]
+    L, _ = measured(z, z.plants, symbols["u"])
     nothing, scalar = ca.SX(1, 1), spec.code.scalar
     measurement = Measurement(
-        C=ca.SX(split.base.ny, 1),
-        offset=sparse(split.rate * L) @ prior,
+        C=ca.SX(z.base.ny, 1),
+        offset=sparse(z.rate * L) @ prior,
         R=sparse(ca.SX(ca.DM(at_rest.innovation))),
         y=symbols["y"],
-        rows=split.base.rows,
-        at=tuple(range(split.base.ny)),
+        rows=z.base.rows,
+        at=tuple(range(z.base.ny)),
         rank_tolerance=RANK_TOLERANCE[scalar] if is_singular(at_rest.innovation) else None,
         pivots_per_log=PIVOTS_PER_LOG[scalar],
     )
@@ -199,67 +189,67 @@ def _update(split: Jumping, symbols: dict[str, ca.SX], at_rest: Stationary) -> P
     )
     demand_finite(script, corrected)
     results: dict[str, ca.SX] = {}
-    if spec.filter.options.detector != "none":
+    if judges(spec):
         test = LossTest(script, symbols, spec)
         verdict = test.verdict(found, measurement, sparse(ca.SX(ca.DM(at_rest.noise))))
-        state = script.local("kept_state", split.size)
+        state = script.local("kept_state", z.size)
         script.put({"kept_state": corrected})
         with script.when(None, verdict.excess):
             script.put({"kept_state": prior})
-        if split.restarts:
+        if z.restarts:
             locked = ca.fmin(test.locked(verdict.rejections), verdict.excess)
             with script.when(None, locked):
-                script.put({"kept_state": _expected(split, symbols)})
+                script.put({"kept_state": _expected(z, symbols)})
         corrected, results = state, verdict.results
     results |= innovation_results(found) | {
         "augmented_filtered_state": corrected,
-        "filtered_state": corrected[split.own],
-        "filtered_covariance": _own(split, at_rest.filtered),
-        **carried(split, symbols),
+        "filtered_state": corrected[z.own],
+        "filtered_covariance": _own(z, at_rest.filtered),
+        **unchanged(z, symbols),
     }
     with script.titled("results of the update"):
         script.put(results)
     return script.phase()
 
 
-def _own(split: Jumping, matrix: Array) -> ca.SX:
+def _own(z: AugmentedState, matrix: Array) -> ca.SX:
     """The covariance of x, packed."""
-    return pack(ca.SX(ca.DM(matrix[split.own, split.own])))
+    return pack(ca.SX(ca.DM(matrix[z.own, z.own])))
 
 
-def _expected(split: Jumping, symbols: dict[str, ca.SX]) -> ca.SX:
-    """Mean of the split state without any measurement."""
-    n, law = split.base.nx, split.law(symbols)
+def _expected(z: AugmentedState, symbols: dict[str, ca.SX]) -> ca.SX:
+    """Mean of the augmented state without any measurement."""
+    n, law = z.base.nx, z.law(symbols)
     first = ca.vertsplit(symbols["predicted_mode_first_moment"], n)
     means = []
-    for share in split.shares:
+    for share in z.shares:
         for i, q in enumerate(first):
-            means.append(share * (ca.vertcat(q, law[i]) if split.ones else q))
+            means.append(share * (ca.vertcat(q, law[i]) if z.ones else q))
     own = sum(first[1:], start=first[0])
     return ca.vertcat(*means[:-1], own)
 
 
-def _predict(split: Jumping, symbols: dict[str, ca.SX], at_rest: Stationary) -> Phase:
+def _predict(z: AugmentedState, symbols: dict[str, ca.SX], at_rest: Stationary) -> Phase:
     script, u = Script(symbols), symbols["u"]
     with script.titled("every mode's step"):
-        G, known = steps(split, split.plants, u)
+        G, known = steps(z, z.plants, u)
         moved = script.let("moved_state", G @ symbols["augmented_filtered_state"] + known)
     results: dict[str, ca.SX] = {}
-    if not split.settled:
-        results["predicted_mode_law"] = next_law(split, symbols["mode_law"])
-    if split.restarts:
-        first = ca.vertsplit(symbols["mode_first_moment"], split.base.nx)
-        law = split.law(symbols) if split.settled else symbols["mode_law"]
-        means = moved_means(split, split.plants, tuple(first), law)
+    if not z.settled:
+        results["predicted_mode_law"] = next_law(z, symbols["mode_law"])
+    if z.restarts:
+        first = ca.vertsplit(symbols["mode_first_moment"], z.base.nx)
+        law = z.law(symbols) if z.settled else symbols["mode_law"]
+        means = moved_means(z, z.plants, tuple(first), law)
         results["predicted_mode_first_moment"] = ca.vertcat(*means)
     with script.titled("mixing by the chain, and prediction of the next sample"):
-        M, constant = mixing(split)
+        M, constant = mixing(z)
         state = M @ moved + constant
-        own = state[split.own]
+        own = state[z.own]
         results |= {
             "augmented_state": state,
             "predicted_state": own,
-            "predicted_covariance": _own(split, at_rest.predicted),
+            "predicted_covariance": _own(z, at_rest.predicted),
         }
-        script.put(results, [finite(own, _own(split, at_rest.predicted))])
+        script.put(results, [finite(own, _own(z, at_rest.predicted))])
     return script.phase()

@@ -8,7 +8,6 @@ coherently: x(k|k) and x(k+1|k) with weights given y[0..k]; ``paper_state`` is (
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import casadi as ca
 
@@ -34,10 +33,19 @@ from fkgen.estimators.models.weights import Weights, log_prior, log_sum_exp, pat
 from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, pack, spread, unpack, weighted_sum
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    carried,
+    estimate_ports,
+    innovation_ports,
+    prior_of,
+    shown,
+    start_of,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: With more independent inputs than this the mixture has too many terms; the Gaussian is used
@@ -130,60 +138,30 @@ def _actuation(
 def _ports(spec: Spec, random: list[int]) -> tuple[Port, ...]:
     n, count = spec.model.nx, len(spec.filter.options.hypotheses)
     rates = len(spec.filter.options.hypotheses[0])
-    vector = partial(Port, role=Role.STATE)
+    paper = "(18) as printed: predictions for k with weights given y[0..k]"
+    rate = (rates,) if rates > 1 else ()
     ports = [
         *state_ports(spec),
         *innovation_ports(spec),
-        vector(
-            name="mode_probability",
-            shape=(count,),
-            meaning="probability of each hypothesis given y[0..k]",
-        ),
-        Port(
-            name="success_rate_estimate",
-            shape=(rates,) if rates > 1 else (),
-            role=Role.OUTPUT,
-            meaning="mean success rate given y[0..k]",
-        ),
-        Port(
-            name="paper_state",
-            unit="x",
-            shape=(n,),
-            role=Role.OUTPUT,
-            meaning="(18) as printed: predictions for k with weights given y[0..k]",
-        ),
-        vector(name="log_weight", shape=(count,), meaning="logarithm of mode_probability"),
+        carried("mode_probability", (count,), "probability of each hypothesis given y[0..k]"),
+        shown("success_rate_estimate", rate, "mean success rate given y[0..k]"),
+        shown("paper_state", (n,), paper, unit="x"),
+        carried("log_weight", (count,), "logarithm of mode_probability"),
     ]
     for name, when in (("mode_", "x(k+1|k)"), ("mode_filtered_", "x(k|k)")):
-        ports += [
-            vector(
-                name=f"{name}state",
-                unit="x",
-                shape=(count, n),
-                meaning=f"{when} under each hypothesis",
-            ),
-            vector(
-                name=f"{name}covariance",
-                unit="xx",
-                shape=(count, n, n),
-                symmetric=True,
-                meaning="its error covariance",
-            ),
-        ]
+        meanings = f"{when} under each hypothesis", "its error covariance"
+        ports += estimate_ports(name, (count, n), meanings)
     return (*ports, *(_deviation_ports(n, random) if any(random) else ()))
 
 
 def _deviation_ports(n: int, random: list[int]) -> tuple[Port, ...]:
     """What each hypothesis makes of gamma[k], one after the other: sizes differ between them."""
     about = "of gamma[k] minus its mean under each hypothesis, given y[0..k]"
-    sizes = {
-        "mode_deviation": (sum(random), f"mean {about}"),
-        "mode_deviation_covariance": (sum(r * (r + 1) // 2 for r in random), f"covariance {about}"),
-        "mode_deviation_cross": (sum(random) * n, f"covariance {about}, with the state"),
-    }
-    return tuple(
-        Port(name=name, shape=(size,), role=Role.STATE, meaning=meaning)
-        for name, (size, meaning) in sizes.items()
+    packed = sum(r * (r + 1) // 2 for r in random)
+    return (
+        carried("mode_deviation", (sum(random),), f"mean {about}"),
+        carried("mode_deviation_covariance", (packed,), f"covariance {about}"),
+        carried("mode_deviation_cross", (sum(random) * n,), f"covariance {about}, with the state"),
     )
 
 
@@ -192,8 +170,7 @@ def multiple_model_bank(spec: Spec) -> Recursion:
     bank = Bank.of(spec)
     count = len(spec.filter.options.hypotheses)
     x0, packed = prior_of(spec)
-    initial = {f"{of}_state": x0 for of in ("predicted", "filtered")}
-    initial |= {f"{of}_covariance": packed for of in ("predicted", "filtered")}
+    initial = start_of(spec)
     initial |= {"mode_state": x0 * count, "mode_filtered_state": x0 * count}
     initial |= {"mode_covariance": packed * count, "mode_filtered_covariance": packed * count}
     initial["mode_probability"] = spec.filter.options.prior

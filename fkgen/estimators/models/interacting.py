@@ -8,7 +8,6 @@ mode of sample k drives the step into x[k], and y[k].
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import casadi as ca
 
@@ -27,10 +26,10 @@ from fkgen.estimators.models.switching import Switching
 from fkgen.estimators.models.weights import TINY
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import column
 from fkgen.symbolic.plant import Plant
-from fkgen.symbolic.ports import prior_of
+from fkgen.symbolic.ports import estimate_ports, prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: Timing of the modes where they move the state.
@@ -64,24 +63,10 @@ def interacting_models(spec: Spec) -> Recursion:
 
 
 def _mode_ports(n: int, count: int) -> tuple[Port, ...]:
-    port = partial(Port, role=Role.STATE)
-    ports = []
+    ports: list[Port] = []
     for name, meaning in (("mode_", "x(k+1|k), mixed,"), ("mode_filtered_", "x(k|k)")):
-        ports += [
-            port(
-                name=f"{name}state",
-                unit="x",
-                shape=(count, n),
-                meaning=f"{meaning} under each mode",
-            ),
-            port(
-                name=f"{name}covariance",
-                unit="xx",
-                shape=(count, n, n),
-                symmetric=True,
-                meaning="its error covariance",
-            ),
-        ]
+        meanings = f"{meaning} under each mode", "its error covariance"
+        ports += estimate_ports(name, (count, n), meanings)
     return tuple(ports)
 
 

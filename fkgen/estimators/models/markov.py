@@ -27,26 +27,15 @@ PROPORTIONAL = 1e-14
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Law of the next mode, and what it says about the one before.
+    """Probabilities of the next mode, and what it says about the one before."""
 
-    Attributes
-    ----------
-    probability, logarithm : (N,) SX
-        c_j = sum_i p_ij mu_i, and log c_j.
-    mixing : tuple of (N,) SX
-        mu_(i|j), eq. (17), for every group of targets with the same weights.
-    columns : tuple of (N,) tuple or None
-        For every group the column of the kernel, if the weights are that column times a factor of
-        each mode, with no entry zero.
-    group : tuple of int
-        Which of ``mixing`` belongs to target j.
-    """
-
-    probability: ca.SX
-    logarithm: ca.SX
-    mixing: tuple[ca.SX, ...]
+    probability: ca.SX  # c_j = sum_i p_ij mu_i
+    logarithm: ca.SX  # log c_j
+    mixing: tuple[ca.SX, ...]  # mu_(i|j), eq. (17), for every group of j with the same weights
+    #: For every group its column of the kernel, if the weights are that column times a factor of
+    #: each mode, with no entry zero.
     columns: tuple[tuple[float, ...] | None, ...]
-    group: tuple[int, ...]
+    group: tuple[int, ...]  # which of ``mixing`` belongs to target j
 
 
 def advance(

@@ -21,15 +21,7 @@ def combined_innovation(
 ) -> dict[str, ca.SX]:
     """Innovation of a mixture of predictions of y, its covariance, its NIS over the rows present.
 
-    Parameters
-    ----------
-    script : Script
-    held : (N,) SX
-        Probabilities before y[k].
-    predicted : list of (p,) SX
-        Each mode's prediction of y[k].
-    found : list of Conditioned
-        What each mode made of y[k].
+    ``held`` are the probabilities before y[k], ``found`` is what each mode made of y[k].
     """
     mean = weighted_sum(held, predicted)
     S = weighted_sum(held, [each.innovation_covariance for each in found])
@@ -66,16 +58,8 @@ class Mixer:
     They are merged two by two, P = a P_1 + b P_2 + a b d d' with a + b = 1 and d the difference of
     the means: positive semidefinite term by term, and blind to means of weight zero. Where columns
     of a kernel agree on a pair but for a factor, as those of two independent chains do, the pair is
-    merged once for all of them.
-
-    Parameters
-    ----------
-    script : Script
-    name : str
-        Prefix of its variables.
-    parts : list of (mean, packed covariance)
-    tiny : float
-        Added to the weight of a pair before dividing by it; nothing beside a weight that counts.
+    merged once for all of them. ``tiny`` is added to the weight of a pair before dividing by it;
+    it is nothing beside a weight that counts.
     """
 
     def __init__(
@@ -117,12 +101,12 @@ class Mixer:
         masses = [_mass(weights, half) for half in halves]
         share = self._share(masses, label, whole=whole)
         first, second = (self._merge(half, weights, tag, column) for half in halves)
-        scatter = self._scatter(halves, first, second, label)
+        spread = self._spread(halves, first, second, label)
         mean = share[0] * first.mean + share[1] * second.mean
         covariance = share[0] * first.covariance + share[1] * second.covariance
         merged = _Merged(
             self.script.let(f"{label}_mean", mean),
-            self.script.let(f"{label}_covariance", covariance + scatter(share[0] * share[1])),
+            self.script.let(f"{label}_covariance", covariance + spread(share[0] * share[1])),
         )
         self._known[key] = merged
         return merged
@@ -134,18 +118,20 @@ class Mixer:
             masses = [mass * inverse for mass in masses]
         return self.script.let(f"{label}_share", column(masses))
 
-    def _scatter(
+    def _spread(
         self, halves: tuple[range, range], first: _Merged, second: _Merged, label: str
     ) -> Callable[[ca.SX], ca.SX]:
         """Product of the difference of two means with itself, times a factor; shared for leaves."""
         if any(len(half) > 1 for half in halves):
-            apart = self.script.let(f"{label}_apart", first.mean - second.mean)
-            return lambda factor: outer_lower(factor * apart, apart)
+            difference = self.script.let(f"{label}_apart", first.mean - second.mean)
+            return lambda factor: outer_lower(factor * difference, difference)
         pair = halves[0][0], halves[1][0]
         if pair not in self._products:
             names = f"{self.name}_apart_{pair[0]}_{pair[1]}"
-            apart = self.script.let(names, first.mean - second.mean)
-            self._products[pair] = self.script.let(f"{names}_squared", outer_lower(apart, apart))
+            difference = self.script.let(names, first.mean - second.mean)
+            self._products[pair] = self.script.let(
+                f"{names}_squared", outer_lower(difference, difference)
+            )
         product = self._products[pair]
         return lambda factor: factor * product
 

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.sensing import is_entangled, mode_plants, mode_titles
-from fkgen.estimators.lmmse.jumping import jump_modes_of
 from fkgen.estimators.models.markov import Kernel
-from fkgen.faults import JumpFaults, JumpMode, SensorFaults
-from fkgen.faults.lumping import merged
-from fkgen.problem import Matrix, Model, Spec
+from fkgen.problem import Spec
 from fkgen.problem.probability import visited
-from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.plant import Plant, mode_plants
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,22 +27,14 @@ class Variant:
 class Modes:
     """The modes of a switching filter.
 
-    Attributes
-    ----------
-    variants : tuple of tuple of Variant
-        Per mode; several where a mode lumps conditions together that only the density tells apart.
-        They move alike.
-    kernel : N tuples of N floats
-    initial : tuple of N floats
-        Law of the mode at sample 0.
-    entangled : bool
-        The variants of a mode lead to different estimates, because R correlates the rows that they
-        differ in with others.
+    A mode has several variants where it lumps conditions together that only the density tells
+    apart; they move alike. They are entangled where they lead to different estimates, because R
+    correlates the rows that they differ in with others.
     """
 
     variants: tuple[tuple[Variant, ...], ...]
     kernel: Kernel
-    initial: tuple[float, ...]
+    initial: tuple[float, ...]  # at sample 0
     entangled: bool
 
     @property
@@ -63,9 +50,9 @@ class Modes:
 
     @property
     def predicted_as(self) -> tuple[int, ...]:
-        """Per mode the mode whose prediction it takes: its own.
+        """Index of the mode whose prediction each mode uses.
 
-        A mode that can never come takes that of the first that can, so that nothing grows unseen.
+        Unreachable modes reuse a reachable one so that their covariance cannot overflow.
         """
         possible = visited(self.kernel, self.initial)
         first = int(np.argmax(possible))
@@ -102,48 +89,28 @@ def _identity(plant: Plant, letters: str) -> tuple[int, ...]:
 
 
 def plants_of(spec: Spec) -> tuple[Plant, ...]:
-    """What the modes are made of: the plants of jump faults, or the one whose sensor fails."""
-    return (plant_of(spec),) if spec.faults.jump is None else jump_modes_of(spec).plants
+    """The plant in every mode of its chain."""
+    return mode_plants(spec, spec.faults.chain(spec.model).modes)
 
 
 def modes_of(spec: Spec, plants: Sequence[Plant]) -> Modes:
-    """The modes that a spec states, made of `plants_of` it or of the same with named entries."""
-    if spec.faults.jump is not None:
-        return _jumping(plants, spec.faults.jump, spec.model)
-    if spec.faults.sensor is None:
-        raise InternalError(f"{spec.filter.family} without modes")
-    return _sensing(plants[0], spec.faults.sensor, spec.filter.option("modes", 4))
+    """The modes that a spec states, made of `plants_of` it or of the same with named entries.
 
-
-def _jumping(plants: Sequence[Plant], faults: JumpFaults, model: Model) -> Modes:
-    """Every mode is a plant of its own."""
+    Three modes for four conditions of a sensor: the mixture of both noises at gamma = 0.
+    """
+    chain, sensor = spec.faults.chain(spec.model), spec.faults.sensor
+    lumps = sensor is not None and spec.filter.option("modes", 4) < len(chain.modes)
+    if sensor is not None and lumps:
+        found = sensor.lumped()
+    else:
+        found = chain.lumped(tuple((i,) for i in range(len(chain.modes))))
     variants = tuple(
-        (Variant(_title(mode, model), 1.0, plant),)
-        for mode, plant in zip(faults.modes, plants, strict=True)
+        tuple(
+            Variant(chain.modes[i].title, share, plants[i])
+            for i, share in zip(group, shares, strict=True)
+            if share > 0.0
+        )
+        for group, shares in zip(found.groups, found.shares, strict=True)
     )
-    return Modes(variants, faults.transition, faults.initial, entangled=False)
-
-
-def _title(mode: JumpMode, model: Model) -> str:
-    """What tells a mode from the model."""
-    own = [letter for letter in "ABCDQR" if getattr(mode, letter) != getattr(model, letter)]
-    own += ["c"] if mode.c != Matrix.zeros(model.nx, 1) else []
-    return "with its own " + ", ".join(own) if own else "the model"
-
-
-def _sensing(plant: Plant, faults: SensorFaults, count: int) -> Modes:
-    """The four modes of (gamma, delta), or three with the mixture of both noises at gamma = 0."""
-    titles, plants = mode_titles(faults), mode_plants(plant, faults)
-    single = [Variant(title, 1.0, each) for title, each in zip(titles, plants, strict=True)]
-    entangled = is_entangled(plant, faults.rows)
-    if count == len(single):
-        return Modes(tuple((each,) for each in single), faults.kernel, faults.initial, entangled)
-    lumped = merged(faults.kernel, faults.initial)
-    silent = tuple(
-        replace(variant, share=share)
-        for variant, share in zip(single[2:], lumped.shares, strict=True)
-        if share > 0.0
-    )
-    return Modes(
-        (*((each,) for each in single[:2]), silent), lumped.kernel, lumped.initial, entangled
-    )
+    entangled = sensor is not None and lumps and sensor.entangles(spec.model.R)
+    return Modes(variants, found.transition, found.initial, entangled)

@@ -22,9 +22,9 @@ from fkgen.estimators.models.markov import advance
 from fkgen.estimators.models.switching import ModeUpdate, Switching
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import spread, weighted_sum
-from fkgen.symbolic.ports import prior_of
+from fkgen.symbolic.ports import carried, prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 MODES = 4
@@ -60,20 +60,10 @@ def _riccati_ports(n: int, count: int) -> tuple[Port, ...]:
     if not count:
         return ()
     whose = "for delta = 1 and C" if count > 1 else "for delta = 1"
-    meanings = {
-        "riccati_covariance": "P(k+1|k)",
-        "riccati_filtered_covariance": "P(k|k)",
-    }
-    return tuple(
-        Port(
-            name=name,
-            unit="xx",
-            shape=(count, n, n) if count > 1 else (n, n),
-            role=Role.STATE,
-            symmetric=True,
-            meaning=f"{what} as if gamma were always 1, {whose}",
-        )
-        for name, what in meanings.items()
+    shape, what = (count, n, n) if count > 1 else (n, n), f"as if gamma were always 1, {whose}"
+    return (
+        carried("riccati_covariance", shape, f"P(k+1|k) {what}", unit="xx", symmetric=True),
+        carried("riccati_filtered_covariance", shape, f"P(k|k) {what}", unit="xx", symmetric=True),
     )
 
 

@@ -16,10 +16,10 @@ from fkgen.estimators.models.modes import Modes, Variant, modes_of, plants_of
 from fkgen.estimators.models.weights import Weights, log_prior, log_sum_exp, reweigh
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import spread, weighted_sum
 from fkgen.symbolic.plant import Plant
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import carried, innovation_ports, start_of, state_ports, symbols_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +65,10 @@ class Switching:
 
     def start(self) -> dict[str, tuple[float, ...]]:
         """Start values of the shared ports: (x0, P0) and the law of the mode before y[0]."""
-        x0, packed = prior_of(self.spec)
         initial = self.modes.initial
         logarithm = log_prior(initial, self.spec.code.scalar)
         return {
-            **{f"{of}_state": x0 for of in ("predicted", "filtered")},
-            **{f"{of}_covariance": packed for of in ("predicted", "filtered")},
+            **start_of(self.spec),
             **{f"{of}mode_probability": initial for of in ("", "predicted_")},
             **{f"{of}log_weight": logarithm for of in ("", "predicted_")},
         }
@@ -153,7 +151,4 @@ def mode_ports(count: int) -> tuple[Port, ...]:
         "log_weight": "logarithm of mode_probability",
         "predicted_log_weight": "logarithm of predicted_mode_probability",
     }
-    return tuple(
-        Port(name=name, shape=(count,), role=Role.STATE, meaning=meaning)
-        for name, meaning in meanings.items()
-    )
+    return tuple(carried(name, (count,), meaning) for name, meaning in meanings.items())

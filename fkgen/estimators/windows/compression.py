@@ -43,10 +43,17 @@ from fkgen.estimators.windows.window import (
 )
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, pack, unpack
 from fkgen.symbolic.plant import plant_of
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    estimate_ports,
+    innovation_ports,
+    prior_of,
+    start_of,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
@@ -71,14 +78,13 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
         form=update_form(spec, plant, augmented=False),
         subsets=subsets,
     )
-    x0, packed = prior_of(spec)
+    packed = prior_of(spec)[1]
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
         initial={
-            **{f"{of}_state": x0 for of in ("predicted", "filtered")},
-            **{f"{of}_covariance": packed for of in ("predicted", "filtered")},
+            **start_of(spec),
             "predicted_compression_covariance": packed * len(subsets),
             "compression_covariance": packed * len(subsets),
             **window_start(soft),
@@ -92,26 +98,13 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
 
 
 def _ports(n: int, count: int) -> tuple[Port, ...]:
-    stacked = (count,) if count > 1 else ()
-    result = []
+    shape = (count, n) if count > 1 else (n,)
+    covariance = "error covariance of the estimate with the compressed rows"
+    result: list[Port] = []
     for prefix, k in (("", "k"), ("predicted_", "k+1")):
-        result += [
-            Port(
-                name=f"{prefix}compression_deviation",
-                unit="x",
-                shape=(*stacked, n),
-                role=Role.STATE,
-                meaning=f"estimate of x[{k}] with the compressed rows minus that of the host",
-            ),
-            Port(
-                name=f"{prefix}compression_covariance",
-                unit="xx",
-                shape=(*stacked, n, n),
-                role=Role.STATE,
-                symmetric=True,
-                meaning="error covariance of the estimate with the compressed rows",
-            ),
-        ]
+        deviation = f"estimate of x[{k}] with the compressed rows minus that of the host"
+        meanings = deviation, covariance
+        result += estimate_ports(f"{prefix}compression_", shape, meanings, state="deviation")
     return tuple(result)
 
 

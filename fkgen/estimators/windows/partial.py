@@ -1,8 +1,4 @@
-"""The update of the partial compression filter: host, maintenance, compression; Theorem 4.
-
-The end of a window of the partial compression filter: test (50), (51), host update (47).
-
-The correlated partial error-state compression filter: Lee & Lee, Theorem 4.
+"""The correlated partial error-state compression filter: Lee & Lee, Theorem 4.
 
 Within a sample, in the order in which nothing is used twice: host update with its rows, maintenance
 of Z, then compression of the other rows with the a posteriori host; at the end of a window the host
@@ -12,7 +8,6 @@ takes Z over, unless the test rejects it, and Z is discarded.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import casadi as ca
 
@@ -28,7 +23,7 @@ from fkgen.estimators.gaussian.estimate import (
     update_form,
 )
 from fkgen.estimators.gaussian.rank import DIRECTION, thresholds
-from fkgen.estimators.gaussian.sequential import Fold
+from fkgen.estimators.gaussian.sequential import SequentialUpdate
 from fkgen.estimators.lmmse.kalman import from_rows
 from fkgen.estimators.windows.partial_state import (
     Compressed,
@@ -49,10 +44,10 @@ from fkgen.estimators.windows.window import (
 )
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Kind, Port, Role, Status
+from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.linalg import column, congruence, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
+from fkgen.symbolic.ports import carried, innovation_ports, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
@@ -221,16 +216,16 @@ def closing(given: PartialFilter) -> Phase:
     """The test (50), (51) and the host update (47); Z is discarded whatever comes of it."""
     script, symbols, n = Script(given.symbols), given.symbols, given.plant.nx
     state, covariance = symbols["filtered_state"], symbols["filtered_covariance"]
-    fold, rank = _taken_over(script, given)
-    accepted, rejected = _verdict(script, given, fold.nis, rank)
+    taken, rank = _taken_over(script, given)
+    accepted, rejected = _verdict(script, given, taken.nis, rank)
     names = {"closed_state": n, "closed_covariance": covariance.numel()}
     closed = [script.local(name, size) for name, size in names.items()]
     with script.titled("the host takes over"):
         script.put(dict(zip(names, (state, covariance), strict=True)))
         with script.where(accepted):
-            moved = state + fold.mean[:n], parts(fold.covariance, n, given.partial.size)[0]
+            moved = state + taken.mean[:n], parts(taken.covariance, n, given.partial.size)[0]
             script.put(dict(zip(names, moved, strict=True)))
-    limit, known = given.spec.filter.options.reacquire, (fold.mean[:n], "closed_covariance")
+    limit, known = given.spec.filter.options.reacquire, (taken.mean[:n], "closed_covariance")
     counted = reacquired(script, limit, ([accepted], [rejected]), known)
     with script.titled("results of the window"):
         collecting = symbols["collecting"]
@@ -239,7 +234,7 @@ def closing(given: PartialFilter) -> Phase:
                 "filtered_state": closed[0],
                 "filtered_covariance": closed[1],
                 "collecting": ca.SX(0),
-                "test_statistic": fold.nis * collecting,
+                "test_statistic": taken.nis * collecting,
                 "test_dof": rank * collecting,
                 "fault_declared": rejected,
                 **counted,
@@ -249,7 +244,7 @@ def closing(given: PartialFilter) -> Phase:
     return script.phase(unless=COUNTDOWN)
 
 
-def _taken_over(script: Script, given: PartialFilter) -> tuple[Fold, ca.SX]:
+def _taken_over(script: Script, given: PartialFilter) -> tuple[SequentialUpdate, ca.SX]:
     """(e, V) given that T1 e + V is Z, (47), and how many rows of Z say something.
 
     Rows of a group of which only others have begun say nothing, up to rounding of T1 P T1' + R.
@@ -259,7 +254,7 @@ def _taken_over(script: Script, given: PartialFilter) -> tuple[Fold, ca.SX]:
     covariance = given.symbols["filtered_covariance"]
     prior = pack(carried.joint(covariance))
     start = {f"mean{tag}": ca.SX.zeros(n + m), f"covariance{tag}": prior}
-    fold = Fold(
+    taken = SequentialUpdate(
         script=script,
         rows=[
             Row(
@@ -286,10 +281,10 @@ def _taken_over(script: Script, given: PartialFilter) -> tuple[Fold, ca.SX]:
     rank = script.local("rank", 1, 0.0)
     for i, row in enumerate(given.rows):
         with script.titled(f"row {i} of the compressed measurement, {given.plant.rows[row]}"):
-            fold.take(i)
+            taken.update_row(i)
             with script.where(script.symbol(f"inverse{tag}_{i}")):
                 script.put({"rank": rank + 1})
-    return fold, rank
+    return taken, rank
 
 
 def _verdict(
@@ -328,13 +323,11 @@ def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
         form=update_form(spec, plant, augmented=False),
         partial=partial_state(spec, plant, faults.compressed),
     )
-    start = dict(zip(("state", "covariance"), prior_of(spec), strict=True))
-    initial = {f"{of}_{what}": v for what, v in start.items() for of in ("predicted", "filtered")}
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
-        initial=initial | window_start(faults),
+        initial=start_of(spec) | window_start(faults),
         update=update(given),
         closing=closing(given),
         predict=_predict(given),
@@ -346,26 +339,14 @@ def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
 
 def _compressed_ports(n: int, m: int) -> tuple[Port, ...]:
     """Z, R and S after sample k and before sample k + 1."""
-    port = partial(Port, role=Role.STATE)
     result: list[Port] = []
     for prefix, when in (("", ""), ("predicted_", " before sample k+1")):
+        measurement = f"Z = T1 e + V{when}, e = x minus the estimate of the host; 0 without one"
+        noise, cross = f"R: covariance of V{when}", f"S: covariance of V with e{when}"
         result += [
-            port(
-                name=f"{prefix}compressed_measurement",
-                shape=(m,),
-                meaning=f"Z = T1 e + V{when}, e = x minus the estimate of the host; 0 without one",
-            ),
-            port(
-                name=f"{prefix}compressed_noise",
-                shape=(m, m),
-                symmetric=True,
-                meaning=f"R: covariance of V{when}",
-            ),
-            port(
-                name=f"{prefix}compressed_cross_covariance",
-                shape=(m, n),
-                meaning=f"S: covariance of V with e{when}",
-            ),
+            carried(f"{prefix}compressed_measurement", (m,), measurement),
+            carried(f"{prefix}compressed_noise", (m, m), noise, symmetric=True),
+            carried(f"{prefix}compressed_cross_covariance", (m, n), cross),
         ]
     return tuple(result)
 

@@ -24,21 +24,11 @@ from fkgen.symbolic.plant import Plant
 
 @dataclass(frozen=True, slots=True)
 class Compressed:
-    """Z = T1 e + V, with Cov(V) = R and E[V e'] = S.
+    """Z = T1 e + V, with Cov(V) = R and E[V e'] = S."""
 
-    Attributes
-    ----------
-    measurement : (m,) SX
-        Z.
-    noise : (m (m + 1) / 2,) SX
-        R, packed.
-    cross : (m, n) SX
-        S.
-    """
-
-    measurement: ca.SX
-    noise: ca.SX
-    cross: ca.SX
+    measurement: ca.SX  # (m,), Z
+    noise: ca.SX  # R, packed
+    cross: ca.SX  # (m, n), S
 
     def joint(self, covariance: ca.SX) -> ca.SX:
         """Covariance (n + m, n + m) of (e, V); ``covariance`` is that of e, packed."""
@@ -62,25 +52,13 @@ def parts(joint: ca.SX, n: int, m: int) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 @dataclass(frozen=True, slots=True)
 class PartialState:
-    """The part T1 x of the state that rows of y measure as phi T1 x, (37).
+    """The part T1 x of the state that rows of y measure as phi T1 x, (37)."""
 
-    Attributes
-    ----------
-    rows : tuple of int
-        The compression group.
-    T1 : (m, n) SX
-    first : (n, m) SX
-        The first columns of the inverse of T, (38).
-    rest : (n, n) SX
-        What e^2 contributes to e: identity minus ``first`` T1.
-    phi : (m, m) SX
-    """
-
-    rows: tuple[int, ...]
-    T1: ca.SX
-    first: ca.SX
-    rest: ca.SX
-    phi: ca.SX
+    rows: tuple[int, ...]  # the compression group
+    T1: ca.SX  # (m, n)
+    first: ca.SX  # (n, m), the first columns of the inverse of T, (38)
+    rest: ca.SX  # (n, n), what e^2 contributes to e: identity minus ``first`` T1
+    phi: ca.SX  # (m, m)
 
     @property
     def size(self) -> int:

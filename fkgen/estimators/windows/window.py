@@ -1,13 +1,8 @@
-"""A host filter and its compression filters: sizes, symbols, and which rows each of them takes.
+"""Windows at whose end a host filter takes over, or rejects, what compression filters collected.
 
-Windows at whose end a host filter takes over, or rejects, what was collected meanwhile.
-
-The end of a window is at samples k > 0 with k mod window = 0. It is the closing phase of a
-recursion; a countdown port tells when it is due.
-
-The end of a window: every compression filter is tested, the host takes over what passes.
-
-Lee & Lee, (50), (51) and (25).
+A window ends at samples k > 0 with k mod window = 0: it is the closing phase of a recursion, and a
+countdown port tells when it is due. Every compression filter is tested then, Lee & Lee, (50), (51),
+and the host takes over what passes, (25).
 """
 
 from __future__ import annotations
@@ -22,9 +17,10 @@ from fkgen.estimators.gaussian.sequential import Form
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Outcome, Port, Role, Status
-from fkgen.symbolic.linalg import column, outer_lower
+from fkgen.symbolic.interface import Outcome, Port, Status
+from fkgen.symbolic.linalg import column, diagonal, outer_lower
 from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.ports import carried, shown
 from fkgen.symbolic.recursion import Phase
 
 Groups = tuple[int, ...]
@@ -69,31 +65,13 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
         counters.append(
             ("rejections", (), "window ends in a row at which all that was tested was rejected")
         )
+    statistic = f"zeta{of}: chi-square distributed without fault; 0 where no test is made"
     return (
-        Port(
-            name="test_statistic",
-            shape=each,
-            role=Role.OUTPUT,
-            given="test_dof",
-            meaning=f"zeta{of}: chi-square distributed without fault; 0 where no test is made",
-        ),
-        Port(
-            name="test_dof",
-            shape=each,
-            role=Role.OUTPUT,
-            meaning="its degrees of freedom; 0 where no test is made",
-        ),
-        Port(
-            name="fault_declared",
-            shape=each,
-            role=Role.OUTPUT,
-            meaning=f"1 where the compression filter{of} is rejected",
-        ),
-        *(Port(name=n, shape=s, role=Role.STATE, meaning=m) for n, s, m in counters),
-        *(
-            Port(name=f"predicted_{n}", shape=s, role=Role.STATE, meaning=f"{n} before sample k+1")
-            for n, s, _ in counters
-        ),
+        replace(shown("test_statistic", each, statistic), given="test_dof"),
+        shown("test_dof", each, "its degrees of freedom; 0 where no test is made"),
+        shown("fault_declared", each, f"1 where the compression filter{of} is rejected"),
+        *(carried(*counter) for counter in counters),
+        *(carried(f"predicted_{n}", s, f"{n} before sample k+1") for n, s, _ in counters),
     )
 
 
@@ -162,18 +140,8 @@ def reacquired(
     """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
 
     d is what it would have been corrected by. It is so again after every further rejection, until
-    something passes: the vaguer the host, the more of its error is in d.
-
-    Parameters
-    ----------
-    script : Script
-        Of the closing phase.
-    limit : int or None
-        ``filter.reacquire``.
-    verdicts : (list of SX, list of SX)
-        1 where a group is accepted; 1 where it is rejected.
-    host : (SX, str)
-        d, and the local that holds P, packed.
+    something passes: the vaguer the host, the more of its error is in d. The ``verdicts``
+    are 1 where a group is accepted, and where it is rejected; ``host`` is d and the local of P.
     """
     if limit is None:
         return {}
@@ -241,7 +209,7 @@ def _test(design: Pair, script: Script, group: int) -> QuadraticForm:
         script.local(name, size, initial=0.0)
     with script.titled(f"test of group {group}"):
         with script.where(design.symbols["collecting"][group] - 0.5):
-            variances = column([host[i * (i + 3) // 2] for i in range(n)])
+            variances = column(diagonal(host, n))
             script.put(dict(zip(names, (host - P, d, variances), strict=True)))
         table = thresholds(design.soft.false_alarm, n)
         return quadratic_form(script, names, n, DIRECTION[scalar], table)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fkgen.faults import JumpMode
+from fkgen.faults.chain import Mode
 from fkgen.oracle import (
     IDENTITIES,
     LinearSystem,
@@ -36,7 +36,7 @@ PAPER = "Strandt, Schneider & Yaz"
 RANK_DEFICIENT = 1e-6
 
 
-def _plants(spec: Spec) -> tuple[Model | JumpMode, ...]:
+def _plants(spec: Spec) -> tuple[Model | Mode, ...]:
     """The matrices of every mode."""
     return (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
 
@@ -65,7 +65,7 @@ def digits_at_stake(spec: Spec, record: Record) -> float:
     return float(max(EXACT, 1e3 * np.finfo(float).eps * ratio * growth))
 
 
-def _state_to_noise(spec: Spec, plant: Model | JumpMode, P0: Array) -> float:
+def _state_to_noise(spec: Spec, plant: Model | Mode, P0: Array) -> float:
     C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
     return float(np.max(np.diag(C @ (P0 + Q) @ C.T) / np.diag(R)))
 

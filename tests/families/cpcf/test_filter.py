@@ -242,6 +242,7 @@ def updated(seconds, maintenance, *, at):
     return found.filtered_covariance[-1, 0, 0]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("maintenance", AT_900_S)
 def test_longer_windows_cost_what_the_table_says(maintenance):
     for seconds, variance in AT_900_S[maintenance].items():

@@ -86,6 +86,7 @@ def test_a_missing_row_that_cannot_fail_changes_what_the_other_says_by_its_noise
     assert_agree(run(whole, y, u), run(part, y[:, :1], u), ports, 1e-12)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("which", MATCHED)
 def test_twenty_thousand_missing_samples_lead_to_the_stationary_law(which):
     spec = rows_plant(which)

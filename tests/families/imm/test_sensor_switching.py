@@ -10,9 +10,7 @@ from imm_plants import KALMAN, PORTS
 from plants import assert_agree, distance, random_model, run
 from sensor_plants import with_modes
 from sensor_specs import (
-    DENSE,
     EXACT,
-    HOLES,
     MATCHED,
     PROBLEMS,
     SCALAR,
@@ -101,15 +99,6 @@ def test_the_first_sample_is_bayes_rule(name, which):  # o
     assert_agree(run(spec, y[:1], u[:1]), exact(spec, y[:1], u[:1]), BAYES, EXACT)
 
 
-@pytest.mark.parametrize("which", MATCHED)
-@pytest.mark.parametrize(("p", "mode"), [*((1, j) for j in range(4)), (2, 0)])
-def test_a_known_first_mode_makes_two_samples_bayes_rule(p, mode, which):  # e_j
-    model = random_model(41, 2, p, correlated=True)
-    spec = sensed(model, chain(DENSE, np.eye(4)[mode], rows=[0]), **SWITCHING[which])
-    y, u, _ = seen(spec, 2, seed=mode)
-    assert_agree(run(spec, y, u), exact(spec, y, u), BAYES, EXACT)
-
-
 @pytest.mark.parametrize("which", ["one_step", "imm", "imm3"])
 @pytest.mark.parametrize(
     ("kernel", "mode"), [(np.eye(4), j) for j in range(4)] + [(TURN, 0), (TURN, 3)]
@@ -129,6 +118,7 @@ def test_known_modes_make_the_kalman_filter_that_is_told_them(kernel, mode, whic
     np.testing.assert_array_equal(result.mode_probability, np.eye(wide)[where])
 
 
+@pytest.mark.exhaustive
 def test_distances_from_bayes_rule_are_those_of_the_approximations():  # p
     law = product([[0.1, 0.9], [0.9, 0.1]], IID_NOISE)
     specs = {which: sensed(SCALAR, law, **SWITCHING[which]) for which in ("imm", "one_step")}
@@ -233,40 +223,3 @@ def test_the_other_sign_of_all_measurements_is_the_other_sign_of_the_state(which
     np.testing.assert_array_equal(there.filtered_state, -here.filtered_state)
     for port in ("mode_probability", "filtered_covariance", "log_likelihood"):
         np.testing.assert_array_equal(there[port], here[port])
-
-
-@pytest.mark.parametrize("which", ["one_step", "imm", "imm3"])
-def test_units_and_coordinates_are_of_no_account(which):  # w
-    model = centred(random_model(43, 2, 2, correlated=True))
-    T, U = np.array([[2.0, 1.0], [0.5, -3.0]]), np.diag([1e3, -1e-2])
-    A, C, Q, R, P0 = (np.array(model[letter]) for letter in ("A", "C", "Q", "R", "P0"))
-    back = np.linalg.inv(T)
-    moved = {"A": T @ A @ back, "C": U @ C @ back, "Q": T @ Q @ T.T, "R": U @ R @ U}
-    moved |= {"P0": T @ P0 @ T.T, "x0": [0.0, 0.0]}
-    law = PROBLEMS["4"] | {"rows": [0]}
-    specs = [sensed(each, law, **SWITCHING[which]) for each in (model, moved)]
-    y, u, _ = seen(specs[0], 20, missing=0.1)
-    here, there = run(specs[0], y, u), run(specs[1], y * np.diag(U), u)
-    # Entries of 1e3 and 1e-2 beside each other cost some digits.
-    assert distance(there.filtered_state, here.filtered_state @ T.T) < EXACT
-    assert distance(there.filtered_covariance, T @ here.filtered_covariance @ T.T) < EXACT
-    for port in ("mode_probability", "nis"):
-        assert distance(there[port], here[port]) < EXACT
-    present = np.isfinite(y) @ np.log([1e3, 1e-2])  # densities are per unit
-    np.testing.assert_allclose(
-        there.log_likelihood + present, here.log_likelihood, rtol=EXACT, atol=EXACT
-    )
-
-
-@pytest.mark.parametrize("which", MATCHED)
-def test_naming_the_noisy_mode_nominal_changes_the_names_only(which):  # x
-    model, order = plane(), [1, 0, 3, 2]
-    kernel, start = np.array(HOLES), np.array([0.5, 0.2, 0.3, 0.0])
-    here = sensed(model, chain(kernel, start), **SWITCHING[which])
-    renamed = chain(kernel[np.ix_(order, order)], start[order], noise_factor=0.1)
-    noisy = model | {"R": (10.0 * np.array(model["R"])).tolist()}
-    there = sensed(noisy, renamed, **SWITCHING[which])
-    y, u, _ = seen(here, 20, missing=0.2)
-    a, b = run(here, y, u), run(there, y, u)
-    assert_agree(b, a, KALMAN, 1e-11)
-    assert distance(b.mode_probability, a.mode_probability[:, order]) < 1e-11

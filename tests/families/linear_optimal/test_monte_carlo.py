@@ -74,6 +74,7 @@ def test_the_error_outside_lemma_2_is_the_true_covariance_and_not_what_the_filte
     assert deviations(errors, result.filtered_covariance[0, :, 0, 0]).max() > 1.5 * FAR
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("family", ["imm", "one_step"])
 def test_filters_that_weigh_modes_beat_the_best_linear_one(family):
     linear, _ = squared_errors(plant(TURNING, form="augmented"))

@@ -193,6 +193,7 @@ def test_one_mode_or_modes_alike_are_the_kalman_filter(plant):
     assert max(distance(found[name], expected[name]) for name in KALMAN) < EXACT
 
 
+@pytest.mark.exhaustive
 def test_undamped_modes_alike_are_the_kalman_filter_after_8000_samples():
     """Their second moments are 1e12 by then; the sum of the parts would have lost four digits."""
     plant = one_plant(changed(EXAMPLE_A, modes=[{"A": [[1, 1, 0.5], [0, 1, 1], [0, 0, 1]]}] * 3))

@@ -15,6 +15,9 @@ from fkgen.oracle.exact.gaussian import square_root
 T, M, RATE = 500, 1000, 0.85
 
 
+pytestmark = pytest.mark.exhaustive  # a thousand records of 500 samples for each filter
+
+
 @cache
 def records(name):
     """States (M, T, n), signals, arrivals (M, T) and measurements, all records side by side."""

@@ -35,6 +35,7 @@ def weights(y, u, **options):
     return built(plant).run_batch(y, u, keep=("mode_probability",)).mode_probability
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("change", list(DELAYS), ids=["down", "up"])
 def test_the_floor_finds_a_new_rate_within_the_delays_of_the_table(change):
     y, u = records(*change)

@@ -81,6 +81,7 @@ def test_no_compiler_at_all_is_an_error_that_says_what_to_install():
     assert issubclass(CompilerError, UserError)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("path")
 @pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="no ziglang")
 def test_ziglang_is_the_last_resort_and_works(monkeypatch, tmp_path):

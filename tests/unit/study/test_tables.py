@@ -205,6 +205,7 @@ def test_float_columns_have_nine_digits(read):
     assert len(fields[1]) < 15
 
 
+@pytest.mark.exhaustive
 def test_a_hundred_thousand_rows_come_out_as_they_went_in(read, cart, tmp_path):
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(100_000, 4)).round(6)

@@ -14,7 +14,7 @@ import plants
 import pytest
 from counters import FAULTS, MEASUREMENT, PRIOR, PROCESS, chosen, normals, philox, uniforms
 from scipy import special, stats
-from toolchain import c_compilers
+from toolchain import C_COMPILERS, each
 
 import fkgen
 from fkgen.faults.actuator import pattern_law
@@ -130,13 +130,13 @@ def test_a_trial_does_not_depend_on_its_company(sensor, monkeypatch):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("compiler", c_compilers())
+@pytest.mark.parametrize("compiler", each(C_COMPILERS))
 def test_another_process_and_another_compiler_draw_the_same_bits(sensor, compiler, tmp_path):
     code = (
         "import sys, json, fkgen; spec = fkgen.Spec.from_dict(json.loads(sys.argv[1]));"
         "print(fkgen.simulate(spec, 2, 300, 5, first=7).y.tobytes().hex())"
     )
-    chosen_by = {"FKGEN_CC": " ".join(c_compilers()[compiler]), "FKGEN_CACHE": str(tmp_path)}
+    chosen_by = {"FKGEN_CC": " ".join(C_COMPILERS[compiler]), "FKGEN_CACHE": str(tmp_path)}
     done = subprocess.run(
         [sys.executable, "-c", code, json.dumps(sensor.to_dict())],
         capture_output=True,

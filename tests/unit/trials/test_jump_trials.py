@@ -103,6 +103,7 @@ def test_without_a_channel_nothing_is_lost():
     assert np.isfinite(drawn.y).all()
 
 
+@pytest.mark.exhaustive
 def test_filters_are_as_good_as_the_tables_say():
     """Section 4, example S, p = .85: llr .4528, imm that knows no gamma .4442, fault-free .4115."""
     spec = jumping(jm.EXAMPLE_S, arrival="unknown", arrival_rate=0.85)

@@ -1,0 +1,158 @@
+"""A plant whose matrices follow a Markov chain: what every fault is but a soft one.
+
+Costa, Fragoso & Marques 2005 call it a Markov jump linear system. Every fault section writes its
+chain once; estimators, trials and comparisons read it. The oracles translate specs on their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fkgen.problem.probability import Distribution, stationary_law, visited
+from fkgen.problem.text.matrix import Matrix
+
+#: Matrices of a mode, which a mode of ``faults.jump`` may state.
+LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
+
+Array = NDArray[np.float64]
+Groups = tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mode:
+    """x[k+1] = A x + B u + c + w and y[k] = C x + D u + v, with Cov(w) = Q and Cov(v) = R."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    Q: Matrix
+    R: Matrix
+    c: Matrix  # (n, 1)
+    title: str = field(default="", compare=False)
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether no entry depends on a parameter."""
+        return all(getattr(self, letter).is_constant for letter in LETTERS)
+
+    @property
+    def silent(self) -> Mode:
+        """The mode of a lost sample: y is noise alone."""
+        C, D = Matrix.zeros(*self.C.shape), Matrix.zeros(*self.D.shape)
+        return replace(self, C=C, D=D, title=f"{self.title}, lost")
+
+    def plain(self) -> dict[str, object]:
+        """Return the table a spec file would hold."""
+        letters = [letter for letter in "ABCDQR" if self.B.shape[1] or letter not in "BD"]
+        table: dict[str, object] = {letter: getattr(self, letter).plain() for letter in letters}
+        return table | {"c": [row[0] for row in self.c.plain()]}
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """On which samples are lost: Pr(j at k+1 | i at k) and the law of sample 0, (lost, arrived)."""
+
+    transition: tuple[Distribution, ...]
+    initial: Distribution
+
+    @classmethod
+    def of(cls, transition: ArrayLike) -> Channel:
+        """The channel in its stationary law; in that after a loss if there are several."""
+        P = np.asarray(transition, float)
+        law = stationary_law(P)
+        return cls(_rows(P), tuple((P[0] if law is None else law).tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class Lumping:
+    """A coarser chain, whose modes are groups of modes of another."""
+
+    groups: Groups
+    shares: tuple[tuple[float, ...], ...]  # Pr(mode | its group), taken for a constant
+    transition: tuple[Distribution, ...]
+    initial: Distribution
+    unequal_successors: float  # how far the next group depends on more than this group
+    unequal_shares: float  # how far the shares are no constants
+
+    @property
+    def defect(self) -> float:
+        """Largest error of a probability that lumping makes; 0 if the groups are Markov."""
+        return max(self.unequal_successors, self.unequal_shares)
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChain:
+    """Modes and the chain that they follow; modes with equal matrices share the objects."""
+
+    modes: tuple[Mode, ...]
+    transition: tuple[Distribution, ...]  # Pr(j at k+1 | i at k)
+    initial: Distribution  # of sample 0
+
+    def times(self, channel: Channel) -> ModeChain:
+        """The chain of pairs, first all modes of samples that arrive, then all of lost ones."""
+        arrived_first = np.array(channel.transition)[::-1, ::-1]
+        return ModeChain(
+            (*self.modes, *(mode.silent for mode in self.modes)),
+            _rows(np.kron(arrived_first, self.transition)),
+            tuple(np.kron(channel.initial[::-1], self.initial).tolist()),
+        )
+
+    def alike(self, letters: str) -> Groups:
+        """The modes, those with the same matrices together."""
+        groups: dict[tuple[Matrix, ...], list[int]] = {}
+        for i, mode in enumerate(self.modes):
+            groups.setdefault(tuple(getattr(mode, each) for each in letters), []).append(i)
+        return tuple(map(tuple, groups.values()))
+
+    def lumped(self, groups: Groups) -> Lumping:
+        """Take groups of modes for the modes of a chain."""
+        return lump(self.transition, self.initial, groups)
+
+
+def lump(transition: Sequence[Distribution], initial: Distribution, groups: Groups) -> Lumping:
+    """Take groups of modes for the modes of a chain, whether that is exact or not.
+
+    Where it is not, shares are those of the stationary law, or of the start if there are several,
+    or of all ways into the group.
+    """
+    P, start = np.array(transition), np.array(initial)
+    reached, stationary = visited(P, start), stationary_law(P)
+    laws = [start if stationary is None else stationary, start, P[reached].sum(axis=0)]
+    shares = tuple(_shares(laws, list(group)) for group in groups)
+    rows = [np.array(share) @ P[list(group)] for share, group in zip(shares, groups, strict=True)]
+    successors, within = [0.0], [0.0]
+    for share, group in zip(shares, groups, strict=True):
+        members = list(group)
+        seen = np.vstack([start, P[reached]])[:, members]
+        within.append(float(np.abs(seen - np.outer(seen.sum(axis=1), share)).max()))
+        following = P[[i for i in members if reached[i]]]
+        for other in groups:
+            into = following[:, list(other)].sum(axis=1)
+            successors.append(float(np.ptp(into)) if into.size else 0.0)
+    return Lumping(
+        groups,
+        shares,
+        tuple(tuple(float(row[list(group)].sum()) for group in groups) for row in rows),
+        tuple(float(start[list(group)].sum()) for group in groups),
+        max(successors),
+        max(within),
+    )
+
+
+def _shares(laws: Sequence[Array], members: list[int]) -> tuple[float, ...]:
+    """Pr(member | group) of the first law in which the group is possible."""
+    for law in laws:
+        whole = law[members].sum()
+        if whole > 0.0:
+            first = [float(each / whole) for each in law[members[:-1]]]
+            return (*first, 1.0 - sum(first))
+    return (1.0, *(0.0 for _ in members[1:]))
+
+
+def _rows(matrix: Array) -> tuple[Distribution, ...]:
+    return tuple(tuple(row) for row in matrix.tolist())
