@@ -74,40 +74,28 @@ class FaultLaw:
             stationary = bool(np.abs(law @ P - law).max() <= STATIONARY)
         return cls(faults, spec.code.scalar, stationary, is_white(faults))
 
-    def law_ports(self) -> tuple[Port, ...]:
-        """The unconditional law of the mode, if it changes."""
-        if self.stationary:
-            return ()
-        meaning = "unconditional law of the mode (1,1) (1,C) (0,1) (0,C) at"
-        return tuple(
-            carried(f"{prefix}mode_law", (4,), f"{meaning} {k}")
-            for prefix, k in (("", "k"), ("predicted_", "k+1"))
-        )
-
-    def law_start(self) -> dict[str, tuple[float, ...]]:
-        """Start value of `law_ports`."""
-        return {} if self.stationary else {"predicted_mode_law": self.faults.initial}
-
-    def persistence_ports(self) -> tuple[Port, ...]:
-        """What p11 of the coming sample follows from; nothing if gamma ignores its past."""
-        if self.white:
-            return ()
+    def ports(self) -> tuple[Port, ...]:
+        """Mode probabilities if they change, and what p11 follows from if gamma has a memory."""
         if self.stationary:
             meaning = "p11: Pr(gamma[k+1] = 1 | gamma[k] = 1)"
-            return (carried("gamma_persistence", (), meaning),)
-        meaning = "law of the mode given the last signal that was possible before, at"
+            return () if self.white else (carried("gamma_persistence", (), meaning),)
+        laws = {"mode_law": "unconditional law of the mode (1,1) (1,C) (0,1) (0,C) at"}
+        if not self.white:
+            laws["signal_law"] = (
+                "law of the mode given the last signal that was possible before, at"
+            )
         return tuple(
-            carried(f"{prefix}signal_law", (4,), f"{meaning} {k}")
+            carried(f"{prefix}{name}", (4,), f"{meaning} {k}")
+            for name, meaning in laws.items()
             for prefix, k in (("", "k"), ("predicted_", "k+1"))
         )
 
-    def persistence_start(self) -> dict[str, tuple[float, ...]]:
-        """At sample 0 nothing came before: E[gamma] takes the place of p11."""
-        if self.white:
-            return {}
+    def start(self) -> dict[str, tuple[float, ...]]:
+        """Start values; at sample 0 nothing came before: E[gamma] takes the place of p11."""
         if self.stationary:
-            return {"gamma_persistence": (float(self.gamma({})),)}
-        return {"predicted_signal_law": self.faults.initial}
+            return {} if self.white else {"gamma_persistence": (float(self.gamma({})),)}
+        names = ["mode_law"] if self.white else ["mode_law", "signal_law"]
+        return {f"predicted_{name}": self.faults.initial for name in names}
 
     def law(self, symbols: dict[str, ca.SX]) -> ca.SX:
         """Law of the mode at the sample that is corrected, (4,)."""
@@ -147,18 +135,12 @@ class FaultLaw:
         cross = nominal + (1 - nominal) * math.sqrt(factor)
         return _scaled_noise(plant.R, self.faults.rows, own, cross)
 
-    def next_law(self, symbols: dict[str, ca.SX]) -> ca.SX:
-        """Law of the mode one sample later, its rounding taken out of the sum."""
-        if self.stationary:
-            return self.law(symbols)
-        moved = ca.SX(self._kernel()).T @ symbols["mode_law"]
-        return moved / ca.sum1(moved)
-
     def advanced(self, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
         """The ports of the law for the next sample."""
         if self.stationary:
             return {} if self.white else {"gamma_persistence": ca.SX(self._constant_persistence())}
-        result = {"predicted_mode_law": self.next_law(symbols)}
+        moved = ca.SX(self._kernel()).T @ symbols["mode_law"]
+        result = {"predicted_mode_law": moved / ca.sum1(moved)}  # its rounding taken out
         if "signal_law" in symbols:
             law, tiny = symbols["mode_law"], TINY[self.scalar]
             signal = ca.vertcat(law[:2], ca.SX.zeros(2)) + tiny * symbols["signal_law"]
@@ -217,8 +199,7 @@ def uncertain_filter(spec: Spec, source: str) -> Recursion:
         *innovation_ports(spec),
         *_gain_ports(plant),
         *_moment_ports(plant),
-        *law.law_ports(),
-        *law.persistence_ports(),
+        *law.ports(),
     )
     symbols = symbols_of(spec, plant, ports)
     form = update_form(spec, plant, augmented=False)
@@ -244,8 +225,7 @@ def _start(spec: Spec, law: FaultLaw) -> dict[str, tuple[float, ...]]:
         "predicted_state_second_moment": second,
         "transition": tuple(np.eye(n).ravel().tolist()),
         **({"predicted_state_mean": x0} if spec.model.nu else {}),
-        **law.law_start(),
-        **law.persistence_start(),
+        **law.start(),
     }
 
 
