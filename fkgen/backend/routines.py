@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -118,11 +118,19 @@ def form_of(statements: Sequence[Statement]) -> Form:
 class _Writer:
     """Walks statements in the same order and puts other operands and rows into their places."""
 
-    def __init__(self, operand: Callable[[Operand], Operand], row: Callable[[Row], Row]) -> None:
+    def __init__(
+        self,
+        operand: Callable[[Operand], Operand],
+        row: Callable[[Row], Row],
+        known: Mapping[int, Temp | Element] | None = None,
+    ) -> None:
         self._operand, self._row = operand, row
+        self._known = known or {}
         self._temps: dict[int, Temp] = {}
 
     def operand(self, operand: Any) -> Any:
+        if isinstance(operand, Temp) and operand.index in self._known:
+            return self._known[operand.index]
         if isinstance(operand, Temp):
             return self._temps.setdefault(operand.index, Temp(len(self._temps)))
         return self._operand(operand)
@@ -135,6 +143,9 @@ class _Writer:
             case Operate(target, operator, arguments):
                 values = tuple(map(self.operand, arguments))
                 return Operate(self.operand(target), operator, values)
+            case Store(target, operator, arguments):
+                values = tuple(map(self.operand, arguments))
+                return Store(self.operand(target), operator, values)
             case Copy(target, value):
                 kept = self.operand(value)
                 return Copy(self.operand(target), kept)
@@ -169,6 +180,22 @@ class _Function:
         """Which chunks use a local."""
         key = (Space.LOCAL, name)
         return {i for i, form in enumerate(self.forms) if key in dict(form.variables)}
+
+    def split(self) -> None:
+        """Cut blocks that are too long; what later statements read is carried in an array."""
+        at = 0
+        while at < len(self.chunks):
+            chunk = self.chunks[at]
+            if len(chunk) > LONGEST and not any(
+                isinstance(n, IfPresent | IfPositive) for n in chunk
+            ):
+                name = f"carried_{len(self.locals)}"
+                pieces, size = _halves(chunk, name)
+                self.locals.append(Local(name, size, None))
+                self.chunks[at : at + 1] = pieces
+                self.forms[at : at + 1] = [form_of(piece) for piece in pieces]
+                continue
+            at += 1
 
     @property
     def body(self) -> Chunk:
@@ -238,7 +265,8 @@ def lines_of(statements: Chunk) -> int:
     """About how many lines statements take in C."""
     braced = (Require, IfPresent, IfPositive)
     return sum(
-        4 if isinstance(n, braced) else 5 if isinstance(n, Call) else 1 for n in walk(statements)
+        4 if isinstance(n, braced) else 5 + len(n.arguments) // 3 if isinstance(n, Call) else 1
+        for n in walk(statements)
     )
 
 
@@ -298,7 +326,8 @@ class _Book:
     def take(self, runs: list[_Run]) -> None:
         """Make one routine of runs of one form and replace them by calls."""
         titles = _titles(runs)
-        draft = _Draft(runs, self._name(titles), titles)
+        arguments = {name: routine.arguments for name, (routine, _) in self.bodies.items()}
+        draft = _Draft(runs, self._name(titles), titles, arguments)
         routine, calls = draft.routine, draft.calls
         body = _Function(routine.name, draft.chunks, list(routine.locals))
         headed = [isinstance(run.statements[0], Heading) for run in runs]
@@ -316,19 +345,25 @@ class _Book:
 
     def cut(self, function: _Function) -> None:
         """Cut a function that is too long into routines that are called once."""
-        while lines_of(function.body) > LONGEST and len(function.chunks) > 1:
-            length, lines, start = 0, 0, 0
-            for i, chunk in enumerate(function.chunks):
-                size = lines_of(chunk)
-                if isinstance(chunk[-1], Call):
-                    start, length, lines = i + 1, 0, 0
-                    continue
-                if lines + size > LONGEST - 60 and length:
-                    break
-                length, lines = length + 1, lines + size
-            if lines < SHORTEST or length == len(function.chunks):
+        function.split()
+        while lines_of(function.body) > LONGEST:
+            run = max(self._pieces(function), key=lambda run: lines_of(run.statements))
+            alone = run.length == 1 and isinstance(run.statements[-1], Call)
+            if alone or run.length == len(function.chunks):
                 return
-            self.take([_Run(function, start, length)])
+            self.take([run])
+
+    @staticmethod
+    def _pieces(function: _Function) -> Iterator[_Run]:
+        """As much as a routine may hold: whole sections from each heading on, or from anywhere."""
+        forms, end = function.forms, len(function.forms)
+        headed = [i for i, form in enumerate(forms) if form.shape[0] == "heading"]
+        sizes = [lines_of(chunk) for chunk in function.chunks]
+        for start in range(end):
+            within = [k for k in range(start + 1, end + 1) if sum(sizes[start:k]) <= LONGEST]
+            sections = [k for k in within if start in headed and k in {*headed, end}]
+            stop = max(sections or ([] if headed else within), default=start + 1)
+            yield _Run(function, start, stop - start)
 
     def _name(self, titles: list[str]) -> str:
         """A name after what the titles of the runs have in common."""
@@ -393,14 +428,20 @@ _TAKEN = {"self", "next", "params", "present", "numbers", "status"}
 class _Draft:
     """A routine in the making: what differs between the runs becomes arguments."""
 
-    def __init__(self, runs: list[_Run], name: str, titles: list[str]) -> None:
+    def __init__(
+        self,
+        runs: list[_Run],
+        name: str,
+        titles: list[str],
+        known: Mapping[str, tuple[Argument, ...]],
+    ) -> None:
         self.runs, self.forms = runs, [form_of(run.statements) for run in runs]
         self.names: set[str] = set(_TAKEN)
         self.places: dict[Variable, Callable[[int | None], Element]] = {}
         self.arguments: list[Argument] = []
         self.bindings: list[list[Element]] = [[] for _ in runs]
         self.locals: list[Local] = []
-        self._indices, self._written = _uses(runs[0].statements)
+        self._indices, self._written, self._passed = _uses(runs[0].statements, known)
         for slot in range(len(self.forms[0].variables)):
             self._place(slot)
         self.columns = _Columns([form.literals for form in self.forms])
@@ -434,7 +475,7 @@ class _Draft:
             self.places[key] = lambda index: Element(Space.LOCAL, name, index)
             return
         low = min((i for i in self._indices[key] if i is not None), default=0)
-        single = key not in self._written and len(self._indices[key]) == 1
+        single = key not in self._written | self._passed and len(self._indices[key]) == 1
         self.arguments.append(Argument(name, key in self._written, single))
         for bound, ((space, own_name), at) in zip(self.bindings, each, strict=True):
             begin = None if at is None or base is None else at - base + low
@@ -539,21 +580,24 @@ def expanded(routine: Routine, call: Call, locals_: dict[str, str]) -> Chunk:
     return _Writer(operand, row).many(routine.body)
 
 
-def _uses(statements: Chunk) -> tuple[dict[Variable, set[int | None]], set[Variable]]:
-    """Which elements of each variable statements use, and which variables they write."""
+def _uses(
+    statements: Chunk, known: Mapping[str, tuple[Argument, ...]]
+) -> tuple[dict[Variable, set[int | None]], set[Variable], set[Variable]]:
+    """The elements of each variable that are used; what is written; what is passed on as array."""
     indices: dict[Variable, set[int | None]] = defaultdict(set)
     written: set[Variable] = set()
-
-    def seen(operand: Operand) -> Operand:
-        if isinstance(operand, Element):
-            indices[operand.space, operand.name].add(operand.index)
-        return operand
-
-    _Writer(seen, lambda row: row).many(statements)
+    passed: set[Variable] = set()
     for node in walk(statements):
+        for element in _own_elements(node):
+            indices[element.space, element.name].add(element.index)
         if isinstance(node, Assign):
             written.add((node.target.space, node.target.name))
-    return indices, written
+        if isinstance(node, Call):
+            pairs = zip(known[node.routine], node.arguments, strict=True)
+            arrays = [(argument, (e.space, e.name)) for argument, e in pairs if not argument.single]
+            passed |= {key for _, key in arrays}
+            written |= {key for argument, key in arrays if argument.written}
+    return indices, written, passed
 
 
 def _like(a: Local, b: Local) -> bool:
@@ -572,7 +616,7 @@ def _titles(runs: list[_Run]) -> list[str]:
 def stored(body: Chunk) -> Chunk:
     """Let operations whose result goes to one place, and nowhere else, store it themselves."""
     uses = Counter(o.index for node in walk(body) for o in operands(node) if isinstance(o, Temp))
-    return _stored(body, uses)
+    return _Writer(lambda operand: operand, lambda row: row).many(_stored(body, uses))
 
 
 def _stored(body: Chunk, uses: Counter[int]) -> Chunk:
@@ -596,6 +640,30 @@ def _stored(body: Chunk, uses: Counter[int]) -> Chunk:
 
 def _elements(node: Statement) -> Iterator[Element]:
     for inner in walk((node,)):
-        yield from (o for o in operands(inner) if isinstance(o, Element))
-        if isinstance(inner, Assign):
-            yield inner.target
+        yield from _own_elements(inner)
+
+
+def _own_elements(node: Statement) -> Iterator[Element]:
+    yield from (o for o in operands(node) if isinstance(o, Element))
+    if isinstance(node, Assign):
+        yield node.target
+
+
+def _halves(chunk: Chunk, name: str) -> tuple[list[Chunk], int]:
+    """Two parts of a chunk, the first short enough, cut where the fewest numbers cross."""
+    made = {o.target.index: i for i, o in enumerate(chunk) if isinstance(o, Operate | Copy)}
+    last: dict[int, int] = {}
+    for i, node in enumerate(chunk):
+        last |= {o.index: i for o in operands(node) if isinstance(o, Temp)}
+
+    def crossing(cut: int) -> list[int]:
+        return [temp for temp, i in made.items() if i < cut <= last.get(temp, -1)]
+
+    cut = min(range(LONGEST // 2, LONGEST - 40), key=lambda at: (len(crossing(at)), -at))
+    carried = {temp: i for i, temp in enumerate(crossing(cut))}
+    size = max(len(carried), 2)
+    place = {temp: Element(Space.LOCAL, name, i) for temp, i in carried.items()}
+    keep = tuple(Assign(element, Temp(temp)) for temp, element in place.items())
+    known = {temp: place.get(temp, Temp(temp)) for temp in made}
+    rest = _Writer(lambda operand: operand, lambda row: row, known).many(chunk[cut:])
+    return [(*chunk[:cut], *keep), rest], size

@@ -157,12 +157,63 @@ static int car_speed_present_rows(const double *y, uint32_t valid, uint32_t *pre
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* Condition on y[k]: reads *self, writes the results to *next. */
-CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, const double *y,
-    uint32_t present, car_speed_t *next)
+/* What differs between the calls of car_speed_row_of_y, a row for each. */
+static const double car_speed_row_of_y_numbers[2][1] = {
+    { 0.9921619208254787 },
+    { 0.9903931860948796 }
+};
+
+/* row 2 of y, wheel_rl; row 3 of y, wheel_rr. */
+static car_speed_status_t car_speed_row_of_y(double *covariance, double *mean,
+    const double predicted_state, const double innovation, double *quadratic, double *log_constant,
+    double *determinant_0, const double *numbers, int row_0)
 {
-    double innovation_0 = 0.0;
-    double innovation_1 = 0.0;
+    double cross[2];
+    double pivot;
+    double inverse = 0.0;
+    cross[0] = numbers[0] * covariance[0];
+    cross[1] = numbers[0] * covariance[1];
+    const double t2 = numbers[0] * cross[0];
+    pivot = t2 + 0.04;
+    if (row_0 != 0)
+    {
+        if (!(pivot > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse = 1.0 / pivot;
+        const double t5 = mean[0] - predicted_state;
+        const double t6 = numbers[0] * t5;
+        const double t7 = innovation - t6;
+        const double t8 = t7 * inverse;
+        const double t9 = t7 * t8;
+        quadratic[0] = quadratic[0] + t9;
+        log_constant[0] = log_constant[0] + CAR_SPEED_LOG_2_PI;
+        determinant_0[0] = determinant_0[0] * pivot;
+        const double t13 = cross[0] * t8;
+        mean[0] = mean[0] + t13;
+        const double t15 = cross[1] * t8;
+        mean[1] = mean[1] + t15;
+        const double t17 = cross[0] * inverse;
+        const double t18 = t17 * cross[0];
+        covariance[0] = covariance[0] - t18;
+        const double t20 = cross[1] * inverse;
+        const double t21 = t20 * cross[0];
+        covariance[1] = covariance[1] - t21;
+        const double t23 = t20 * cross[1];
+        covariance[2] = covariance[2] - t23;
+    }
+
+    /* row 2 of y, wheel_rl */
+    return CAR_SPEED_OK;
+}
+
+/* row 0 of y, wheel_fl. */
+static car_speed_status_t car_speed_row_of_y_2(const double *predicted_state, const double *y,
+    const double *predicted_covariance, const double innovation_0, const double innovation_1,
+    double *filtered_state, double *filtered_covariance, double *innovation,
+    double *innovation_covariance, double *nis, double *log_likelihood, uint32_t present)
+{
     double innovation_2 = 0.0;
     double innovation_3 = 0.0;
     double innovation_4 = 0.0;
@@ -176,12 +227,6 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     double quadratic = 0.0;
     double log_constant = 0.0;
     double determinant_0 = 1.0;
-    double cross_1[2];
-    double pivot_1;
-    double inverse_1 = 0.0;
-    double cross_2[2];
-    double pivot_2;
-    double inverse_2 = 0.0;
     double cross_3[2];
     double pivot_3;
     double inverse_3 = 0.0;
@@ -190,6 +235,250 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     double inverse_4 = 0.0;
     double pivot_5;
     double inverse_5 = 0.0;
+    car_speed_status_t status;
+    if ((present & 0x4u) != 0u)
+    {
+        const double t0 = 0.9903931860948796 * predicted_state[0];
+        innovation_2 = y[0] - t0;
+    }
+    if ((present & 0x8u) != 0u)
+    {
+        const double t2 = 0.9903931860948796 * predicted_state[0];
+        innovation_3 = y[1] - t2;
+    }
+    if ((present & 0x10u) != 0u)
+    {
+        innovation_4 = y[2] - predicted_state[0];
+    }
+    if ((present & 0x20u) != 0u)
+    {
+        innovation_5 = y[3] - predicted_state[0];
+    }
+    const double t6 = 0.9843852771361035 * predicted_covariance[0];
+    variance[0] = t6 + 0.04;
+    variance[1] = 0.9843852771361035 * predicted_covariance[0];
+    const double t9 = 0.9843852771361035 * predicted_covariance[0];
+    variance[2] = t9 + 0.04;
+    variance[3] = 0.9826304058883615 * predicted_covariance[0];
+    variance[4] = 0.9826304058883615 * predicted_covariance[0];
+    const double t13 = 0.9808786630631667 * predicted_covariance[0];
+    variance[5] = t13 + 0.04;
+    variance[6] = 0.9826304058883615 * predicted_covariance[0];
+    variance[7] = 0.9826304058883615 * predicted_covariance[0];
+    variance[8] = 0.9808786630631667 * predicted_covariance[0];
+    const double t18 = 0.9808786630631667 * predicted_covariance[0];
+    variance[9] = t18 + 0.04;
+    variance[10] = 0.9921619208254787 * predicted_covariance[0];
+    variance[11] = 0.9921619208254787 * predicted_covariance[0];
+    variance[12] = 0.9903931860948796 * predicted_covariance[0];
+    variance[13] = 0.9903931860948796 * predicted_covariance[0];
+    variance[14] = predicted_covariance[0] + 0.25;
+    variance[15] = 0.9921619208254787 * predicted_covariance[0];
+    variance[16] = 0.9921619208254787 * predicted_covariance[0];
+    variance[17] = 0.9903931860948796 * predicted_covariance[0];
+    variance[18] = 0.9903931860948796 * predicted_covariance[0];
+    variance[20] = predicted_covariance[0] + 9.0;
+    variance[19] = predicted_covariance[0];
+    mean[0] = predicted_state[0];
+    mean[1] = predicted_state[1];
+    covariance[0] = predicted_covariance[0];
+    covariance[1] = predicted_covariance[1];
+    covariance[2] = predicted_covariance[2];
+
+    /* row 0 of y, wheel_fl */
+    cross_0[0] = 0.9921619208254787 * predicted_covariance[0];
+    cross_0[1] = 0.9921619208254787 * predicted_covariance[1];
+    const double t32 = 0.9921619208254787 * cross_0[0];
+    pivot_0 = t32 + 0.04;
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(pivot_0 > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_0 = 1.0 / pivot_0;
+        const double t35 = innovation_0 * inverse_0;
+        quadratic = innovation_0 * t35;
+        const double t37 = cross_0[0] * t35;
+        mean[0] = predicted_state[0] + t37;
+        const double t39 = cross_0[1] * t35;
+        mean[1] = predicted_state[1] + t39;
+        const double t41 = cross_0[0] * inverse_0;
+        const double t42 = t41 * cross_0[0];
+        covariance[0] = predicted_covariance[0] - t42;
+        const double t44 = cross_0[1] * inverse_0;
+        const double t45 = t44 * cross_0[0];
+        covariance[1] = predicted_covariance[1] - t45;
+        const double t47 = t44 * cross_0[1];
+        covariance[2] = predicted_covariance[2] - t47;
+        log_constant = CAR_SPEED_LOG_2_PI;
+        determinant_0 = pivot_0;
+    }
+
+    /* row 1 of y, wheel_fr */
+    status = car_speed_row_of_y(covariance, mean, predicted_state[0], innovation_1, &quadratic,
+        &log_constant, &determinant_0, car_speed_row_of_y_numbers[0], ((present & 0x2u) != 0u));
+    if (status != CAR_SPEED_OK)
+    {
+        return status;
+    }
+    status = car_speed_row_of_y(covariance, mean, predicted_state[0], innovation_2, &quadratic,
+        &log_constant, &determinant_0, car_speed_row_of_y_numbers[1], ((present & 0x4u) != 0u));
+    if (status != CAR_SPEED_OK)
+    {
+        return status;
+    }
+    cross_3[0] = 0.9903931860948796 * covariance[0];
+    cross_3[1] = 0.9903931860948796 * covariance[1];
+    const double t51 = 0.9903931860948796 * cross_3[0];
+    pivot_3 = t51 + 0.04;
+    if ((present & 0x8u) != 0u)
+    {
+        if (!(pivot_3 > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_3 = 1.0 / pivot_3;
+        const double t54 = mean[0] - predicted_state[0];
+        const double t55 = 0.9903931860948796 * t54;
+        const double t56 = innovation_3 - t55;
+        const double t57 = t56 * inverse_3;
+        const double t58 = t56 * t57;
+        quadratic = quadratic + t58;
+        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
+        const double t61 = cross_3[0] * t57;
+        mean[0] = mean[0] + t61;
+        const double t63 = cross_3[1] * t57;
+        mean[1] = mean[1] + t63;
+        const double t65 = cross_3[0] * inverse_3;
+        const double t66 = t65 * cross_3[0];
+        covariance[0] = covariance[0] - t66;
+        const double t68 = cross_3[1] * inverse_3;
+        const double t69 = t68 * cross_3[0];
+        covariance[1] = covariance[1] - t69;
+        const double t71 = t68 * cross_3[1];
+        covariance[2] = covariance[2] - t71;
+        determinant_1 = pivot_3;
+    }
+
+    /* row 4 of y, ublox */
+    pivot_4 = covariance[0] + 0.25;
+    if ((present & 0x10u) != 0u)
+    {
+        if (!(pivot_4 > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_4 = 1.0 / pivot_4;
+        const double t75 = mean[0] - predicted_state[0];
+        const double t76 = innovation_4 - t75;
+        const double t77 = t76 * inverse_4;
+        const double t78 = t76 * t77;
+        quadratic = quadratic + t78;
+        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
+        determinant_1 = determinant_1 * pivot_4;
+        const double t82 = covariance[0] * t77;
+        mean[0] = mean[0] + t82;
+        const double t84 = covariance[1] * t77;
+        mean[1] = mean[1] + t84;
+        const double t86 = covariance[0] * inverse_4;
+        const double t87 = t86 * covariance[0];
+        const double t88 = covariance[0] - t87;
+        const double t89 = covariance[1] * inverse_4;
+        const double t90 = t89 * covariance[0];
+        const double t91 = covariance[1] - t90;
+        const double t92 = t89 * covariance[1];
+        covariance[2] = covariance[2] - t92;
+        covariance[0] = t88;
+        covariance[1] = t91;
+    }
+
+    /* row 5 of y, qcom */
+    pivot_5 = covariance[0] + 9.0;
+    if ((present & 0x20u) != 0u)
+    {
+        if (!(pivot_5 > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_5 = 1.0 / pivot_5;
+        const double t96 = mean[0] - predicted_state[0];
+        const double t97 = innovation_5 - t96;
+        const double t98 = t97 * inverse_5;
+        const double t99 = t97 * t98;
+        quadratic = quadratic + t99;
+        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
+        determinant_1 = determinant_1 * pivot_5;
+        const double t103 = covariance[0] * t98;
+        mean[0] = mean[0] + t103;
+        const double t105 = covariance[1] * t98;
+        mean[1] = mean[1] + t105;
+        const double t107 = covariance[0] * inverse_5;
+        const double t108 = t107 * covariance[0];
+        const double t109 = covariance[0] - t108;
+        const double t110 = covariance[1] * inverse_5;
+        const double t111 = t110 * covariance[0];
+        const double t112 = covariance[1] - t111;
+        const double t113 = t110 * covariance[1];
+        covariance[2] = covariance[2] - t113;
+        covariance[0] = t109;
+        covariance[1] = t112;
+    }
+    if (!car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1])))
+    {
+        return CAR_SPEED_RESULT_NOT_FINITE;
+    }
+
+    /* results of the update */
+    const double t115 = car_speed_log(determinant_0);
+    const double t116 = log_constant + t115;
+    const double t117 = car_speed_log(determinant_1);
+    const double t118 = t116 + t117;
+    const double t119 = quadratic + t118;
+    log_likelihood[0] = -0.5 * t119;
+    filtered_state[0] = mean[0];
+    filtered_state[1] = mean[1];
+    filtered_covariance[0] = covariance[0];
+    filtered_covariance[1] = covariance[1];
+    filtered_covariance[2] = covariance[2];
+    innovation[0] = innovation_0;
+    innovation[1] = innovation_1;
+    innovation[2] = innovation_2;
+    innovation[3] = innovation_3;
+    innovation[4] = innovation_4;
+    innovation[5] = innovation_5;
+    innovation_covariance[0] = variance[0];
+    innovation_covariance[1] = variance[1];
+    innovation_covariance[2] = variance[2];
+    innovation_covariance[3] = variance[3];
+    innovation_covariance[4] = variance[4];
+    innovation_covariance[5] = variance[5];
+    innovation_covariance[6] = variance[6];
+    innovation_covariance[7] = variance[7];
+    innovation_covariance[8] = variance[8];
+    innovation_covariance[9] = variance[9];
+    innovation_covariance[10] = variance[10];
+    innovation_covariance[11] = variance[11];
+    innovation_covariance[12] = variance[12];
+    innovation_covariance[13] = variance[13];
+    innovation_covariance[14] = variance[14];
+    innovation_covariance[15] = variance[15];
+    innovation_covariance[16] = variance[16];
+    innovation_covariance[17] = variance[17];
+    innovation_covariance[18] = variance[18];
+    innovation_covariance[19] = variance[19];
+    innovation_covariance[20] = variance[20];
+    nis[0] = quadratic;
+    return CAR_SPEED_OK;
+}
+
+/* Condition on y[k]: reads *self, writes the results to *next. */
+CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, const double *y,
+    uint32_t present, car_speed_t *next)
+{
+    double innovation_0 = 0.0;
+    double innovation_1 = 0.0;
+    car_speed_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
     {
         return CAR_SPEED_NOT_POSITIVE_DEFINITE;
@@ -199,390 +488,20 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     if ((present & 0x1u) != 0u)
     {
         const double t0 = 0.9921619208254787 * self->predicted_state[0];
-        const double t1 = y[0] - t0;
-        innovation_0 = t1;
+        innovation_0 = y[0] - t0;
     }
     if ((present & 0x2u) != 0u)
     {
         const double t2 = 0.9921619208254787 * self->predicted_state[0];
-        const double t3 = y[1] - t2;
-        innovation_1 = t3;
+        innovation_1 = y[1] - t2;
     }
-    if ((present & 0x4u) != 0u)
+    status = car_speed_row_of_y_2(self->predicted_state, &y[2], self->predicted_covariance,
+        innovation_0, innovation_1, next->filtered_state, next->filtered_covariance,
+        next->innovation, next->innovation_covariance, &next->nis, &next->log_likelihood, present);
+    if (status != CAR_SPEED_OK)
     {
-        const double t4 = 0.9903931860948796 * self->predicted_state[0];
-        const double t5 = y[2] - t4;
-        innovation_2 = t5;
+        return status;
     }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t6 = 0.9903931860948796 * self->predicted_state[0];
-        const double t7 = y[3] - t6;
-        innovation_3 = t7;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t8 = y[4] - self->predicted_state[0];
-        innovation_4 = t8;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t9 = y[5] - self->predicted_state[0];
-        innovation_5 = t9;
-    }
-    const double t10 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t11 = t10 + 0.04;
-    const double t12 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t13 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t14 = t13 + 0.04;
-    const double t15 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t16 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t17 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t18 = t17 + 0.04;
-    const double t19 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t20 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t21 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t22 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t23 = t22 + 0.04;
-    const double t24 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t25 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t26 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t27 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t28 = self->predicted_covariance[0] + 0.25;
-    const double t29 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t30 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t31 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t32 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t33 = self->predicted_covariance[0] + 9.0;
-    variance[0] = t11;
-    variance[1] = t12;
-    variance[2] = t14;
-    variance[3] = t15;
-    variance[4] = t16;
-    variance[5] = t18;
-    variance[6] = t19;
-    variance[7] = t20;
-    variance[8] = t21;
-    variance[9] = t23;
-    variance[10] = t24;
-    variance[11] = t25;
-    variance[12] = t26;
-    variance[13] = t27;
-    variance[14] = t28;
-    variance[15] = t29;
-    variance[16] = t30;
-    variance[17] = t31;
-    variance[18] = t32;
-    variance[19] = self->predicted_covariance[0];
-    variance[20] = t33;
-    mean[0] = self->predicted_state[0];
-    mean[1] = self->predicted_state[1];
-    covariance[0] = self->predicted_covariance[0];
-    covariance[1] = self->predicted_covariance[1];
-    covariance[2] = self->predicted_covariance[2];
-
-    /* row 0 of y, wheel_fl */
-    const double t34 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t35 = 0.9921619208254787 * self->predicted_covariance[1];
-    cross_0[0] = t34;
-    cross_0[1] = t35;
-    const double t36 = 0.9921619208254787 * cross_0[0];
-    const double t37 = t36 + 0.04;
-    pivot_0 = t37;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_0 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        const double t38 = 1.0 / pivot_0;
-        inverse_0 = t38;
-        const double t39 = innovation_0 * inverse_0;
-        const double t40 = innovation_0 * t39;
-        const double t41 = cross_0[0] * t39;
-        const double t42 = self->predicted_state[0] + t41;
-        const double t43 = cross_0[1] * t39;
-        const double t44 = self->predicted_state[1] + t43;
-        const double t45 = cross_0[0] * inverse_0;
-        const double t46 = t45 * cross_0[0];
-        const double t47 = self->predicted_covariance[0] - t46;
-        const double t48 = cross_0[1] * inverse_0;
-        const double t49 = t48 * cross_0[0];
-        const double t50 = self->predicted_covariance[1] - t49;
-        const double t51 = t48 * cross_0[1];
-        const double t52 = self->predicted_covariance[2] - t51;
-        quadratic = t40;
-        log_constant = CAR_SPEED_LOG_2_PI;
-        determinant_0 = pivot_0;
-        mean[0] = t42;
-        mean[1] = t44;
-        covariance[0] = t47;
-        covariance[1] = t50;
-        covariance[2] = t52;
-    }
-
-    /* row 1 of y, wheel_fr */
-    const double t53 = 0.9921619208254787 * covariance[0];
-    const double t54 = 0.9921619208254787 * covariance[1];
-    cross_1[0] = t53;
-    cross_1[1] = t54;
-    const double t55 = 0.9921619208254787 * cross_1[0];
-    const double t56 = t55 + 0.04;
-    pivot_1 = t56;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_1 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        const double t57 = 1.0 / pivot_1;
-        inverse_1 = t57;
-        const double t58 = mean[0] - self->predicted_state[0];
-        const double t59 = 0.9921619208254787 * t58;
-        const double t60 = innovation_1 - t59;
-        const double t61 = t60 * inverse_1;
-        const double t62 = t60 * t61;
-        const double t63 = quadratic + t62;
-        const double t64 = log_constant + CAR_SPEED_LOG_2_PI;
-        const double t65 = determinant_0 * pivot_1;
-        const double t66 = cross_1[0] * t61;
-        const double t67 = mean[0] + t66;
-        const double t68 = cross_1[1] * t61;
-        const double t69 = mean[1] + t68;
-        const double t70 = cross_1[0] * inverse_1;
-        const double t71 = t70 * cross_1[0];
-        const double t72 = covariance[0] - t71;
-        const double t73 = cross_1[1] * inverse_1;
-        const double t74 = t73 * cross_1[0];
-        const double t75 = covariance[1] - t74;
-        const double t76 = t73 * cross_1[1];
-        const double t77 = covariance[2] - t76;
-        quadratic = t63;
-        log_constant = t64;
-        determinant_0 = t65;
-        mean[0] = t67;
-        mean[1] = t69;
-        covariance[0] = t72;
-        covariance[1] = t75;
-        covariance[2] = t77;
-    }
-
-    /* row 2 of y, wheel_rl */
-    const double t78 = 0.9903931860948796 * covariance[0];
-    const double t79 = 0.9903931860948796 * covariance[1];
-    cross_2[0] = t78;
-    cross_2[1] = t79;
-    const double t80 = 0.9903931860948796 * cross_2[0];
-    const double t81 = t80 + 0.04;
-    pivot_2 = t81;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_2 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        const double t82 = 1.0 / pivot_2;
-        inverse_2 = t82;
-        const double t83 = mean[0] - self->predicted_state[0];
-        const double t84 = 0.9903931860948796 * t83;
-        const double t85 = innovation_2 - t84;
-        const double t86 = t85 * inverse_2;
-        const double t87 = t85 * t86;
-        const double t88 = quadratic + t87;
-        const double t89 = log_constant + CAR_SPEED_LOG_2_PI;
-        const double t90 = determinant_0 * pivot_2;
-        const double t91 = cross_2[0] * t86;
-        const double t92 = mean[0] + t91;
-        const double t93 = cross_2[1] * t86;
-        const double t94 = mean[1] + t93;
-        const double t95 = cross_2[0] * inverse_2;
-        const double t96 = t95 * cross_2[0];
-        const double t97 = covariance[0] - t96;
-        const double t98 = cross_2[1] * inverse_2;
-        const double t99 = t98 * cross_2[0];
-        const double t100 = covariance[1] - t99;
-        const double t101 = t98 * cross_2[1];
-        const double t102 = covariance[2] - t101;
-        quadratic = t88;
-        log_constant = t89;
-        determinant_0 = t90;
-        mean[0] = t92;
-        mean[1] = t94;
-        covariance[0] = t97;
-        covariance[1] = t100;
-        covariance[2] = t102;
-    }
-
-    /* row 3 of y, wheel_rr */
-    const double t103 = 0.9903931860948796 * covariance[0];
-    const double t104 = 0.9903931860948796 * covariance[1];
-    cross_3[0] = t103;
-    cross_3[1] = t104;
-    const double t105 = 0.9903931860948796 * cross_3[0];
-    const double t106 = t105 + 0.04;
-    pivot_3 = t106;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_3 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        const double t107 = 1.0 / pivot_3;
-        inverse_3 = t107;
-        const double t108 = mean[0] - self->predicted_state[0];
-        const double t109 = 0.9903931860948796 * t108;
-        const double t110 = innovation_3 - t109;
-        const double t111 = t110 * inverse_3;
-        const double t112 = t110 * t111;
-        const double t113 = quadratic + t112;
-        const double t114 = log_constant + CAR_SPEED_LOG_2_PI;
-        const double t115 = cross_3[0] * t111;
-        const double t116 = mean[0] + t115;
-        const double t117 = cross_3[1] * t111;
-        const double t118 = mean[1] + t117;
-        const double t119 = cross_3[0] * inverse_3;
-        const double t120 = t119 * cross_3[0];
-        const double t121 = covariance[0] - t120;
-        const double t122 = cross_3[1] * inverse_3;
-        const double t123 = t122 * cross_3[0];
-        const double t124 = covariance[1] - t123;
-        const double t125 = t122 * cross_3[1];
-        const double t126 = covariance[2] - t125;
-        quadratic = t113;
-        log_constant = t114;
-        determinant_1 = pivot_3;
-        mean[0] = t116;
-        mean[1] = t118;
-        covariance[0] = t121;
-        covariance[1] = t124;
-        covariance[2] = t126;
-    }
-
-    /* row 4 of y, ublox */
-    const double t127 = covariance[0] + 0.25;
-    pivot_4 = t127;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_4 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        const double t128 = 1.0 / pivot_4;
-        inverse_4 = t128;
-        const double t129 = mean[0] - self->predicted_state[0];
-        const double t130 = innovation_4 - t129;
-        const double t131 = t130 * inverse_4;
-        const double t132 = t130 * t131;
-        const double t133 = quadratic + t132;
-        const double t134 = log_constant + CAR_SPEED_LOG_2_PI;
-        const double t135 = determinant_1 * pivot_4;
-        const double t136 = covariance[0] * t131;
-        const double t137 = mean[0] + t136;
-        const double t138 = covariance[1] * t131;
-        const double t139 = mean[1] + t138;
-        const double t140 = covariance[0] * inverse_4;
-        const double t141 = t140 * covariance[0];
-        const double t142 = covariance[0] - t141;
-        const double t143 = covariance[1] * inverse_4;
-        const double t144 = t143 * covariance[0];
-        const double t145 = covariance[1] - t144;
-        const double t146 = t143 * covariance[1];
-        const double t147 = covariance[2] - t146;
-        quadratic = t133;
-        log_constant = t134;
-        determinant_1 = t135;
-        mean[0] = t137;
-        mean[1] = t139;
-        covariance[0] = t142;
-        covariance[1] = t145;
-        covariance[2] = t147;
-    }
-
-    /* row 5 of y, qcom */
-    const double t148 = covariance[0] + 9.0;
-    pivot_5 = t148;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_5 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        const double t149 = 1.0 / pivot_5;
-        inverse_5 = t149;
-        const double t150 = mean[0] - self->predicted_state[0];
-        const double t151 = innovation_5 - t150;
-        const double t152 = t151 * inverse_5;
-        const double t153 = t151 * t152;
-        const double t154 = quadratic + t153;
-        const double t155 = log_constant + CAR_SPEED_LOG_2_PI;
-        const double t156 = determinant_1 * pivot_5;
-        const double t157 = covariance[0] * t152;
-        const double t158 = mean[0] + t157;
-        const double t159 = covariance[1] * t152;
-        const double t160 = mean[1] + t159;
-        const double t161 = covariance[0] * inverse_5;
-        const double t162 = t161 * covariance[0];
-        const double t163 = covariance[0] - t162;
-        const double t164 = covariance[1] * inverse_5;
-        const double t165 = t164 * covariance[0];
-        const double t166 = covariance[1] - t165;
-        const double t167 = t164 * covariance[1];
-        const double t168 = covariance[2] - t167;
-        quadratic = t154;
-        log_constant = t155;
-        determinant_1 = t156;
-        mean[0] = t158;
-        mean[1] = t160;
-        covariance[0] = t163;
-        covariance[1] = t166;
-        covariance[2] = t168;
-    }
-    if (!car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1])))
-    {
-        return CAR_SPEED_RESULT_NOT_FINITE;
-    }
-
-    /* results of the update */
-    const double t169 = car_speed_log(determinant_0);
-    const double t170 = log_constant + t169;
-    const double t171 = car_speed_log(determinant_1);
-    const double t172 = t170 + t171;
-    const double t173 = quadratic + t172;
-    const double t174 = -0.5 * t173;
-    next->filtered_state[0] = mean[0];
-    next->filtered_state[1] = mean[1];
-    next->filtered_covariance[0] = covariance[0];
-    next->filtered_covariance[1] = covariance[1];
-    next->filtered_covariance[2] = covariance[2];
-    next->innovation[0] = innovation_0;
-    next->innovation[1] = innovation_1;
-    next->innovation[2] = innovation_2;
-    next->innovation[3] = innovation_3;
-    next->innovation[4] = innovation_4;
-    next->innovation[5] = innovation_5;
-    next->innovation_covariance[0] = variance[0];
-    next->innovation_covariance[1] = variance[1];
-    next->innovation_covariance[2] = variance[2];
-    next->innovation_covariance[3] = variance[3];
-    next->innovation_covariance[4] = variance[4];
-    next->innovation_covariance[5] = variance[5];
-    next->innovation_covariance[6] = variance[6];
-    next->innovation_covariance[7] = variance[7];
-    next->innovation_covariance[8] = variance[8];
-    next->innovation_covariance[9] = variance[9];
-    next->innovation_covariance[10] = variance[10];
-    next->innovation_covariance[11] = variance[11];
-    next->innovation_covariance[12] = variance[12];
-    next->innovation_covariance[13] = variance[13];
-    next->innovation_covariance[14] = variance[14];
-    next->innovation_covariance[15] = variance[15];
-    next->innovation_covariance[16] = variance[16];
-    next->innovation_covariance[17] = variance[17];
-    next->innovation_covariance[18] = variance[18];
-    next->innovation_covariance[19] = variance[19];
-    next->innovation_covariance[20] = variance[20];
-    next->nis = quadratic;
-    next->log_likelihood = t174;
     return CAR_SPEED_OK;
 }
 
@@ -592,12 +511,9 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
 {
     double A;
     double Q[2];
-    const double t0 = -params->dt;
-    A = t0;
-    const double t1 = 0.0225 * params->dt;
-    const double t2 = 0.010000000000000002 * params->dt;
-    Q[0] = t1;
-    Q[1] = t2;
+    A = -params->dt;
+    Q[0] = 0.0225 * params->dt;
+    Q[1] = 0.010000000000000002 * params->dt;
     if (!((Q[0] >= 0.0) && (Q[1] >= 0.0)))
     {
         return CAR_SPEED_PARAMETER_OUT_OF_RANGE;
@@ -616,7 +532,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     const double t12 = t8 + t11;
     const double t13 = t12 + Q[0];
     const double t14 = self->filtered_covariance[2] * A;
-    const double t15 = self->filtered_covariance[1] + t14;
+    next->predicted_covariance[1] = self->filtered_covariance[1] + t14;
     const double t16 = self->filtered_covariance[2] + Q[1];
     if (!car_speed_finite(car_speed_defect(t6) + car_speed_defect(self->filtered_state[1]) +
         car_speed_defect(t13) + car_speed_defect(t16)))
@@ -626,7 +542,6 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     next->predicted_state[0] = t6;
     next->predicted_state[1] = self->filtered_state[1];
     next->predicted_covariance[0] = t13;
-    next->predicted_covariance[1] = t15;
     next->predicted_covariance[2] = t16;
     return CAR_SPEED_OK;
 }

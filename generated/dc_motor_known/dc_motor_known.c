@@ -190,8 +190,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t1 = y[0] - self->predicted_state[1];
-        innovation_0 = t1;
+        innovation_0 = y[0] - self->predicted_state[1];
     }
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
@@ -200,38 +199,30 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     covariance[2] = self->predicted_covariance[2];
 
     /* row 0 of y, speed_measured */
-    const double t2 = self->predicted_covariance[2] + 5.0e-06;
-    pivot_0 = t2;
+    pivot_0 = self->predicted_covariance[2] + 5.0e-06;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_0 > 0.0))
         {
             return DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE;
         }
-        const double t3 = 1.0 / pivot_0;
-        inverse_0 = t3;
+        inverse_0 = 1.0 / pivot_0;
         const double t4 = innovation_0 * inverse_0;
-        const double t5 = innovation_0 * t4;
+        quadratic = innovation_0 * t4;
         const double t6 = self->predicted_covariance[1] * t4;
-        const double t7 = self->predicted_state[0] + t6;
+        mean[0] = self->predicted_state[0] + t6;
         const double t8 = self->predicted_covariance[2] * t4;
-        const double t9 = self->predicted_state[1] + t8;
+        mean[1] = self->predicted_state[1] + t8;
         const double t10 = self->predicted_covariance[1] * inverse_0;
         const double t11 = t10 * self->predicted_covariance[1];
-        const double t12 = self->predicted_covariance[0] - t11;
+        covariance[0] = self->predicted_covariance[0] - t11;
         const double t13 = self->predicted_covariance[2] * inverse_0;
         const double t14 = t13 * self->predicted_covariance[1];
-        const double t15 = self->predicted_covariance[1] - t14;
+        covariance[1] = self->predicted_covariance[1] - t14;
         const double t16 = t13 * self->predicted_covariance[2];
-        const double t17 = self->predicted_covariance[2] - t16;
-        quadratic = t5;
+        covariance[2] = self->predicted_covariance[2] - t16;
         log_constant = DC_MOTOR_KNOWN_LOG_2_PI;
         determinant_0 = pivot_0;
-        mean[0] = t7;
-        mean[1] = t9;
-        covariance[0] = t12;
-        covariance[1] = t15;
-        covariance[2] = t17;
         update_gain[0] = t10;
         update_gain[1] = t13;
     }
@@ -244,7 +235,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     const double t18 = dc_motor_known_log(determinant_0);
     const double t19 = log_constant + t18;
     const double t20 = quadratic + t19;
-    const double t21 = -0.5 * t20;
+    next->log_likelihood = -0.5 * t20;
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_covariance[0] = covariance[0];
@@ -253,7 +244,6 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     next->innovation[0] = innovation_0;
     next->innovation_covariance[0] = pivot_0;
     next->nis = quadratic;
-    next->log_likelihood = t21;
     next->filtered_gain[0] = update_gain[0];
     next->filtered_gain[1] = update_gain[1];
     return DC_MOTOR_KNOWN_OK;
@@ -301,7 +291,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t29 = 0.0001 * u[0];
     const double t30 = t29 * t20;
     const double t31 = t30 * t18;
-    const double t32 = t28 + t31;
+    next->predicted_covariance[1] = t28 + t31;
     const double t33 = 8.836e-05 * self->filtered_covariance[0];
     const double t34 = 0.017010240000000003 * self->filtered_covariance[1];
     const double t35 = t33 + t34;
@@ -312,10 +302,10 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t40 = t38 + t39;
     const double t41 = 0.9802 * self->filtered_gain[0];
     const double t42 = -0.0002 * self->filtered_gain[1];
-    const double t43 = t41 + t42;
+    next->gain[0] = t41 + t42;
     const double t44 = 0.0094 * self->filtered_gain[0];
     const double t45 = 0.9048 * self->filtered_gain[1];
-    const double t46 = t44 + t45;
+    next->gain[1] = t44 + t45;
     if (!dc_motor_known_finite(dc_motor_known_defect(t6) + dc_motor_known_defect(t11) +
         dc_motor_known_defect(t23) + dc_motor_known_defect(t40)))
     {
@@ -324,10 +314,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     next->predicted_state[0] = t6;
     next->predicted_state[1] = t11;
     next->predicted_covariance[0] = t23;
-    next->predicted_covariance[1] = t32;
     next->predicted_covariance[2] = t40;
-    next->gain[0] = t43;
-    next->gain[1] = t46;
     return DC_MOTOR_KNOWN_OK;
 }
 

@@ -228,78 +228,197 @@ static int dc_motor_unknown_present_rows(const double *y, uint32_t valid, uint32
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* Condition on y[k]: reads *self, writes the results to *next. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const dc_motor_unknown_t
-    *self, const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
+/* What differs between the calls of dc_motor_unknown_hypothesis, a row for each. */
+static const double dc_motor_unknown_hypothesis_numbers[5][2] = {
+    { 0.1, 0.09000000000000001 },
+    { 0.3, 0.21 },
+    { 0.5, 0.25 },
+    { 0.7, 0.21000000000000002 },
+    { 0.9, 0.08999999999999998 }
+};
+
+/* hypothesis 0; hypothesis 1; hypothesis 2; hypothesis 3; hypothesis 4. */
+static dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
+    const double *mode_state, double *innovation_0, const double u, double *innovation_1,
+    double *mean, const double *mode_covariance, double *covariance, double *pivot_0,
+    double *quadratic, double *log_constant, double *determinant_0, double *pivot_1,
+    const double *numbers, uint32_t present)
 {
-    double innovation_h0_0 = 0.0;
-    double innovation_h0_1 = 0.0;
-    double mean_h0[3];
-    double covariance_h0[6];
-    double pivot_h0_0;
-    double inverse_h0_0 = 0.0;
-    double quadratic_h0 = 0.0;
-    double log_constant_h0 = 0.0;
-    double determinant_h0_0 = 1.0;
-    double cross_h0_1[3];
-    double pivot_h0_1;
-    double inverse_h0_1 = 0.0;
+    double inverse_0 = 0.0;
+    double cross_1[3];
+    double inverse_1 = 0.0;
+
+    /* innovation, row by row */
+    if ((present & 0x1u) != 0u)
+    {
+        innovation_0[0] = y[0] - mode_state[1];
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        const double t1 = numbers[0] * u;
+        innovation_1[0] = y[1] - t1;
+    }
+
+    /* hypothesis 0 */
+    mean[0] = mode_state[0];
+    mean[1] = mode_state[1];
+    mean[2] = 0.0;
+    covariance[0] = mode_covariance[0];
+    covariance[1] = mode_covariance[1];
+    covariance[2] = mode_covariance[2];
+    covariance[3] = 0.0;
+    covariance[4] = 0.0;
+    covariance[5] = numbers[1];
+
+    /* row 0 of y, speed_measured */
+    pivot_0[0] = mode_covariance[2] + 5.0e-06;
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(pivot_0[0] > 0.0))
+        {
+            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_0 = 1.0 / pivot_0[0];
+        const double t5 = innovation_0[0] * inverse_0;
+        quadratic[0] = innovation_0[0] * t5;
+        const double t7 = mode_covariance[1] * t5;
+        mean[0] = mode_state[0] + t7;
+        const double t9 = mode_covariance[2] * t5;
+        mean[1] = mode_state[1] + t9;
+        const double t11 = mode_covariance[1] * inverse_0;
+        const double t12 = t11 * mode_covariance[1];
+        const double t13 = mode_covariance[0] - t12;
+        const double t14 = 5.0e-06 * t11;
+        const double t15 = mode_covariance[2] * inverse_0;
+        const double t16 = t15 * mode_covariance[1];
+        const double t17 = mode_covariance[1] - t16;
+        const double t18 = t14 - t17;
+        const double t19 = t18 * t11;
+        covariance[0] = t13 + t19;
+        const double t21 = 5.0e-06 * t15;
+        const double t22 = t15 * mode_covariance[2];
+        const double t23 = mode_covariance[2] - t22;
+        const double t24 = t21 - t23;
+        const double t25 = t24 * t11;
+        covariance[1] = t17 + t25;
+        const double t27 = t24 * t15;
+        covariance[2] = t23 + t27;
+        log_constant[0] = DC_MOTOR_UNKNOWN_LOG_2_PI;
+        determinant_0[0] = pivot_0[0];
+        mean[2] = 0.0;
+        covariance[3] = 0.0;
+        covariance[4] = 0.0;
+        covariance[5] = numbers[1];
+    }
+
+    /* row 1 of y, voltage_measured */
+    cross_1[0] = covariance[3] * u;
+    cross_1[1] = covariance[4] * u;
+    cross_1[2] = covariance[5] * u;
+    const double t32 = u * cross_1[2];
+    pivot_1[0] = t32 + 0.01;
+    if ((present & 0x2u) != 0u)
+    {
+        if (!(pivot_1[0] > 0.0))
+        {
+            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_1 = 1.0 / pivot_1[0];
+        const double t35 = innovation_1[0] * inverse_1;
+        const double t36 = innovation_1[0] * t35;
+        quadratic[0] = quadratic[0] + t36;
+        log_constant[0] = log_constant[0] + DC_MOTOR_UNKNOWN_LOG_2_PI;
+        determinant_0[0] = determinant_0[0] * pivot_1[0];
+        const double t40 = cross_1[0] * t35;
+        mean[0] = mean[0] + t40;
+        const double t42 = cross_1[1] * t35;
+        mean[1] = mean[1] + t42;
+        const double t44 = cross_1[2] * t35;
+        mean[2] = mean[2] + t44;
+        const double t46 = cross_1[0] * inverse_1;
+        const double t47 = t46 * cross_1[0];
+        const double t48 = covariance[0] - t47;
+        const double t49 = 0.01 * t46;
+        const double t50 = cross_1[2] * inverse_1;
+        const double t51 = t50 * cross_1[0];
+        const double t52 = covariance[3] - t51;
+        const double t53 = t52 * u;
+        const double t54 = t49 - t53;
+        const double t55 = t54 * t46;
+        covariance[0] = t48 + t55;
+        const double t57 = cross_1[1] * inverse_1;
+        const double t58 = t57 * cross_1[0];
+        const double t59 = covariance[1] - t58;
+        const double t60 = 0.01 * t57;
+        const double t61 = t50 * cross_1[1];
+        const double t62 = covariance[4] - t61;
+        const double t63 = t62 * u;
+        const double t64 = t60 - t63;
+        const double t65 = t64 * t46;
+        covariance[1] = t59 + t65;
+        const double t67 = t57 * cross_1[1];
+        const double t68 = covariance[2] - t67;
+        const double t69 = t64 * t57;
+        covariance[2] = t68 + t69;
+        const double t71 = 0.01 * t50;
+        const double t72 = t50 * cross_1[2];
+        const double t73 = covariance[5] - t72;
+        const double t74 = t73 * u;
+        const double t75 = t71 - t74;
+        const double t76 = t75 * t46;
+        covariance[3] = t52 + t76;
+        const double t78 = t75 * t57;
+        covariance[4] = t62 + t78;
+        const double t80 = t75 * t50;
+        covariance[5] = t73 + t80;
+    }
+    return DC_MOTOR_UNKNOWN_OK;
+}
+
+/* hypothesis 1. */
+static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
+    const double *mode_state, const double u, double *mean_h1, const double *mode_covariance,
+    double *covariance_h1, double *mean_h2, double *covariance_h2, double *mean_h3,
+    double *covariance_h3, double *mean_h4, double *covariance_h4, const double determinant_h0_0,
+    const double log_constant_h0, const double quadratic_h0, const double *mode_probability,
+    double *weight, const double *log_weight, double *log_weight_now, double *log_evidence,
+    const double pivot_h0_0, const double pivot_h0_1, double *combined_variance,
+    const double innovation_h0_0, const double innovation_h0_1, double *combined_innovation,
+    uint32_t present)
+{
     double innovation_h1_0 = 0.0;
     double innovation_h1_1 = 0.0;
-    double mean_h1[3];
-    double covariance_h1[6];
     double pivot_h1_0;
-    double inverse_h1_0 = 0.0;
     double quadratic_h1 = 0.0;
     double log_constant_h1 = 0.0;
     double determinant_h1_0 = 1.0;
-    double cross_h1_1[3];
     double pivot_h1_1;
-    double inverse_h1_1 = 0.0;
     double innovation_h2_0 = 0.0;
     double innovation_h2_1 = 0.0;
-    double mean_h2[3];
-    double covariance_h2[6];
     double pivot_h2_0;
-    double inverse_h2_0 = 0.0;
     double quadratic_h2 = 0.0;
     double log_constant_h2 = 0.0;
     double determinant_h2_0 = 1.0;
-    double cross_h2_1[3];
     double pivot_h2_1;
-    double inverse_h2_1 = 0.0;
     double innovation_h3_0 = 0.0;
     double innovation_h3_1 = 0.0;
-    double mean_h3[3];
-    double covariance_h3[6];
     double pivot_h3_0;
-    double inverse_h3_0 = 0.0;
     double quadratic_h3 = 0.0;
     double log_constant_h3 = 0.0;
     double determinant_h3_0 = 1.0;
-    double cross_h3_1[3];
     double pivot_h3_1;
-    double inverse_h3_1 = 0.0;
     double innovation_h4_0 = 0.0;
     double innovation_h4_1 = 0.0;
-    double mean_h4[3];
-    double covariance_h4[6];
     double pivot_h4_0;
-    double inverse_h4_0 = 0.0;
     double quadratic_h4 = 0.0;
     double log_constant_h4 = 0.0;
     double determinant_h4_0 = 1.0;
-    double cross_h4_1[3];
     double pivot_h4_1;
-    double inverse_h4_1 = 0.0;
     double log_likelihood_h0;
     double log_likelihood_h1;
     double log_likelihood_h2;
     double log_likelihood_h3;
     double log_likelihood_h4;
-    double weight[5];
-    double log_weight_now[5];
-    double log_evidence = 0.0;
     double log_joint[5] = { 0.0 };
     double log_largest = 0.0;
     double share_of_largest[5] = { 0.0 };
@@ -311,6 +430,568 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     double predicted_y_h2[2];
     double predicted_y_h3[2];
     double predicted_y_h4[2];
+    dc_motor_unknown_status_t status;
+
+    /* hypothesis 1 */
+    status = dc_motor_unknown_hypothesis(y, &mode_state[1], &innovation_h1_0, u, &innovation_h1_1,
+        mean_h1, mode_covariance, covariance_h1, &pivot_h1_0, &quadratic_h1, &log_constant_h1,
+        &determinant_h1_0, &pivot_h1_1, dc_motor_unknown_hypothesis_numbers[1], present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
+    {
+        return status;
+    }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h1[0]) +
+        dc_motor_unknown_defect(mean_h1[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* hypothesis 2 */
+    status = dc_motor_unknown_hypothesis(y, &mode_state[3], &innovation_h2_0, u, &innovation_h2_1,
+        mean_h2, &mode_covariance[3], covariance_h2, &pivot_h2_0, &quadratic_h2, &log_constant_h2,
+        &determinant_h2_0, &pivot_h2_1, dc_motor_unknown_hypothesis_numbers[2], present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
+    {
+        return status;
+    }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h2[0]) +
+        dc_motor_unknown_defect(mean_h2[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* hypothesis 3 */
+    status = dc_motor_unknown_hypothesis(y, &mode_state[5], &innovation_h3_0, u, &innovation_h3_1,
+        mean_h3, &mode_covariance[6], covariance_h3, &pivot_h3_0, &quadratic_h3, &log_constant_h3,
+        &determinant_h3_0, &pivot_h3_1, dc_motor_unknown_hypothesis_numbers[3], present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
+    {
+        return status;
+    }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h3[0]) +
+        dc_motor_unknown_defect(mean_h3[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* hypothesis 4 */
+    status = dc_motor_unknown_hypothesis(y, &mode_state[7], &innovation_h4_0, u, &innovation_h4_1,
+        mean_h4, &mode_covariance[9], covariance_h4, &pivot_h4_0, &quadratic_h4, &log_constant_h4,
+        &determinant_h4_0, &pivot_h4_1, dc_motor_unknown_hypothesis_numbers[4], present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
+    {
+        return status;
+    }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h4[0]) +
+        dc_motor_unknown_defect(mean_h4[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* weights of the hypotheses */
+    const double t0 = dc_motor_unknown_log(determinant_h0_0);
+    const double t1 = log_constant_h0 + t0;
+    const double t2 = quadratic_h0 + t1;
+    log_likelihood_h0 = -0.5 * t2;
+    const double t4 = dc_motor_unknown_log(determinant_h1_0);
+    const double t5 = log_constant_h1 + t4;
+    const double t6 = quadratic_h1 + t5;
+    log_likelihood_h1 = -0.5 * t6;
+    const double t8 = dc_motor_unknown_log(determinant_h2_0);
+    const double t9 = log_constant_h2 + t8;
+    const double t10 = quadratic_h2 + t9;
+    log_likelihood_h2 = -0.5 * t10;
+    const double t12 = dc_motor_unknown_log(determinant_h3_0);
+    const double t13 = log_constant_h3 + t12;
+    const double t14 = quadratic_h3 + t13;
+    log_likelihood_h3 = -0.5 * t14;
+    const double t16 = dc_motor_unknown_log(determinant_h4_0);
+    const double t17 = log_constant_h4 + t16;
+    const double t18 = quadratic_h4 + t17;
+    log_likelihood_h4 = -0.5 * t18;
+    weight[0] = mode_probability[0];
+    weight[1] = mode_probability[1];
+    weight[2] = mode_probability[2];
+    weight[3] = mode_probability[3];
+    weight[4] = mode_probability[4];
+    log_weight_now[0] = log_weight[0];
+    log_weight_now[1] = log_weight[1];
+    log_weight_now[2] = log_weight[2];
+    log_weight_now[3] = log_weight[3];
+    log_weight_now[4] = log_weight[4];
+    if ((present) != 0u)
+    {
+        log_joint[0] = log_weight[0] + log_likelihood_h0;
+        log_joint[1] = log_weight[1] + log_likelihood_h1;
+        log_joint[2] = log_weight[2] + log_likelihood_h2;
+        log_joint[3] = log_weight[3] + log_likelihood_h3;
+        log_joint[4] = log_weight[4] + log_likelihood_h4;
+        const double t25 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t26 = (t25 > log_joint[2]) ? t25 : log_joint[2];
+        const double t27 = (t26 > log_joint[3]) ? t26 : log_joint[3];
+        log_largest = (t27 > log_joint[4]) ? t27 : log_joint[4];
+        const double t29 = log_joint[0] - log_largest;
+        share_of_largest[0] = dc_motor_unknown_exp(t29);
+        const double t31 = log_joint[1] - log_largest;
+        share_of_largest[1] = dc_motor_unknown_exp(t31);
+        const double t33 = log_joint[2] - log_largest;
+        share_of_largest[2] = dc_motor_unknown_exp(t33);
+        const double t35 = log_joint[3] - log_largest;
+        share_of_largest[3] = dc_motor_unknown_exp(t35);
+        const double t37 = log_joint[4] - log_largest;
+        share_of_largest[4] = dc_motor_unknown_exp(t37);
+        const double t39 = share_of_largest[0] + share_of_largest[1];
+        const double t40 = t39 + share_of_largest[2];
+        const double t41 = t40 + share_of_largest[3];
+        share_total = t41 + share_of_largest[4];
+        const double t43 = log_largest - DC_MOTOR_UNKNOWN_LEAST_LOG_DENSITY;
+        if (!(t43 > 0.0))
+        {
+            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+        }
+        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(share_total)))
+        {
+            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+        }
+        share_total_inverse = 1.0 / share_total;
+        log_share_total = dc_motor_unknown_log(share_total);
+        weight[0] = share_of_largest[0] * share_total_inverse;
+        weight[1] = share_of_largest[1] * share_total_inverse;
+        weight[2] = share_of_largest[2] * share_total_inverse;
+        weight[3] = share_of_largest[3] * share_total_inverse;
+        weight[4] = share_of_largest[4] * share_total_inverse;
+        const double t51 = log_joint[0] - log_largest;
+        const double t52 = t51 - log_share_total;
+        log_weight_now[0] = (t52 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t52 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t54 = log_joint[1] - log_largest;
+        const double t55 = t54 - log_share_total;
+        log_weight_now[1] = (t55 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t55 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t57 = log_joint[2] - log_largest;
+        const double t58 = t57 - log_share_total;
+        log_weight_now[2] = (t58 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t58 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t60 = log_joint[3] - log_largest;
+        const double t61 = t60 - log_share_total;
+        log_weight_now[3] = (t61 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t61 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t63 = log_joint[4] - log_largest;
+        const double t64 = t63 - log_share_total;
+        log_weight_now[4] = (t64 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t64 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        log_evidence[0] = log_largest + log_share_total;
+    }
+
+    /* combination */
+    predicted_y_h0[1] = 0.1 * u;
+    predicted_y_h0[0] = mode_state[0];
+    predicted_y_h1[1] = 0.3 * u;
+    predicted_y_h1[0] = mode_state[2];
+    predicted_y_h2[1] = 0.5 * u;
+    predicted_y_h2[0] = mode_state[4];
+    predicted_y_h3[1] = 0.7 * u;
+    predicted_y_h3[0] = mode_state[6];
+    predicted_y_h4[1] = 0.9 * u;
+    predicted_y_h4[0] = mode_state[8];
+    const double t72 = mode_probability[0] * pivot_h0_0;
+    const double t73 = mode_probability[1] * pivot_h1_0;
+    const double t74 = t72 + t73;
+    const double t75 = mode_probability[2] * pivot_h2_0;
+    const double t76 = t74 + t75;
+    const double t77 = mode_probability[3] * pivot_h3_0;
+    const double t78 = t76 + t77;
+    const double t79 = mode_probability[4] * pivot_h4_0;
+    const double t80 = t78 + t79;
+    const double t81 = mode_probability[0] * predicted_y_h0[0];
+    const double t82 = mode_probability[1] * predicted_y_h1[0];
+    const double t83 = t81 + t82;
+    const double t84 = mode_probability[2] * predicted_y_h2[0];
+    const double t85 = t83 + t84;
+    const double t86 = mode_probability[3] * predicted_y_h3[0];
+    const double t87 = t85 + t86;
+    const double t88 = mode_probability[4] * predicted_y_h4[0];
+    const double t89 = t87 + t88;
+    const double t90 = predicted_y_h0[0] - t89;
+    const double t91 = mode_probability[0] * t90;
+    const double t92 = t91 * t90;
+    const double t93 = predicted_y_h1[0] - t89;
+    const double t94 = mode_probability[1] * t93;
+    const double t95 = t94 * t93;
+    const double t96 = t92 + t95;
+    const double t97 = predicted_y_h2[0] - t89;
+    const double t98 = mode_probability[2] * t97;
+    const double t99 = t98 * t97;
+    const double t100 = t96 + t99;
+    const double t101 = predicted_y_h3[0] - t89;
+    const double t102 = mode_probability[3] * t101;
+    const double t103 = t102 * t101;
+    const double t104 = t100 + t103;
+    const double t105 = predicted_y_h4[0] - t89;
+    const double t106 = mode_probability[4] * t105;
+    const double t107 = t106 * t105;
+    const double t108 = t104 + t107;
+    combined_variance[0] = t80 + t108;
+    const double t110 = mode_probability[0] * predicted_y_h0[1];
+    const double t111 = mode_probability[1] * predicted_y_h1[1];
+    const double t112 = t110 + t111;
+    const double t113 = mode_probability[2] * predicted_y_h2[1];
+    const double t114 = t112 + t113;
+    const double t115 = mode_probability[3] * predicted_y_h3[1];
+    const double t116 = t114 + t115;
+    const double t117 = mode_probability[4] * predicted_y_h4[1];
+    const double t118 = t116 + t117;
+    const double t119 = predicted_y_h0[1] - t118;
+    const double t120 = mode_probability[0] * t119;
+    const double t121 = t120 * t90;
+    const double t122 = predicted_y_h1[1] - t118;
+    const double t123 = mode_probability[1] * t122;
+    const double t124 = t123 * t93;
+    const double t125 = t121 + t124;
+    const double t126 = predicted_y_h2[1] - t118;
+    const double t127 = mode_probability[2] * t126;
+    const double t128 = t127 * t97;
+    const double t129 = t125 + t128;
+    const double t130 = predicted_y_h3[1] - t118;
+    const double t131 = mode_probability[3] * t130;
+    const double t132 = t131 * t101;
+    const double t133 = t129 + t132;
+    const double t134 = predicted_y_h4[1] - t118;
+    const double t135 = mode_probability[4] * t134;
+    const double t136 = t135 * t105;
+    combined_variance[1] = t133 + t136;
+    const double t138 = mode_probability[0] * pivot_h0_1;
+    const double t139 = mode_probability[1] * pivot_h1_1;
+    const double t140 = t138 + t139;
+    const double t141 = mode_probability[2] * pivot_h2_1;
+    const double t142 = t140 + t141;
+    const double t143 = mode_probability[3] * pivot_h3_1;
+    const double t144 = t142 + t143;
+    const double t145 = mode_probability[4] * pivot_h4_1;
+    const double t146 = t144 + t145;
+    const double t147 = t120 * t119;
+    const double t148 = t123 * t122;
+    const double t149 = t147 + t148;
+    const double t150 = t127 * t126;
+    const double t151 = t149 + t150;
+    const double t152 = t131 * t130;
+    const double t153 = t151 + t152;
+    const double t154 = t135 * t134;
+    const double t155 = t153 + t154;
+    combined_variance[2] = t146 + t155;
+    const double t157 = mode_probability[0] * innovation_h0_0;
+    const double t158 = mode_probability[1] * innovation_h1_0;
+    const double t159 = t157 + t158;
+    const double t160 = mode_probability[2] * innovation_h2_0;
+    const double t161 = t159 + t160;
+    const double t162 = mode_probability[3] * innovation_h3_0;
+    const double t163 = t161 + t162;
+    const double t164 = mode_probability[4] * innovation_h4_0;
+    combined_innovation[0] = t163 + t164;
+    const double t166 = mode_probability[0] * innovation_h0_1;
+    const double t167 = mode_probability[1] * innovation_h1_1;
+    const double t168 = t166 + t167;
+    const double t169 = mode_probability[2] * innovation_h2_1;
+    const double t170 = t168 + t169;
+    const double t171 = mode_probability[3] * innovation_h3_1;
+    const double t172 = t170 + t171;
+    const double t173 = mode_probability[4] * innovation_h4_1;
+    combined_innovation[1] = t172 + t173;
+    return DC_MOTOR_UNKNOWN_OK;
+}
+
+/* combined prediction. */
+static void dc_motor_unknown_combined_prediction(const double *mode_filtered_covariance,
+    const double u, const double *mode_deviation_cross, const double *mode_deviation_covariance,
+    double *moved_covariance, const double *mode_probability, const double *moved_state,
+    double *combined_state)
+{
+    const double t0 = 0.9802 * mode_filtered_covariance[0];
+    const double t1 = -0.0002 * mode_filtered_covariance[1];
+    const double t2 = t0 + t1;
+    const double t3 = 0.0198 * u;
+    const double t4 = t3 * mode_deviation_cross[0];
+    const double t5 = t2 + t4;
+    const double t6 = 0.9802 * t5;
+    const double t7 = 0.9802 * mode_filtered_covariance[1];
+    const double t8 = -0.0002 * mode_filtered_covariance[2];
+    const double t9 = t7 + t8;
+    const double t10 = t3 * mode_deviation_cross[1];
+    const double t11 = t9 + t10;
+    const double t12 = -0.0002 * t11;
+    const double t13 = t6 + t12;
+    const double t14 = 0.9802 * mode_deviation_cross[0];
+    const double t15 = -0.0002 * mode_deviation_cross[1];
+    const double t16 = t14 + t15;
+    const double t17 = t3 * mode_deviation_covariance[0];
+    const double t18 = t16 + t17;
+    const double t19 = t18 * t3;
+    const double t20 = t13 + t19;
+    moved_covariance[0] = t20 + 0.0001;
+    const double t22 = 0.0094 * mode_filtered_covariance[0];
+    const double t23 = 0.9048 * mode_filtered_covariance[1];
+    const double t24 = t22 + t23;
+    const double t25 = 0.0001 * u;
+    const double t26 = t25 * mode_deviation_cross[0];
+    const double t27 = t24 + t26;
+    const double t28 = 0.9802 * t27;
+    const double t29 = 0.0094 * mode_filtered_covariance[1];
+    const double t30 = 0.9048 * mode_filtered_covariance[2];
+    const double t31 = t29 + t30;
+    const double t32 = t25 * mode_deviation_cross[1];
+    const double t33 = t31 + t32;
+    const double t34 = -0.0002 * t33;
+    const double t35 = t28 + t34;
+    const double t36 = 0.0094 * mode_deviation_cross[0];
+    const double t37 = 0.9048 * mode_deviation_cross[1];
+    const double t38 = t36 + t37;
+    const double t39 = t25 * mode_deviation_covariance[0];
+    const double t40 = t38 + t39;
+    const double t41 = t40 * t3;
+    moved_covariance[1] = t35 + t41;
+    const double t43 = 0.0094 * t27;
+    const double t44 = 0.9048 * t33;
+    const double t45 = t43 + t44;
+    const double t46 = t40 * t25;
+    const double t47 = t45 + t46;
+    moved_covariance[2] = t47 + 0.0001;
+    const double t49 = 0.9802 * mode_filtered_covariance[3];
+    const double t50 = -0.0002 * mode_filtered_covariance[4];
+    const double t51 = t49 + t50;
+    const double t52 = 0.0198 * u;
+    const double t53 = t52 * mode_deviation_cross[2];
+    const double t54 = t51 + t53;
+    const double t55 = 0.9802 * t54;
+    const double t56 = 0.9802 * mode_filtered_covariance[4];
+    const double t57 = -0.0002 * mode_filtered_covariance[5];
+    const double t58 = t56 + t57;
+    const double t59 = t52 * mode_deviation_cross[3];
+    const double t60 = t58 + t59;
+    const double t61 = -0.0002 * t60;
+    const double t62 = t55 + t61;
+    const double t63 = 0.9802 * mode_deviation_cross[2];
+    const double t64 = -0.0002 * mode_deviation_cross[3];
+    const double t65 = t63 + t64;
+    const double t66 = t52 * mode_deviation_covariance[1];
+    const double t67 = t65 + t66;
+    const double t68 = t67 * t52;
+    const double t69 = t62 + t68;
+    moved_covariance[3] = t69 + 0.0001;
+    const double t71 = 0.0094 * mode_filtered_covariance[3];
+    const double t72 = 0.9048 * mode_filtered_covariance[4];
+    const double t73 = t71 + t72;
+    const double t74 = 0.0001 * u;
+    const double t75 = t74 * mode_deviation_cross[2];
+    const double t76 = t73 + t75;
+    const double t77 = 0.9802 * t76;
+    const double t78 = 0.0094 * mode_filtered_covariance[4];
+    const double t79 = 0.9048 * mode_filtered_covariance[5];
+    const double t80 = t78 + t79;
+    const double t81 = t74 * mode_deviation_cross[3];
+    const double t82 = t80 + t81;
+    const double t83 = -0.0002 * t82;
+    const double t84 = t77 + t83;
+    const double t85 = 0.0094 * mode_deviation_cross[2];
+    const double t86 = 0.9048 * mode_deviation_cross[3];
+    const double t87 = t85 + t86;
+    const double t88 = t74 * mode_deviation_covariance[1];
+    const double t89 = t87 + t88;
+    const double t90 = t89 * t52;
+    moved_covariance[4] = t84 + t90;
+    const double t92 = 0.0094 * t76;
+    const double t93 = 0.9048 * t82;
+    const double t94 = t92 + t93;
+    const double t95 = t89 * t74;
+    const double t96 = t94 + t95;
+    moved_covariance[5] = t96 + 0.0001;
+    const double t98 = 0.9802 * mode_filtered_covariance[6];
+    const double t99 = -0.0002 * mode_filtered_covariance[7];
+    const double t100 = t98 + t99;
+    const double t101 = 0.0198 * u;
+    const double t102 = t101 * mode_deviation_cross[4];
+    const double t103 = t100 + t102;
+    const double t104 = 0.9802 * t103;
+    const double t105 = 0.9802 * mode_filtered_covariance[7];
+    const double t106 = -0.0002 * mode_filtered_covariance[8];
+    const double t107 = t105 + t106;
+    const double t108 = t101 * mode_deviation_cross[5];
+    const double t109 = t107 + t108;
+    const double t110 = -0.0002 * t109;
+    const double t111 = t104 + t110;
+    const double t112 = 0.9802 * mode_deviation_cross[4];
+    const double t113 = -0.0002 * mode_deviation_cross[5];
+    const double t114 = t112 + t113;
+    const double t115 = t101 * mode_deviation_covariance[2];
+    const double t116 = t114 + t115;
+    const double t117 = t116 * t101;
+    const double t118 = t111 + t117;
+    moved_covariance[6] = t118 + 0.0001;
+    const double t120 = 0.0094 * mode_filtered_covariance[6];
+    const double t121 = 0.9048 * mode_filtered_covariance[7];
+    const double t122 = t120 + t121;
+    const double t123 = 0.0001 * u;
+    const double t124 = t123 * mode_deviation_cross[4];
+    const double t125 = t122 + t124;
+    const double t126 = 0.9802 * t125;
+    const double t127 = 0.0094 * mode_filtered_covariance[7];
+    const double t128 = 0.9048 * mode_filtered_covariance[8];
+    const double t129 = t127 + t128;
+    const double t130 = t123 * mode_deviation_cross[5];
+    const double t131 = t129 + t130;
+    const double t132 = -0.0002 * t131;
+    const double t133 = t126 + t132;
+    const double t134 = 0.0094 * mode_deviation_cross[4];
+    const double t135 = 0.9048 * mode_deviation_cross[5];
+    const double t136 = t134 + t135;
+    const double t137 = t123 * mode_deviation_covariance[2];
+    const double t138 = t136 + t137;
+    const double t139 = t138 * t101;
+    moved_covariance[7] = t133 + t139;
+    const double t141 = 0.0094 * t125;
+    const double t142 = 0.9048 * t131;
+    const double t143 = t141 + t142;
+    const double t144 = t138 * t123;
+    const double t145 = t143 + t144;
+    moved_covariance[8] = t145 + 0.0001;
+    const double t147 = 0.9802 * mode_filtered_covariance[9];
+    const double t148 = -0.0002 * mode_filtered_covariance[10];
+    const double t149 = t147 + t148;
+    const double t150 = 0.0198 * u;
+    const double t151 = t150 * mode_deviation_cross[6];
+    const double t152 = t149 + t151;
+    const double t153 = 0.9802 * t152;
+    const double t154 = 0.9802 * mode_filtered_covariance[10];
+    const double t155 = -0.0002 * mode_filtered_covariance[11];
+    const double t156 = t154 + t155;
+    const double t157 = t150 * mode_deviation_cross[7];
+    const double t158 = t156 + t157;
+    const double t159 = -0.0002 * t158;
+    const double t160 = t153 + t159;
+    const double t161 = 0.9802 * mode_deviation_cross[6];
+    const double t162 = -0.0002 * mode_deviation_cross[7];
+    const double t163 = t161 + t162;
+    const double t164 = t150 * mode_deviation_covariance[3];
+    const double t165 = t163 + t164;
+    const double t166 = t165 * t150;
+    const double t167 = t160 + t166;
+    moved_covariance[9] = t167 + 0.0001;
+    const double t169 = 0.0094 * mode_filtered_covariance[9];
+    const double t170 = 0.9048 * mode_filtered_covariance[10];
+    const double t171 = t169 + t170;
+    const double t172 = 0.0001 * u;
+    const double t173 = t172 * mode_deviation_cross[6];
+    const double t174 = t171 + t173;
+    const double t175 = 0.9802 * t174;
+    const double t176 = 0.0094 * mode_filtered_covariance[10];
+    const double t177 = 0.9048 * mode_filtered_covariance[11];
+    const double t178 = t176 + t177;
+    const double t179 = t172 * mode_deviation_cross[7];
+    const double t180 = t178 + t179;
+    const double t181 = -0.0002 * t180;
+    const double t182 = t175 + t181;
+    const double t183 = 0.0094 * mode_deviation_cross[6];
+    const double t184 = 0.9048 * mode_deviation_cross[7];
+    const double t185 = t183 + t184;
+    const double t186 = t172 * mode_deviation_covariance[3];
+    const double t187 = t185 + t186;
+    const double t188 = t187 * t150;
+    moved_covariance[10] = t182 + t188;
+    const double t190 = 0.0094 * t174;
+    const double t191 = 0.9048 * t180;
+    const double t192 = t190 + t191;
+    const double t193 = t187 * t172;
+    const double t194 = t192 + t193;
+    moved_covariance[11] = t194 + 0.0001;
+    const double t196 = 0.9802 * mode_filtered_covariance[12];
+    const double t197 = -0.0002 * mode_filtered_covariance[13];
+    const double t198 = t196 + t197;
+    const double t199 = 0.0198 * u;
+    const double t200 = t199 * mode_deviation_cross[8];
+    const double t201 = t198 + t200;
+    const double t202 = 0.9802 * t201;
+    const double t203 = 0.9802 * mode_filtered_covariance[13];
+    const double t204 = -0.0002 * mode_filtered_covariance[14];
+    const double t205 = t203 + t204;
+    const double t206 = t199 * mode_deviation_cross[9];
+    const double t207 = t205 + t206;
+    const double t208 = -0.0002 * t207;
+    const double t209 = t202 + t208;
+    const double t210 = 0.9802 * mode_deviation_cross[8];
+    const double t211 = -0.0002 * mode_deviation_cross[9];
+    const double t212 = t210 + t211;
+    const double t213 = t199 * mode_deviation_covariance[4];
+    const double t214 = t212 + t213;
+    const double t215 = t214 * t199;
+    const double t216 = t209 + t215;
+    moved_covariance[12] = t216 + 0.0001;
+    const double t218 = 0.0094 * mode_filtered_covariance[12];
+    const double t219 = 0.9048 * mode_filtered_covariance[13];
+    const double t220 = t218 + t219;
+    const double t221 = 0.0001 * u;
+    const double t222 = t221 * mode_deviation_cross[8];
+    const double t223 = t220 + t222;
+    const double t224 = 0.9802 * t223;
+    const double t225 = 0.0094 * mode_filtered_covariance[13];
+    const double t226 = 0.9048 * mode_filtered_covariance[14];
+    const double t227 = t225 + t226;
+    const double t228 = t221 * mode_deviation_cross[9];
+    const double t229 = t227 + t228;
+    const double t230 = -0.0002 * t229;
+    const double t231 = t224 + t230;
+    const double t232 = 0.0094 * mode_deviation_cross[8];
+    const double t233 = 0.9048 * mode_deviation_cross[9];
+    const double t234 = t232 + t233;
+    const double t235 = t221 * mode_deviation_covariance[4];
+    const double t236 = t234 + t235;
+    const double t237 = t236 * t199;
+    moved_covariance[13] = t231 + t237;
+    const double t239 = 0.0094 * t223;
+    const double t240 = 0.9048 * t229;
+    const double t241 = t239 + t240;
+    const double t242 = t236 * t221;
+    const double t243 = t241 + t242;
+    moved_covariance[14] = t243 + 0.0001;
+
+    /* combined prediction */
+    const double t245 = mode_probability[0] * moved_state[0];
+    const double t246 = mode_probability[1] * moved_state[2];
+    const double t247 = t245 + t246;
+    const double t248 = mode_probability[2] * moved_state[4];
+    const double t249 = t247 + t248;
+    const double t250 = mode_probability[3] * moved_state[6];
+    const double t251 = t249 + t250;
+    const double t252 = mode_probability[4] * moved_state[8];
+    combined_state[0] = t251 + t252;
+    const double t254 = mode_probability[0] * moved_state[1];
+    const double t255 = mode_probability[1] * moved_state[3];
+    const double t256 = t254 + t255;
+    const double t257 = mode_probability[2] * moved_state[5];
+    const double t258 = t256 + t257;
+    const double t259 = mode_probability[3] * moved_state[7];
+    const double t260 = t258 + t259;
+    const double t261 = mode_probability[4] * moved_state[9];
+    combined_state[1] = t260 + t261;
+}
+
+/* Condition on y[k]: reads *self, writes the results to *next. */
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const dc_motor_unknown_t
+    *self, const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
+{
+    double innovation_h0_0 = 0.0;
+    double innovation_h0_1 = 0.0;
+    double mean_h0[3];
+    double covariance_h0[6];
+    double pivot_h0_0;
+    double quadratic_h0 = 0.0;
+    double log_constant_h0 = 0.0;
+    double determinant_h0_0 = 1.0;
+    double pivot_h0_1;
+    double mean_h1[3];
+    double covariance_h1[6];
+    double mean_h2[3];
+    double covariance_h2[6];
+    double mean_h3[3];
+    double covariance_h3[6];
+    double mean_h4[3];
+    double covariance_h4[6];
+    double weight[5];
+    double log_weight_now[5];
+    double log_evidence = 0.0;
     double combined_variance[3];
     double combined_innovation[2];
     double whitening_pivot_combined_0;
@@ -318,6 +999,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     double whitening_combined_0_1;
     double whitening_pivot_combined_1;
     double whitening_inverse_combined_1 = 0.0;
+    dc_motor_unknown_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0)))
     {
         return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
@@ -339,156 +1021,14 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
     }
 
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t0 = y[0] - self->mode_state[1];
-        innovation_h0_0 = t0;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t1 = 0.1 * u[0];
-        const double t2 = y[1] - t1;
-        innovation_h0_1 = t2;
-    }
-
     /* hypothesis 0 */
-    mean_h0[0] = self->mode_state[0];
-    mean_h0[1] = self->mode_state[1];
-    mean_h0[2] = 0.0;
-    covariance_h0[0] = self->mode_covariance[0];
-    covariance_h0[1] = self->mode_covariance[1];
-    covariance_h0[2] = self->mode_covariance[2];
-    covariance_h0[3] = 0.0;
-    covariance_h0[4] = 0.0;
-    covariance_h0[5] = 0.09000000000000001;
-
-    /* row 0 of y, speed_measured */
-    const double t3 = self->mode_covariance[2] + 5.0e-06;
-    pivot_h0_0 = t3;
-    if ((present & 0x1u) != 0u)
+    status = dc_motor_unknown_hypothesis(y, self->mode_state, &innovation_h0_0, u[0],
+        &innovation_h0_1, mean_h0, self->mode_covariance, covariance_h0, &pivot_h0_0, &quadratic_h0,
+        &log_constant_h0, &determinant_h0_0, &pivot_h0_1, dc_motor_unknown_hypothesis_numbers[0],
+        present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
     {
-        if (!(pivot_h0_0 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t4 = 1.0 / pivot_h0_0;
-        inverse_h0_0 = t4;
-        const double t5 = innovation_h0_0 * inverse_h0_0;
-        const double t6 = innovation_h0_0 * t5;
-        const double t7 = self->mode_covariance[1] * t5;
-        const double t8 = self->mode_state[0] + t7;
-        const double t9 = self->mode_covariance[2] * t5;
-        const double t10 = self->mode_state[1] + t9;
-        const double t11 = self->mode_covariance[1] * inverse_h0_0;
-        const double t12 = t11 * self->mode_covariance[1];
-        const double t13 = self->mode_covariance[0] - t12;
-        const double t14 = 5.0e-06 * t11;
-        const double t15 = self->mode_covariance[2] * inverse_h0_0;
-        const double t16 = t15 * self->mode_covariance[1];
-        const double t17 = self->mode_covariance[1] - t16;
-        const double t18 = t14 - t17;
-        const double t19 = t18 * t11;
-        const double t20 = t13 + t19;
-        const double t21 = 5.0e-06 * t15;
-        const double t22 = t15 * self->mode_covariance[2];
-        const double t23 = self->mode_covariance[2] - t22;
-        const double t24 = t21 - t23;
-        const double t25 = t24 * t11;
-        const double t26 = t17 + t25;
-        const double t27 = t24 * t15;
-        const double t28 = t23 + t27;
-        quadratic_h0 = t6;
-        log_constant_h0 = DC_MOTOR_UNKNOWN_LOG_2_PI;
-        determinant_h0_0 = pivot_h0_0;
-        mean_h0[0] = t8;
-        mean_h0[1] = t10;
-        mean_h0[2] = 0.0;
-        covariance_h0[0] = t20;
-        covariance_h0[1] = t26;
-        covariance_h0[2] = t28;
-        covariance_h0[3] = 0.0;
-        covariance_h0[4] = 0.0;
-        covariance_h0[5] = 0.09000000000000001;
-    }
-
-    /* row 1 of y, voltage_measured */
-    const double t29 = covariance_h0[3] * u[0];
-    const double t30 = covariance_h0[4] * u[0];
-    const double t31 = covariance_h0[5] * u[0];
-    cross_h0_1[0] = t29;
-    cross_h0_1[1] = t30;
-    cross_h0_1[2] = t31;
-    const double t32 = u[0] * cross_h0_1[2];
-    const double t33 = t32 + 0.01;
-    pivot_h0_1 = t33;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_h0_1 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t34 = 1.0 / pivot_h0_1;
-        inverse_h0_1 = t34;
-        const double t35 = innovation_h0_1 * inverse_h0_1;
-        const double t36 = innovation_h0_1 * t35;
-        const double t37 = quadratic_h0 + t36;
-        const double t38 = log_constant_h0 + DC_MOTOR_UNKNOWN_LOG_2_PI;
-        const double t39 = determinant_h0_0 * pivot_h0_1;
-        const double t40 = cross_h0_1[0] * t35;
-        const double t41 = mean_h0[0] + t40;
-        const double t42 = cross_h0_1[1] * t35;
-        const double t43 = mean_h0[1] + t42;
-        const double t44 = cross_h0_1[2] * t35;
-        const double t45 = mean_h0[2] + t44;
-        const double t46 = cross_h0_1[0] * inverse_h0_1;
-        const double t47 = t46 * cross_h0_1[0];
-        const double t48 = covariance_h0[0] - t47;
-        const double t49 = 0.01 * t46;
-        const double t50 = cross_h0_1[2] * inverse_h0_1;
-        const double t51 = t50 * cross_h0_1[0];
-        const double t52 = covariance_h0[3] - t51;
-        const double t53 = t52 * u[0];
-        const double t54 = t49 - t53;
-        const double t55 = t54 * t46;
-        const double t56 = t48 + t55;
-        const double t57 = cross_h0_1[1] * inverse_h0_1;
-        const double t58 = t57 * cross_h0_1[0];
-        const double t59 = covariance_h0[1] - t58;
-        const double t60 = 0.01 * t57;
-        const double t61 = t50 * cross_h0_1[1];
-        const double t62 = covariance_h0[4] - t61;
-        const double t63 = t62 * u[0];
-        const double t64 = t60 - t63;
-        const double t65 = t64 * t46;
-        const double t66 = t59 + t65;
-        const double t67 = t57 * cross_h0_1[1];
-        const double t68 = covariance_h0[2] - t67;
-        const double t69 = t64 * t57;
-        const double t70 = t68 + t69;
-        const double t71 = 0.01 * t50;
-        const double t72 = t50 * cross_h0_1[2];
-        const double t73 = covariance_h0[5] - t72;
-        const double t74 = t73 * u[0];
-        const double t75 = t71 - t74;
-        const double t76 = t75 * t46;
-        const double t77 = t52 + t76;
-        const double t78 = t75 * t57;
-        const double t79 = t62 + t78;
-        const double t80 = t75 * t50;
-        const double t81 = t73 + t80;
-        quadratic_h0 = t37;
-        log_constant_h0 = t38;
-        determinant_h0_0 = t39;
-        mean_h0[0] = t41;
-        mean_h0[1] = t43;
-        mean_h0[2] = t45;
-        covariance_h0[0] = t56;
-        covariance_h0[1] = t66;
-        covariance_h0[2] = t70;
-        covariance_h0[3] = t77;
-        covariance_h0[4] = t79;
-        covariance_h0[5] = t81;
+        return status;
     }
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h0[0]) +
         dc_motor_unknown_defect(mean_h0[1])))
@@ -496,878 +1036,17 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
 
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t82 = y[0] - self->mode_state[3];
-        innovation_h1_0 = t82;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t83 = 0.3 * u[0];
-        const double t84 = y[1] - t83;
-        innovation_h1_1 = t84;
-    }
-
     /* hypothesis 1 */
-    mean_h1[0] = self->mode_state[2];
-    mean_h1[1] = self->mode_state[3];
-    mean_h1[2] = 0.0;
-    covariance_h1[0] = self->mode_covariance[3];
-    covariance_h1[1] = self->mode_covariance[4];
-    covariance_h1[2] = self->mode_covariance[5];
-    covariance_h1[3] = 0.0;
-    covariance_h1[4] = 0.0;
-    covariance_h1[5] = 0.21;
-
-    /* row 0 of y, speed_measured */
-    const double t85 = self->mode_covariance[5] + 5.0e-06;
-    pivot_h1_0 = t85;
-    if ((present & 0x1u) != 0u)
+    status = dc_motor_unknown_hypothesis_2(y, &self->mode_state[1], u[0], mean_h1,
+        &self->mode_covariance[3], covariance_h1, mean_h2, covariance_h2, mean_h3, covariance_h3,
+        mean_h4, covariance_h4, determinant_h0_0, log_constant_h0, quadratic_h0,
+        self->mode_probability, weight, self->log_weight, log_weight_now, &log_evidence, pivot_h0_0,
+        pivot_h0_1, combined_variance, innovation_h0_0, innovation_h0_1, combined_innovation,
+        present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
     {
-        if (!(pivot_h1_0 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t86 = 1.0 / pivot_h1_0;
-        inverse_h1_0 = t86;
-        const double t87 = innovation_h1_0 * inverse_h1_0;
-        const double t88 = innovation_h1_0 * t87;
-        const double t89 = self->mode_covariance[4] * t87;
-        const double t90 = self->mode_state[2] + t89;
-        const double t91 = self->mode_covariance[5] * t87;
-        const double t92 = self->mode_state[3] + t91;
-        const double t93 = self->mode_covariance[4] * inverse_h1_0;
-        const double t94 = t93 * self->mode_covariance[4];
-        const double t95 = self->mode_covariance[3] - t94;
-        const double t96 = 5.0e-06 * t93;
-        const double t97 = self->mode_covariance[5] * inverse_h1_0;
-        const double t98 = t97 * self->mode_covariance[4];
-        const double t99 = self->mode_covariance[4] - t98;
-        const double t100 = t96 - t99;
-        const double t101 = t100 * t93;
-        const double t102 = t95 + t101;
-        const double t103 = 5.0e-06 * t97;
-        const double t104 = t97 * self->mode_covariance[5];
-        const double t105 = self->mode_covariance[5] - t104;
-        const double t106 = t103 - t105;
-        const double t107 = t106 * t93;
-        const double t108 = t99 + t107;
-        const double t109 = t106 * t97;
-        const double t110 = t105 + t109;
-        quadratic_h1 = t88;
-        log_constant_h1 = DC_MOTOR_UNKNOWN_LOG_2_PI;
-        determinant_h1_0 = pivot_h1_0;
-        mean_h1[0] = t90;
-        mean_h1[1] = t92;
-        mean_h1[2] = 0.0;
-        covariance_h1[0] = t102;
-        covariance_h1[1] = t108;
-        covariance_h1[2] = t110;
-        covariance_h1[3] = 0.0;
-        covariance_h1[4] = 0.0;
-        covariance_h1[5] = 0.21;
+        return status;
     }
-
-    /* row 1 of y, voltage_measured */
-    const double t111 = covariance_h1[3] * u[0];
-    const double t112 = covariance_h1[4] * u[0];
-    const double t113 = covariance_h1[5] * u[0];
-    cross_h1_1[0] = t111;
-    cross_h1_1[1] = t112;
-    cross_h1_1[2] = t113;
-    const double t114 = u[0] * cross_h1_1[2];
-    const double t115 = t114 + 0.01;
-    pivot_h1_1 = t115;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_h1_1 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t116 = 1.0 / pivot_h1_1;
-        inverse_h1_1 = t116;
-        const double t117 = innovation_h1_1 * inverse_h1_1;
-        const double t118 = innovation_h1_1 * t117;
-        const double t119 = quadratic_h1 + t118;
-        const double t120 = log_constant_h1 + DC_MOTOR_UNKNOWN_LOG_2_PI;
-        const double t121 = determinant_h1_0 * pivot_h1_1;
-        const double t122 = cross_h1_1[0] * t117;
-        const double t123 = mean_h1[0] + t122;
-        const double t124 = cross_h1_1[1] * t117;
-        const double t125 = mean_h1[1] + t124;
-        const double t126 = cross_h1_1[2] * t117;
-        const double t127 = mean_h1[2] + t126;
-        const double t128 = cross_h1_1[0] * inverse_h1_1;
-        const double t129 = t128 * cross_h1_1[0];
-        const double t130 = covariance_h1[0] - t129;
-        const double t131 = 0.01 * t128;
-        const double t132 = cross_h1_1[2] * inverse_h1_1;
-        const double t133 = t132 * cross_h1_1[0];
-        const double t134 = covariance_h1[3] - t133;
-        const double t135 = t134 * u[0];
-        const double t136 = t131 - t135;
-        const double t137 = t136 * t128;
-        const double t138 = t130 + t137;
-        const double t139 = cross_h1_1[1] * inverse_h1_1;
-        const double t140 = t139 * cross_h1_1[0];
-        const double t141 = covariance_h1[1] - t140;
-        const double t142 = 0.01 * t139;
-        const double t143 = t132 * cross_h1_1[1];
-        const double t144 = covariance_h1[4] - t143;
-        const double t145 = t144 * u[0];
-        const double t146 = t142 - t145;
-        const double t147 = t146 * t128;
-        const double t148 = t141 + t147;
-        const double t149 = t139 * cross_h1_1[1];
-        const double t150 = covariance_h1[2] - t149;
-        const double t151 = t146 * t139;
-        const double t152 = t150 + t151;
-        const double t153 = 0.01 * t132;
-        const double t154 = t132 * cross_h1_1[2];
-        const double t155 = covariance_h1[5] - t154;
-        const double t156 = t155 * u[0];
-        const double t157 = t153 - t156;
-        const double t158 = t157 * t128;
-        const double t159 = t134 + t158;
-        const double t160 = t157 * t139;
-        const double t161 = t144 + t160;
-        const double t162 = t157 * t132;
-        const double t163 = t155 + t162;
-        quadratic_h1 = t119;
-        log_constant_h1 = t120;
-        determinant_h1_0 = t121;
-        mean_h1[0] = t123;
-        mean_h1[1] = t125;
-        mean_h1[2] = t127;
-        covariance_h1[0] = t138;
-        covariance_h1[1] = t148;
-        covariance_h1[2] = t152;
-        covariance_h1[3] = t159;
-        covariance_h1[4] = t161;
-        covariance_h1[5] = t163;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h1[0]) +
-        dc_motor_unknown_defect(mean_h1[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t164 = y[0] - self->mode_state[5];
-        innovation_h2_0 = t164;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t165 = 0.5 * u[0];
-        const double t166 = y[1] - t165;
-        innovation_h2_1 = t166;
-    }
-
-    /* hypothesis 2 */
-    mean_h2[0] = self->mode_state[4];
-    mean_h2[1] = self->mode_state[5];
-    mean_h2[2] = 0.0;
-    covariance_h2[0] = self->mode_covariance[6];
-    covariance_h2[1] = self->mode_covariance[7];
-    covariance_h2[2] = self->mode_covariance[8];
-    covariance_h2[3] = 0.0;
-    covariance_h2[4] = 0.0;
-    covariance_h2[5] = 0.25;
-
-    /* row 0 of y, speed_measured */
-    const double t167 = self->mode_covariance[8] + 5.0e-06;
-    pivot_h2_0 = t167;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_h2_0 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t168 = 1.0 / pivot_h2_0;
-        inverse_h2_0 = t168;
-        const double t169 = innovation_h2_0 * inverse_h2_0;
-        const double t170 = innovation_h2_0 * t169;
-        const double t171 = self->mode_covariance[7] * t169;
-        const double t172 = self->mode_state[4] + t171;
-        const double t173 = self->mode_covariance[8] * t169;
-        const double t174 = self->mode_state[5] + t173;
-        const double t175 = self->mode_covariance[7] * inverse_h2_0;
-        const double t176 = t175 * self->mode_covariance[7];
-        const double t177 = self->mode_covariance[6] - t176;
-        const double t178 = 5.0e-06 * t175;
-        const double t179 = self->mode_covariance[8] * inverse_h2_0;
-        const double t180 = t179 * self->mode_covariance[7];
-        const double t181 = self->mode_covariance[7] - t180;
-        const double t182 = t178 - t181;
-        const double t183 = t182 * t175;
-        const double t184 = t177 + t183;
-        const double t185 = 5.0e-06 * t179;
-        const double t186 = t179 * self->mode_covariance[8];
-        const double t187 = self->mode_covariance[8] - t186;
-        const double t188 = t185 - t187;
-        const double t189 = t188 * t175;
-        const double t190 = t181 + t189;
-        const double t191 = t188 * t179;
-        const double t192 = t187 + t191;
-        quadratic_h2 = t170;
-        log_constant_h2 = DC_MOTOR_UNKNOWN_LOG_2_PI;
-        determinant_h2_0 = pivot_h2_0;
-        mean_h2[0] = t172;
-        mean_h2[1] = t174;
-        mean_h2[2] = 0.0;
-        covariance_h2[0] = t184;
-        covariance_h2[1] = t190;
-        covariance_h2[2] = t192;
-        covariance_h2[3] = 0.0;
-        covariance_h2[4] = 0.0;
-        covariance_h2[5] = 0.25;
-    }
-
-    /* row 1 of y, voltage_measured */
-    const double t193 = covariance_h2[3] * u[0];
-    const double t194 = covariance_h2[4] * u[0];
-    const double t195 = covariance_h2[5] * u[0];
-    cross_h2_1[0] = t193;
-    cross_h2_1[1] = t194;
-    cross_h2_1[2] = t195;
-    const double t196 = u[0] * cross_h2_1[2];
-    const double t197 = t196 + 0.01;
-    pivot_h2_1 = t197;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_h2_1 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t198 = 1.0 / pivot_h2_1;
-        inverse_h2_1 = t198;
-        const double t199 = innovation_h2_1 * inverse_h2_1;
-        const double t200 = innovation_h2_1 * t199;
-        const double t201 = quadratic_h2 + t200;
-        const double t202 = log_constant_h2 + DC_MOTOR_UNKNOWN_LOG_2_PI;
-        const double t203 = determinant_h2_0 * pivot_h2_1;
-        const double t204 = cross_h2_1[0] * t199;
-        const double t205 = mean_h2[0] + t204;
-        const double t206 = cross_h2_1[1] * t199;
-        const double t207 = mean_h2[1] + t206;
-        const double t208 = cross_h2_1[2] * t199;
-        const double t209 = mean_h2[2] + t208;
-        const double t210 = cross_h2_1[0] * inverse_h2_1;
-        const double t211 = t210 * cross_h2_1[0];
-        const double t212 = covariance_h2[0] - t211;
-        const double t213 = 0.01 * t210;
-        const double t214 = cross_h2_1[2] * inverse_h2_1;
-        const double t215 = t214 * cross_h2_1[0];
-        const double t216 = covariance_h2[3] - t215;
-        const double t217 = t216 * u[0];
-        const double t218 = t213 - t217;
-        const double t219 = t218 * t210;
-        const double t220 = t212 + t219;
-        const double t221 = cross_h2_1[1] * inverse_h2_1;
-        const double t222 = t221 * cross_h2_1[0];
-        const double t223 = covariance_h2[1] - t222;
-        const double t224 = 0.01 * t221;
-        const double t225 = t214 * cross_h2_1[1];
-        const double t226 = covariance_h2[4] - t225;
-        const double t227 = t226 * u[0];
-        const double t228 = t224 - t227;
-        const double t229 = t228 * t210;
-        const double t230 = t223 + t229;
-        const double t231 = t221 * cross_h2_1[1];
-        const double t232 = covariance_h2[2] - t231;
-        const double t233 = t228 * t221;
-        const double t234 = t232 + t233;
-        const double t235 = 0.01 * t214;
-        const double t236 = t214 * cross_h2_1[2];
-        const double t237 = covariance_h2[5] - t236;
-        const double t238 = t237 * u[0];
-        const double t239 = t235 - t238;
-        const double t240 = t239 * t210;
-        const double t241 = t216 + t240;
-        const double t242 = t239 * t221;
-        const double t243 = t226 + t242;
-        const double t244 = t239 * t214;
-        const double t245 = t237 + t244;
-        quadratic_h2 = t201;
-        log_constant_h2 = t202;
-        determinant_h2_0 = t203;
-        mean_h2[0] = t205;
-        mean_h2[1] = t207;
-        mean_h2[2] = t209;
-        covariance_h2[0] = t220;
-        covariance_h2[1] = t230;
-        covariance_h2[2] = t234;
-        covariance_h2[3] = t241;
-        covariance_h2[4] = t243;
-        covariance_h2[5] = t245;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h2[0]) +
-        dc_motor_unknown_defect(mean_h2[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t246 = y[0] - self->mode_state[7];
-        innovation_h3_0 = t246;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t247 = 0.7 * u[0];
-        const double t248 = y[1] - t247;
-        innovation_h3_1 = t248;
-    }
-
-    /* hypothesis 3 */
-    mean_h3[0] = self->mode_state[6];
-    mean_h3[1] = self->mode_state[7];
-    mean_h3[2] = 0.0;
-    covariance_h3[0] = self->mode_covariance[9];
-    covariance_h3[1] = self->mode_covariance[10];
-    covariance_h3[2] = self->mode_covariance[11];
-    covariance_h3[3] = 0.0;
-    covariance_h3[4] = 0.0;
-    covariance_h3[5] = 0.21000000000000002;
-
-    /* row 0 of y, speed_measured */
-    const double t249 = self->mode_covariance[11] + 5.0e-06;
-    pivot_h3_0 = t249;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_h3_0 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t250 = 1.0 / pivot_h3_0;
-        inverse_h3_0 = t250;
-        const double t251 = innovation_h3_0 * inverse_h3_0;
-        const double t252 = innovation_h3_0 * t251;
-        const double t253 = self->mode_covariance[10] * t251;
-        const double t254 = self->mode_state[6] + t253;
-        const double t255 = self->mode_covariance[11] * t251;
-        const double t256 = self->mode_state[7] + t255;
-        const double t257 = self->mode_covariance[10] * inverse_h3_0;
-        const double t258 = t257 * self->mode_covariance[10];
-        const double t259 = self->mode_covariance[9] - t258;
-        const double t260 = 5.0e-06 * t257;
-        const double t261 = self->mode_covariance[11] * inverse_h3_0;
-        const double t262 = t261 * self->mode_covariance[10];
-        const double t263 = self->mode_covariance[10] - t262;
-        const double t264 = t260 - t263;
-        const double t265 = t264 * t257;
-        const double t266 = t259 + t265;
-        const double t267 = 5.0e-06 * t261;
-        const double t268 = t261 * self->mode_covariance[11];
-        const double t269 = self->mode_covariance[11] - t268;
-        const double t270 = t267 - t269;
-        const double t271 = t270 * t257;
-        const double t272 = t263 + t271;
-        const double t273 = t270 * t261;
-        const double t274 = t269 + t273;
-        quadratic_h3 = t252;
-        log_constant_h3 = DC_MOTOR_UNKNOWN_LOG_2_PI;
-        determinant_h3_0 = pivot_h3_0;
-        mean_h3[0] = t254;
-        mean_h3[1] = t256;
-        mean_h3[2] = 0.0;
-        covariance_h3[0] = t266;
-        covariance_h3[1] = t272;
-        covariance_h3[2] = t274;
-        covariance_h3[3] = 0.0;
-        covariance_h3[4] = 0.0;
-        covariance_h3[5] = 0.21000000000000002;
-    }
-
-    /* row 1 of y, voltage_measured */
-    const double t275 = covariance_h3[3] * u[0];
-    const double t276 = covariance_h3[4] * u[0];
-    const double t277 = covariance_h3[5] * u[0];
-    cross_h3_1[0] = t275;
-    cross_h3_1[1] = t276;
-    cross_h3_1[2] = t277;
-    const double t278 = u[0] * cross_h3_1[2];
-    const double t279 = t278 + 0.01;
-    pivot_h3_1 = t279;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_h3_1 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t280 = 1.0 / pivot_h3_1;
-        inverse_h3_1 = t280;
-        const double t281 = innovation_h3_1 * inverse_h3_1;
-        const double t282 = innovation_h3_1 * t281;
-        const double t283 = quadratic_h3 + t282;
-        const double t284 = log_constant_h3 + DC_MOTOR_UNKNOWN_LOG_2_PI;
-        const double t285 = determinant_h3_0 * pivot_h3_1;
-        const double t286 = cross_h3_1[0] * t281;
-        const double t287 = mean_h3[0] + t286;
-        const double t288 = cross_h3_1[1] * t281;
-        const double t289 = mean_h3[1] + t288;
-        const double t290 = cross_h3_1[2] * t281;
-        const double t291 = mean_h3[2] + t290;
-        const double t292 = cross_h3_1[0] * inverse_h3_1;
-        const double t293 = t292 * cross_h3_1[0];
-        const double t294 = covariance_h3[0] - t293;
-        const double t295 = 0.01 * t292;
-        const double t296 = cross_h3_1[2] * inverse_h3_1;
-        const double t297 = t296 * cross_h3_1[0];
-        const double t298 = covariance_h3[3] - t297;
-        const double t299 = t298 * u[0];
-        const double t300 = t295 - t299;
-        const double t301 = t300 * t292;
-        const double t302 = t294 + t301;
-        const double t303 = cross_h3_1[1] * inverse_h3_1;
-        const double t304 = t303 * cross_h3_1[0];
-        const double t305 = covariance_h3[1] - t304;
-        const double t306 = 0.01 * t303;
-        const double t307 = t296 * cross_h3_1[1];
-        const double t308 = covariance_h3[4] - t307;
-        const double t309 = t308 * u[0];
-        const double t310 = t306 - t309;
-        const double t311 = t310 * t292;
-        const double t312 = t305 + t311;
-        const double t313 = t303 * cross_h3_1[1];
-        const double t314 = covariance_h3[2] - t313;
-        const double t315 = t310 * t303;
-        const double t316 = t314 + t315;
-        const double t317 = 0.01 * t296;
-        const double t318 = t296 * cross_h3_1[2];
-        const double t319 = covariance_h3[5] - t318;
-        const double t320 = t319 * u[0];
-        const double t321 = t317 - t320;
-        const double t322 = t321 * t292;
-        const double t323 = t298 + t322;
-        const double t324 = t321 * t303;
-        const double t325 = t308 + t324;
-        const double t326 = t321 * t296;
-        const double t327 = t319 + t326;
-        quadratic_h3 = t283;
-        log_constant_h3 = t284;
-        determinant_h3_0 = t285;
-        mean_h3[0] = t287;
-        mean_h3[1] = t289;
-        mean_h3[2] = t291;
-        covariance_h3[0] = t302;
-        covariance_h3[1] = t312;
-        covariance_h3[2] = t316;
-        covariance_h3[3] = t323;
-        covariance_h3[4] = t325;
-        covariance_h3[5] = t327;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h3[0]) +
-        dc_motor_unknown_defect(mean_h3[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t328 = y[0] - self->mode_state[9];
-        innovation_h4_0 = t328;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t329 = 0.9 * u[0];
-        const double t330 = y[1] - t329;
-        innovation_h4_1 = t330;
-    }
-
-    /* hypothesis 4 */
-    mean_h4[0] = self->mode_state[8];
-    mean_h4[1] = self->mode_state[9];
-    mean_h4[2] = 0.0;
-    covariance_h4[0] = self->mode_covariance[12];
-    covariance_h4[1] = self->mode_covariance[13];
-    covariance_h4[2] = self->mode_covariance[14];
-    covariance_h4[3] = 0.0;
-    covariance_h4[4] = 0.0;
-    covariance_h4[5] = 0.08999999999999998;
-
-    /* row 0 of y, speed_measured */
-    const double t331 = self->mode_covariance[14] + 5.0e-06;
-    pivot_h4_0 = t331;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_h4_0 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t332 = 1.0 / pivot_h4_0;
-        inverse_h4_0 = t332;
-        const double t333 = innovation_h4_0 * inverse_h4_0;
-        const double t334 = innovation_h4_0 * t333;
-        const double t335 = self->mode_covariance[13] * t333;
-        const double t336 = self->mode_state[8] + t335;
-        const double t337 = self->mode_covariance[14] * t333;
-        const double t338 = self->mode_state[9] + t337;
-        const double t339 = self->mode_covariance[13] * inverse_h4_0;
-        const double t340 = t339 * self->mode_covariance[13];
-        const double t341 = self->mode_covariance[12] - t340;
-        const double t342 = 5.0e-06 * t339;
-        const double t343 = self->mode_covariance[14] * inverse_h4_0;
-        const double t344 = t343 * self->mode_covariance[13];
-        const double t345 = self->mode_covariance[13] - t344;
-        const double t346 = t342 - t345;
-        const double t347 = t346 * t339;
-        const double t348 = t341 + t347;
-        const double t349 = 5.0e-06 * t343;
-        const double t350 = t343 * self->mode_covariance[14];
-        const double t351 = self->mode_covariance[14] - t350;
-        const double t352 = t349 - t351;
-        const double t353 = t352 * t339;
-        const double t354 = t345 + t353;
-        const double t355 = t352 * t343;
-        const double t356 = t351 + t355;
-        quadratic_h4 = t334;
-        log_constant_h4 = DC_MOTOR_UNKNOWN_LOG_2_PI;
-        determinant_h4_0 = pivot_h4_0;
-        mean_h4[0] = t336;
-        mean_h4[1] = t338;
-        mean_h4[2] = 0.0;
-        covariance_h4[0] = t348;
-        covariance_h4[1] = t354;
-        covariance_h4[2] = t356;
-        covariance_h4[3] = 0.0;
-        covariance_h4[4] = 0.0;
-        covariance_h4[5] = 0.08999999999999998;
-    }
-
-    /* row 1 of y, voltage_measured */
-    const double t357 = covariance_h4[3] * u[0];
-    const double t358 = covariance_h4[4] * u[0];
-    const double t359 = covariance_h4[5] * u[0];
-    cross_h4_1[0] = t357;
-    cross_h4_1[1] = t358;
-    cross_h4_1[2] = t359;
-    const double t360 = u[0] * cross_h4_1[2];
-    const double t361 = t360 + 0.01;
-    pivot_h4_1 = t361;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_h4_1 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        const double t362 = 1.0 / pivot_h4_1;
-        inverse_h4_1 = t362;
-        const double t363 = innovation_h4_1 * inverse_h4_1;
-        const double t364 = innovation_h4_1 * t363;
-        const double t365 = quadratic_h4 + t364;
-        const double t366 = log_constant_h4 + DC_MOTOR_UNKNOWN_LOG_2_PI;
-        const double t367 = determinant_h4_0 * pivot_h4_1;
-        const double t368 = cross_h4_1[0] * t363;
-        const double t369 = mean_h4[0] + t368;
-        const double t370 = cross_h4_1[1] * t363;
-        const double t371 = mean_h4[1] + t370;
-        const double t372 = cross_h4_1[2] * t363;
-        const double t373 = mean_h4[2] + t372;
-        const double t374 = cross_h4_1[0] * inverse_h4_1;
-        const double t375 = t374 * cross_h4_1[0];
-        const double t376 = covariance_h4[0] - t375;
-        const double t377 = 0.01 * t374;
-        const double t378 = cross_h4_1[2] * inverse_h4_1;
-        const double t379 = t378 * cross_h4_1[0];
-        const double t380 = covariance_h4[3] - t379;
-        const double t381 = t380 * u[0];
-        const double t382 = t377 - t381;
-        const double t383 = t382 * t374;
-        const double t384 = t376 + t383;
-        const double t385 = cross_h4_1[1] * inverse_h4_1;
-        const double t386 = t385 * cross_h4_1[0];
-        const double t387 = covariance_h4[1] - t386;
-        const double t388 = 0.01 * t385;
-        const double t389 = t378 * cross_h4_1[1];
-        const double t390 = covariance_h4[4] - t389;
-        const double t391 = t390 * u[0];
-        const double t392 = t388 - t391;
-        const double t393 = t392 * t374;
-        const double t394 = t387 + t393;
-        const double t395 = t385 * cross_h4_1[1];
-        const double t396 = covariance_h4[2] - t395;
-        const double t397 = t392 * t385;
-        const double t398 = t396 + t397;
-        const double t399 = 0.01 * t378;
-        const double t400 = t378 * cross_h4_1[2];
-        const double t401 = covariance_h4[5] - t400;
-        const double t402 = t401 * u[0];
-        const double t403 = t399 - t402;
-        const double t404 = t403 * t374;
-        const double t405 = t380 + t404;
-        const double t406 = t403 * t385;
-        const double t407 = t390 + t406;
-        const double t408 = t403 * t378;
-        const double t409 = t401 + t408;
-        quadratic_h4 = t365;
-        log_constant_h4 = t366;
-        determinant_h4_0 = t367;
-        mean_h4[0] = t369;
-        mean_h4[1] = t371;
-        mean_h4[2] = t373;
-        covariance_h4[0] = t384;
-        covariance_h4[1] = t394;
-        covariance_h4[2] = t398;
-        covariance_h4[3] = t405;
-        covariance_h4[4] = t407;
-        covariance_h4[5] = t409;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h4[0]) +
-        dc_motor_unknown_defect(mean_h4[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
-    /* weights of the hypotheses */
-    const double t410 = dc_motor_unknown_log(determinant_h0_0);
-    const double t411 = log_constant_h0 + t410;
-    const double t412 = quadratic_h0 + t411;
-    const double t413 = -0.5 * t412;
-    log_likelihood_h0 = t413;
-    const double t414 = dc_motor_unknown_log(determinant_h1_0);
-    const double t415 = log_constant_h1 + t414;
-    const double t416 = quadratic_h1 + t415;
-    const double t417 = -0.5 * t416;
-    log_likelihood_h1 = t417;
-    const double t418 = dc_motor_unknown_log(determinant_h2_0);
-    const double t419 = log_constant_h2 + t418;
-    const double t420 = quadratic_h2 + t419;
-    const double t421 = -0.5 * t420;
-    log_likelihood_h2 = t421;
-    const double t422 = dc_motor_unknown_log(determinant_h3_0);
-    const double t423 = log_constant_h3 + t422;
-    const double t424 = quadratic_h3 + t423;
-    const double t425 = -0.5 * t424;
-    log_likelihood_h3 = t425;
-    const double t426 = dc_motor_unknown_log(determinant_h4_0);
-    const double t427 = log_constant_h4 + t426;
-    const double t428 = quadratic_h4 + t427;
-    const double t429 = -0.5 * t428;
-    log_likelihood_h4 = t429;
-    weight[0] = self->mode_probability[0];
-    weight[1] = self->mode_probability[1];
-    weight[2] = self->mode_probability[2];
-    weight[3] = self->mode_probability[3];
-    weight[4] = self->mode_probability[4];
-    log_weight_now[0] = self->log_weight[0];
-    log_weight_now[1] = self->log_weight[1];
-    log_weight_now[2] = self->log_weight[2];
-    log_weight_now[3] = self->log_weight[3];
-    log_weight_now[4] = self->log_weight[4];
-    if ((present) != 0u)
-    {
-        const double t430 = self->log_weight[0] + log_likelihood_h0;
-        const double t431 = self->log_weight[1] + log_likelihood_h1;
-        const double t432 = self->log_weight[2] + log_likelihood_h2;
-        const double t433 = self->log_weight[3] + log_likelihood_h3;
-        const double t434 = self->log_weight[4] + log_likelihood_h4;
-        log_joint[0] = t430;
-        log_joint[1] = t431;
-        log_joint[2] = t432;
-        log_joint[3] = t433;
-        log_joint[4] = t434;
-        const double t435 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t436 = (t435 > log_joint[2]) ? t435 : log_joint[2];
-        const double t437 = (t436 > log_joint[3]) ? t436 : log_joint[3];
-        const double t438 = (t437 > log_joint[4]) ? t437 : log_joint[4];
-        log_largest = t438;
-        const double t439 = log_joint[0] - log_largest;
-        const double t440 = dc_motor_unknown_exp(t439);
-        const double t441 = log_joint[1] - log_largest;
-        const double t442 = dc_motor_unknown_exp(t441);
-        const double t443 = log_joint[2] - log_largest;
-        const double t444 = dc_motor_unknown_exp(t443);
-        const double t445 = log_joint[3] - log_largest;
-        const double t446 = dc_motor_unknown_exp(t445);
-        const double t447 = log_joint[4] - log_largest;
-        const double t448 = dc_motor_unknown_exp(t447);
-        share_of_largest[0] = t440;
-        share_of_largest[1] = t442;
-        share_of_largest[2] = t444;
-        share_of_largest[3] = t446;
-        share_of_largest[4] = t448;
-        const double t449 = share_of_largest[0] + share_of_largest[1];
-        const double t450 = t449 + share_of_largest[2];
-        const double t451 = t450 + share_of_largest[3];
-        const double t452 = t451 + share_of_largest[4];
-        share_total = t452;
-        const double t453 = log_largest - DC_MOTOR_UNKNOWN_LEAST_LOG_DENSITY;
-        if (!(t453 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
-        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(share_total)))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
-        const double t454 = 1.0 / share_total;
-        share_total_inverse = t454;
-        const double t455 = dc_motor_unknown_log(share_total);
-        log_share_total = t455;
-        const double t456 = share_of_largest[0] * share_total_inverse;
-        const double t457 = share_of_largest[1] * share_total_inverse;
-        const double t458 = share_of_largest[2] * share_total_inverse;
-        const double t459 = share_of_largest[3] * share_total_inverse;
-        const double t460 = share_of_largest[4] * share_total_inverse;
-        const double t461 = log_joint[0] - log_largest;
-        const double t462 = t461 - log_share_total;
-        const double t463 = (t462 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t462 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t464 = log_joint[1] - log_largest;
-        const double t465 = t464 - log_share_total;
-        const double t466 = (t465 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t465 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t467 = log_joint[2] - log_largest;
-        const double t468 = t467 - log_share_total;
-        const double t469 = (t468 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t468 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t470 = log_joint[3] - log_largest;
-        const double t471 = t470 - log_share_total;
-        const double t472 = (t471 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t471 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t473 = log_joint[4] - log_largest;
-        const double t474 = t473 - log_share_total;
-        const double t475 = (t474 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t474 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t476 = log_largest + log_share_total;
-        weight[0] = t456;
-        weight[1] = t457;
-        weight[2] = t458;
-        weight[3] = t459;
-        weight[4] = t460;
-        log_weight_now[0] = t463;
-        log_weight_now[1] = t466;
-        log_weight_now[2] = t469;
-        log_weight_now[3] = t472;
-        log_weight_now[4] = t475;
-        log_evidence = t476;
-    }
-
-    /* combination */
-    const double t477 = 0.1 * u[0];
-    predicted_y_h0[0] = self->mode_state[1];
-    predicted_y_h0[1] = t477;
-    const double t478 = 0.3 * u[0];
-    predicted_y_h1[0] = self->mode_state[3];
-    predicted_y_h1[1] = t478;
-    const double t479 = 0.5 * u[0];
-    predicted_y_h2[0] = self->mode_state[5];
-    predicted_y_h2[1] = t479;
-    const double t480 = 0.7 * u[0];
-    predicted_y_h3[0] = self->mode_state[7];
-    predicted_y_h3[1] = t480;
-    const double t481 = 0.9 * u[0];
-    predicted_y_h4[0] = self->mode_state[9];
-    predicted_y_h4[1] = t481;
-    const double t482 = self->mode_probability[0] * pivot_h0_0;
-    const double t483 = self->mode_probability[1] * pivot_h1_0;
-    const double t484 = t482 + t483;
-    const double t485 = self->mode_probability[2] * pivot_h2_0;
-    const double t486 = t484 + t485;
-    const double t487 = self->mode_probability[3] * pivot_h3_0;
-    const double t488 = t486 + t487;
-    const double t489 = self->mode_probability[4] * pivot_h4_0;
-    const double t490 = t488 + t489;
-    const double t491 = self->mode_probability[0] * predicted_y_h0[0];
-    const double t492 = self->mode_probability[1] * predicted_y_h1[0];
-    const double t493 = t491 + t492;
-    const double t494 = self->mode_probability[2] * predicted_y_h2[0];
-    const double t495 = t493 + t494;
-    const double t496 = self->mode_probability[3] * predicted_y_h3[0];
-    const double t497 = t495 + t496;
-    const double t498 = self->mode_probability[4] * predicted_y_h4[0];
-    const double t499 = t497 + t498;
-    const double t500 = predicted_y_h0[0] - t499;
-    const double t501 = self->mode_probability[0] * t500;
-    const double t502 = t501 * t500;
-    const double t503 = predicted_y_h1[0] - t499;
-    const double t504 = self->mode_probability[1] * t503;
-    const double t505 = t504 * t503;
-    const double t506 = t502 + t505;
-    const double t507 = predicted_y_h2[0] - t499;
-    const double t508 = self->mode_probability[2] * t507;
-    const double t509 = t508 * t507;
-    const double t510 = t506 + t509;
-    const double t511 = predicted_y_h3[0] - t499;
-    const double t512 = self->mode_probability[3] * t511;
-    const double t513 = t512 * t511;
-    const double t514 = t510 + t513;
-    const double t515 = predicted_y_h4[0] - t499;
-    const double t516 = self->mode_probability[4] * t515;
-    const double t517 = t516 * t515;
-    const double t518 = t514 + t517;
-    const double t519 = t490 + t518;
-    const double t520 = self->mode_probability[0] * predicted_y_h0[1];
-    const double t521 = self->mode_probability[1] * predicted_y_h1[1];
-    const double t522 = t520 + t521;
-    const double t523 = self->mode_probability[2] * predicted_y_h2[1];
-    const double t524 = t522 + t523;
-    const double t525 = self->mode_probability[3] * predicted_y_h3[1];
-    const double t526 = t524 + t525;
-    const double t527 = self->mode_probability[4] * predicted_y_h4[1];
-    const double t528 = t526 + t527;
-    const double t529 = predicted_y_h0[1] - t528;
-    const double t530 = self->mode_probability[0] * t529;
-    const double t531 = t530 * t500;
-    const double t532 = predicted_y_h1[1] - t528;
-    const double t533 = self->mode_probability[1] * t532;
-    const double t534 = t533 * t503;
-    const double t535 = t531 + t534;
-    const double t536 = predicted_y_h2[1] - t528;
-    const double t537 = self->mode_probability[2] * t536;
-    const double t538 = t537 * t507;
-    const double t539 = t535 + t538;
-    const double t540 = predicted_y_h3[1] - t528;
-    const double t541 = self->mode_probability[3] * t540;
-    const double t542 = t541 * t511;
-    const double t543 = t539 + t542;
-    const double t544 = predicted_y_h4[1] - t528;
-    const double t545 = self->mode_probability[4] * t544;
-    const double t546 = t545 * t515;
-    const double t547 = t543 + t546;
-    const double t548 = self->mode_probability[0] * pivot_h0_1;
-    const double t549 = self->mode_probability[1] * pivot_h1_1;
-    const double t550 = t548 + t549;
-    const double t551 = self->mode_probability[2] * pivot_h2_1;
-    const double t552 = t550 + t551;
-    const double t553 = self->mode_probability[3] * pivot_h3_1;
-    const double t554 = t552 + t553;
-    const double t555 = self->mode_probability[4] * pivot_h4_1;
-    const double t556 = t554 + t555;
-    const double t557 = t530 * t529;
-    const double t558 = t533 * t532;
-    const double t559 = t557 + t558;
-    const double t560 = t537 * t536;
-    const double t561 = t559 + t560;
-    const double t562 = t541 * t540;
-    const double t563 = t561 + t562;
-    const double t564 = t545 * t544;
-    const double t565 = t563 + t564;
-    const double t566 = t556 + t565;
-    combined_variance[0] = t519;
-    combined_variance[1] = t547;
-    combined_variance[2] = t566;
-    const double t567 = self->mode_probability[0] * innovation_h0_0;
-    const double t568 = self->mode_probability[1] * innovation_h1_0;
-    const double t569 = t567 + t568;
-    const double t570 = self->mode_probability[2] * innovation_h2_0;
-    const double t571 = t569 + t570;
-    const double t572 = self->mode_probability[3] * innovation_h3_0;
-    const double t573 = t571 + t572;
-    const double t574 = self->mode_probability[4] * innovation_h4_0;
-    const double t575 = t573 + t574;
-    const double t576 = self->mode_probability[0] * innovation_h0_1;
-    const double t577 = self->mode_probability[1] * innovation_h1_1;
-    const double t578 = t576 + t577;
-    const double t579 = self->mode_probability[2] * innovation_h2_1;
-    const double t580 = t578 + t579;
-    const double t581 = self->mode_probability[3] * innovation_h3_1;
-    const double t582 = t580 + t581;
-    const double t583 = self->mode_probability[4] * innovation_h4_1;
-    const double t584 = t582 + t583;
-    combined_innovation[0] = t575;
-    combined_innovation[1] = t584;
     whitening_pivot_combined_0 = combined_variance[0];
     if ((present & 0x1u) != 0u)
     {
@@ -1375,22 +1054,18 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         {
             return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
         }
-        const double t585 = 1.0 / whitening_pivot_combined_0;
-        whitening_inverse_combined_0 = t585;
+        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
-    const double t586 = combined_variance[1] * whitening_inverse_combined_0;
-    whitening_combined_0_1 = t586;
+    whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
     const double t587 = whitening_combined_0_1 * combined_variance[1];
-    const double t588 = combined_variance[2] - t587;
-    whitening_pivot_combined_1 = t588;
+    whitening_pivot_combined_1 = combined_variance[2] - t587;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0))
         {
             return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
         }
-        const double t589 = 1.0 / whitening_pivot_combined_1;
-        whitening_inverse_combined_1 = t589;
+        whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
     }
     const double t590 = combined_innovation[0] * combined_innovation[0];
     const double t591 = t590 * whitening_inverse_combined_0;
@@ -1398,7 +1073,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     const double t593 = combined_innovation[1] - t592;
     const double t594 = t593 * t593;
     const double t595 = t594 * whitening_inverse_combined_1;
-    const double t596 = t591 + t595;
+    next->nis = t591 + t595;
     const double t597 = weight[0] * mean_h0[0];
     const double t598 = weight[1] * mean_h1[0];
     const double t599 = t597 + t598;
@@ -1445,7 +1120,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     const double t640 = weight[4] * t639;
     const double t641 = t640 * t639;
     const double t642 = t638 + t641;
-    const double t643 = t623 + t642;
+    next->filtered_covariance[0] = t623 + t642;
     const double t644 = weight[0] * covariance_h0[1];
     const double t645 = weight[1] * covariance_h1[1];
     const double t646 = t644 + t645;
@@ -1474,7 +1149,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     const double t669 = weight[4] * t668;
     const double t670 = t669 * t639;
     const double t671 = t667 + t670;
-    const double t672 = t652 + t671;
+    next->filtered_covariance[1] = t652 + t671;
     const double t673 = weight[0] * covariance_h0[2];
     const double t674 = weight[1] * covariance_h1[2];
     const double t675 = t673 + t674;
@@ -1493,7 +1168,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     const double t688 = t686 + t687;
     const double t689 = t669 * t668;
     const double t690 = t688 + t689;
-    const double t691 = t681 + t690;
+    next->filtered_covariance[2] = t681 + t690;
     const double t692 = weight[0] * self->mode_state[0];
     const double t693 = weight[1] * self->mode_state[2];
     const double t694 = t692 + t693;
@@ -1502,7 +1177,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     const double t697 = weight[3] * self->mode_state[6];
     const double t698 = t696 + t697;
     const double t699 = weight[4] * self->mode_state[8];
-    const double t700 = t698 + t699;
+    next->paper_state[0] = t698 + t699;
     const double t701 = weight[0] * self->mode_state[1];
     const double t702 = weight[1] * self->mode_state[3];
     const double t703 = t701 + t702;
@@ -1511,7 +1186,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     const double t706 = weight[3] * self->mode_state[7];
     const double t707 = t705 + t706;
     const double t708 = weight[4] * self->mode_state[9];
-    const double t709 = t707 + t708;
+    next->paper_state[1] = t707 + t708;
     const double t710 = 0.1 * weight[0];
     const double t711 = 0.3 * weight[1];
     const double t712 = t710 + t711;
@@ -1520,21 +1195,14 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     const double t715 = 0.7 * weight[3];
     const double t716 = t714 + t715;
     const double t717 = 0.9 * weight[4];
-    const double t718 = t716 + t717;
+    next->success_rate_estimate = t716 + t717;
     next->innovation[0] = combined_innovation[0];
     next->innovation[1] = combined_innovation[1];
     next->innovation_covariance[0] = combined_variance[0];
     next->innovation_covariance[1] = combined_variance[1];
     next->innovation_covariance[2] = combined_variance[2];
-    next->nis = t596;
     next->filtered_state[0] = t605;
     next->filtered_state[1] = t614;
-    next->filtered_covariance[0] = t643;
-    next->filtered_covariance[1] = t672;
-    next->filtered_covariance[2] = t691;
-    next->paper_state[0] = t700;
-    next->paper_state[1] = t709;
-    next->success_rate_estimate = t718;
     next->mode_filtered_state[0] = mean_h0[0];
     next->mode_filtered_state[1] = mean_h0[1];
     next->mode_filtered_state[2] = mean_h1[0];
@@ -1601,8 +1269,6 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     double moved_state[10];
     double moved_covariance[15];
     double combined_state[2];
-
-    /* prediction of every hypothesis */
     const double t0 = 0.9802 * self->mode_filtered_state[0];
     const double t1 = -0.0002 * self->mode_filtered_state[1];
     const double t2 = t0 + t1;
@@ -1610,7 +1276,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t4 = t2 + t3;
     const double t5 = 0.0198 * u[0];
     const double t6 = t5 * self->mode_deviation[0];
-    const double t7 = t4 + t6;
+    moved_state[0] = t4 + t6;
     const double t8 = 0.0094 * self->mode_filtered_state[0];
     const double t9 = 0.9048 * self->mode_filtered_state[1];
     const double t10 = t8 + t9;
@@ -1618,7 +1284,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t12 = t10 + t11;
     const double t13 = 0.0001 * u[0];
     const double t14 = t13 * self->mode_deviation[0];
-    const double t15 = t12 + t14;
+    moved_state[1] = t12 + t14;
     const double t16 = 0.9802 * self->mode_filtered_state[2];
     const double t17 = -0.0002 * self->mode_filtered_state[3];
     const double t18 = t16 + t17;
@@ -1626,7 +1292,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t20 = t18 + t19;
     const double t21 = 0.0198 * u[0];
     const double t22 = t21 * self->mode_deviation[1];
-    const double t23 = t20 + t22;
+    moved_state[2] = t20 + t22;
     const double t24 = 0.0094 * self->mode_filtered_state[2];
     const double t25 = 0.9048 * self->mode_filtered_state[3];
     const double t26 = t24 + t25;
@@ -1634,7 +1300,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t28 = t26 + t27;
     const double t29 = 0.0001 * u[0];
     const double t30 = t29 * self->mode_deviation[1];
-    const double t31 = t28 + t30;
+    moved_state[3] = t28 + t30;
     const double t32 = 0.9802 * self->mode_filtered_state[4];
     const double t33 = -0.0002 * self->mode_filtered_state[5];
     const double t34 = t32 + t33;
@@ -1642,7 +1308,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t36 = t34 + t35;
     const double t37 = 0.0198 * u[0];
     const double t38 = t37 * self->mode_deviation[2];
-    const double t39 = t36 + t38;
+    moved_state[4] = t36 + t38;
     const double t40 = 0.0094 * self->mode_filtered_state[4];
     const double t41 = 0.9048 * self->mode_filtered_state[5];
     const double t42 = t40 + t41;
@@ -1650,7 +1316,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t44 = t42 + t43;
     const double t45 = 0.0001 * u[0];
     const double t46 = t45 * self->mode_deviation[2];
-    const double t47 = t44 + t46;
+    moved_state[5] = t44 + t46;
     const double t48 = 0.9802 * self->mode_filtered_state[6];
     const double t49 = -0.0002 * self->mode_filtered_state[7];
     const double t50 = t48 + t49;
@@ -1658,7 +1324,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t52 = t50 + t51;
     const double t53 = 0.0198 * u[0];
     const double t54 = t53 * self->mode_deviation[3];
-    const double t55 = t52 + t54;
+    moved_state[6] = t52 + t54;
     const double t56 = 0.0094 * self->mode_filtered_state[6];
     const double t57 = 0.9048 * self->mode_filtered_state[7];
     const double t58 = t56 + t57;
@@ -1666,7 +1332,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t60 = t58 + t59;
     const double t61 = 0.0001 * u[0];
     const double t62 = t61 * self->mode_deviation[3];
-    const double t63 = t60 + t62;
+    moved_state[7] = t60 + t62;
     const double t64 = 0.9802 * self->mode_filtered_state[8];
     const double t65 = -0.0002 * self->mode_filtered_state[9];
     const double t66 = t64 + t65;
@@ -1674,7 +1340,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t68 = t66 + t67;
     const double t69 = 0.0198 * u[0];
     const double t70 = t69 * self->mode_deviation[4];
-    const double t71 = t68 + t70;
+    moved_state[8] = t68 + t70;
     const double t72 = 0.0094 * self->mode_filtered_state[8];
     const double t73 = 0.9048 * self->mode_filtered_state[9];
     const double t74 = t72 + t73;
@@ -1682,299 +1348,10 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t76 = t74 + t75;
     const double t77 = 0.0001 * u[0];
     const double t78 = t77 * self->mode_deviation[4];
-    const double t79 = t76 + t78;
-    moved_state[0] = t7;
-    moved_state[1] = t15;
-    moved_state[2] = t23;
-    moved_state[3] = t31;
-    moved_state[4] = t39;
-    moved_state[5] = t47;
-    moved_state[6] = t55;
-    moved_state[7] = t63;
-    moved_state[8] = t71;
-    moved_state[9] = t79;
-    const double t80 = 0.9802 * self->mode_filtered_covariance[0];
-    const double t81 = -0.0002 * self->mode_filtered_covariance[1];
-    const double t82 = t80 + t81;
-    const double t83 = 0.0198 * u[0];
-    const double t84 = t83 * self->mode_deviation_cross[0];
-    const double t85 = t82 + t84;
-    const double t86 = 0.9802 * t85;
-    const double t87 = 0.9802 * self->mode_filtered_covariance[1];
-    const double t88 = -0.0002 * self->mode_filtered_covariance[2];
-    const double t89 = t87 + t88;
-    const double t90 = t83 * self->mode_deviation_cross[1];
-    const double t91 = t89 + t90;
-    const double t92 = -0.0002 * t91;
-    const double t93 = t86 + t92;
-    const double t94 = 0.9802 * self->mode_deviation_cross[0];
-    const double t95 = -0.0002 * self->mode_deviation_cross[1];
-    const double t96 = t94 + t95;
-    const double t97 = t83 * self->mode_deviation_covariance[0];
-    const double t98 = t96 + t97;
-    const double t99 = t98 * t83;
-    const double t100 = t93 + t99;
-    const double t101 = t100 + 0.0001;
-    const double t102 = 0.0094 * self->mode_filtered_covariance[0];
-    const double t103 = 0.9048 * self->mode_filtered_covariance[1];
-    const double t104 = t102 + t103;
-    const double t105 = 0.0001 * u[0];
-    const double t106 = t105 * self->mode_deviation_cross[0];
-    const double t107 = t104 + t106;
-    const double t108 = 0.9802 * t107;
-    const double t109 = 0.0094 * self->mode_filtered_covariance[1];
-    const double t110 = 0.9048 * self->mode_filtered_covariance[2];
-    const double t111 = t109 + t110;
-    const double t112 = t105 * self->mode_deviation_cross[1];
-    const double t113 = t111 + t112;
-    const double t114 = -0.0002 * t113;
-    const double t115 = t108 + t114;
-    const double t116 = 0.0094 * self->mode_deviation_cross[0];
-    const double t117 = 0.9048 * self->mode_deviation_cross[1];
-    const double t118 = t116 + t117;
-    const double t119 = t105 * self->mode_deviation_covariance[0];
-    const double t120 = t118 + t119;
-    const double t121 = t120 * t83;
-    const double t122 = t115 + t121;
-    const double t123 = 0.0094 * t107;
-    const double t124 = 0.9048 * t113;
-    const double t125 = t123 + t124;
-    const double t126 = t120 * t105;
-    const double t127 = t125 + t126;
-    const double t128 = t127 + 0.0001;
-    const double t129 = 0.9802 * self->mode_filtered_covariance[3];
-    const double t130 = -0.0002 * self->mode_filtered_covariance[4];
-    const double t131 = t129 + t130;
-    const double t132 = 0.0198 * u[0];
-    const double t133 = t132 * self->mode_deviation_cross[2];
-    const double t134 = t131 + t133;
-    const double t135 = 0.9802 * t134;
-    const double t136 = 0.9802 * self->mode_filtered_covariance[4];
-    const double t137 = -0.0002 * self->mode_filtered_covariance[5];
-    const double t138 = t136 + t137;
-    const double t139 = t132 * self->mode_deviation_cross[3];
-    const double t140 = t138 + t139;
-    const double t141 = -0.0002 * t140;
-    const double t142 = t135 + t141;
-    const double t143 = 0.9802 * self->mode_deviation_cross[2];
-    const double t144 = -0.0002 * self->mode_deviation_cross[3];
-    const double t145 = t143 + t144;
-    const double t146 = t132 * self->mode_deviation_covariance[1];
-    const double t147 = t145 + t146;
-    const double t148 = t147 * t132;
-    const double t149 = t142 + t148;
-    const double t150 = t149 + 0.0001;
-    const double t151 = 0.0094 * self->mode_filtered_covariance[3];
-    const double t152 = 0.9048 * self->mode_filtered_covariance[4];
-    const double t153 = t151 + t152;
-    const double t154 = 0.0001 * u[0];
-    const double t155 = t154 * self->mode_deviation_cross[2];
-    const double t156 = t153 + t155;
-    const double t157 = 0.9802 * t156;
-    const double t158 = 0.0094 * self->mode_filtered_covariance[4];
-    const double t159 = 0.9048 * self->mode_filtered_covariance[5];
-    const double t160 = t158 + t159;
-    const double t161 = t154 * self->mode_deviation_cross[3];
-    const double t162 = t160 + t161;
-    const double t163 = -0.0002 * t162;
-    const double t164 = t157 + t163;
-    const double t165 = 0.0094 * self->mode_deviation_cross[2];
-    const double t166 = 0.9048 * self->mode_deviation_cross[3];
-    const double t167 = t165 + t166;
-    const double t168 = t154 * self->mode_deviation_covariance[1];
-    const double t169 = t167 + t168;
-    const double t170 = t169 * t132;
-    const double t171 = t164 + t170;
-    const double t172 = 0.0094 * t156;
-    const double t173 = 0.9048 * t162;
-    const double t174 = t172 + t173;
-    const double t175 = t169 * t154;
-    const double t176 = t174 + t175;
-    const double t177 = t176 + 0.0001;
-    const double t178 = 0.9802 * self->mode_filtered_covariance[6];
-    const double t179 = -0.0002 * self->mode_filtered_covariance[7];
-    const double t180 = t178 + t179;
-    const double t181 = 0.0198 * u[0];
-    const double t182 = t181 * self->mode_deviation_cross[4];
-    const double t183 = t180 + t182;
-    const double t184 = 0.9802 * t183;
-    const double t185 = 0.9802 * self->mode_filtered_covariance[7];
-    const double t186 = -0.0002 * self->mode_filtered_covariance[8];
-    const double t187 = t185 + t186;
-    const double t188 = t181 * self->mode_deviation_cross[5];
-    const double t189 = t187 + t188;
-    const double t190 = -0.0002 * t189;
-    const double t191 = t184 + t190;
-    const double t192 = 0.9802 * self->mode_deviation_cross[4];
-    const double t193 = -0.0002 * self->mode_deviation_cross[5];
-    const double t194 = t192 + t193;
-    const double t195 = t181 * self->mode_deviation_covariance[2];
-    const double t196 = t194 + t195;
-    const double t197 = t196 * t181;
-    const double t198 = t191 + t197;
-    const double t199 = t198 + 0.0001;
-    const double t200 = 0.0094 * self->mode_filtered_covariance[6];
-    const double t201 = 0.9048 * self->mode_filtered_covariance[7];
-    const double t202 = t200 + t201;
-    const double t203 = 0.0001 * u[0];
-    const double t204 = t203 * self->mode_deviation_cross[4];
-    const double t205 = t202 + t204;
-    const double t206 = 0.9802 * t205;
-    const double t207 = 0.0094 * self->mode_filtered_covariance[7];
-    const double t208 = 0.9048 * self->mode_filtered_covariance[8];
-    const double t209 = t207 + t208;
-    const double t210 = t203 * self->mode_deviation_cross[5];
-    const double t211 = t209 + t210;
-    const double t212 = -0.0002 * t211;
-    const double t213 = t206 + t212;
-    const double t214 = 0.0094 * self->mode_deviation_cross[4];
-    const double t215 = 0.9048 * self->mode_deviation_cross[5];
-    const double t216 = t214 + t215;
-    const double t217 = t203 * self->mode_deviation_covariance[2];
-    const double t218 = t216 + t217;
-    const double t219 = t218 * t181;
-    const double t220 = t213 + t219;
-    const double t221 = 0.0094 * t205;
-    const double t222 = 0.9048 * t211;
-    const double t223 = t221 + t222;
-    const double t224 = t218 * t203;
-    const double t225 = t223 + t224;
-    const double t226 = t225 + 0.0001;
-    const double t227 = 0.9802 * self->mode_filtered_covariance[9];
-    const double t228 = -0.0002 * self->mode_filtered_covariance[10];
-    const double t229 = t227 + t228;
-    const double t230 = 0.0198 * u[0];
-    const double t231 = t230 * self->mode_deviation_cross[6];
-    const double t232 = t229 + t231;
-    const double t233 = 0.9802 * t232;
-    const double t234 = 0.9802 * self->mode_filtered_covariance[10];
-    const double t235 = -0.0002 * self->mode_filtered_covariance[11];
-    const double t236 = t234 + t235;
-    const double t237 = t230 * self->mode_deviation_cross[7];
-    const double t238 = t236 + t237;
-    const double t239 = -0.0002 * t238;
-    const double t240 = t233 + t239;
-    const double t241 = 0.9802 * self->mode_deviation_cross[6];
-    const double t242 = -0.0002 * self->mode_deviation_cross[7];
-    const double t243 = t241 + t242;
-    const double t244 = t230 * self->mode_deviation_covariance[3];
-    const double t245 = t243 + t244;
-    const double t246 = t245 * t230;
-    const double t247 = t240 + t246;
-    const double t248 = t247 + 0.0001;
-    const double t249 = 0.0094 * self->mode_filtered_covariance[9];
-    const double t250 = 0.9048 * self->mode_filtered_covariance[10];
-    const double t251 = t249 + t250;
-    const double t252 = 0.0001 * u[0];
-    const double t253 = t252 * self->mode_deviation_cross[6];
-    const double t254 = t251 + t253;
-    const double t255 = 0.9802 * t254;
-    const double t256 = 0.0094 * self->mode_filtered_covariance[10];
-    const double t257 = 0.9048 * self->mode_filtered_covariance[11];
-    const double t258 = t256 + t257;
-    const double t259 = t252 * self->mode_deviation_cross[7];
-    const double t260 = t258 + t259;
-    const double t261 = -0.0002 * t260;
-    const double t262 = t255 + t261;
-    const double t263 = 0.0094 * self->mode_deviation_cross[6];
-    const double t264 = 0.9048 * self->mode_deviation_cross[7];
-    const double t265 = t263 + t264;
-    const double t266 = t252 * self->mode_deviation_covariance[3];
-    const double t267 = t265 + t266;
-    const double t268 = t267 * t230;
-    const double t269 = t262 + t268;
-    const double t270 = 0.0094 * t254;
-    const double t271 = 0.9048 * t260;
-    const double t272 = t270 + t271;
-    const double t273 = t267 * t252;
-    const double t274 = t272 + t273;
-    const double t275 = t274 + 0.0001;
-    const double t276 = 0.9802 * self->mode_filtered_covariance[12];
-    const double t277 = -0.0002 * self->mode_filtered_covariance[13];
-    const double t278 = t276 + t277;
-    const double t279 = 0.0198 * u[0];
-    const double t280 = t279 * self->mode_deviation_cross[8];
-    const double t281 = t278 + t280;
-    const double t282 = 0.9802 * t281;
-    const double t283 = 0.9802 * self->mode_filtered_covariance[13];
-    const double t284 = -0.0002 * self->mode_filtered_covariance[14];
-    const double t285 = t283 + t284;
-    const double t286 = t279 * self->mode_deviation_cross[9];
-    const double t287 = t285 + t286;
-    const double t288 = -0.0002 * t287;
-    const double t289 = t282 + t288;
-    const double t290 = 0.9802 * self->mode_deviation_cross[8];
-    const double t291 = -0.0002 * self->mode_deviation_cross[9];
-    const double t292 = t290 + t291;
-    const double t293 = t279 * self->mode_deviation_covariance[4];
-    const double t294 = t292 + t293;
-    const double t295 = t294 * t279;
-    const double t296 = t289 + t295;
-    const double t297 = t296 + 0.0001;
-    const double t298 = 0.0094 * self->mode_filtered_covariance[12];
-    const double t299 = 0.9048 * self->mode_filtered_covariance[13];
-    const double t300 = t298 + t299;
-    const double t301 = 0.0001 * u[0];
-    const double t302 = t301 * self->mode_deviation_cross[8];
-    const double t303 = t300 + t302;
-    const double t304 = 0.9802 * t303;
-    const double t305 = 0.0094 * self->mode_filtered_covariance[13];
-    const double t306 = 0.9048 * self->mode_filtered_covariance[14];
-    const double t307 = t305 + t306;
-    const double t308 = t301 * self->mode_deviation_cross[9];
-    const double t309 = t307 + t308;
-    const double t310 = -0.0002 * t309;
-    const double t311 = t304 + t310;
-    const double t312 = 0.0094 * self->mode_deviation_cross[8];
-    const double t313 = 0.9048 * self->mode_deviation_cross[9];
-    const double t314 = t312 + t313;
-    const double t315 = t301 * self->mode_deviation_covariance[4];
-    const double t316 = t314 + t315;
-    const double t317 = t316 * t279;
-    const double t318 = t311 + t317;
-    const double t319 = 0.0094 * t303;
-    const double t320 = 0.9048 * t309;
-    const double t321 = t319 + t320;
-    const double t322 = t316 * t301;
-    const double t323 = t321 + t322;
-    const double t324 = t323 + 0.0001;
-    moved_covariance[0] = t101;
-    moved_covariance[1] = t122;
-    moved_covariance[2] = t128;
-    moved_covariance[3] = t150;
-    moved_covariance[4] = t171;
-    moved_covariance[5] = t177;
-    moved_covariance[6] = t199;
-    moved_covariance[7] = t220;
-    moved_covariance[8] = t226;
-    moved_covariance[9] = t248;
-    moved_covariance[10] = t269;
-    moved_covariance[11] = t275;
-    moved_covariance[12] = t297;
-    moved_covariance[13] = t318;
-    moved_covariance[14] = t324;
-
-    /* combined prediction */
-    const double t325 = self->mode_probability[0] * moved_state[0];
-    const double t326 = self->mode_probability[1] * moved_state[2];
-    const double t327 = t325 + t326;
-    const double t328 = self->mode_probability[2] * moved_state[4];
-    const double t329 = t327 + t328;
-    const double t330 = self->mode_probability[3] * moved_state[6];
-    const double t331 = t329 + t330;
-    const double t332 = self->mode_probability[4] * moved_state[8];
-    const double t333 = t331 + t332;
-    const double t334 = self->mode_probability[0] * moved_state[1];
-    const double t335 = self->mode_probability[1] * moved_state[3];
-    const double t336 = t334 + t335;
-    const double t337 = self->mode_probability[2] * moved_state[5];
-    const double t338 = t336 + t337;
-    const double t339 = self->mode_probability[3] * moved_state[7];
-    const double t340 = t338 + t339;
-    const double t341 = self->mode_probability[4] * moved_state[9];
-    const double t342 = t340 + t341;
-    combined_state[0] = t333;
-    combined_state[1] = t342;
+    moved_state[9] = t76 + t78;
+    dc_motor_unknown_combined_prediction(self->mode_filtered_covariance, u[0],
+        self->mode_deviation_cross, self->mode_deviation_covariance, moved_covariance,
+        self->mode_probability, moved_state, combined_state);
     const double t343 = self->mode_probability[0] * moved_covariance[0];
     const double t344 = self->mode_probability[1] * moved_covariance[3];
     const double t345 = t343 + t344;
@@ -2032,7 +1409,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t397 = self->mode_probability[4] * t396;
     const double t398 = t397 * t367;
     const double t399 = t395 + t398;
-    const double t400 = t380 + t399;
+    next->predicted_covariance[1] = t380 + t399;
     const double t401 = self->mode_probability[0] * moved_covariance[2];
     const double t402 = self->mode_probability[1] * moved_covariance[5];
     const double t403 = t401 + t402;
@@ -2116,7 +1493,6 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     next->predicted_state[0] = combined_state[0];
     next->predicted_state[1] = combined_state[1];
     next->predicted_covariance[0] = t371;
-    next->predicted_covariance[1] = t400;
     next->predicted_covariance[2] = t419;
     return DC_MOTOR_UNKNOWN_OK;
 }

@@ -189,14 +189,12 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
         const double t0 = 0.9 * self->predicted_state[0];
         const double t1 = -0.9 * self->predicted_state[2];
         const double t2 = t0 + t1;
-        const double t3 = y[0] - t2;
-        innovation_0 = t3;
+        innovation_0 = y[0] - t2;
     }
     if ((present & 0x2u) != 0u)
     {
         const double t4 = 0.05 * self->predicted_state[1];
-        const double t5 = y[1] - t4;
-        innovation_1 = t5;
+        innovation_1 = y[1] - t4;
     }
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
@@ -211,129 +209,95 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     /* row 0 of y, Y1 */
     const double t6 = 0.9 * self->predicted_covariance[0];
     const double t7 = -0.9 * self->predicted_covariance[3];
-    const double t8 = t6 + t7;
+    cross_0[0] = t6 + t7;
     const double t9 = 0.9 * self->predicted_covariance[1];
     const double t10 = -0.9 * self->predicted_covariance[4];
-    const double t11 = t9 + t10;
+    cross_0[1] = t9 + t10;
     const double t12 = 0.9 * self->predicted_covariance[3];
     const double t13 = -0.9 * self->predicted_covariance[5];
-    const double t14 = t12 + t13;
-    cross_0[0] = t8;
-    cross_0[1] = t11;
-    cross_0[2] = t14;
-    const double t15 = 0.05 * cross_0[1];
-    coupling_0 = t15;
+    cross_0[2] = t12 + t13;
+    coupling_0 = 0.05 * cross_0[1];
     const double t16 = 0.9 * cross_0[0];
     const double t17 = -0.9 * cross_0[2];
     const double t18 = t16 + t17;
-    const double t19 = t18 + 0.0001;
-    pivot_0 = t19;
+    pivot_0 = t18 + 0.0001;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_0 > 0.0))
         {
             return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE;
         }
-        const double t20 = 1.0 / pivot_0;
-        inverse_0 = t20;
+        inverse_0 = 1.0 / pivot_0;
         const double t21 = innovation_0 * inverse_0;
-        const double t22 = coupling_0 * inverse_0;
-        const double t23 = innovation_0 * t21;
+        factor_0 = coupling_0 * inverse_0;
+        quadratic = innovation_0 * t21;
         const double t24 = cross_0[0] * t21;
-        const double t25 = self->predicted_state[0] + t24;
+        mean[0] = self->predicted_state[0] + t24;
         const double t26 = cross_0[1] * t21;
-        const double t27 = self->predicted_state[1] + t26;
+        mean[1] = self->predicted_state[1] + t26;
         const double t28 = cross_0[2] * t21;
-        const double t29 = self->predicted_state[2] + t28;
+        mean[2] = self->predicted_state[2] + t28;
         const double t30 = cross_0[0] * inverse_0;
         const double t31 = t30 * cross_0[0];
-        const double t32 = self->predicted_covariance[0] - t31;
+        covariance[0] = self->predicted_covariance[0] - t31;
         const double t33 = cross_0[1] * inverse_0;
         const double t34 = t33 * cross_0[0];
-        const double t35 = self->predicted_covariance[1] - t34;
+        covariance[1] = self->predicted_covariance[1] - t34;
         const double t36 = t33 * cross_0[1];
-        const double t37 = self->predicted_covariance[2] - t36;
+        covariance[2] = self->predicted_covariance[2] - t36;
         const double t38 = cross_0[2] * inverse_0;
         const double t39 = t38 * cross_0[0];
-        const double t40 = self->predicted_covariance[3] - t39;
+        covariance[3] = self->predicted_covariance[3] - t39;
         const double t41 = t38 * cross_0[1];
-        const double t42 = self->predicted_covariance[4] - t41;
+        covariance[4] = self->predicted_covariance[4] - t41;
         const double t43 = t38 * cross_0[2];
-        const double t44 = self->predicted_covariance[5] - t43;
+        covariance[5] = self->predicted_covariance[5] - t43;
         weight_0 = t21;
-        factor_0 = t22;
-        quadratic = t23;
         log_constant = FAULT_EFFECT_A_LOG_2_PI;
         determinant_0 = pivot_0;
-        mean[0] = t25;
-        mean[1] = t27;
-        mean[2] = t29;
-        covariance[0] = t32;
-        covariance[1] = t35;
-        covariance[2] = t37;
-        covariance[3] = t40;
-        covariance[4] = t42;
-        covariance[5] = t44;
     }
 
     /* row 1 of y, Y2 */
-    const double t45 = 0.05 * covariance[1];
-    const double t46 = 0.05 * covariance[2];
-    const double t47 = 0.05 * covariance[4];
-    cross_1[0] = t45;
-    cross_1[1] = t46;
-    cross_1[2] = t47;
+    cross_1[0] = 0.05 * covariance[1];
+    cross_1[1] = 0.05 * covariance[2];
+    cross_1[2] = 0.05 * covariance[4];
     const double t48 = 0.05 * cross_1[1];
-    const double t49 = t48 + 0.01;
-    pivot_1 = t49;
+    pivot_1 = t48 + 0.01;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_1 > 0.0))
         {
             return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE;
         }
-        const double t50 = 1.0 / pivot_1;
-        inverse_1 = t50;
+        inverse_1 = 1.0 / pivot_1;
         const double t51 = coupling_0 * weight_0;
         const double t52 = innovation_1 - t51;
         const double t53 = t52 * inverse_1;
         const double t54 = t52 * t53;
-        const double t55 = quadratic + t54;
-        const double t56 = log_constant + FAULT_EFFECT_A_LOG_2_PI;
-        const double t57 = determinant_0 * pivot_1;
+        quadratic = quadratic + t54;
+        log_constant = log_constant + FAULT_EFFECT_A_LOG_2_PI;
+        determinant_0 = determinant_0 * pivot_1;
         const double t58 = cross_1[0] * t53;
-        const double t59 = mean[0] + t58;
+        mean[0] = mean[0] + t58;
         const double t60 = cross_1[1] * t53;
-        const double t61 = mean[1] + t60;
+        mean[1] = mean[1] + t60;
         const double t62 = cross_1[2] * t53;
-        const double t63 = mean[2] + t62;
+        mean[2] = mean[2] + t62;
         const double t64 = cross_1[0] * inverse_1;
         const double t65 = t64 * cross_1[0];
-        const double t66 = covariance[0] - t65;
+        covariance[0] = covariance[0] - t65;
         const double t67 = cross_1[1] * inverse_1;
         const double t68 = t67 * cross_1[0];
-        const double t69 = covariance[1] - t68;
+        covariance[1] = covariance[1] - t68;
         const double t70 = t67 * cross_1[1];
-        const double t71 = covariance[2] - t70;
+        covariance[2] = covariance[2] - t70;
         const double t72 = cross_1[2] * inverse_1;
         const double t73 = t72 * cross_1[0];
-        const double t74 = covariance[3] - t73;
+        covariance[3] = covariance[3] - t73;
         const double t75 = t72 * cross_1[1];
-        const double t76 = covariance[4] - t75;
+        covariance[4] = covariance[4] - t75;
         const double t77 = t72 * cross_1[2];
-        const double t78 = covariance[5] - t77;
-        quadratic = t55;
-        log_constant = t56;
-        determinant_0 = t57;
-        mean[0] = t59;
-        mean[1] = t61;
-        mean[2] = t63;
-        covariance[0] = t66;
-        covariance[1] = t69;
-        covariance[2] = t71;
-        covariance[3] = t74;
-        covariance[4] = t76;
-        covariance[5] = t78;
+        covariance[5] = covariance[5] - t77;
     }
     if (!fault_effect_a_finite(fault_effect_a_defect(mean[0]) + fault_effect_a_defect(mean[1]) +
         fault_effect_a_defect(mean[2])))
@@ -343,11 +307,11 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
 
     /* results of the update */
     const double t79 = coupling_0 * factor_0;
-    const double t80 = pivot_1 + t79;
+    next->innovation_covariance[2] = pivot_1 + t79;
     const double t81 = fault_effect_a_log(determinant_0);
     const double t82 = log_constant + t81;
     const double t83 = quadratic + t82;
-    const double t84 = -0.5 * t83;
+    next->log_likelihood = -0.5 * t83;
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_state[2] = mean[2];
@@ -361,9 +325,7 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     next->innovation[1] = innovation_1;
     next->innovation_covariance[0] = pivot_0;
     next->innovation_covariance[1] = coupling_0;
-    next->innovation_covariance[2] = t80;
     next->nis = quadratic;
-    next->log_likelihood = t84;
     return FAULT_EFFECT_A_OK;
 }
 
@@ -371,7 +333,6 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
 FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fault_effect_a_t *self,
     const double *u, fault_effect_a_t *next)
 {
-    /* prediction of the next sample */
     const double t0 = 0.99 * self->filtered_state[0];
     const double t1 = 0.1 * self->filtered_state[1];
     const double t2 = t0 + t1;
@@ -392,7 +353,7 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     const double t17 = -0.099 * self->filtered_covariance[3];
     const double t18 = t16 + t17;
     const double t19 = -0.010000000000000002 * self->filtered_covariance[4];
-    const double t20 = t18 + t19;
+    next->predicted_covariance[1] = t18 + t19;
     const double t21 = 0.9801 * self->filtered_covariance[2];
     const double t22 = -0.198 * self->filtered_covariance[4];
     const double t23 = t21 + t22;
@@ -401,10 +362,10 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     const double t26 = t25 + 0.01;
     const double t27 = 0.9801 * self->filtered_covariance[3];
     const double t28 = 0.099 * self->filtered_covariance[4];
-    const double t29 = t27 + t28;
+    next->predicted_covariance[3] = t27 + t28;
     const double t30 = 0.9801 * self->filtered_covariance[4];
     const double t31 = -0.099 * self->filtered_covariance[5];
-    const double t32 = t30 + t31;
+    next->predicted_covariance[4] = t30 + t31;
     const double t33 = 0.9801 * self->filtered_covariance[5];
     const double t34 = t33 + 0.36;
     if (!fault_effect_a_finite(fault_effect_a_defect(t2) + fault_effect_a_defect(t5) +
@@ -417,10 +378,7 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     next->predicted_state[1] = t5;
     next->predicted_state[2] = t7;
     next->predicted_covariance[0] = t13;
-    next->predicted_covariance[1] = t20;
     next->predicted_covariance[2] = t26;
-    next->predicted_covariance[3] = t29;
-    next->predicted_covariance[4] = t32;
     next->predicted_covariance[5] = t34;
     return FAULT_EFFECT_A_OK;
 }

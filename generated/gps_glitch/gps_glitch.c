@@ -220,73 +220,577 @@ static int gps_glitch_present_rows(const double *y, uint32_t valid, uint32_t *pr
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* Condition on y[k]: reads *self, writes the results to *next. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *self, const double *y,
-    uint32_t present, gps_glitch_t *next)
+/* mixing and prediction of every mode. */
+static void gps_glitch_mixing_and_prediction(const double *mixed_share,
+    const double *mode_filtered_state, double *mixed_mean, const double *mode_filtered_covariance,
+    const double *mixed_apart_squared, double *mixed_covariance)
 {
-    double innovation_m0_0 = 0.0;
-    double innovation_m0_1 = 0.0;
-    double innovation_m0_2 = 0.0;
-    double variance_m0[6];
-    double mean_m0[3];
-    double covariance_m0[6];
-    double cross_m0_0[3];
-    double pivot_m0_0;
-    double inverse_m0_0 = 0.0;
-    double quadratic_m0 = 0.0;
-    double log_constant_m0 = 0.0;
-    double determinant_m0_0 = 1.0;
-    double pivot_m0_1;
-    double inverse_m0_1 = 0.0;
-    double pivot_m0_2;
-    double inverse_m0_2 = 0.0;
-    double log_density_m0;
-    double innovation_m1_0 = 0.0;
-    double innovation_m1_1 = 0.0;
-    double innovation_m1_2 = 0.0;
-    double variance_m1[6];
-    double mean_m1[3];
-    double covariance_m1[6];
-    double cross_m1_0[3];
-    double pivot_m1_0;
-    double inverse_m1_0 = 0.0;
-    double quadratic_m1 = 0.0;
-    double log_constant_m1 = 0.0;
-    double determinant_m1_0 = 1.0;
-    double pivot_m1_1;
-    double inverse_m1_1 = 0.0;
-    double pivot_m1_2;
-    double inverse_m1_2 = 0.0;
-    double log_density_m1;
-    double innovation_m2_0 = 0.0;
-    double innovation_m2_1 = 0.0;
-    double innovation_m2_2 = 0.0;
-    double variance_m2[6];
-    double mean_m2[3];
-    double covariance_m2[6];
-    double cross_m2_0[3];
-    double pivot_m2_0;
-    double inverse_m2_0 = 0.0;
-    double quadratic_m2 = 0.0;
-    double log_constant_m2 = 0.0;
-    double determinant_m2_0 = 1.0;
+    const double t0 = mixed_share[0] * mode_filtered_state[0];
+    const double t1 = mixed_share[1] * mode_filtered_state[3];
+    mixed_mean[0] = t0 + t1;
+    const double t3 = mixed_share[0] * mode_filtered_state[1];
+    const double t4 = mixed_share[1] * mode_filtered_state[4];
+    mixed_mean[1] = t3 + t4;
+    const double t6 = mixed_share[0] * mode_filtered_state[2];
+    const double t7 = mixed_share[1] * mode_filtered_state[5];
+    mixed_mean[2] = t6 + t7;
+    const double t9 = mixed_share[0] * mode_filtered_covariance[0];
+    const double t10 = mixed_share[1] * mode_filtered_covariance[6];
+    const double t11 = t9 + t10;
+    const double t12 = mixed_share[0] * mixed_share[1];
+    const double t13 = t12 * mixed_apart_squared[0];
+    mixed_covariance[0] = t11 + t13;
+    const double t15 = mixed_share[0] * mode_filtered_covariance[1];
+    const double t16 = mixed_share[1] * mode_filtered_covariance[7];
+    const double t17 = t15 + t16;
+    const double t18 = t12 * mixed_apart_squared[1];
+    mixed_covariance[1] = t17 + t18;
+    const double t20 = mixed_share[0] * mode_filtered_covariance[2];
+    const double t21 = mixed_share[1] * mode_filtered_covariance[8];
+    const double t22 = t20 + t21;
+    const double t23 = t12 * mixed_apart_squared[2];
+    mixed_covariance[2] = t22 + t23;
+    const double t25 = mixed_share[0] * mode_filtered_covariance[3];
+    const double t26 = mixed_share[1] * mode_filtered_covariance[9];
+    const double t27 = t25 + t26;
+    const double t28 = t12 * mixed_apart_squared[3];
+    mixed_covariance[3] = t27 + t28;
+    const double t30 = mixed_share[0] * mode_filtered_covariance[4];
+    const double t31 = mixed_share[1] * mode_filtered_covariance[10];
+    const double t32 = t30 + t31;
+    const double t33 = t12 * mixed_apart_squared[4];
+    mixed_covariance[4] = t32 + t33;
+    const double t35 = mixed_share[0] * mode_filtered_covariance[5];
+    const double t36 = mixed_share[1] * mode_filtered_covariance[11];
+    const double t37 = t35 + t36;
+    const double t38 = t12 * mixed_apart_squared[5];
+    mixed_covariance[5] = t37 + t38;
+}
+
+/* combination; mixing and prediction of every mode. */
+static void gps_glitch_part_2(const double *combined_0_1_mean, const double *combined_2_3_mean,
+    const double *combined_0_3_share, double *combined_0_3_mean,
+    const double *combined_0_1_covariance, const double *combined_2_3_covariance,
+    double *combined_0_3_covariance)
+{
+    double combined_0_3_apart[3];
+    combined_0_3_apart[0] = combined_0_1_mean[0] - combined_2_3_mean[0];
+    combined_0_3_apart[1] = combined_0_1_mean[1] - combined_2_3_mean[1];
+    combined_0_3_apart[2] = combined_0_1_mean[2] - combined_2_3_mean[2];
+    const double t3 = combined_0_3_share[0] * combined_0_1_mean[0];
+    const double t4 = combined_0_3_share[1] * combined_2_3_mean[0];
+    combined_0_3_mean[0] = t3 + t4;
+    const double t6 = combined_0_3_share[0] * combined_0_1_mean[1];
+    const double t7 = combined_0_3_share[1] * combined_2_3_mean[1];
+    combined_0_3_mean[1] = t6 + t7;
+    const double t9 = combined_0_3_share[0] * combined_0_1_mean[2];
+    const double t10 = combined_0_3_share[1] * combined_2_3_mean[2];
+    combined_0_3_mean[2] = t9 + t10;
+    const double t12 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t13 = combined_0_3_share[1] * combined_2_3_covariance[0];
+    const double t14 = t12 + t13;
+    const double t15 = combined_0_3_share[0] * combined_0_3_share[1];
+    const double t16 = t15 * combined_0_3_apart[0];
+    const double t17 = t16 * combined_0_3_apart[0];
+    combined_0_3_covariance[0] = t14 + t17;
+    const double t19 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t20 = combined_0_3_share[1] * combined_2_3_covariance[1];
+    const double t21 = t19 + t20;
+    const double t22 = t15 * combined_0_3_apart[1];
+    const double t23 = t22 * combined_0_3_apart[0];
+    combined_0_3_covariance[1] = t21 + t23;
+    const double t25 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t26 = combined_0_3_share[1] * combined_2_3_covariance[2];
+    const double t27 = t25 + t26;
+    const double t28 = t22 * combined_0_3_apart[1];
+    combined_0_3_covariance[2] = t27 + t28;
+    const double t30 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t31 = combined_0_3_share[1] * combined_2_3_covariance[3];
+    const double t32 = t30 + t31;
+    const double t33 = t15 * combined_0_3_apart[2];
+    const double t34 = t33 * combined_0_3_apart[0];
+    combined_0_3_covariance[3] = t32 + t34;
+    const double t36 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t37 = combined_0_3_share[1] * combined_2_3_covariance[4];
+    const double t38 = t36 + t37;
+    const double t39 = t33 * combined_0_3_apart[1];
+    combined_0_3_covariance[4] = t38 + t39;
+    const double t41 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t42 = combined_0_3_share[1] * combined_2_3_covariance[5];
+    const double t43 = t41 + t42;
+    const double t44 = t33 * combined_0_3_apart[2];
+    combined_0_3_covariance[5] = t43 + t44;
+}
+
+/* What differs between the calls of gps_glitch_mode, a row for each. */
+static const double gps_glitch_mode_numbers[2][2] = {
+    { 4.0, 2.25 },
+    { 1600.0, 900.0 }
+};
+
+/* mode 0: signal, R; mode 1: signal, noise x 400. */
+static gps_glitch_status_t gps_glitch_mode(const double *mode_state, const double *y,
+    double *innovation_0, double *innovation_1, double *innovation_2, const double *mode_covariance,
+    double *variance, double *mean, double *covariance, double *log_density, const double *numbers,
+    uint32_t present)
+{
+    double cross_0[3];
+    double pivot_0;
+    double inverse_0 = 0.0;
+    double quadratic = 0.0;
+    double log_constant = 0.0;
+    double determinant_0 = 1.0;
+    double pivot_1;
+    double inverse_1 = 0.0;
+    double pivot_2;
+    double inverse_2 = 0.0;
+
+    /* innovation, row by row */
+    if ((present & 0x1u) != 0u)
+    {
+        const double t0 = mode_state[0] + mode_state[2];
+        innovation_0[0] = y[0] - t0;
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        innovation_1[0] = y[1] - mode_state[0];
+    }
+    if ((present & 0x4u) != 0u)
+    {
+        innovation_2[0] = y[2] - mode_state[1];
+    }
+
+    /* mode 0: signal, R */
+    const double t4 = mode_covariance[0] + mode_covariance[3];
+    const double t5 = mode_covariance[3] + mode_covariance[5];
+    const double t6 = t4 + t5;
+    variance[0] = t6 + 0.25;
+    variance[1] = mode_covariance[0] + mode_covariance[3];
+    variance[2] = mode_covariance[0] + numbers[0];
+    variance[3] = mode_covariance[1] + mode_covariance[4];
+    variance[5] = mode_covariance[2] + numbers[1];
+    variance[4] = mode_covariance[1];
+    mean[0] = mode_state[0];
+    mean[1] = mode_state[1];
+    mean[2] = mode_state[2];
+    covariance[0] = mode_covariance[0];
+    covariance[1] = mode_covariance[1];
+    covariance[2] = mode_covariance[2];
+    covariance[3] = mode_covariance[3];
+    covariance[4] = mode_covariance[4];
+    covariance[5] = mode_covariance[5];
+
+    /* row 0 of y, baro */
+    cross_0[0] = mode_covariance[0] + mode_covariance[3];
+    cross_0[1] = mode_covariance[1] + mode_covariance[4];
+    cross_0[2] = mode_covariance[3] + mode_covariance[5];
+    const double t15 = cross_0[0] + cross_0[2];
+    pivot_0 = t15 + 0.25;
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(pivot_0 > 0.0))
+        {
+            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_0 = 1.0 / pivot_0;
+        const double t18 = innovation_0[0] * inverse_0;
+        quadratic = innovation_0[0] * t18;
+        const double t20 = cross_0[0] * t18;
+        mean[0] = mode_state[0] + t20;
+        const double t22 = cross_0[1] * t18;
+        mean[1] = mode_state[1] + t22;
+        const double t24 = cross_0[2] * t18;
+        mean[2] = mode_state[2] + t24;
+        const double t26 = cross_0[0] * inverse_0;
+        const double t27 = t26 * cross_0[0];
+        covariance[0] = mode_covariance[0] - t27;
+        const double t29 = cross_0[1] * inverse_0;
+        const double t30 = t29 * cross_0[0];
+        covariance[1] = mode_covariance[1] - t30;
+        const double t32 = t29 * cross_0[1];
+        covariance[2] = mode_covariance[2] - t32;
+        const double t34 = cross_0[2] * inverse_0;
+        const double t35 = t34 * cross_0[0];
+        covariance[3] = mode_covariance[3] - t35;
+        const double t37 = t34 * cross_0[1];
+        covariance[4] = mode_covariance[4] - t37;
+        const double t39 = t34 * cross_0[2];
+        covariance[5] = mode_covariance[5] - t39;
+        log_constant = GPS_GLITCH_LOG_2_PI;
+        determinant_0 = pivot_0;
+    }
+
+    /* row 1 of y, gps_height */
+    pivot_1 = covariance[0] + numbers[0];
+    if ((present & 0x2u) != 0u)
+    {
+        if (!(pivot_1 > 0.0))
+        {
+            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_1 = 1.0 / pivot_1;
+        const double t43 = mean[0] - mode_state[0];
+        const double t44 = innovation_1[0] - t43;
+        const double t45 = t44 * inverse_1;
+        const double t46 = t44 * t45;
+        quadratic = quadratic + t46;
+        log_constant = log_constant + GPS_GLITCH_LOG_2_PI;
+        determinant_0 = determinant_0 * pivot_1;
+        const double t50 = covariance[0] * t45;
+        mean[0] = mean[0] + t50;
+        const double t52 = covariance[1] * t45;
+        mean[1] = mean[1] + t52;
+        const double t54 = covariance[3] * t45;
+        mean[2] = mean[2] + t54;
+        const double t56 = covariance[0] * inverse_1;
+        const double t57 = t56 * covariance[0];
+        const double t58 = covariance[0] - t57;
+        const double t59 = covariance[1] * inverse_1;
+        const double t60 = t59 * covariance[0];
+        const double t61 = covariance[1] - t60;
+        const double t62 = t59 * covariance[1];
+        covariance[2] = covariance[2] - t62;
+        const double t64 = covariance[3] * inverse_1;
+        const double t65 = t64 * covariance[0];
+        const double t66 = covariance[3] - t65;
+        const double t67 = t64 * covariance[1];
+        covariance[4] = covariance[4] - t67;
+        const double t69 = t64 * covariance[3];
+        covariance[5] = covariance[5] - t69;
+        covariance[0] = t58;
+        covariance[1] = t61;
+        covariance[3] = t66;
+    }
+
+    /* row 2 of y, gps_climb */
+    pivot_2 = covariance[2] + numbers[1];
+    if ((present & 0x4u) != 0u)
+    {
+        if (!(pivot_2 > 0.0))
+        {
+            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_2 = 1.0 / pivot_2;
+        const double t73 = mean[1] - mode_state[1];
+        const double t74 = innovation_2[0] - t73;
+        const double t75 = t74 * inverse_2;
+        const double t76 = t74 * t75;
+        quadratic = quadratic + t76;
+        log_constant = log_constant + GPS_GLITCH_LOG_2_PI;
+        determinant_0 = determinant_0 * pivot_2;
+        const double t80 = covariance[1] * t75;
+        mean[0] = mean[0] + t80;
+        const double t82 = covariance[2] * t75;
+        mean[1] = mean[1] + t82;
+        const double t84 = covariance[4] * t75;
+        mean[2] = mean[2] + t84;
+        const double t86 = covariance[1] * inverse_2;
+        const double t87 = t86 * covariance[1];
+        covariance[0] = covariance[0] - t87;
+        const double t89 = covariance[2] * inverse_2;
+        const double t90 = t89 * covariance[1];
+        const double t91 = covariance[1] - t90;
+        const double t92 = t89 * covariance[2];
+        const double t93 = covariance[2] - t92;
+        const double t94 = covariance[4] * inverse_2;
+        const double t95 = t94 * covariance[1];
+        covariance[3] = covariance[3] - t95;
+        const double t97 = t94 * covariance[2];
+        const double t98 = covariance[4] - t97;
+        const double t99 = t94 * covariance[4];
+        covariance[5] = covariance[5] - t99;
+        covariance[1] = t91;
+        covariance[2] = t93;
+        covariance[4] = t98;
+    }
+
+    /* mode 0: signal, R */
+    const double t101 = gps_glitch_log(determinant_0);
+    const double t102 = log_constant + t101;
+    const double t103 = quadratic + t102;
+    log_density[0] = -0.5 * t103;
+    return GPS_GLITCH_OK;
+}
+
+/* What differs between the calls of gps_glitch_mode_2, a row for each. */
+static const double gps_glitch_mode_2_numbers[2][6] = {
+    { 4.0, 2.25, 0.25, 3.224171427529236, 0.4444444444444444, 2.648807282625674 },
+    { 1600.0, 900.0, 0.000625, 9.215635974637218, 0.0011111111111111111, 8.640271829733656 }
+};
+
+/* mode 2: no signal, R; mode 3: no signal, noise x 400. */
+static gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const double *y,
+    double *innovation_0, double *innovation_1, double *innovation_2, const double *mode_covariance,
+    double *variance, double *mean, double *covariance, double *quadratic, double *log_constant,
+    double *determinant_0, const double *numbers, uint32_t present)
+{
+    double cross_0[3];
+    double pivot_0;
+    double inverse_0 = 0.0;
+
+    /* innovation, row by row */
+    if ((present & 0x1u) != 0u)
+    {
+        const double t0 = mode_state[0] + mode_state[2];
+        innovation_0[0] = y[0] - t0;
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        innovation_1[0] = y[1];
+    }
+    if ((present & 0x4u) != 0u)
+    {
+        innovation_2[0] = y[2];
+    }
+
+    /* mode 2: no signal, R */
+    const double t2 = mode_covariance[0] + mode_covariance[3];
+    const double t3 = mode_covariance[3] + mode_covariance[5];
+    const double t4 = t2 + t3;
+    variance[0] = t4 + 0.25;
+    variance[1] = 0.0;
+    variance[2] = numbers[0];
+    variance[3] = 0.0;
+    variance[4] = 0.0;
+    variance[5] = numbers[1];
+    mean[0] = mode_state[0];
+    mean[1] = mode_state[1];
+    mean[2] = mode_state[2];
+    covariance[0] = mode_covariance[0];
+    covariance[1] = mode_covariance[1];
+    covariance[2] = mode_covariance[2];
+    covariance[3] = mode_covariance[3];
+    covariance[4] = mode_covariance[4];
+    covariance[5] = mode_covariance[5];
+
+    /* row 0 of y, baro */
+    cross_0[0] = mode_covariance[0] + mode_covariance[3];
+    cross_0[1] = mode_covariance[1] + mode_covariance[4];
+    cross_0[2] = mode_covariance[3] + mode_covariance[5];
+    const double t9 = cross_0[0] + cross_0[2];
+    pivot_0 = t9 + 0.25;
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(pivot_0 > 0.0))
+        {
+            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_0 = 1.0 / pivot_0;
+        const double t12 = innovation_0[0] * inverse_0;
+        quadratic[0] = innovation_0[0] * t12;
+        const double t14 = cross_0[0] * t12;
+        mean[0] = mode_state[0] + t14;
+        const double t16 = cross_0[1] * t12;
+        mean[1] = mode_state[1] + t16;
+        const double t18 = cross_0[2] * t12;
+        mean[2] = mode_state[2] + t18;
+        const double t20 = cross_0[0] * inverse_0;
+        const double t21 = t20 * cross_0[0];
+        covariance[0] = mode_covariance[0] - t21;
+        const double t23 = cross_0[1] * inverse_0;
+        const double t24 = t23 * cross_0[0];
+        covariance[1] = mode_covariance[1] - t24;
+        const double t26 = t23 * cross_0[1];
+        covariance[2] = mode_covariance[2] - t26;
+        const double t28 = cross_0[2] * inverse_0;
+        const double t29 = t28 * cross_0[0];
+        covariance[3] = mode_covariance[3] - t29;
+        const double t31 = t28 * cross_0[1];
+        covariance[4] = mode_covariance[4] - t31;
+        const double t33 = t28 * cross_0[2];
+        covariance[5] = mode_covariance[5] - t33;
+        log_constant[0] = GPS_GLITCH_LOG_2_PI;
+        determinant_0[0] = pivot_0;
+    }
+
+    /* row 1 of y, gps_height */
+    if ((present & 0x2u) != 0u)
+    {
+        const double t35 = numbers[2] * innovation_1[0];
+        const double t36 = innovation_1[0] * t35;
+        quadratic[0] = quadratic[0] + t36;
+        log_constant[0] = log_constant[0] + numbers[3];
+    }
+
+    /* row 2 of y, gps_climb */
+    if ((present & 0x4u) != 0u)
+    {
+        const double t39 = numbers[4] * innovation_2[0];
+        const double t40 = innovation_2[0] * t39;
+        quadratic[0] = quadratic[0] + t40;
+        log_constant[0] = log_constant[0] + numbers[5];
+    }
+
+    /* mode 2: no signal, R */
+    return GPS_GLITCH_OK;
+}
+
+/* combination. */
+static void gps_glitch_combination(const double *weight, const double *mean, const double *mean_2,
+    double *combined_mean, const double *covariance, const double *covariance_2,
+    double *combined_covariance)
+{
+    double combined_inverse;
+    double combined_share[2];
+    double combined_apart[3];
+    double combined_apart_squared[6];
+    const double t0 = weight[0] + weight[1];
+    const double t1 = t0 + GPS_GLITCH_TINY;
+    combined_inverse = 1.0 / t1;
+    combined_share[0] = weight[0] * combined_inverse;
+    combined_share[1] = weight[1] * combined_inverse;
+    combined_apart[0] = mean[0] - mean_2[0];
+    combined_apart[1] = mean[1] - mean_2[1];
+    combined_apart[2] = mean[2] - mean_2[2];
+    combined_apart_squared[0] = combined_apart[0] * combined_apart[0];
+    combined_apart_squared[1] = combined_apart[1] * combined_apart[0];
+    combined_apart_squared[2] = combined_apart[1] * combined_apart[1];
+    combined_apart_squared[3] = combined_apart[2] * combined_apart[0];
+    combined_apart_squared[4] = combined_apart[2] * combined_apart[1];
+    combined_apart_squared[5] = combined_apart[2] * combined_apart[2];
+    const double t14 = combined_share[0] * mean[0];
+    const double t15 = combined_share[1] * mean_2[0];
+    combined_mean[0] = t14 + t15;
+    const double t17 = combined_share[0] * mean[1];
+    const double t18 = combined_share[1] * mean_2[1];
+    combined_mean[1] = t17 + t18;
+    const double t20 = combined_share[0] * mean[2];
+    const double t21 = combined_share[1] * mean_2[2];
+    combined_mean[2] = t20 + t21;
+    const double t23 = combined_share[0] * covariance[0];
+    const double t24 = combined_share[1] * covariance_2[0];
+    const double t25 = t23 + t24;
+    const double t26 = combined_share[0] * combined_share[1];
+    const double t27 = t26 * combined_apart_squared[0];
+    combined_covariance[0] = t25 + t27;
+    const double t29 = combined_share[0] * covariance[1];
+    const double t30 = combined_share[1] * covariance_2[1];
+    const double t31 = t29 + t30;
+    const double t32 = t26 * combined_apart_squared[1];
+    combined_covariance[1] = t31 + t32;
+    const double t34 = combined_share[0] * covariance[2];
+    const double t35 = combined_share[1] * covariance_2[2];
+    const double t36 = t34 + t35;
+    const double t37 = t26 * combined_apart_squared[2];
+    combined_covariance[2] = t36 + t37;
+    const double t39 = combined_share[0] * covariance[3];
+    const double t40 = combined_share[1] * covariance_2[3];
+    const double t41 = t39 + t40;
+    const double t42 = t26 * combined_apart_squared[3];
+    combined_covariance[3] = t41 + t42;
+    const double t44 = combined_share[0] * covariance[4];
+    const double t45 = combined_share[1] * covariance_2[4];
+    const double t46 = t44 + t45;
+    const double t47 = t26 * combined_apart_squared[4];
+    combined_covariance[4] = t46 + t47;
+    const double t49 = combined_share[0] * covariance[5];
+    const double t50 = combined_share[1] * covariance_2[5];
+    const double t51 = t49 + t50;
+    const double t52 = t26 * combined_apart_squared[5];
+    combined_covariance[5] = t51 + t52;
+}
+
+/* mixing and prediction of every mode. */
+static void gps_glitch_mixing_and_prediction_2(const double *mixed_0_3_mean, double *moved_state,
+    const double *mixed_0_3_covariance, const double *Q, double *moved_covariance,
+    const gps_glitch_params_t *params)
+{
+    const double t0 = params->dt * mixed_0_3_mean[1];
+    moved_state[0] = mixed_0_3_mean[0] + t0;
+    moved_state[1] = mixed_0_3_mean[1];
+    moved_state[2] = mixed_0_3_mean[2];
+    const double t2 = params->dt * mixed_0_3_covariance[1];
+    const double t3 = mixed_0_3_covariance[0] + t2;
+    const double t4 = params->dt * mixed_0_3_covariance[2];
+    const double t5 = mixed_0_3_covariance[1] + t4;
+    const double t6 = t5 * params->dt;
+    const double t7 = t3 + t6;
+    moved_covariance[0] = t7 + Q[0];
+    const double t9 = mixed_0_3_covariance[2] * params->dt;
+    const double t10 = mixed_0_3_covariance[1] + t9;
+    moved_covariance[1] = t10 + Q[1];
+    moved_covariance[2] = mixed_0_3_covariance[2] + params->dt;
+    const double t13 = mixed_0_3_covariance[4] * params->dt;
+    moved_covariance[3] = mixed_0_3_covariance[3] + t13;
+    moved_covariance[5] = mixed_0_3_covariance[5] + Q[3];
+    moved_covariance[4] = mixed_0_3_covariance[4];
+}
+
+/* What differs between the calls of gps_glitch_law_of_the_next, a row for each. */
+static const double gps_glitch_law_of_the_next_numbers[3][4] = {
+    { 0.9999475003375, 0.001349989875, 0.0013499392500000002, 1.8225000000000001e-06 },
+    { 4.49996625e-05, 0.9986425101249999, 6.075000000000001e-08, 0.0013481775 },
+    { 7.4996625e-06, 1.0125000000000001e-08, 0.9986050607500001, 0.0013481775 }
+};
+
+/* law of the next mode, and mixing weights. */
+static void gps_glitch_law_of_the_next(const double *mode_probability, double *mode_prediction,
+    double *mixing, const double *numbers)
+{
+    double mode_prediction_inverse;
+    const double t0 = numbers[0] * mode_probability[0];
+    const double t1 = numbers[1] * mode_probability[1];
+    const double t2 = t0 + t1;
+    const double t3 = numbers[2] * mode_probability[2];
+    const double t4 = t2 + t3;
+    const double t5 = numbers[3] * mode_probability[3];
+    mode_prediction[0] = t4 + t5;
+    mode_prediction_inverse = 1.0 / mode_prediction[0];
+    const double t8 = numbers[0] * mode_probability[0];
+    mixing[0] = t8 * mode_prediction_inverse;
+    const double t10 = numbers[1] * mode_probability[1];
+    mixing[1] = t10 * mode_prediction_inverse;
+    const double t12 = numbers[2] * mode_probability[2];
+    mixing[2] = t12 * mode_prediction_inverse;
+    const double t14 = numbers[3] * mode_probability[3];
+    mixing[3] = t14 * mode_prediction_inverse;
+}
+
+/* mixing and prediction of every mode. */
+static void gps_glitch_mixing_and_prediction_3(const double *mixing_0, double *mixed_0_share,
+    const double *mode_filtered_state, double *mixed_apart_squared)
+{
+    double mixed_0_inverse;
+    double mixed_apart[3];
+    const double t0 = mixing_0[0] + mixing_0[1];
+    const double t1 = t0 + GPS_GLITCH_TINY;
+    mixed_0_inverse = 1.0 / t1;
+    mixed_0_share[0] = mixing_0[0] * mixed_0_inverse;
+    mixed_0_share[1] = mixing_0[1] * mixed_0_inverse;
+    mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[3];
+    mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[4];
+    mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[5];
+    mixed_apart_squared[0] = mixed_apart[0] * mixed_apart[0];
+    mixed_apart_squared[1] = mixed_apart[1] * mixed_apart[0];
+    mixed_apart_squared[2] = mixed_apart[1] * mixed_apart[1];
+    mixed_apart_squared[3] = mixed_apart[2] * mixed_apart[0];
+    mixed_apart_squared[4] = mixed_apart[2] * mixed_apart[1];
+    mixed_apart_squared[5] = mixed_apart[2] * mixed_apart[2];
+}
+
+/* mode 3: no signal, noise x 400. */
+static gps_glitch_status_t gps_glitch_mode_3(const double determinant_m2_0,
+    const double log_constant_m2, const double quadratic_m2, const double *mode_state,
+    const double *y, const double *mode_covariance, double *mean_m3, double *covariance_m3,
+    const double *predicted_mode_probability, double *weight, const double *predicted_log_weight,
+    double *log_weight_now, const double log_density_m0, const double log_density_m1,
+    double *log_evidence, const double *variance_m0, const double *variance_m1,
+    const double *variance_m2, double *combined_variance, const double innovation_m0_0,
+    const double innovation_m1_0, const double innovation_m2_0, const double innovation_m0_1,
+    const double innovation_m1_1, const double innovation_m2_1, const double innovation_m0_2,
+    const double innovation_m1_2, const double innovation_m2_2, double *combined_innovation,
+    double *whitening_inverse_combined_0, double *whitening_combined_0_1,
+    double *whitening_combined_0_2, double *whitening_pivot_combined_1, uint32_t present)
+{
     double log_density_m2;
     double innovation_m3_0 = 0.0;
     double innovation_m3_1 = 0.0;
     double innovation_m3_2 = 0.0;
     double variance_m3[6];
-    double mean_m3[3];
-    double covariance_m3[6];
-    double cross_m3_0[3];
-    double pivot_m3_0;
-    double inverse_m3_0 = 0.0;
     double quadratic_m3 = 0.0;
     double log_constant_m3 = 0.0;
     double determinant_m3_0 = 1.0;
     double log_density_m3;
-    double weight[4];
-    double log_weight_now[4];
-    double log_evidence = 0.0;
     double log_joint[4] = { 0.0 };
     double log_largest = 0.0;
     double share_of_largest[4] = { 0.0 };
@@ -297,9 +801,549 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     double predicted_y_m1[3];
     double predicted_y_m2[3];
     double predicted_y_m3[3];
+    double whitening_pivot_combined_0;
+    gps_glitch_status_t status;
+    const double t0 = gps_glitch_log(determinant_m2_0);
+    const double t1 = log_constant_m2 + t0;
+    const double t2 = quadratic_m2 + t1;
+    log_density_m2 = -0.5 * t2;
+
+    /* mode 3: no signal, noise x 400 */
+    status = gps_glitch_mode_2(&mode_state[9], y, &innovation_m3_0, &innovation_m3_1,
+        &innovation_m3_2, mode_covariance, variance_m3, mean_m3, covariance_m3, &quadratic_m3,
+        &log_constant_m3, &determinant_m3_0, gps_glitch_mode_2_numbers[1], present);
+    if (status != GPS_GLITCH_OK)
+    {
+        return status;
+    }
+    const double t4 = gps_glitch_log(determinant_m3_0);
+    const double t5 = log_constant_m3 + t4;
+    const double t6 = quadratic_m3 + t5;
+    log_density_m3 = -0.5 * t6;
+
+    /* probabilities of the modes */
+    weight[0] = predicted_mode_probability[0];
+    weight[1] = predicted_mode_probability[1];
+    weight[2] = predicted_mode_probability[2];
+    weight[3] = predicted_mode_probability[3];
+    log_weight_now[0] = predicted_log_weight[0];
+    log_weight_now[1] = predicted_log_weight[1];
+    log_weight_now[2] = predicted_log_weight[2];
+    log_weight_now[3] = predicted_log_weight[3];
+    if ((present) != 0u)
+    {
+        log_joint[0] = predicted_log_weight[0] + log_density_m0;
+        log_joint[1] = predicted_log_weight[1] + log_density_m1;
+        log_joint[2] = predicted_log_weight[2] + log_density_m2;
+        log_joint[3] = predicted_log_weight[3] + log_density_m3;
+        const double t12 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t13 = (t12 > log_joint[2]) ? t12 : log_joint[2];
+        log_largest = (t13 > log_joint[3]) ? t13 : log_joint[3];
+        const double t15 = log_joint[0] - log_largest;
+        share_of_largest[0] = gps_glitch_exp(t15);
+        const double t17 = log_joint[1] - log_largest;
+        share_of_largest[1] = gps_glitch_exp(t17);
+        const double t19 = log_joint[2] - log_largest;
+        share_of_largest[2] = gps_glitch_exp(t19);
+        const double t21 = log_joint[3] - log_largest;
+        share_of_largest[3] = gps_glitch_exp(t21);
+        const double t23 = share_of_largest[0] + share_of_largest[1];
+        const double t24 = t23 + share_of_largest[2];
+        share_total = t24 + share_of_largest[3];
+        const double t26 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
+        if (!(t26 > 0.0))
+        {
+            return GPS_GLITCH_RESULT_NOT_FINITE;
+        }
+        if (!gps_glitch_finite(gps_glitch_defect(share_total)))
+        {
+            return GPS_GLITCH_RESULT_NOT_FINITE;
+        }
+        share_total_inverse = 1.0 / share_total;
+        log_share_total = gps_glitch_log(share_total);
+        weight[0] = share_of_largest[0] * share_total_inverse;
+        weight[1] = share_of_largest[1] * share_total_inverse;
+        weight[2] = share_of_largest[2] * share_total_inverse;
+        weight[3] = share_of_largest[3] * share_total_inverse;
+        const double t33 = log_joint[0] - log_largest;
+        const double t34 = t33 - log_share_total;
+        log_weight_now[0] = (t34 > GPS_GLITCH_LOG_ZERO) ? t34 : GPS_GLITCH_LOG_ZERO;
+        const double t36 = log_joint[1] - log_largest;
+        const double t37 = t36 - log_share_total;
+        log_weight_now[1] = (t37 > GPS_GLITCH_LOG_ZERO) ? t37 : GPS_GLITCH_LOG_ZERO;
+        const double t39 = log_joint[2] - log_largest;
+        const double t40 = t39 - log_share_total;
+        log_weight_now[2] = (t40 > GPS_GLITCH_LOG_ZERO) ? t40 : GPS_GLITCH_LOG_ZERO;
+        const double t42 = log_joint[3] - log_largest;
+        const double t43 = t42 - log_share_total;
+        log_weight_now[3] = (t43 > GPS_GLITCH_LOG_ZERO) ? t43 : GPS_GLITCH_LOG_ZERO;
+        log_evidence[0] = log_largest + log_share_total;
+    }
+
+    /* innovation of the mixture */
+    predicted_y_m0[0] = mode_state[0] + mode_state[2];
+    predicted_y_m0[1] = mode_state[0];
+    predicted_y_m0[2] = mode_state[1];
+    predicted_y_m1[0] = mode_state[3] + mode_state[5];
+    predicted_y_m1[1] = mode_state[3];
+    predicted_y_m1[2] = mode_state[4];
+    predicted_y_m2[0] = mode_state[6] + mode_state[8];
+    predicted_y_m2[1] = 0.0;
+    predicted_y_m2[2] = 0.0;
+    predicted_y_m3[0] = mode_state[9] + mode_state[11];
+    predicted_y_m3[1] = 0.0;
+    predicted_y_m3[2] = 0.0;
+    const double t50 = predicted_mode_probability[0] * variance_m0[0];
+    const double t51 = predicted_mode_probability[1] * variance_m1[0];
+    const double t52 = t50 + t51;
+    const double t53 = predicted_mode_probability[2] * variance_m2[0];
+    const double t54 = t52 + t53;
+    const double t55 = predicted_mode_probability[3] * variance_m3[0];
+    const double t56 = t54 + t55;
+    const double t57 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t58 = predicted_mode_probability[1] * predicted_y_m1[0];
+    const double t59 = t57 + t58;
+    const double t60 = predicted_mode_probability[2] * predicted_y_m2[0];
+    const double t61 = t59 + t60;
+    const double t62 = predicted_mode_probability[3] * predicted_y_m3[0];
+    const double t63 = t61 + t62;
+    const double t64 = predicted_y_m0[0] - t63;
+    const double t65 = predicted_mode_probability[0] * t64;
+    const double t66 = t65 * t64;
+    const double t67 = predicted_y_m1[0] - t63;
+    const double t68 = predicted_mode_probability[1] * t67;
+    const double t69 = t68 * t67;
+    const double t70 = t66 + t69;
+    const double t71 = predicted_y_m2[0] - t63;
+    const double t72 = predicted_mode_probability[2] * t71;
+    const double t73 = t72 * t71;
+    const double t74 = t70 + t73;
+    const double t75 = predicted_y_m3[0] - t63;
+    const double t76 = predicted_mode_probability[3] * t75;
+    const double t77 = t76 * t75;
+    const double t78 = t74 + t77;
+    combined_variance[0] = t56 + t78;
+    const double t80 = predicted_mode_probability[0] * variance_m0[1];
+    const double t81 = predicted_mode_probability[1] * variance_m1[1];
+    const double t82 = t80 + t81;
+    const double t83 = predicted_mode_probability[2] * variance_m2[1];
+    const double t84 = t82 + t83;
+    const double t85 = predicted_mode_probability[3] * variance_m3[1];
+    const double t86 = t84 + t85;
+    const double t87 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t88 = predicted_mode_probability[1] * predicted_y_m1[1];
+    const double t89 = t87 + t88;
+    const double t90 = predicted_mode_probability[2] * predicted_y_m2[1];
+    const double t91 = t89 + t90;
+    const double t92 = predicted_mode_probability[3] * predicted_y_m3[1];
+    const double t93 = t91 + t92;
+    const double t94 = predicted_y_m0[1] - t93;
+    const double t95 = predicted_mode_probability[0] * t94;
+    const double t96 = t95 * t64;
+    const double t97 = predicted_y_m1[1] - t93;
+    const double t98 = predicted_mode_probability[1] * t97;
+    const double t99 = t98 * t67;
+    const double t100 = t96 + t99;
+    const double t101 = predicted_y_m2[1] - t93;
+    const double t102 = predicted_mode_probability[2] * t101;
+    const double t103 = t102 * t71;
+    const double t104 = t100 + t103;
+    const double t105 = predicted_y_m3[1] - t93;
+    const double t106 = predicted_mode_probability[3] * t105;
+    const double t107 = t106 * t75;
+    const double t108 = t104 + t107;
+    combined_variance[1] = t86 + t108;
+    const double t110 = predicted_mode_probability[0] * variance_m0[2];
+    const double t111 = predicted_mode_probability[1] * variance_m1[2];
+    const double t112 = t110 + t111;
+    const double t113 = predicted_mode_probability[2] * variance_m2[2];
+    const double t114 = t112 + t113;
+    const double t115 = predicted_mode_probability[3] * variance_m3[2];
+    const double t116 = t114 + t115;
+    const double t117 = t95 * t94;
+    const double t118 = t98 * t97;
+    const double t119 = t117 + t118;
+    const double t120 = t102 * t101;
+    const double t121 = t119 + t120;
+    const double t122 = t106 * t105;
+    const double t123 = t121 + t122;
+    combined_variance[2] = t116 + t123;
+    const double t125 = predicted_mode_probability[0] * variance_m0[3];
+    const double t126 = predicted_mode_probability[1] * variance_m1[3];
+    const double t127 = t125 + t126;
+    const double t128 = predicted_mode_probability[2] * variance_m2[3];
+    const double t129 = t127 + t128;
+    const double t130 = predicted_mode_probability[3] * variance_m3[3];
+    const double t131 = t129 + t130;
+    const double t132 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t133 = predicted_mode_probability[1] * predicted_y_m1[2];
+    const double t134 = t132 + t133;
+    const double t135 = predicted_mode_probability[2] * predicted_y_m2[2];
+    const double t136 = t134 + t135;
+    const double t137 = predicted_mode_probability[3] * predicted_y_m3[2];
+    const double t138 = t136 + t137;
+    const double t139 = predicted_y_m0[2] - t138;
+    const double t140 = predicted_mode_probability[0] * t139;
+    const double t141 = t140 * t64;
+    const double t142 = predicted_y_m1[2] - t138;
+    const double t143 = predicted_mode_probability[1] * t142;
+    const double t144 = t143 * t67;
+    const double t145 = t141 + t144;
+    const double t146 = predicted_y_m2[2] - t138;
+    const double t147 = predicted_mode_probability[2] * t146;
+    const double t148 = t147 * t71;
+    const double t149 = t145 + t148;
+    const double t150 = predicted_y_m3[2] - t138;
+    const double t151 = predicted_mode_probability[3] * t150;
+    const double t152 = t151 * t75;
+    const double t153 = t149 + t152;
+    combined_variance[3] = t131 + t153;
+    const double t155 = predicted_mode_probability[0] * variance_m0[4];
+    const double t156 = predicted_mode_probability[1] * variance_m1[4];
+    const double t157 = t155 + t156;
+    const double t158 = predicted_mode_probability[2] * variance_m2[4];
+    const double t159 = t157 + t158;
+    const double t160 = predicted_mode_probability[3] * variance_m3[4];
+    const double t161 = t159 + t160;
+    const double t162 = t140 * t94;
+    const double t163 = t143 * t97;
+    const double t164 = t162 + t163;
+    const double t165 = t147 * t101;
+    const double t166 = t164 + t165;
+    const double t167 = t151 * t105;
+    const double t168 = t166 + t167;
+    combined_variance[4] = t161 + t168;
+    const double t170 = predicted_mode_probability[0] * variance_m0[5];
+    const double t171 = predicted_mode_probability[1] * variance_m1[5];
+    const double t172 = t170 + t171;
+    const double t173 = predicted_mode_probability[2] * variance_m2[5];
+    const double t174 = t172 + t173;
+    const double t175 = predicted_mode_probability[3] * variance_m3[5];
+    const double t176 = t174 + t175;
+    const double t177 = t140 * t139;
+    const double t178 = t143 * t142;
+    const double t179 = t177 + t178;
+    const double t180 = t147 * t146;
+    const double t181 = t179 + t180;
+    const double t182 = t151 * t150;
+    const double t183 = t181 + t182;
+    combined_variance[5] = t176 + t183;
+    const double t185 = predicted_mode_probability[0] * innovation_m0_0;
+    const double t186 = predicted_mode_probability[1] * innovation_m1_0;
+    const double t187 = t185 + t186;
+    const double t188 = predicted_mode_probability[2] * innovation_m2_0;
+    const double t189 = t187 + t188;
+    const double t190 = predicted_mode_probability[3] * innovation_m3_0;
+    combined_innovation[0] = t189 + t190;
+    const double t192 = predicted_mode_probability[0] * innovation_m0_1;
+    const double t193 = predicted_mode_probability[1] * innovation_m1_1;
+    const double t194 = t192 + t193;
+    const double t195 = predicted_mode_probability[2] * innovation_m2_1;
+    const double t196 = t194 + t195;
+    const double t197 = predicted_mode_probability[3] * innovation_m3_1;
+    combined_innovation[1] = t196 + t197;
+    const double t199 = predicted_mode_probability[0] * innovation_m0_2;
+    const double t200 = predicted_mode_probability[1] * innovation_m1_2;
+    const double t201 = t199 + t200;
+    const double t202 = predicted_mode_probability[2] * innovation_m2_2;
+    const double t203 = t201 + t202;
+    const double t204 = predicted_mode_probability[3] * innovation_m3_2;
+    combined_innovation[2] = t203 + t204;
+    whitening_pivot_combined_0 = combined_variance[0];
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(whitening_pivot_combined_0 > 0.0))
+        {
+            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_0[0] = 1.0 / whitening_pivot_combined_0;
+    }
+    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
+    whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
+    const double t209 = whitening_combined_0_1[0] * combined_variance[1];
+    whitening_pivot_combined_1[0] = combined_variance[2] - t209;
+    return GPS_GLITCH_OK;
+}
+
+/* mixing and prediction of every mode. */
+static gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double *path_share_3,
+    const double *mixing_0, const double *mode_filtered_state,
+    const double *mode_filtered_covariance, const double *Q, const double *mixing_1,
+    const double *mixing_2, const double mode_prediction_0, const double mode_prediction_1,
+    const double mode_prediction_2, const double log_path_largest_3, const double *filtered_state,
+    const double *filtered_covariance, double *predicted_mode_probability,
+    const double mode_prediction_3, double *predicted_log_weight, double *mode_state,
+    double *mode_covariance, double *predicted_state, double *predicted_covariance,
+    const gps_glitch_params_t *params)
+{
+    double path_share_total_3;
+    double path_share_inverse_3;
+    double mixed_0_0_3_share[2];
+    double mixed_0_0_1_share[2];
+    double mixed_apart_0_1_squared[6];
+    double mixed_0_0_1_mean[3];
+    double mixed_0_0_1_covariance[6];
+    double mixed_0_2_3_share[2];
+    double mixed_apart_2_3_squared[6];
+    double mixed_0_2_3_mean[3];
+    double mixed_0_2_3_covariance[6];
+    double mixed_0_0_3_mean[3];
+    double mixed_0_0_3_covariance[6];
+    double moved_state_0[3];
+    double moved_covariance_0[6];
+    double mixed_1_0_3_share[2];
+    double mixed_1_0_1_inverse;
+    double mixed_1_0_1_share[2];
+    double mixed_1_0_1_mean[3];
+    double mixed_1_0_1_covariance[6];
+    double mixed_1_2_3_inverse;
+    double mixed_1_2_3_share[2];
+    double mixed_1_2_3_mean[3];
+    double mixed_1_2_3_covariance[6];
+    double mixed_1_0_3_mean[3];
+    double mixed_1_0_3_covariance[6];
+    double moved_state_1[3];
+    double moved_covariance_1[6];
+    double mixed_2_0_3_share[2];
+    double mixed_2_0_3_mean[3];
+    double mixed_2_0_3_covariance[6];
+    double moved_state_2[3];
+    double moved_covariance_2[6];
+    double mixed_3_0_3_share[2];
+    double mixed_3_0_1_inverse;
+    double mixed_3_0_1_share[2];
+    double mixed_3_0_1_mean[3];
+    double mixed_3_0_1_covariance[6];
+    double mixed_3_2_3_inverse;
+    double mixed_3_2_3_share[2];
+    double mixed_3_2_3_mean[3];
+    double mixed_3_2_3_covariance[6];
+    double mixed_3_0_3_mean[3];
+    double mixed_3_0_3_covariance[6];
+    double moved_state_3[3];
+    double moved_covariance_3[6];
+    const double t0 = path_share_3[0] + path_share_3[1];
+    const double t1 = t0 + path_share_3[2];
+    path_share_total_3 = t1 + path_share_3[3];
+    path_share_inverse_3 = 1.0 / path_share_total_3;
+
+    /* mixing and prediction of every mode */
+    mixed_0_0_3_share[0] = mixing_0[0] + mixing_0[1];
+    mixed_0_0_3_share[1] = mixing_0[2] + mixing_0[3];
+    gps_glitch_mixing_and_prediction_3(mixing_0, mixed_0_0_1_share, mode_filtered_state,
+        mixed_apart_0_1_squared);
+    gps_glitch_mixing_and_prediction(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean,
+        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
+    gps_glitch_mixing_and_prediction_3(&mixing_0[2], mixed_0_2_3_share, &mode_filtered_state[6],
+        mixed_apart_2_3_squared);
+    gps_glitch_mixing_and_prediction(mixed_0_2_3_share, &mode_filtered_state[6], mixed_0_2_3_mean,
+        &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_0_2_3_covariance);
+    gps_glitch_part_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share, mixed_0_0_3_mean,
+        mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance);
+    gps_glitch_mixing_and_prediction_2(mixed_0_0_3_mean, moved_state_0, mixed_0_0_3_covariance, Q,
+        moved_covariance_0, params);
+    mixed_1_0_3_share[0] = mixing_1[0] + mixing_1[1];
+    mixed_1_0_3_share[1] = mixing_1[2] + mixing_1[3];
+    const double t8 = mixing_1[0] + mixing_1[1];
+    const double t9 = t8 + GPS_GLITCH_TINY;
+    mixed_1_0_1_inverse = 1.0 / t9;
+    mixed_1_0_1_share[0] = mixing_1[0] * mixed_1_0_1_inverse;
+    mixed_1_0_1_share[1] = mixing_1[1] * mixed_1_0_1_inverse;
+    gps_glitch_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
+        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    const double t13 = mixing_1[2] + mixing_1[3];
+    const double t14 = t13 + GPS_GLITCH_TINY;
+    mixed_1_2_3_inverse = 1.0 / t14;
+    mixed_1_2_3_share[0] = mixing_1[2] * mixed_1_2_3_inverse;
+    mixed_1_2_3_share[1] = mixing_1[3] * mixed_1_2_3_inverse;
+    gps_glitch_mixing_and_prediction(mixed_1_2_3_share, &mode_filtered_state[6], mixed_1_2_3_mean,
+        &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_1_2_3_covariance);
+    gps_glitch_part_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share, mixed_1_0_3_mean,
+        mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance);
+    gps_glitch_mixing_and_prediction_2(mixed_1_0_3_mean, moved_state_1, mixed_1_0_3_covariance, Q,
+        moved_covariance_1, params);
+    mixed_2_0_3_share[0] = mixing_2[0] + mixing_2[1];
+    mixed_2_0_3_share[1] = mixing_2[2] + mixing_2[3];
+    gps_glitch_part_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_2_0_3_share, mixed_2_0_3_mean,
+        mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_2_0_3_covariance);
+    gps_glitch_mixing_and_prediction_2(mixed_2_0_3_mean, moved_state_2, mixed_2_0_3_covariance, Q,
+        moved_covariance_2, params);
+    const double t20 = path_share_3[0] * path_share_inverse_3;
+    const double t21 = path_share_3[1] * path_share_inverse_3;
+    mixed_3_0_3_share[0] = t20 + t21;
+    const double t23 = path_share_3[2] * path_share_inverse_3;
+    const double t24 = path_share_3[3] * path_share_inverse_3;
+    mixed_3_0_3_share[1] = t23 + t24;
+    const double t26 = path_share_3[0] * path_share_inverse_3;
+    const double t27 = path_share_3[1] * path_share_inverse_3;
+    const double t28 = t26 + t27;
+    const double t29 = t28 + GPS_GLITCH_TINY;
+    mixed_3_0_1_inverse = 1.0 / t29;
+    const double t31 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_0_1_share[0] = t31 * mixed_3_0_1_inverse;
+    const double t33 = path_share_3[1] * path_share_inverse_3;
+    mixed_3_0_1_share[1] = t33 * mixed_3_0_1_inverse;
+    gps_glitch_mixing_and_prediction(mixed_3_0_1_share, mode_filtered_state, mixed_3_0_1_mean,
+        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_3_0_1_covariance);
+    const double t35 = path_share_3[2] * path_share_inverse_3;
+    const double t36 = path_share_3[3] * path_share_inverse_3;
+    const double t37 = t35 + t36;
+    const double t38 = t37 + GPS_GLITCH_TINY;
+    mixed_3_2_3_inverse = 1.0 / t38;
+    const double t40 = path_share_3[2] * path_share_inverse_3;
+    mixed_3_2_3_share[0] = t40 * mixed_3_2_3_inverse;
+    const double t42 = path_share_3[3] * path_share_inverse_3;
+    mixed_3_2_3_share[1] = t42 * mixed_3_2_3_inverse;
+    gps_glitch_mixing_and_prediction(mixed_3_2_3_share, &mode_filtered_state[6], mixed_3_2_3_mean,
+        &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_3_2_3_covariance);
+    gps_glitch_part_2(mixed_3_0_1_mean, mixed_3_2_3_mean, mixed_3_0_3_share, mixed_3_0_3_mean,
+        mixed_3_0_1_covariance, mixed_3_2_3_covariance, mixed_3_0_3_covariance);
+    const double t44 = params->dt * mixed_3_0_3_mean[1];
+    moved_state_3[0] = mixed_3_0_3_mean[0] + t44;
+    moved_state_3[1] = mixed_3_0_3_mean[1];
+    moved_state_3[2] = mixed_3_0_3_mean[2];
+    const double t46 = params->dt * mixed_3_0_3_covariance[1];
+    const double t47 = mixed_3_0_3_covariance[0] + t46;
+    const double t48 = params->dt * mixed_3_0_3_covariance[2];
+    const double t49 = mixed_3_0_3_covariance[1] + t48;
+    const double t50 = t49 * params->dt;
+    const double t51 = t47 + t50;
+    moved_covariance_3[0] = t51 + Q[0];
+    const double t53 = mixed_3_0_3_covariance[2] * params->dt;
+    const double t54 = mixed_3_0_3_covariance[1] + t53;
+    moved_covariance_3[1] = t54 + Q[1];
+    moved_covariance_3[2] = mixed_3_0_3_covariance[2] + params->dt;
+    const double t57 = mixed_3_0_3_covariance[4] * params->dt;
+    moved_covariance_3[3] = mixed_3_0_3_covariance[3] + t57;
+    moved_covariance_3[5] = mixed_3_0_3_covariance[5] + Q[3];
+    moved_covariance_3[4] = mixed_3_0_3_covariance[4];
+
+    /* combined prediction */
+    predicted_log_weight[0] = gps_glitch_log(mode_prediction_0);
+    predicted_log_weight[1] = gps_glitch_log(mode_prediction_1);
+    predicted_log_weight[2] = gps_glitch_log(mode_prediction_2);
+    const double t63 = gps_glitch_log(path_share_total_3);
+    predicted_log_weight[3] = log_path_largest_3 + t63;
+    const double t65 = params->dt * filtered_state[1];
+    predicted_state[0] = filtered_state[0] + t65;
+    const double t67 = params->dt * filtered_covariance[1];
+    const double t68 = filtered_covariance[0] + t67;
+    const double t69 = params->dt * filtered_covariance[2];
+    const double t70 = filtered_covariance[1] + t69;
+    const double t71 = t70 * params->dt;
+    const double t72 = t68 + t71;
+    predicted_covariance[0] = t72 + Q[0];
+    const double t74 = filtered_covariance[2] * params->dt;
+    const double t75 = filtered_covariance[1] + t74;
+    predicted_covariance[1] = t75 + Q[1];
+    predicted_covariance[2] = filtered_covariance[2] + params->dt;
+    const double t78 = filtered_covariance[4] * params->dt;
+    predicted_covariance[3] = filtered_covariance[3] + t78;
+    predicted_covariance[5] = filtered_covariance[5] + Q[3];
+    const double t81 = moved_state_0[0] + moved_state_1[0];
+    const double t82 = t81 + moved_state_2[0];
+    const double t83 = t82 + moved_state_3[0];
+    const double t84 = moved_state_0[1] + moved_state_1[1];
+    const double t85 = t84 + moved_state_2[1];
+    const double t86 = t85 + moved_state_3[1];
+    const double t87 = moved_state_0[2] + moved_state_1[2];
+    const double t88 = t87 + moved_state_2[2];
+    const double t89 = t88 + moved_state_3[2];
+    const double t90 = moved_covariance_0[0] + moved_covariance_1[0];
+    const double t91 = t90 + moved_covariance_2[0];
+    const double t92 = t91 + moved_covariance_3[0];
+    const double t93 = moved_covariance_0[2] + moved_covariance_1[2];
+    const double t94 = t93 + moved_covariance_2[2];
+    const double t95 = t94 + moved_covariance_3[2];
+    const double t96 = moved_covariance_0[5] + moved_covariance_1[5];
+    const double t97 = t96 + moved_covariance_2[5];
+    const double t98 = t97 + moved_covariance_3[5];
+    if (!gps_glitch_finite(gps_glitch_defect(t83) + gps_glitch_defect(t86) +
+        gps_glitch_defect(t89) + gps_glitch_defect(t92) + gps_glitch_defect(t95) +
+        gps_glitch_defect(t98)))
+    {
+        return GPS_GLITCH_RESULT_NOT_FINITE;
+    }
+    predicted_mode_probability[0] = mode_prediction_0;
+    predicted_mode_probability[1] = mode_prediction_1;
+    predicted_mode_probability[2] = mode_prediction_2;
+    predicted_mode_probability[3] = mode_prediction_3;
+    mode_state[0] = moved_state_0[0];
+    mode_state[1] = moved_state_0[1];
+    mode_state[2] = moved_state_0[2];
+    mode_state[3] = moved_state_1[0];
+    mode_state[4] = moved_state_1[1];
+    mode_state[5] = moved_state_1[2];
+    mode_state[6] = moved_state_2[0];
+    mode_state[7] = moved_state_2[1];
+    mode_state[8] = moved_state_2[2];
+    mode_state[9] = moved_state_3[0];
+    mode_state[10] = moved_state_3[1];
+    mode_state[11] = moved_state_3[2];
+    mode_covariance[0] = moved_covariance_0[0];
+    mode_covariance[1] = moved_covariance_0[1];
+    mode_covariance[2] = moved_covariance_0[2];
+    mode_covariance[3] = moved_covariance_0[3];
+    mode_covariance[4] = moved_covariance_0[4];
+    mode_covariance[5] = moved_covariance_0[5];
+    mode_covariance[6] = moved_covariance_1[0];
+    mode_covariance[7] = moved_covariance_1[1];
+    mode_covariance[8] = moved_covariance_1[2];
+    mode_covariance[9] = moved_covariance_1[3];
+    mode_covariance[10] = moved_covariance_1[4];
+    mode_covariance[11] = moved_covariance_1[5];
+    mode_covariance[12] = moved_covariance_2[0];
+    mode_covariance[13] = moved_covariance_2[1];
+    mode_covariance[14] = moved_covariance_2[2];
+    mode_covariance[15] = moved_covariance_2[3];
+    mode_covariance[16] = moved_covariance_2[4];
+    mode_covariance[17] = moved_covariance_2[5];
+    mode_covariance[18] = moved_covariance_3[0];
+    mode_covariance[19] = moved_covariance_3[1];
+    mode_covariance[20] = moved_covariance_3[2];
+    mode_covariance[21] = moved_covariance_3[3];
+    mode_covariance[22] = moved_covariance_3[4];
+    mode_covariance[23] = moved_covariance_3[5];
+    predicted_state[1] = filtered_state[1];
+    predicted_state[2] = filtered_state[2];
+    predicted_covariance[4] = filtered_covariance[4];
+    return GPS_GLITCH_OK;
+}
+
+/* Condition on y[k]: reads *self, writes the results to *next. */
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *self, const double *y,
+    uint32_t present, gps_glitch_t *next)
+{
+    double innovation_m0_0 = 0.0;
+    double innovation_m0_1 = 0.0;
+    double innovation_m0_2 = 0.0;
+    double variance_m0[6];
+    double mean_m0[3];
+    double covariance_m0[6];
+    double log_density_m0;
+    double innovation_m1_0 = 0.0;
+    double innovation_m1_1 = 0.0;
+    double innovation_m1_2 = 0.0;
+    double variance_m1[6];
+    double mean_m1[3];
+    double covariance_m1[6];
+    double log_density_m1;
+    double innovation_m2_0 = 0.0;
+    double innovation_m2_1 = 0.0;
+    double innovation_m2_2 = 0.0;
+    double variance_m2[6];
+    double mean_m2[3];
+    double covariance_m2[6];
+    double quadratic_m2 = 0.0;
+    double log_constant_m2 = 0.0;
+    double determinant_m2_0 = 1.0;
+    double mean_m3[3];
+    double covariance_m3[6];
+    double weight[4];
+    double log_weight_now[4];
+    double log_evidence = 0.0;
     double combined_variance[6];
     double combined_innovation[3];
-    double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1;
     double whitening_combined_0_2;
@@ -309,21 +1353,13 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     double whitening_pivot_combined_2;
     double whitening_inverse_combined_2 = 0.0;
     double combined_0_3_share[2];
-    double combined_0_1_inverse;
-    double combined_0_1_share[2];
-    double combined_apart_0_1[3];
-    double combined_apart_0_1_squared[6];
     double combined_0_1_mean[3];
     double combined_0_1_covariance[6];
-    double combined_2_3_inverse;
-    double combined_2_3_share[2];
-    double combined_apart_2_3[3];
-    double combined_apart_2_3_squared[6];
     double combined_2_3_mean[3];
     double combined_2_3_covariance[6];
-    double combined_0_3_apart[3];
     double combined_0_3_mean[3];
     double combined_0_3_covariance[6];
+    gps_glitch_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[5] >= 0.0)))
     {
@@ -345,1192 +1381,79 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
     }
 
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t0 = self->mode_state[0] + self->mode_state[2];
-        const double t1 = y[0] - t0;
-        innovation_m0_0 = t1;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t2 = y[1] - self->mode_state[0];
-        innovation_m0_1 = t2;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t3 = y[2] - self->mode_state[1];
-        innovation_m0_2 = t3;
-    }
-
     /* mode 0: signal, R */
-    const double t4 = self->mode_covariance[0] + self->mode_covariance[3];
-    const double t5 = self->mode_covariance[3] + self->mode_covariance[5];
-    const double t6 = t4 + t5;
-    const double t7 = t6 + 0.25;
-    const double t8 = self->mode_covariance[0] + self->mode_covariance[3];
-    const double t9 = self->mode_covariance[0] + 4.0;
-    const double t10 = self->mode_covariance[1] + self->mode_covariance[4];
-    const double t11 = self->mode_covariance[2] + 2.25;
-    variance_m0[0] = t7;
-    variance_m0[1] = t8;
-    variance_m0[2] = t9;
-    variance_m0[3] = t10;
-    variance_m0[4] = self->mode_covariance[1];
-    variance_m0[5] = t11;
-    mean_m0[0] = self->mode_state[0];
-    mean_m0[1] = self->mode_state[1];
-    mean_m0[2] = self->mode_state[2];
-    covariance_m0[0] = self->mode_covariance[0];
-    covariance_m0[1] = self->mode_covariance[1];
-    covariance_m0[2] = self->mode_covariance[2];
-    covariance_m0[3] = self->mode_covariance[3];
-    covariance_m0[4] = self->mode_covariance[4];
-    covariance_m0[5] = self->mode_covariance[5];
-
-    /* row 0 of y, baro */
-    const double t12 = self->mode_covariance[0] + self->mode_covariance[3];
-    const double t13 = self->mode_covariance[1] + self->mode_covariance[4];
-    const double t14 = self->mode_covariance[3] + self->mode_covariance[5];
-    cross_m0_0[0] = t12;
-    cross_m0_0[1] = t13;
-    cross_m0_0[2] = t14;
-    const double t15 = cross_m0_0[0] + cross_m0_0[2];
-    const double t16 = t15 + 0.25;
-    pivot_m0_0 = t16;
-    if ((present & 0x1u) != 0u)
+    status = gps_glitch_mode(self->mode_state, y, &innovation_m0_0, &innovation_m0_1,
+        &innovation_m0_2, self->mode_covariance, variance_m0, mean_m0, covariance_m0,
+        &log_density_m0, gps_glitch_mode_numbers[0], present);
+    if (status != GPS_GLITCH_OK)
     {
-        if (!(pivot_m0_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t17 = 1.0 / pivot_m0_0;
-        inverse_m0_0 = t17;
-        const double t18 = innovation_m0_0 * inverse_m0_0;
-        const double t19 = innovation_m0_0 * t18;
-        const double t20 = cross_m0_0[0] * t18;
-        const double t21 = self->mode_state[0] + t20;
-        const double t22 = cross_m0_0[1] * t18;
-        const double t23 = self->mode_state[1] + t22;
-        const double t24 = cross_m0_0[2] * t18;
-        const double t25 = self->mode_state[2] + t24;
-        const double t26 = cross_m0_0[0] * inverse_m0_0;
-        const double t27 = t26 * cross_m0_0[0];
-        const double t28 = self->mode_covariance[0] - t27;
-        const double t29 = cross_m0_0[1] * inverse_m0_0;
-        const double t30 = t29 * cross_m0_0[0];
-        const double t31 = self->mode_covariance[1] - t30;
-        const double t32 = t29 * cross_m0_0[1];
-        const double t33 = self->mode_covariance[2] - t32;
-        const double t34 = cross_m0_0[2] * inverse_m0_0;
-        const double t35 = t34 * cross_m0_0[0];
-        const double t36 = self->mode_covariance[3] - t35;
-        const double t37 = t34 * cross_m0_0[1];
-        const double t38 = self->mode_covariance[4] - t37;
-        const double t39 = t34 * cross_m0_0[2];
-        const double t40 = self->mode_covariance[5] - t39;
-        quadratic_m0 = t19;
-        log_constant_m0 = GPS_GLITCH_LOG_2_PI;
-        determinant_m0_0 = pivot_m0_0;
-        mean_m0[0] = t21;
-        mean_m0[1] = t23;
-        mean_m0[2] = t25;
-        covariance_m0[0] = t28;
-        covariance_m0[1] = t31;
-        covariance_m0[2] = t33;
-        covariance_m0[3] = t36;
-        covariance_m0[4] = t38;
-        covariance_m0[5] = t40;
-    }
-
-    /* row 1 of y, gps_height */
-    const double t41 = covariance_m0[0] + 4.0;
-    pivot_m0_1 = t41;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_m0_1 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t42 = 1.0 / pivot_m0_1;
-        inverse_m0_1 = t42;
-        const double t43 = mean_m0[0] - self->mode_state[0];
-        const double t44 = innovation_m0_1 - t43;
-        const double t45 = t44 * inverse_m0_1;
-        const double t46 = t44 * t45;
-        const double t47 = quadratic_m0 + t46;
-        const double t48 = log_constant_m0 + GPS_GLITCH_LOG_2_PI;
-        const double t49 = determinant_m0_0 * pivot_m0_1;
-        const double t50 = covariance_m0[0] * t45;
-        const double t51 = mean_m0[0] + t50;
-        const double t52 = covariance_m0[1] * t45;
-        const double t53 = mean_m0[1] + t52;
-        const double t54 = covariance_m0[3] * t45;
-        const double t55 = mean_m0[2] + t54;
-        const double t56 = covariance_m0[0] * inverse_m0_1;
-        const double t57 = t56 * covariance_m0[0];
-        const double t58 = covariance_m0[0] - t57;
-        const double t59 = covariance_m0[1] * inverse_m0_1;
-        const double t60 = t59 * covariance_m0[0];
-        const double t61 = covariance_m0[1] - t60;
-        const double t62 = t59 * covariance_m0[1];
-        const double t63 = covariance_m0[2] - t62;
-        const double t64 = covariance_m0[3] * inverse_m0_1;
-        const double t65 = t64 * covariance_m0[0];
-        const double t66 = covariance_m0[3] - t65;
-        const double t67 = t64 * covariance_m0[1];
-        const double t68 = covariance_m0[4] - t67;
-        const double t69 = t64 * covariance_m0[3];
-        const double t70 = covariance_m0[5] - t69;
-        quadratic_m0 = t47;
-        log_constant_m0 = t48;
-        determinant_m0_0 = t49;
-        mean_m0[0] = t51;
-        mean_m0[1] = t53;
-        mean_m0[2] = t55;
-        covariance_m0[0] = t58;
-        covariance_m0[1] = t61;
-        covariance_m0[2] = t63;
-        covariance_m0[3] = t66;
-        covariance_m0[4] = t68;
-        covariance_m0[5] = t70;
-    }
-
-    /* row 2 of y, gps_climb */
-    const double t71 = covariance_m0[2] + 2.25;
-    pivot_m0_2 = t71;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_m0_2 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t72 = 1.0 / pivot_m0_2;
-        inverse_m0_2 = t72;
-        const double t73 = mean_m0[1] - self->mode_state[1];
-        const double t74 = innovation_m0_2 - t73;
-        const double t75 = t74 * inverse_m0_2;
-        const double t76 = t74 * t75;
-        const double t77 = quadratic_m0 + t76;
-        const double t78 = log_constant_m0 + GPS_GLITCH_LOG_2_PI;
-        const double t79 = determinant_m0_0 * pivot_m0_2;
-        const double t80 = covariance_m0[1] * t75;
-        const double t81 = mean_m0[0] + t80;
-        const double t82 = covariance_m0[2] * t75;
-        const double t83 = mean_m0[1] + t82;
-        const double t84 = covariance_m0[4] * t75;
-        const double t85 = mean_m0[2] + t84;
-        const double t86 = covariance_m0[1] * inverse_m0_2;
-        const double t87 = t86 * covariance_m0[1];
-        const double t88 = covariance_m0[0] - t87;
-        const double t89 = covariance_m0[2] * inverse_m0_2;
-        const double t90 = t89 * covariance_m0[1];
-        const double t91 = covariance_m0[1] - t90;
-        const double t92 = t89 * covariance_m0[2];
-        const double t93 = covariance_m0[2] - t92;
-        const double t94 = covariance_m0[4] * inverse_m0_2;
-        const double t95 = t94 * covariance_m0[1];
-        const double t96 = covariance_m0[3] - t95;
-        const double t97 = t94 * covariance_m0[2];
-        const double t98 = covariance_m0[4] - t97;
-        const double t99 = t94 * covariance_m0[4];
-        const double t100 = covariance_m0[5] - t99;
-        quadratic_m0 = t77;
-        log_constant_m0 = t78;
-        determinant_m0_0 = t79;
-        mean_m0[0] = t81;
-        mean_m0[1] = t83;
-        mean_m0[2] = t85;
-        covariance_m0[0] = t88;
-        covariance_m0[1] = t91;
-        covariance_m0[2] = t93;
-        covariance_m0[3] = t96;
-        covariance_m0[4] = t98;
-        covariance_m0[5] = t100;
-    }
-
-    /* mode 0: signal, R */
-    const double t101 = gps_glitch_log(determinant_m0_0);
-    const double t102 = log_constant_m0 + t101;
-    const double t103 = quadratic_m0 + t102;
-    const double t104 = -0.5 * t103;
-    log_density_m0 = t104;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t105 = self->mode_state[3] + self->mode_state[5];
-        const double t106 = y[0] - t105;
-        innovation_m1_0 = t106;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t107 = y[1] - self->mode_state[3];
-        innovation_m1_1 = t107;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t108 = y[2] - self->mode_state[4];
-        innovation_m1_2 = t108;
+        return status;
     }
 
     /* mode 1: signal, noise x 400 */
-    const double t109 = self->mode_covariance[6] + self->mode_covariance[9];
-    const double t110 = self->mode_covariance[9] + self->mode_covariance[11];
-    const double t111 = t109 + t110;
-    const double t112 = t111 + 0.25;
-    const double t113 = self->mode_covariance[6] + self->mode_covariance[9];
-    const double t114 = self->mode_covariance[6] + 1600.0;
-    const double t115 = self->mode_covariance[7] + self->mode_covariance[10];
-    const double t116 = self->mode_covariance[8] + 900.0;
-    variance_m1[0] = t112;
-    variance_m1[1] = t113;
-    variance_m1[2] = t114;
-    variance_m1[3] = t115;
-    variance_m1[4] = self->mode_covariance[7];
-    variance_m1[5] = t116;
-    mean_m1[0] = self->mode_state[3];
-    mean_m1[1] = self->mode_state[4];
-    mean_m1[2] = self->mode_state[5];
-    covariance_m1[0] = self->mode_covariance[6];
-    covariance_m1[1] = self->mode_covariance[7];
-    covariance_m1[2] = self->mode_covariance[8];
-    covariance_m1[3] = self->mode_covariance[9];
-    covariance_m1[4] = self->mode_covariance[10];
-    covariance_m1[5] = self->mode_covariance[11];
-
-    /* row 0 of y, baro */
-    const double t117 = self->mode_covariance[6] + self->mode_covariance[9];
-    const double t118 = self->mode_covariance[7] + self->mode_covariance[10];
-    const double t119 = self->mode_covariance[9] + self->mode_covariance[11];
-    cross_m1_0[0] = t117;
-    cross_m1_0[1] = t118;
-    cross_m1_0[2] = t119;
-    const double t120 = cross_m1_0[0] + cross_m1_0[2];
-    const double t121 = t120 + 0.25;
-    pivot_m1_0 = t121;
-    if ((present & 0x1u) != 0u)
+    status = gps_glitch_mode(&self->mode_state[3], y, &innovation_m1_0, &innovation_m1_1,
+        &innovation_m1_2, &self->mode_covariance[6], variance_m1, mean_m1, covariance_m1,
+        &log_density_m1, gps_glitch_mode_numbers[1], present);
+    if (status != GPS_GLITCH_OK)
     {
-        if (!(pivot_m1_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t122 = 1.0 / pivot_m1_0;
-        inverse_m1_0 = t122;
-        const double t123 = innovation_m1_0 * inverse_m1_0;
-        const double t124 = innovation_m1_0 * t123;
-        const double t125 = cross_m1_0[0] * t123;
-        const double t126 = self->mode_state[3] + t125;
-        const double t127 = cross_m1_0[1] * t123;
-        const double t128 = self->mode_state[4] + t127;
-        const double t129 = cross_m1_0[2] * t123;
-        const double t130 = self->mode_state[5] + t129;
-        const double t131 = cross_m1_0[0] * inverse_m1_0;
-        const double t132 = t131 * cross_m1_0[0];
-        const double t133 = self->mode_covariance[6] - t132;
-        const double t134 = cross_m1_0[1] * inverse_m1_0;
-        const double t135 = t134 * cross_m1_0[0];
-        const double t136 = self->mode_covariance[7] - t135;
-        const double t137 = t134 * cross_m1_0[1];
-        const double t138 = self->mode_covariance[8] - t137;
-        const double t139 = cross_m1_0[2] * inverse_m1_0;
-        const double t140 = t139 * cross_m1_0[0];
-        const double t141 = self->mode_covariance[9] - t140;
-        const double t142 = t139 * cross_m1_0[1];
-        const double t143 = self->mode_covariance[10] - t142;
-        const double t144 = t139 * cross_m1_0[2];
-        const double t145 = self->mode_covariance[11] - t144;
-        quadratic_m1 = t124;
-        log_constant_m1 = GPS_GLITCH_LOG_2_PI;
-        determinant_m1_0 = pivot_m1_0;
-        mean_m1[0] = t126;
-        mean_m1[1] = t128;
-        mean_m1[2] = t130;
-        covariance_m1[0] = t133;
-        covariance_m1[1] = t136;
-        covariance_m1[2] = t138;
-        covariance_m1[3] = t141;
-        covariance_m1[4] = t143;
-        covariance_m1[5] = t145;
-    }
-
-    /* row 1 of y, gps_height */
-    const double t146 = covariance_m1[0] + 1600.0;
-    pivot_m1_1 = t146;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_m1_1 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t147 = 1.0 / pivot_m1_1;
-        inverse_m1_1 = t147;
-        const double t148 = mean_m1[0] - self->mode_state[3];
-        const double t149 = innovation_m1_1 - t148;
-        const double t150 = t149 * inverse_m1_1;
-        const double t151 = t149 * t150;
-        const double t152 = quadratic_m1 + t151;
-        const double t153 = log_constant_m1 + GPS_GLITCH_LOG_2_PI;
-        const double t154 = determinant_m1_0 * pivot_m1_1;
-        const double t155 = covariance_m1[0] * t150;
-        const double t156 = mean_m1[0] + t155;
-        const double t157 = covariance_m1[1] * t150;
-        const double t158 = mean_m1[1] + t157;
-        const double t159 = covariance_m1[3] * t150;
-        const double t160 = mean_m1[2] + t159;
-        const double t161 = covariance_m1[0] * inverse_m1_1;
-        const double t162 = t161 * covariance_m1[0];
-        const double t163 = covariance_m1[0] - t162;
-        const double t164 = covariance_m1[1] * inverse_m1_1;
-        const double t165 = t164 * covariance_m1[0];
-        const double t166 = covariance_m1[1] - t165;
-        const double t167 = t164 * covariance_m1[1];
-        const double t168 = covariance_m1[2] - t167;
-        const double t169 = covariance_m1[3] * inverse_m1_1;
-        const double t170 = t169 * covariance_m1[0];
-        const double t171 = covariance_m1[3] - t170;
-        const double t172 = t169 * covariance_m1[1];
-        const double t173 = covariance_m1[4] - t172;
-        const double t174 = t169 * covariance_m1[3];
-        const double t175 = covariance_m1[5] - t174;
-        quadratic_m1 = t152;
-        log_constant_m1 = t153;
-        determinant_m1_0 = t154;
-        mean_m1[0] = t156;
-        mean_m1[1] = t158;
-        mean_m1[2] = t160;
-        covariance_m1[0] = t163;
-        covariance_m1[1] = t166;
-        covariance_m1[2] = t168;
-        covariance_m1[3] = t171;
-        covariance_m1[4] = t173;
-        covariance_m1[5] = t175;
-    }
-
-    /* row 2 of y, gps_climb */
-    const double t176 = covariance_m1[2] + 900.0;
-    pivot_m1_2 = t176;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_m1_2 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t177 = 1.0 / pivot_m1_2;
-        inverse_m1_2 = t177;
-        const double t178 = mean_m1[1] - self->mode_state[4];
-        const double t179 = innovation_m1_2 - t178;
-        const double t180 = t179 * inverse_m1_2;
-        const double t181 = t179 * t180;
-        const double t182 = quadratic_m1 + t181;
-        const double t183 = log_constant_m1 + GPS_GLITCH_LOG_2_PI;
-        const double t184 = determinant_m1_0 * pivot_m1_2;
-        const double t185 = covariance_m1[1] * t180;
-        const double t186 = mean_m1[0] + t185;
-        const double t187 = covariance_m1[2] * t180;
-        const double t188 = mean_m1[1] + t187;
-        const double t189 = covariance_m1[4] * t180;
-        const double t190 = mean_m1[2] + t189;
-        const double t191 = covariance_m1[1] * inverse_m1_2;
-        const double t192 = t191 * covariance_m1[1];
-        const double t193 = covariance_m1[0] - t192;
-        const double t194 = covariance_m1[2] * inverse_m1_2;
-        const double t195 = t194 * covariance_m1[1];
-        const double t196 = covariance_m1[1] - t195;
-        const double t197 = t194 * covariance_m1[2];
-        const double t198 = covariance_m1[2] - t197;
-        const double t199 = covariance_m1[4] * inverse_m1_2;
-        const double t200 = t199 * covariance_m1[1];
-        const double t201 = covariance_m1[3] - t200;
-        const double t202 = t199 * covariance_m1[2];
-        const double t203 = covariance_m1[4] - t202;
-        const double t204 = t199 * covariance_m1[4];
-        const double t205 = covariance_m1[5] - t204;
-        quadratic_m1 = t182;
-        log_constant_m1 = t183;
-        determinant_m1_0 = t184;
-        mean_m1[0] = t186;
-        mean_m1[1] = t188;
-        mean_m1[2] = t190;
-        covariance_m1[0] = t193;
-        covariance_m1[1] = t196;
-        covariance_m1[2] = t198;
-        covariance_m1[3] = t201;
-        covariance_m1[4] = t203;
-        covariance_m1[5] = t205;
-    }
-
-    /* mode 1: signal, noise x 400 */
-    const double t206 = gps_glitch_log(determinant_m1_0);
-    const double t207 = log_constant_m1 + t206;
-    const double t208 = quadratic_m1 + t207;
-    const double t209 = -0.5 * t208;
-    log_density_m1 = t209;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t210 = self->mode_state[6] + self->mode_state[8];
-        const double t211 = y[0] - t210;
-        innovation_m2_0 = t211;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        innovation_m2_1 = y[1];
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        innovation_m2_2 = y[2];
+        return status;
     }
 
     /* mode 2: no signal, R */
-    const double t212 = self->mode_covariance[12] + self->mode_covariance[15];
-    const double t213 = self->mode_covariance[15] + self->mode_covariance[17];
-    const double t214 = t212 + t213;
-    const double t215 = t214 + 0.25;
-    variance_m2[0] = t215;
-    variance_m2[1] = 0.0;
-    variance_m2[2] = 4.0;
-    variance_m2[3] = 0.0;
-    variance_m2[4] = 0.0;
-    variance_m2[5] = 2.25;
-    mean_m2[0] = self->mode_state[6];
-    mean_m2[1] = self->mode_state[7];
-    mean_m2[2] = self->mode_state[8];
-    covariance_m2[0] = self->mode_covariance[12];
-    covariance_m2[1] = self->mode_covariance[13];
-    covariance_m2[2] = self->mode_covariance[14];
-    covariance_m2[3] = self->mode_covariance[15];
-    covariance_m2[4] = self->mode_covariance[16];
-    covariance_m2[5] = self->mode_covariance[17];
-
-    /* row 0 of y, baro */
-    const double t216 = self->mode_covariance[12] + self->mode_covariance[15];
-    const double t217 = self->mode_covariance[13] + self->mode_covariance[16];
-    const double t218 = self->mode_covariance[15] + self->mode_covariance[17];
-    cross_m2_0[0] = t216;
-    cross_m2_0[1] = t217;
-    cross_m2_0[2] = t218;
-    const double t219 = cross_m2_0[0] + cross_m2_0[2];
-    const double t220 = t219 + 0.25;
-    pivot_m2_0 = t220;
-    if ((present & 0x1u) != 0u)
+    status = gps_glitch_mode_2(&self->mode_state[6], y, &innovation_m2_0, &innovation_m2_1,
+        &innovation_m2_2, &self->mode_covariance[12], variance_m2, mean_m2, covariance_m2,
+        &quadratic_m2, &log_constant_m2, &determinant_m2_0, gps_glitch_mode_2_numbers[0], present);
+    if (status != GPS_GLITCH_OK)
     {
-        if (!(pivot_m2_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t221 = 1.0 / pivot_m2_0;
-        inverse_m2_0 = t221;
-        const double t222 = innovation_m2_0 * inverse_m2_0;
-        const double t223 = innovation_m2_0 * t222;
-        const double t224 = cross_m2_0[0] * t222;
-        const double t225 = self->mode_state[6] + t224;
-        const double t226 = cross_m2_0[1] * t222;
-        const double t227 = self->mode_state[7] + t226;
-        const double t228 = cross_m2_0[2] * t222;
-        const double t229 = self->mode_state[8] + t228;
-        const double t230 = cross_m2_0[0] * inverse_m2_0;
-        const double t231 = t230 * cross_m2_0[0];
-        const double t232 = self->mode_covariance[12] - t231;
-        const double t233 = cross_m2_0[1] * inverse_m2_0;
-        const double t234 = t233 * cross_m2_0[0];
-        const double t235 = self->mode_covariance[13] - t234;
-        const double t236 = t233 * cross_m2_0[1];
-        const double t237 = self->mode_covariance[14] - t236;
-        const double t238 = cross_m2_0[2] * inverse_m2_0;
-        const double t239 = t238 * cross_m2_0[0];
-        const double t240 = self->mode_covariance[15] - t239;
-        const double t241 = t238 * cross_m2_0[1];
-        const double t242 = self->mode_covariance[16] - t241;
-        const double t243 = t238 * cross_m2_0[2];
-        const double t244 = self->mode_covariance[17] - t243;
-        quadratic_m2 = t223;
-        log_constant_m2 = GPS_GLITCH_LOG_2_PI;
-        determinant_m2_0 = pivot_m2_0;
-        mean_m2[0] = t225;
-        mean_m2[1] = t227;
-        mean_m2[2] = t229;
-        covariance_m2[0] = t232;
-        covariance_m2[1] = t235;
-        covariance_m2[2] = t237;
-        covariance_m2[3] = t240;
-        covariance_m2[4] = t242;
-        covariance_m2[5] = t244;
+        return status;
     }
-
-    /* row 1 of y, gps_height */
-    if ((present & 0x2u) != 0u)
+    status = gps_glitch_mode_3(determinant_m2_0, log_constant_m2, quadratic_m2, self->mode_state, y,
+        &self->mode_covariance[18], mean_m3, covariance_m3, self->predicted_mode_probability,
+        weight, self->predicted_log_weight, log_weight_now, log_density_m0, log_density_m1,
+        &log_evidence, variance_m0, variance_m1, variance_m2, combined_variance, innovation_m0_0,
+        innovation_m1_0, innovation_m2_0, innovation_m0_1, innovation_m1_1, innovation_m2_1,
+        innovation_m0_2, innovation_m1_2, innovation_m2_2, combined_innovation,
+        &whitening_inverse_combined_0, &whitening_combined_0_1, &whitening_combined_0_2,
+        &whitening_pivot_combined_1, present);
+    if (status != GPS_GLITCH_OK)
     {
-        const double t245 = 0.25 * innovation_m2_1;
-        const double t246 = innovation_m2_1 * t245;
-        const double t247 = quadratic_m2 + t246;
-        const double t248 = log_constant_m2 + 3.224171427529236;
-        quadratic_m2 = t247;
-        log_constant_m2 = t248;
+        return status;
     }
-
-    /* row 2 of y, gps_climb */
-    if ((present & 0x4u) != 0u)
-    {
-        const double t249 = 0.4444444444444444 * innovation_m2_2;
-        const double t250 = innovation_m2_2 * t249;
-        const double t251 = quadratic_m2 + t250;
-        const double t252 = log_constant_m2 + 2.648807282625674;
-        quadratic_m2 = t251;
-        log_constant_m2 = t252;
-    }
-
-    /* mode 2: no signal, R */
-    const double t253 = gps_glitch_log(determinant_m2_0);
-    const double t254 = log_constant_m2 + t253;
-    const double t255 = quadratic_m2 + t254;
-    const double t256 = -0.5 * t255;
-    log_density_m2 = t256;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t257 = self->mode_state[9] + self->mode_state[11];
-        const double t258 = y[0] - t257;
-        innovation_m3_0 = t258;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        innovation_m3_1 = y[1];
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        innovation_m3_2 = y[2];
-    }
-
-    /* mode 3: no signal, noise x 400 */
-    const double t259 = self->mode_covariance[18] + self->mode_covariance[21];
-    const double t260 = self->mode_covariance[21] + self->mode_covariance[23];
-    const double t261 = t259 + t260;
-    const double t262 = t261 + 0.25;
-    variance_m3[0] = t262;
-    variance_m3[1] = 0.0;
-    variance_m3[2] = 1600.0;
-    variance_m3[3] = 0.0;
-    variance_m3[4] = 0.0;
-    variance_m3[5] = 900.0;
-    mean_m3[0] = self->mode_state[9];
-    mean_m3[1] = self->mode_state[10];
-    mean_m3[2] = self->mode_state[11];
-    covariance_m3[0] = self->mode_covariance[18];
-    covariance_m3[1] = self->mode_covariance[19];
-    covariance_m3[2] = self->mode_covariance[20];
-    covariance_m3[3] = self->mode_covariance[21];
-    covariance_m3[4] = self->mode_covariance[22];
-    covariance_m3[5] = self->mode_covariance[23];
-
-    /* row 0 of y, baro */
-    const double t263 = self->mode_covariance[18] + self->mode_covariance[21];
-    const double t264 = self->mode_covariance[19] + self->mode_covariance[22];
-    const double t265 = self->mode_covariance[21] + self->mode_covariance[23];
-    cross_m3_0[0] = t263;
-    cross_m3_0[1] = t264;
-    cross_m3_0[2] = t265;
-    const double t266 = cross_m3_0[0] + cross_m3_0[2];
-    const double t267 = t266 + 0.25;
-    pivot_m3_0 = t267;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_m3_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t268 = 1.0 / pivot_m3_0;
-        inverse_m3_0 = t268;
-        const double t269 = innovation_m3_0 * inverse_m3_0;
-        const double t270 = innovation_m3_0 * t269;
-        const double t271 = cross_m3_0[0] * t269;
-        const double t272 = self->mode_state[9] + t271;
-        const double t273 = cross_m3_0[1] * t269;
-        const double t274 = self->mode_state[10] + t273;
-        const double t275 = cross_m3_0[2] * t269;
-        const double t276 = self->mode_state[11] + t275;
-        const double t277 = cross_m3_0[0] * inverse_m3_0;
-        const double t278 = t277 * cross_m3_0[0];
-        const double t279 = self->mode_covariance[18] - t278;
-        const double t280 = cross_m3_0[1] * inverse_m3_0;
-        const double t281 = t280 * cross_m3_0[0];
-        const double t282 = self->mode_covariance[19] - t281;
-        const double t283 = t280 * cross_m3_0[1];
-        const double t284 = self->mode_covariance[20] - t283;
-        const double t285 = cross_m3_0[2] * inverse_m3_0;
-        const double t286 = t285 * cross_m3_0[0];
-        const double t287 = self->mode_covariance[21] - t286;
-        const double t288 = t285 * cross_m3_0[1];
-        const double t289 = self->mode_covariance[22] - t288;
-        const double t290 = t285 * cross_m3_0[2];
-        const double t291 = self->mode_covariance[23] - t290;
-        quadratic_m3 = t270;
-        log_constant_m3 = GPS_GLITCH_LOG_2_PI;
-        determinant_m3_0 = pivot_m3_0;
-        mean_m3[0] = t272;
-        mean_m3[1] = t274;
-        mean_m3[2] = t276;
-        covariance_m3[0] = t279;
-        covariance_m3[1] = t282;
-        covariance_m3[2] = t284;
-        covariance_m3[3] = t287;
-        covariance_m3[4] = t289;
-        covariance_m3[5] = t291;
-    }
-
-    /* row 1 of y, gps_height */
-    if ((present & 0x2u) != 0u)
-    {
-        const double t292 = 0.000625 * innovation_m3_1;
-        const double t293 = innovation_m3_1 * t292;
-        const double t294 = quadratic_m3 + t293;
-        const double t295 = log_constant_m3 + 9.215635974637218;
-        quadratic_m3 = t294;
-        log_constant_m3 = t295;
-    }
-
-    /* row 2 of y, gps_climb */
-    if ((present & 0x4u) != 0u)
-    {
-        const double t296 = 0.0011111111111111111 * innovation_m3_2;
-        const double t297 = innovation_m3_2 * t296;
-        const double t298 = quadratic_m3 + t297;
-        const double t299 = log_constant_m3 + 8.640271829733656;
-        quadratic_m3 = t298;
-        log_constant_m3 = t299;
-    }
-
-    /* mode 3: no signal, noise x 400 */
-    const double t300 = gps_glitch_log(determinant_m3_0);
-    const double t301 = log_constant_m3 + t300;
-    const double t302 = quadratic_m3 + t301;
-    const double t303 = -0.5 * t302;
-    log_density_m3 = t303;
-
-    /* probabilities of the modes */
-    weight[0] = self->predicted_mode_probability[0];
-    weight[1] = self->predicted_mode_probability[1];
-    weight[2] = self->predicted_mode_probability[2];
-    weight[3] = self->predicted_mode_probability[3];
-    log_weight_now[0] = self->predicted_log_weight[0];
-    log_weight_now[1] = self->predicted_log_weight[1];
-    log_weight_now[2] = self->predicted_log_weight[2];
-    log_weight_now[3] = self->predicted_log_weight[3];
-    if ((present) != 0u)
-    {
-        const double t304 = self->predicted_log_weight[0] + log_density_m0;
-        const double t305 = self->predicted_log_weight[1] + log_density_m1;
-        const double t306 = self->predicted_log_weight[2] + log_density_m2;
-        const double t307 = self->predicted_log_weight[3] + log_density_m3;
-        log_joint[0] = t304;
-        log_joint[1] = t305;
-        log_joint[2] = t306;
-        log_joint[3] = t307;
-        const double t308 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t309 = (t308 > log_joint[2]) ? t308 : log_joint[2];
-        const double t310 = (t309 > log_joint[3]) ? t309 : log_joint[3];
-        log_largest = t310;
-        const double t311 = log_joint[0] - log_largest;
-        const double t312 = gps_glitch_exp(t311);
-        const double t313 = log_joint[1] - log_largest;
-        const double t314 = gps_glitch_exp(t313);
-        const double t315 = log_joint[2] - log_largest;
-        const double t316 = gps_glitch_exp(t315);
-        const double t317 = log_joint[3] - log_largest;
-        const double t318 = gps_glitch_exp(t317);
-        share_of_largest[0] = t312;
-        share_of_largest[1] = t314;
-        share_of_largest[2] = t316;
-        share_of_largest[3] = t318;
-        const double t319 = share_of_largest[0] + share_of_largest[1];
-        const double t320 = t319 + share_of_largest[2];
-        const double t321 = t320 + share_of_largest[3];
-        share_total = t321;
-        const double t322 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
-        if (!(t322 > 0.0))
-        {
-            return GPS_GLITCH_RESULT_NOT_FINITE;
-        }
-        if (!gps_glitch_finite(gps_glitch_defect(share_total)))
-        {
-            return GPS_GLITCH_RESULT_NOT_FINITE;
-        }
-        const double t323 = 1.0 / share_total;
-        share_total_inverse = t323;
-        const double t324 = gps_glitch_log(share_total);
-        log_share_total = t324;
-        const double t325 = share_of_largest[0] * share_total_inverse;
-        const double t326 = share_of_largest[1] * share_total_inverse;
-        const double t327 = share_of_largest[2] * share_total_inverse;
-        const double t328 = share_of_largest[3] * share_total_inverse;
-        const double t329 = log_joint[0] - log_largest;
-        const double t330 = t329 - log_share_total;
-        const double t331 = (t330 > GPS_GLITCH_LOG_ZERO) ? t330 : GPS_GLITCH_LOG_ZERO;
-        const double t332 = log_joint[1] - log_largest;
-        const double t333 = t332 - log_share_total;
-        const double t334 = (t333 > GPS_GLITCH_LOG_ZERO) ? t333 : GPS_GLITCH_LOG_ZERO;
-        const double t335 = log_joint[2] - log_largest;
-        const double t336 = t335 - log_share_total;
-        const double t337 = (t336 > GPS_GLITCH_LOG_ZERO) ? t336 : GPS_GLITCH_LOG_ZERO;
-        const double t338 = log_joint[3] - log_largest;
-        const double t339 = t338 - log_share_total;
-        const double t340 = (t339 > GPS_GLITCH_LOG_ZERO) ? t339 : GPS_GLITCH_LOG_ZERO;
-        const double t341 = log_largest + log_share_total;
-        weight[0] = t325;
-        weight[1] = t326;
-        weight[2] = t327;
-        weight[3] = t328;
-        log_weight_now[0] = t331;
-        log_weight_now[1] = t334;
-        log_weight_now[2] = t337;
-        log_weight_now[3] = t340;
-        log_evidence = t341;
-    }
-
-    /* innovation of the mixture */
-    const double t342 = self->mode_state[0] + self->mode_state[2];
-    predicted_y_m0[0] = t342;
-    predicted_y_m0[1] = self->mode_state[0];
-    predicted_y_m0[2] = self->mode_state[1];
-    const double t343 = self->mode_state[3] + self->mode_state[5];
-    predicted_y_m1[0] = t343;
-    predicted_y_m1[1] = self->mode_state[3];
-    predicted_y_m1[2] = self->mode_state[4];
-    const double t344 = self->mode_state[6] + self->mode_state[8];
-    predicted_y_m2[0] = t344;
-    predicted_y_m2[1] = 0.0;
-    predicted_y_m2[2] = 0.0;
-    const double t345 = self->mode_state[9] + self->mode_state[11];
-    predicted_y_m3[0] = t345;
-    predicted_y_m3[1] = 0.0;
-    predicted_y_m3[2] = 0.0;
-    const double t346 = self->predicted_mode_probability[0] * variance_m0[0];
-    const double t347 = self->predicted_mode_probability[1] * variance_m1[0];
-    const double t348 = t346 + t347;
-    const double t349 = self->predicted_mode_probability[2] * variance_m2[0];
-    const double t350 = t348 + t349;
-    const double t351 = self->predicted_mode_probability[3] * variance_m3[0];
-    const double t352 = t350 + t351;
-    const double t353 = self->predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t354 = self->predicted_mode_probability[1] * predicted_y_m1[0];
-    const double t355 = t353 + t354;
-    const double t356 = self->predicted_mode_probability[2] * predicted_y_m2[0];
-    const double t357 = t355 + t356;
-    const double t358 = self->predicted_mode_probability[3] * predicted_y_m3[0];
-    const double t359 = t357 + t358;
-    const double t360 = predicted_y_m0[0] - t359;
-    const double t361 = self->predicted_mode_probability[0] * t360;
-    const double t362 = t361 * t360;
-    const double t363 = predicted_y_m1[0] - t359;
-    const double t364 = self->predicted_mode_probability[1] * t363;
-    const double t365 = t364 * t363;
-    const double t366 = t362 + t365;
-    const double t367 = predicted_y_m2[0] - t359;
-    const double t368 = self->predicted_mode_probability[2] * t367;
-    const double t369 = t368 * t367;
-    const double t370 = t366 + t369;
-    const double t371 = predicted_y_m3[0] - t359;
-    const double t372 = self->predicted_mode_probability[3] * t371;
-    const double t373 = t372 * t371;
-    const double t374 = t370 + t373;
-    const double t375 = t352 + t374;
-    const double t376 = self->predicted_mode_probability[0] * variance_m0[1];
-    const double t377 = self->predicted_mode_probability[1] * variance_m1[1];
-    const double t378 = t376 + t377;
-    const double t379 = self->predicted_mode_probability[2] * variance_m2[1];
-    const double t380 = t378 + t379;
-    const double t381 = self->predicted_mode_probability[3] * variance_m3[1];
-    const double t382 = t380 + t381;
-    const double t383 = self->predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t384 = self->predicted_mode_probability[1] * predicted_y_m1[1];
-    const double t385 = t383 + t384;
-    const double t386 = self->predicted_mode_probability[2] * predicted_y_m2[1];
-    const double t387 = t385 + t386;
-    const double t388 = self->predicted_mode_probability[3] * predicted_y_m3[1];
-    const double t389 = t387 + t388;
-    const double t390 = predicted_y_m0[1] - t389;
-    const double t391 = self->predicted_mode_probability[0] * t390;
-    const double t392 = t391 * t360;
-    const double t393 = predicted_y_m1[1] - t389;
-    const double t394 = self->predicted_mode_probability[1] * t393;
-    const double t395 = t394 * t363;
-    const double t396 = t392 + t395;
-    const double t397 = predicted_y_m2[1] - t389;
-    const double t398 = self->predicted_mode_probability[2] * t397;
-    const double t399 = t398 * t367;
-    const double t400 = t396 + t399;
-    const double t401 = predicted_y_m3[1] - t389;
-    const double t402 = self->predicted_mode_probability[3] * t401;
-    const double t403 = t402 * t371;
-    const double t404 = t400 + t403;
-    const double t405 = t382 + t404;
-    const double t406 = self->predicted_mode_probability[0] * variance_m0[2];
-    const double t407 = self->predicted_mode_probability[1] * variance_m1[2];
-    const double t408 = t406 + t407;
-    const double t409 = self->predicted_mode_probability[2] * variance_m2[2];
-    const double t410 = t408 + t409;
-    const double t411 = self->predicted_mode_probability[3] * variance_m3[2];
-    const double t412 = t410 + t411;
-    const double t413 = t391 * t390;
-    const double t414 = t394 * t393;
-    const double t415 = t413 + t414;
-    const double t416 = t398 * t397;
-    const double t417 = t415 + t416;
-    const double t418 = t402 * t401;
-    const double t419 = t417 + t418;
-    const double t420 = t412 + t419;
-    const double t421 = self->predicted_mode_probability[0] * variance_m0[3];
-    const double t422 = self->predicted_mode_probability[1] * variance_m1[3];
-    const double t423 = t421 + t422;
-    const double t424 = self->predicted_mode_probability[2] * variance_m2[3];
-    const double t425 = t423 + t424;
-    const double t426 = self->predicted_mode_probability[3] * variance_m3[3];
-    const double t427 = t425 + t426;
-    const double t428 = self->predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t429 = self->predicted_mode_probability[1] * predicted_y_m1[2];
-    const double t430 = t428 + t429;
-    const double t431 = self->predicted_mode_probability[2] * predicted_y_m2[2];
-    const double t432 = t430 + t431;
-    const double t433 = self->predicted_mode_probability[3] * predicted_y_m3[2];
-    const double t434 = t432 + t433;
-    const double t435 = predicted_y_m0[2] - t434;
-    const double t436 = self->predicted_mode_probability[0] * t435;
-    const double t437 = t436 * t360;
-    const double t438 = predicted_y_m1[2] - t434;
-    const double t439 = self->predicted_mode_probability[1] * t438;
-    const double t440 = t439 * t363;
-    const double t441 = t437 + t440;
-    const double t442 = predicted_y_m2[2] - t434;
-    const double t443 = self->predicted_mode_probability[2] * t442;
-    const double t444 = t443 * t367;
-    const double t445 = t441 + t444;
-    const double t446 = predicted_y_m3[2] - t434;
-    const double t447 = self->predicted_mode_probability[3] * t446;
-    const double t448 = t447 * t371;
-    const double t449 = t445 + t448;
-    const double t450 = t427 + t449;
-    const double t451 = self->predicted_mode_probability[0] * variance_m0[4];
-    const double t452 = self->predicted_mode_probability[1] * variance_m1[4];
-    const double t453 = t451 + t452;
-    const double t454 = self->predicted_mode_probability[2] * variance_m2[4];
-    const double t455 = t453 + t454;
-    const double t456 = self->predicted_mode_probability[3] * variance_m3[4];
-    const double t457 = t455 + t456;
-    const double t458 = t436 * t390;
-    const double t459 = t439 * t393;
-    const double t460 = t458 + t459;
-    const double t461 = t443 * t397;
-    const double t462 = t460 + t461;
-    const double t463 = t447 * t401;
-    const double t464 = t462 + t463;
-    const double t465 = t457 + t464;
-    const double t466 = self->predicted_mode_probability[0] * variance_m0[5];
-    const double t467 = self->predicted_mode_probability[1] * variance_m1[5];
-    const double t468 = t466 + t467;
-    const double t469 = self->predicted_mode_probability[2] * variance_m2[5];
-    const double t470 = t468 + t469;
-    const double t471 = self->predicted_mode_probability[3] * variance_m3[5];
-    const double t472 = t470 + t471;
-    const double t473 = t436 * t435;
-    const double t474 = t439 * t438;
-    const double t475 = t473 + t474;
-    const double t476 = t443 * t442;
-    const double t477 = t475 + t476;
-    const double t478 = t447 * t446;
-    const double t479 = t477 + t478;
-    const double t480 = t472 + t479;
-    combined_variance[0] = t375;
-    combined_variance[1] = t405;
-    combined_variance[2] = t420;
-    combined_variance[3] = t450;
-    combined_variance[4] = t465;
-    combined_variance[5] = t480;
-    const double t481 = self->predicted_mode_probability[0] * innovation_m0_0;
-    const double t482 = self->predicted_mode_probability[1] * innovation_m1_0;
-    const double t483 = t481 + t482;
-    const double t484 = self->predicted_mode_probability[2] * innovation_m2_0;
-    const double t485 = t483 + t484;
-    const double t486 = self->predicted_mode_probability[3] * innovation_m3_0;
-    const double t487 = t485 + t486;
-    const double t488 = self->predicted_mode_probability[0] * innovation_m0_1;
-    const double t489 = self->predicted_mode_probability[1] * innovation_m1_1;
-    const double t490 = t488 + t489;
-    const double t491 = self->predicted_mode_probability[2] * innovation_m2_1;
-    const double t492 = t490 + t491;
-    const double t493 = self->predicted_mode_probability[3] * innovation_m3_1;
-    const double t494 = t492 + t493;
-    const double t495 = self->predicted_mode_probability[0] * innovation_m0_2;
-    const double t496 = self->predicted_mode_probability[1] * innovation_m1_2;
-    const double t497 = t495 + t496;
-    const double t498 = self->predicted_mode_probability[2] * innovation_m2_2;
-    const double t499 = t497 + t498;
-    const double t500 = self->predicted_mode_probability[3] * innovation_m3_2;
-    const double t501 = t499 + t500;
-    combined_innovation[0] = t487;
-    combined_innovation[1] = t494;
-    combined_innovation[2] = t501;
-    whitening_pivot_combined_0 = combined_variance[0];
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        const double t502 = 1.0 / whitening_pivot_combined_0;
-        whitening_inverse_combined_0 = t502;
-    }
-    const double t503 = combined_variance[1] * whitening_inverse_combined_0;
-    whitening_combined_0_1 = t503;
-    const double t504 = combined_variance[3] * whitening_inverse_combined_0;
-    whitening_combined_0_2 = t504;
-    const double t505 = whitening_combined_0_1 * combined_variance[1];
-    const double t506 = combined_variance[2] - t505;
-    whitening_pivot_combined_1 = t506;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0))
         {
             return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
         }
-        const double t507 = 1.0 / whitening_pivot_combined_1;
-        whitening_inverse_combined_1 = t507;
+        whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
     }
     const double t508 = whitening_combined_0_2 * combined_variance[1];
     const double t509 = combined_variance[4] - t508;
-    const double t510 = t509 * whitening_inverse_combined_1;
-    whitening_combined_1_2 = t510;
+    whitening_combined_1_2 = t509 * whitening_inverse_combined_1;
     const double t511 = whitening_combined_0_2 * combined_variance[3];
     const double t512 = combined_variance[5] - t511;
     const double t513 = whitening_combined_0_2 * combined_variance[1];
     const double t514 = combined_variance[4] - t513;
     const double t515 = whitening_combined_1_2 * t514;
-    const double t516 = t512 - t515;
-    whitening_pivot_combined_2 = t516;
+    whitening_pivot_combined_2 = t512 - t515;
     if ((present & 0x4u) != 0u)
     {
         if (!(whitening_pivot_combined_2 > 0.0))
         {
             return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
         }
-        const double t517 = 1.0 / whitening_pivot_combined_2;
-        whitening_inverse_combined_2 = t517;
+        whitening_inverse_combined_2 = 1.0 / whitening_pivot_combined_2;
     }
 
     /* combination */
-    const double t518 = weight[0] + weight[1];
-    const double t519 = weight[2] + weight[3];
-    combined_0_3_share[0] = t518;
-    combined_0_3_share[1] = t519;
-    const double t520 = weight[0] + weight[1];
-    const double t521 = t520 + GPS_GLITCH_TINY;
-    const double t522 = 1.0 / t521;
-    combined_0_1_inverse = t522;
-    const double t523 = weight[0] * combined_0_1_inverse;
-    const double t524 = weight[1] * combined_0_1_inverse;
-    combined_0_1_share[0] = t523;
-    combined_0_1_share[1] = t524;
-    const double t525 = mean_m0[0] - mean_m1[0];
-    const double t526 = mean_m0[1] - mean_m1[1];
-    const double t527 = mean_m0[2] - mean_m1[2];
-    combined_apart_0_1[0] = t525;
-    combined_apart_0_1[1] = t526;
-    combined_apart_0_1[2] = t527;
-    const double t528 = combined_apart_0_1[0] * combined_apart_0_1[0];
-    const double t529 = combined_apart_0_1[1] * combined_apart_0_1[0];
-    const double t530 = combined_apart_0_1[1] * combined_apart_0_1[1];
-    const double t531 = combined_apart_0_1[2] * combined_apart_0_1[0];
-    const double t532 = combined_apart_0_1[2] * combined_apart_0_1[1];
-    const double t533 = combined_apart_0_1[2] * combined_apart_0_1[2];
-    combined_apart_0_1_squared[0] = t528;
-    combined_apart_0_1_squared[1] = t529;
-    combined_apart_0_1_squared[2] = t530;
-    combined_apart_0_1_squared[3] = t531;
-    combined_apart_0_1_squared[4] = t532;
-    combined_apart_0_1_squared[5] = t533;
-    const double t534 = combined_0_1_share[0] * mean_m0[0];
-    const double t535 = combined_0_1_share[1] * mean_m1[0];
-    const double t536 = t534 + t535;
-    const double t537 = combined_0_1_share[0] * mean_m0[1];
-    const double t538 = combined_0_1_share[1] * mean_m1[1];
-    const double t539 = t537 + t538;
-    const double t540 = combined_0_1_share[0] * mean_m0[2];
-    const double t541 = combined_0_1_share[1] * mean_m1[2];
-    const double t542 = t540 + t541;
-    combined_0_1_mean[0] = t536;
-    combined_0_1_mean[1] = t539;
-    combined_0_1_mean[2] = t542;
-    const double t543 = combined_0_1_share[0] * covariance_m0[0];
-    const double t544 = combined_0_1_share[1] * covariance_m1[0];
-    const double t545 = t543 + t544;
-    const double t546 = combined_0_1_share[0] * combined_0_1_share[1];
-    const double t547 = t546 * combined_apart_0_1_squared[0];
-    const double t548 = t545 + t547;
-    const double t549 = combined_0_1_share[0] * covariance_m0[1];
-    const double t550 = combined_0_1_share[1] * covariance_m1[1];
-    const double t551 = t549 + t550;
-    const double t552 = t546 * combined_apart_0_1_squared[1];
-    const double t553 = t551 + t552;
-    const double t554 = combined_0_1_share[0] * covariance_m0[2];
-    const double t555 = combined_0_1_share[1] * covariance_m1[2];
-    const double t556 = t554 + t555;
-    const double t557 = t546 * combined_apart_0_1_squared[2];
-    const double t558 = t556 + t557;
-    const double t559 = combined_0_1_share[0] * covariance_m0[3];
-    const double t560 = combined_0_1_share[1] * covariance_m1[3];
-    const double t561 = t559 + t560;
-    const double t562 = t546 * combined_apart_0_1_squared[3];
-    const double t563 = t561 + t562;
-    const double t564 = combined_0_1_share[0] * covariance_m0[4];
-    const double t565 = combined_0_1_share[1] * covariance_m1[4];
-    const double t566 = t564 + t565;
-    const double t567 = t546 * combined_apart_0_1_squared[4];
-    const double t568 = t566 + t567;
-    const double t569 = combined_0_1_share[0] * covariance_m0[5];
-    const double t570 = combined_0_1_share[1] * covariance_m1[5];
-    const double t571 = t569 + t570;
-    const double t572 = t546 * combined_apart_0_1_squared[5];
-    const double t573 = t571 + t572;
-    combined_0_1_covariance[0] = t548;
-    combined_0_1_covariance[1] = t553;
-    combined_0_1_covariance[2] = t558;
-    combined_0_1_covariance[3] = t563;
-    combined_0_1_covariance[4] = t568;
-    combined_0_1_covariance[5] = t573;
-    const double t574 = weight[2] + weight[3];
-    const double t575 = t574 + GPS_GLITCH_TINY;
-    const double t576 = 1.0 / t575;
-    combined_2_3_inverse = t576;
-    const double t577 = weight[2] * combined_2_3_inverse;
-    const double t578 = weight[3] * combined_2_3_inverse;
-    combined_2_3_share[0] = t577;
-    combined_2_3_share[1] = t578;
-    const double t579 = mean_m2[0] - mean_m3[0];
-    const double t580 = mean_m2[1] - mean_m3[1];
-    const double t581 = mean_m2[2] - mean_m3[2];
-    combined_apart_2_3[0] = t579;
-    combined_apart_2_3[1] = t580;
-    combined_apart_2_3[2] = t581;
-    const double t582 = combined_apart_2_3[0] * combined_apart_2_3[0];
-    const double t583 = combined_apart_2_3[1] * combined_apart_2_3[0];
-    const double t584 = combined_apart_2_3[1] * combined_apart_2_3[1];
-    const double t585 = combined_apart_2_3[2] * combined_apart_2_3[0];
-    const double t586 = combined_apart_2_3[2] * combined_apart_2_3[1];
-    const double t587 = combined_apart_2_3[2] * combined_apart_2_3[2];
-    combined_apart_2_3_squared[0] = t582;
-    combined_apart_2_3_squared[1] = t583;
-    combined_apart_2_3_squared[2] = t584;
-    combined_apart_2_3_squared[3] = t585;
-    combined_apart_2_3_squared[4] = t586;
-    combined_apart_2_3_squared[5] = t587;
-    const double t588 = combined_2_3_share[0] * mean_m2[0];
-    const double t589 = combined_2_3_share[1] * mean_m3[0];
-    const double t590 = t588 + t589;
-    const double t591 = combined_2_3_share[0] * mean_m2[1];
-    const double t592 = combined_2_3_share[1] * mean_m3[1];
-    const double t593 = t591 + t592;
-    const double t594 = combined_2_3_share[0] * mean_m2[2];
-    const double t595 = combined_2_3_share[1] * mean_m3[2];
-    const double t596 = t594 + t595;
-    combined_2_3_mean[0] = t590;
-    combined_2_3_mean[1] = t593;
-    combined_2_3_mean[2] = t596;
-    const double t597 = combined_2_3_share[0] * covariance_m2[0];
-    const double t598 = combined_2_3_share[1] * covariance_m3[0];
-    const double t599 = t597 + t598;
-    const double t600 = combined_2_3_share[0] * combined_2_3_share[1];
-    const double t601 = t600 * combined_apart_2_3_squared[0];
-    const double t602 = t599 + t601;
-    const double t603 = combined_2_3_share[0] * covariance_m2[1];
-    const double t604 = combined_2_3_share[1] * covariance_m3[1];
-    const double t605 = t603 + t604;
-    const double t606 = t600 * combined_apart_2_3_squared[1];
-    const double t607 = t605 + t606;
-    const double t608 = combined_2_3_share[0] * covariance_m2[2];
-    const double t609 = combined_2_3_share[1] * covariance_m3[2];
-    const double t610 = t608 + t609;
-    const double t611 = t600 * combined_apart_2_3_squared[2];
-    const double t612 = t610 + t611;
-    const double t613 = combined_2_3_share[0] * covariance_m2[3];
-    const double t614 = combined_2_3_share[1] * covariance_m3[3];
-    const double t615 = t613 + t614;
-    const double t616 = t600 * combined_apart_2_3_squared[3];
-    const double t617 = t615 + t616;
-    const double t618 = combined_2_3_share[0] * covariance_m2[4];
-    const double t619 = combined_2_3_share[1] * covariance_m3[4];
-    const double t620 = t618 + t619;
-    const double t621 = t600 * combined_apart_2_3_squared[4];
-    const double t622 = t620 + t621;
-    const double t623 = combined_2_3_share[0] * covariance_m2[5];
-    const double t624 = combined_2_3_share[1] * covariance_m3[5];
-    const double t625 = t623 + t624;
-    const double t626 = t600 * combined_apart_2_3_squared[5];
-    const double t627 = t625 + t626;
-    combined_2_3_covariance[0] = t602;
-    combined_2_3_covariance[1] = t607;
-    combined_2_3_covariance[2] = t612;
-    combined_2_3_covariance[3] = t617;
-    combined_2_3_covariance[4] = t622;
-    combined_2_3_covariance[5] = t627;
-    const double t628 = combined_0_1_mean[0] - combined_2_3_mean[0];
-    const double t629 = combined_0_1_mean[1] - combined_2_3_mean[1];
-    const double t630 = combined_0_1_mean[2] - combined_2_3_mean[2];
-    combined_0_3_apart[0] = t628;
-    combined_0_3_apart[1] = t629;
-    combined_0_3_apart[2] = t630;
-    const double t631 = combined_0_3_share[0] * combined_0_1_mean[0];
-    const double t632 = combined_0_3_share[1] * combined_2_3_mean[0];
-    const double t633 = t631 + t632;
-    const double t634 = combined_0_3_share[0] * combined_0_1_mean[1];
-    const double t635 = combined_0_3_share[1] * combined_2_3_mean[1];
-    const double t636 = t634 + t635;
-    const double t637 = combined_0_3_share[0] * combined_0_1_mean[2];
-    const double t638 = combined_0_3_share[1] * combined_2_3_mean[2];
-    const double t639 = t637 + t638;
-    combined_0_3_mean[0] = t633;
-    combined_0_3_mean[1] = t636;
-    combined_0_3_mean[2] = t639;
-    const double t640 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t641 = combined_0_3_share[1] * combined_2_3_covariance[0];
-    const double t642 = t640 + t641;
-    const double t643 = combined_0_3_share[0] * combined_0_3_share[1];
-    const double t644 = t643 * combined_0_3_apart[0];
-    const double t645 = t644 * combined_0_3_apart[0];
-    const double t646 = t642 + t645;
-    const double t647 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t648 = combined_0_3_share[1] * combined_2_3_covariance[1];
-    const double t649 = t647 + t648;
-    const double t650 = t643 * combined_0_3_apart[1];
-    const double t651 = t650 * combined_0_3_apart[0];
-    const double t652 = t649 + t651;
-    const double t653 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t654 = combined_0_3_share[1] * combined_2_3_covariance[2];
-    const double t655 = t653 + t654;
-    const double t656 = t650 * combined_0_3_apart[1];
-    const double t657 = t655 + t656;
-    const double t658 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t659 = combined_0_3_share[1] * combined_2_3_covariance[3];
-    const double t660 = t658 + t659;
-    const double t661 = t643 * combined_0_3_apart[2];
-    const double t662 = t661 * combined_0_3_apart[0];
-    const double t663 = t660 + t662;
-    const double t664 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t665 = combined_0_3_share[1] * combined_2_3_covariance[4];
-    const double t666 = t664 + t665;
-    const double t667 = t661 * combined_0_3_apart[1];
-    const double t668 = t666 + t667;
-    const double t669 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t670 = combined_0_3_share[1] * combined_2_3_covariance[5];
-    const double t671 = t669 + t670;
-    const double t672 = t661 * combined_0_3_apart[2];
-    const double t673 = t671 + t672;
-    combined_0_3_covariance[0] = t646;
-    combined_0_3_covariance[1] = t652;
-    combined_0_3_covariance[2] = t657;
-    combined_0_3_covariance[3] = t663;
-    combined_0_3_covariance[4] = t668;
-    combined_0_3_covariance[5] = t673;
+    combined_0_3_share[0] = weight[0] + weight[1];
+    combined_0_3_share[1] = weight[2] + weight[3];
+    gps_glitch_combination(weight, mean_m0, mean_m1, combined_0_1_mean, covariance_m0,
+        covariance_m1, combined_0_1_covariance);
+    gps_glitch_combination(&weight[2], mean_m2, mean_m3, combined_2_3_mean, covariance_m2,
+        covariance_m3, combined_2_3_covariance);
+    gps_glitch_part_2(combined_0_1_mean, combined_2_3_mean, combined_0_3_share, combined_0_3_mean,
+        combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance);
     if (!gps_glitch_finite(gps_glitch_defect(combined_0_3_mean[0]) +
         gps_glitch_defect(combined_0_3_mean[1]) + gps_glitch_defect(combined_0_3_mean[2])))
     {
@@ -1549,7 +1472,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     const double t684 = t682 - t683;
     const double t685 = t684 * t684;
     const double t686 = t685 * whitening_inverse_combined_2;
-    const double t687 = t680 + t686;
+    next->nis = t680 + t686;
     next->innovation[0] = combined_innovation[0];
     next->innovation[1] = combined_innovation[1];
     next->innovation[2] = combined_innovation[2];
@@ -1559,7 +1482,6 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     next->innovation_covariance[3] = combined_variance[3];
     next->innovation_covariance[4] = combined_variance[4];
     next->innovation_covariance[5] = combined_variance[5];
-    next->nis = t687;
     next->mode_probability[0] = weight[0];
     next->mode_probability[1] = weight[1];
     next->mode_probability[2] = weight[2];
@@ -1623,1031 +1545,67 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
 {
     double Q[4];
     double mode_prediction_0;
-    double mode_prediction_inverse_0;
     double mixing_0[4];
     double mode_prediction_1;
-    double mode_prediction_inverse_1;
     double mixing_1[4];
     double mode_prediction_2;
-    double mode_prediction_inverse_2;
     double mixing_2[4];
     double mode_prediction_3;
     double log_path_3[4];
     double log_path_largest_3;
     double path_share_3[4];
-    double path_share_total_3;
-    double path_share_inverse_3;
-    double mixed_0_0_3_share[2];
-    double mixed_0_0_1_inverse;
-    double mixed_0_0_1_share[2];
-    double mixed_apart_0_1[3];
-    double mixed_apart_0_1_squared[6];
-    double mixed_0_0_1_mean[3];
-    double mixed_0_0_1_covariance[6];
-    double mixed_0_2_3_inverse;
-    double mixed_0_2_3_share[2];
-    double mixed_apart_2_3[3];
-    double mixed_apart_2_3_squared[6];
-    double mixed_0_2_3_mean[3];
-    double mixed_0_2_3_covariance[6];
-    double mixed_0_0_3_apart[3];
-    double mixed_0_0_3_mean[3];
-    double mixed_0_0_3_covariance[6];
-    double moved_state_0[3];
-    double moved_covariance_0[6];
-    double mixed_1_0_3_share[2];
-    double mixed_1_0_1_inverse;
-    double mixed_1_0_1_share[2];
-    double mixed_1_0_1_mean[3];
-    double mixed_1_0_1_covariance[6];
-    double mixed_1_2_3_inverse;
-    double mixed_1_2_3_share[2];
-    double mixed_1_2_3_mean[3];
-    double mixed_1_2_3_covariance[6];
-    double mixed_1_0_3_apart[3];
-    double mixed_1_0_3_mean[3];
-    double mixed_1_0_3_covariance[6];
-    double moved_state_1[3];
-    double moved_covariance_1[6];
-    double mixed_2_0_3_share[2];
-    double mixed_2_0_3_apart[3];
-    double mixed_2_0_3_mean[3];
-    double mixed_2_0_3_covariance[6];
-    double moved_state_2[3];
-    double moved_covariance_2[6];
-    double mixed_3_0_3_share[2];
-    double mixed_3_0_1_inverse;
-    double mixed_3_0_1_share[2];
-    double mixed_3_0_1_mean[3];
-    double mixed_3_0_1_covariance[6];
-    double mixed_3_2_3_inverse;
-    double mixed_3_2_3_share[2];
-    double mixed_3_2_3_mean[3];
-    double mixed_3_2_3_covariance[6];
-    double mixed_3_0_3_apart[3];
-    double mixed_3_0_3_mean[3];
-    double mixed_3_0_3_covariance[6];
-    double moved_state_3[3];
-    double moved_covariance_3[6];
+    gps_glitch_status_t status;
     const double t0 = params->dt * params->dt;
     const double t1 = params->dt * t0;
-    const double t2 = t1 / 3.0;
+    Q[0] = t1 / 3.0;
     const double t3 = t0 / 2.0;
-    const double t4 = 0.0006250000000000001 * params->dt;
-    Q[0] = t2;
+    Q[3] = 0.0006250000000000001 * params->dt;
     Q[1] = t3;
     Q[2] = t3;
-    Q[3] = t4;
     if (!((Q[0] >= 0.0) && (params->dt >= 0.0) && (Q[3] >= 0.0)))
     {
         return GPS_GLITCH_PARAMETER_OUT_OF_RANGE;
     }
 
     /* law of the next mode, and mixing weights */
-    const double t5 = 0.9999475003375 * self->mode_probability[0];
-    const double t6 = 0.001349989875 * self->mode_probability[1];
-    const double t7 = t5 + t6;
-    const double t8 = 0.0013499392500000002 * self->mode_probability[2];
-    const double t9 = t7 + t8;
-    const double t10 = 1.8225000000000001e-06 * self->mode_probability[3];
-    const double t11 = t9 + t10;
-    mode_prediction_0 = t11;
-    const double t12 = 1.0 / mode_prediction_0;
-    mode_prediction_inverse_0 = t12;
-    const double t13 = 0.9999475003375 * self->mode_probability[0];
-    const double t14 = t13 * mode_prediction_inverse_0;
-    const double t15 = 0.001349989875 * self->mode_probability[1];
-    const double t16 = t15 * mode_prediction_inverse_0;
-    const double t17 = 0.0013499392500000002 * self->mode_probability[2];
-    const double t18 = t17 * mode_prediction_inverse_0;
-    const double t19 = 1.8225000000000001e-06 * self->mode_probability[3];
-    const double t20 = t19 * mode_prediction_inverse_0;
-    mixing_0[0] = t14;
-    mixing_0[1] = t16;
-    mixing_0[2] = t18;
-    mixing_0[3] = t20;
-    const double t21 = 4.49996625e-05 * self->mode_probability[0];
-    const double t22 = 0.9986425101249999 * self->mode_probability[1];
-    const double t23 = t21 + t22;
-    const double t24 = 6.075000000000001e-08 * self->mode_probability[2];
-    const double t25 = t23 + t24;
-    const double t26 = 0.0013481775 * self->mode_probability[3];
-    const double t27 = t25 + t26;
-    mode_prediction_1 = t27;
-    const double t28 = 1.0 / mode_prediction_1;
-    mode_prediction_inverse_1 = t28;
-    const double t29 = 4.49996625e-05 * self->mode_probability[0];
-    const double t30 = t29 * mode_prediction_inverse_1;
-    const double t31 = 0.9986425101249999 * self->mode_probability[1];
-    const double t32 = t31 * mode_prediction_inverse_1;
-    const double t33 = 6.075000000000001e-08 * self->mode_probability[2];
-    const double t34 = t33 * mode_prediction_inverse_1;
-    const double t35 = 0.0013481775 * self->mode_probability[3];
-    const double t36 = t35 * mode_prediction_inverse_1;
-    mixing_1[0] = t30;
-    mixing_1[1] = t32;
-    mixing_1[2] = t34;
-    mixing_1[3] = t36;
-    const double t37 = 7.4996625e-06 * self->mode_probability[0];
-    const double t38 = 1.0125000000000001e-08 * self->mode_probability[1];
-    const double t39 = t37 + t38;
-    const double t40 = 0.9986050607500001 * self->mode_probability[2];
-    const double t41 = t39 + t40;
-    const double t42 = 0.0013481775 * self->mode_probability[3];
-    const double t43 = t41 + t42;
-    mode_prediction_2 = t43;
-    const double t44 = 1.0 / mode_prediction_2;
-    mode_prediction_inverse_2 = t44;
-    const double t45 = 7.4996625e-06 * self->mode_probability[0];
-    const double t46 = t45 * mode_prediction_inverse_2;
-    const double t47 = 1.0125000000000001e-08 * self->mode_probability[1];
-    const double t48 = t47 * mode_prediction_inverse_2;
-    const double t49 = 0.9986050607500001 * self->mode_probability[2];
-    const double t50 = t49 * mode_prediction_inverse_2;
-    const double t51 = 0.0013481775 * self->mode_probability[3];
-    const double t52 = t51 * mode_prediction_inverse_2;
-    mixing_2[0] = t46;
-    mixing_2[1] = t48;
-    mixing_2[2] = t50;
-    mixing_2[3] = t52;
+    gps_glitch_law_of_the_next(self->mode_probability, &mode_prediction_0, mixing_0,
+        gps_glitch_law_of_the_next_numbers[0]);
+    gps_glitch_law_of_the_next(self->mode_probability, &mode_prediction_1, mixing_1,
+        gps_glitch_law_of_the_next_numbers[1]);
+    gps_glitch_law_of_the_next(self->mode_probability, &mode_prediction_2, mixing_2,
+        gps_glitch_law_of_the_next_numbers[2]);
     const double t53 = 3.375e-10 * self->mode_probability[0];
     const double t54 = 7.489875000000001e-06 * self->mode_probability[1];
     const double t55 = t53 + t54;
     const double t56 = 4.493925e-05 * self->mode_probability[2];
     const double t57 = t55 + t56;
     const double t58 = 0.9973018225000001 * self->mode_probability[3];
-    const double t59 = t57 + t58;
-    mode_prediction_3 = t59;
-    const double t60 = self->log_weight[0] + -21.809455605615963;
-    const double t61 = self->log_weight[1] + -11.801958449492966;
-    const double t62 = self->log_weight[2] + -10.01019898026491;
-    const double t63 = self->log_weight[3] + -0.0027018241419124473;
-    log_path_3[0] = t60;
-    log_path_3[1] = t61;
-    log_path_3[2] = t62;
-    log_path_3[3] = t63;
+    mode_prediction_3 = t57 + t58;
+    log_path_3[0] = self->log_weight[0] + -21.809455605615963;
+    log_path_3[1] = self->log_weight[1] + -11.801958449492966;
+    log_path_3[2] = self->log_weight[2] + -10.01019898026491;
+    log_path_3[3] = self->log_weight[3] + -0.0027018241419124473;
     const double t64 = (log_path_3[0] > log_path_3[1]) ? log_path_3[0] : log_path_3[1];
     const double t65 = (t64 > log_path_3[2]) ? t64 : log_path_3[2];
-    const double t66 = (t65 > log_path_3[3]) ? t65 : log_path_3[3];
-    log_path_largest_3 = t66;
+    log_path_largest_3 = (t65 > log_path_3[3]) ? t65 : log_path_3[3];
     const double t67 = log_path_3[0] - log_path_largest_3;
-    const double t68 = gps_glitch_exp(t67);
+    path_share_3[0] = gps_glitch_exp(t67);
     const double t69 = log_path_3[1] - log_path_largest_3;
-    const double t70 = gps_glitch_exp(t69);
+    path_share_3[1] = gps_glitch_exp(t69);
     const double t71 = log_path_3[2] - log_path_largest_3;
-    const double t72 = gps_glitch_exp(t71);
+    path_share_3[2] = gps_glitch_exp(t71);
     const double t73 = log_path_3[3] - log_path_largest_3;
-    const double t74 = gps_glitch_exp(t73);
-    path_share_3[0] = t68;
-    path_share_3[1] = t70;
-    path_share_3[2] = t72;
-    path_share_3[3] = t74;
-    const double t75 = path_share_3[0] + path_share_3[1];
-    const double t76 = t75 + path_share_3[2];
-    const double t77 = t76 + path_share_3[3];
-    path_share_total_3 = t77;
-    const double t78 = 1.0 / path_share_total_3;
-    path_share_inverse_3 = t78;
-
-    /* mixing and prediction of every mode */
-    const double t79 = mixing_0[0] + mixing_0[1];
-    const double t80 = mixing_0[2] + mixing_0[3];
-    mixed_0_0_3_share[0] = t79;
-    mixed_0_0_3_share[1] = t80;
-    const double t81 = mixing_0[0] + mixing_0[1];
-    const double t82 = t81 + GPS_GLITCH_TINY;
-    const double t83 = 1.0 / t82;
-    mixed_0_0_1_inverse = t83;
-    const double t84 = mixing_0[0] * mixed_0_0_1_inverse;
-    const double t85 = mixing_0[1] * mixed_0_0_1_inverse;
-    mixed_0_0_1_share[0] = t84;
-    mixed_0_0_1_share[1] = t85;
-    const double t86 = self->mode_filtered_state[0] - self->mode_filtered_state[3];
-    const double t87 = self->mode_filtered_state[1] - self->mode_filtered_state[4];
-    const double t88 = self->mode_filtered_state[2] - self->mode_filtered_state[5];
-    mixed_apart_0_1[0] = t86;
-    mixed_apart_0_1[1] = t87;
-    mixed_apart_0_1[2] = t88;
-    const double t89 = mixed_apart_0_1[0] * mixed_apart_0_1[0];
-    const double t90 = mixed_apart_0_1[1] * mixed_apart_0_1[0];
-    const double t91 = mixed_apart_0_1[1] * mixed_apart_0_1[1];
-    const double t92 = mixed_apart_0_1[2] * mixed_apart_0_1[0];
-    const double t93 = mixed_apart_0_1[2] * mixed_apart_0_1[1];
-    const double t94 = mixed_apart_0_1[2] * mixed_apart_0_1[2];
-    mixed_apart_0_1_squared[0] = t89;
-    mixed_apart_0_1_squared[1] = t90;
-    mixed_apart_0_1_squared[2] = t91;
-    mixed_apart_0_1_squared[3] = t92;
-    mixed_apart_0_1_squared[4] = t93;
-    mixed_apart_0_1_squared[5] = t94;
-    const double t95 = mixed_0_0_1_share[0] * self->mode_filtered_state[0];
-    const double t96 = mixed_0_0_1_share[1] * self->mode_filtered_state[3];
-    const double t97 = t95 + t96;
-    const double t98 = mixed_0_0_1_share[0] * self->mode_filtered_state[1];
-    const double t99 = mixed_0_0_1_share[1] * self->mode_filtered_state[4];
-    const double t100 = t98 + t99;
-    const double t101 = mixed_0_0_1_share[0] * self->mode_filtered_state[2];
-    const double t102 = mixed_0_0_1_share[1] * self->mode_filtered_state[5];
-    const double t103 = t101 + t102;
-    mixed_0_0_1_mean[0] = t97;
-    mixed_0_0_1_mean[1] = t100;
-    mixed_0_0_1_mean[2] = t103;
-    const double t104 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[0];
-    const double t105 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[6];
-    const double t106 = t104 + t105;
-    const double t107 = mixed_0_0_1_share[0] * mixed_0_0_1_share[1];
-    const double t108 = t107 * mixed_apart_0_1_squared[0];
-    const double t109 = t106 + t108;
-    const double t110 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[1];
-    const double t111 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[7];
-    const double t112 = t110 + t111;
-    const double t113 = t107 * mixed_apart_0_1_squared[1];
-    const double t114 = t112 + t113;
-    const double t115 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[2];
-    const double t116 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[8];
-    const double t117 = t115 + t116;
-    const double t118 = t107 * mixed_apart_0_1_squared[2];
-    const double t119 = t117 + t118;
-    const double t120 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[3];
-    const double t121 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[9];
-    const double t122 = t120 + t121;
-    const double t123 = t107 * mixed_apart_0_1_squared[3];
-    const double t124 = t122 + t123;
-    const double t125 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[4];
-    const double t126 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[10];
-    const double t127 = t125 + t126;
-    const double t128 = t107 * mixed_apart_0_1_squared[4];
-    const double t129 = t127 + t128;
-    const double t130 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[5];
-    const double t131 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[11];
-    const double t132 = t130 + t131;
-    const double t133 = t107 * mixed_apart_0_1_squared[5];
-    const double t134 = t132 + t133;
-    mixed_0_0_1_covariance[0] = t109;
-    mixed_0_0_1_covariance[1] = t114;
-    mixed_0_0_1_covariance[2] = t119;
-    mixed_0_0_1_covariance[3] = t124;
-    mixed_0_0_1_covariance[4] = t129;
-    mixed_0_0_1_covariance[5] = t134;
-    const double t135 = mixing_0[2] + mixing_0[3];
-    const double t136 = t135 + GPS_GLITCH_TINY;
-    const double t137 = 1.0 / t136;
-    mixed_0_2_3_inverse = t137;
-    const double t138 = mixing_0[2] * mixed_0_2_3_inverse;
-    const double t139 = mixing_0[3] * mixed_0_2_3_inverse;
-    mixed_0_2_3_share[0] = t138;
-    mixed_0_2_3_share[1] = t139;
-    const double t140 = self->mode_filtered_state[6] - self->mode_filtered_state[9];
-    const double t141 = self->mode_filtered_state[7] - self->mode_filtered_state[10];
-    const double t142 = self->mode_filtered_state[8] - self->mode_filtered_state[11];
-    mixed_apart_2_3[0] = t140;
-    mixed_apart_2_3[1] = t141;
-    mixed_apart_2_3[2] = t142;
-    const double t143 = mixed_apart_2_3[0] * mixed_apart_2_3[0];
-    const double t144 = mixed_apart_2_3[1] * mixed_apart_2_3[0];
-    const double t145 = mixed_apart_2_3[1] * mixed_apart_2_3[1];
-    const double t146 = mixed_apart_2_3[2] * mixed_apart_2_3[0];
-    const double t147 = mixed_apart_2_3[2] * mixed_apart_2_3[1];
-    const double t148 = mixed_apart_2_3[2] * mixed_apart_2_3[2];
-    mixed_apart_2_3_squared[0] = t143;
-    mixed_apart_2_3_squared[1] = t144;
-    mixed_apart_2_3_squared[2] = t145;
-    mixed_apart_2_3_squared[3] = t146;
-    mixed_apart_2_3_squared[4] = t147;
-    mixed_apart_2_3_squared[5] = t148;
-    const double t149 = mixed_0_2_3_share[0] * self->mode_filtered_state[6];
-    const double t150 = mixed_0_2_3_share[1] * self->mode_filtered_state[9];
-    const double t151 = t149 + t150;
-    const double t152 = mixed_0_2_3_share[0] * self->mode_filtered_state[7];
-    const double t153 = mixed_0_2_3_share[1] * self->mode_filtered_state[10];
-    const double t154 = t152 + t153;
-    const double t155 = mixed_0_2_3_share[0] * self->mode_filtered_state[8];
-    const double t156 = mixed_0_2_3_share[1] * self->mode_filtered_state[11];
-    const double t157 = t155 + t156;
-    mixed_0_2_3_mean[0] = t151;
-    mixed_0_2_3_mean[1] = t154;
-    mixed_0_2_3_mean[2] = t157;
-    const double t158 = mixed_0_2_3_share[0] * self->mode_filtered_covariance[12];
-    const double t159 = mixed_0_2_3_share[1] * self->mode_filtered_covariance[18];
-    const double t160 = t158 + t159;
-    const double t161 = mixed_0_2_3_share[0] * mixed_0_2_3_share[1];
-    const double t162 = t161 * mixed_apart_2_3_squared[0];
-    const double t163 = t160 + t162;
-    const double t164 = mixed_0_2_3_share[0] * self->mode_filtered_covariance[13];
-    const double t165 = mixed_0_2_3_share[1] * self->mode_filtered_covariance[19];
-    const double t166 = t164 + t165;
-    const double t167 = t161 * mixed_apart_2_3_squared[1];
-    const double t168 = t166 + t167;
-    const double t169 = mixed_0_2_3_share[0] * self->mode_filtered_covariance[14];
-    const double t170 = mixed_0_2_3_share[1] * self->mode_filtered_covariance[20];
-    const double t171 = t169 + t170;
-    const double t172 = t161 * mixed_apart_2_3_squared[2];
-    const double t173 = t171 + t172;
-    const double t174 = mixed_0_2_3_share[0] * self->mode_filtered_covariance[15];
-    const double t175 = mixed_0_2_3_share[1] * self->mode_filtered_covariance[21];
-    const double t176 = t174 + t175;
-    const double t177 = t161 * mixed_apart_2_3_squared[3];
-    const double t178 = t176 + t177;
-    const double t179 = mixed_0_2_3_share[0] * self->mode_filtered_covariance[16];
-    const double t180 = mixed_0_2_3_share[1] * self->mode_filtered_covariance[22];
-    const double t181 = t179 + t180;
-    const double t182 = t161 * mixed_apart_2_3_squared[4];
-    const double t183 = t181 + t182;
-    const double t184 = mixed_0_2_3_share[0] * self->mode_filtered_covariance[17];
-    const double t185 = mixed_0_2_3_share[1] * self->mode_filtered_covariance[23];
-    const double t186 = t184 + t185;
-    const double t187 = t161 * mixed_apart_2_3_squared[5];
-    const double t188 = t186 + t187;
-    mixed_0_2_3_covariance[0] = t163;
-    mixed_0_2_3_covariance[1] = t168;
-    mixed_0_2_3_covariance[2] = t173;
-    mixed_0_2_3_covariance[3] = t178;
-    mixed_0_2_3_covariance[4] = t183;
-    mixed_0_2_3_covariance[5] = t188;
-    const double t189 = mixed_0_0_1_mean[0] - mixed_0_2_3_mean[0];
-    const double t190 = mixed_0_0_1_mean[1] - mixed_0_2_3_mean[1];
-    const double t191 = mixed_0_0_1_mean[2] - mixed_0_2_3_mean[2];
-    mixed_0_0_3_apart[0] = t189;
-    mixed_0_0_3_apart[1] = t190;
-    mixed_0_0_3_apart[2] = t191;
-    const double t192 = mixed_0_0_3_share[0] * mixed_0_0_1_mean[0];
-    const double t193 = mixed_0_0_3_share[1] * mixed_0_2_3_mean[0];
-    const double t194 = t192 + t193;
-    const double t195 = mixed_0_0_3_share[0] * mixed_0_0_1_mean[1];
-    const double t196 = mixed_0_0_3_share[1] * mixed_0_2_3_mean[1];
-    const double t197 = t195 + t196;
-    const double t198 = mixed_0_0_3_share[0] * mixed_0_0_1_mean[2];
-    const double t199 = mixed_0_0_3_share[1] * mixed_0_2_3_mean[2];
-    const double t200 = t198 + t199;
-    mixed_0_0_3_mean[0] = t194;
-    mixed_0_0_3_mean[1] = t197;
-    mixed_0_0_3_mean[2] = t200;
-    const double t201 = mixed_0_0_3_share[0] * mixed_0_0_1_covariance[0];
-    const double t202 = mixed_0_0_3_share[1] * mixed_0_2_3_covariance[0];
-    const double t203 = t201 + t202;
-    const double t204 = mixed_0_0_3_share[0] * mixed_0_0_3_share[1];
-    const double t205 = t204 * mixed_0_0_3_apart[0];
-    const double t206 = t205 * mixed_0_0_3_apart[0];
-    const double t207 = t203 + t206;
-    const double t208 = mixed_0_0_3_share[0] * mixed_0_0_1_covariance[1];
-    const double t209 = mixed_0_0_3_share[1] * mixed_0_2_3_covariance[1];
-    const double t210 = t208 + t209;
-    const double t211 = t204 * mixed_0_0_3_apart[1];
-    const double t212 = t211 * mixed_0_0_3_apart[0];
-    const double t213 = t210 + t212;
-    const double t214 = mixed_0_0_3_share[0] * mixed_0_0_1_covariance[2];
-    const double t215 = mixed_0_0_3_share[1] * mixed_0_2_3_covariance[2];
-    const double t216 = t214 + t215;
-    const double t217 = t211 * mixed_0_0_3_apart[1];
-    const double t218 = t216 + t217;
-    const double t219 = mixed_0_0_3_share[0] * mixed_0_0_1_covariance[3];
-    const double t220 = mixed_0_0_3_share[1] * mixed_0_2_3_covariance[3];
-    const double t221 = t219 + t220;
-    const double t222 = t204 * mixed_0_0_3_apart[2];
-    const double t223 = t222 * mixed_0_0_3_apart[0];
-    const double t224 = t221 + t223;
-    const double t225 = mixed_0_0_3_share[0] * mixed_0_0_1_covariance[4];
-    const double t226 = mixed_0_0_3_share[1] * mixed_0_2_3_covariance[4];
-    const double t227 = t225 + t226;
-    const double t228 = t222 * mixed_0_0_3_apart[1];
-    const double t229 = t227 + t228;
-    const double t230 = mixed_0_0_3_share[0] * mixed_0_0_1_covariance[5];
-    const double t231 = mixed_0_0_3_share[1] * mixed_0_2_3_covariance[5];
-    const double t232 = t230 + t231;
-    const double t233 = t222 * mixed_0_0_3_apart[2];
-    const double t234 = t232 + t233;
-    mixed_0_0_3_covariance[0] = t207;
-    mixed_0_0_3_covariance[1] = t213;
-    mixed_0_0_3_covariance[2] = t218;
-    mixed_0_0_3_covariance[3] = t224;
-    mixed_0_0_3_covariance[4] = t229;
-    mixed_0_0_3_covariance[5] = t234;
-    const double t235 = params->dt * mixed_0_0_3_mean[1];
-    const double t236 = mixed_0_0_3_mean[0] + t235;
-    moved_state_0[0] = t236;
-    moved_state_0[1] = mixed_0_0_3_mean[1];
-    moved_state_0[2] = mixed_0_0_3_mean[2];
-    const double t237 = params->dt * mixed_0_0_3_covariance[1];
-    const double t238 = mixed_0_0_3_covariance[0] + t237;
-    const double t239 = params->dt * mixed_0_0_3_covariance[2];
-    const double t240 = mixed_0_0_3_covariance[1] + t239;
-    const double t241 = t240 * params->dt;
-    const double t242 = t238 + t241;
-    const double t243 = t242 + Q[0];
-    const double t244 = mixed_0_0_3_covariance[2] * params->dt;
-    const double t245 = mixed_0_0_3_covariance[1] + t244;
-    const double t246 = t245 + Q[1];
-    const double t247 = mixed_0_0_3_covariance[2] + params->dt;
-    const double t248 = mixed_0_0_3_covariance[4] * params->dt;
-    const double t249 = mixed_0_0_3_covariance[3] + t248;
-    const double t250 = mixed_0_0_3_covariance[5] + Q[3];
-    moved_covariance_0[0] = t243;
-    moved_covariance_0[1] = t246;
-    moved_covariance_0[2] = t247;
-    moved_covariance_0[3] = t249;
-    moved_covariance_0[4] = mixed_0_0_3_covariance[4];
-    moved_covariance_0[5] = t250;
-    const double t251 = mixing_1[0] + mixing_1[1];
-    const double t252 = mixing_1[2] + mixing_1[3];
-    mixed_1_0_3_share[0] = t251;
-    mixed_1_0_3_share[1] = t252;
-    const double t253 = mixing_1[0] + mixing_1[1];
-    const double t254 = t253 + GPS_GLITCH_TINY;
-    const double t255 = 1.0 / t254;
-    mixed_1_0_1_inverse = t255;
-    const double t256 = mixing_1[0] * mixed_1_0_1_inverse;
-    const double t257 = mixing_1[1] * mixed_1_0_1_inverse;
-    mixed_1_0_1_share[0] = t256;
-    mixed_1_0_1_share[1] = t257;
-    const double t258 = mixed_1_0_1_share[0] * self->mode_filtered_state[0];
-    const double t259 = mixed_1_0_1_share[1] * self->mode_filtered_state[3];
-    const double t260 = t258 + t259;
-    const double t261 = mixed_1_0_1_share[0] * self->mode_filtered_state[1];
-    const double t262 = mixed_1_0_1_share[1] * self->mode_filtered_state[4];
-    const double t263 = t261 + t262;
-    const double t264 = mixed_1_0_1_share[0] * self->mode_filtered_state[2];
-    const double t265 = mixed_1_0_1_share[1] * self->mode_filtered_state[5];
-    const double t266 = t264 + t265;
-    mixed_1_0_1_mean[0] = t260;
-    mixed_1_0_1_mean[1] = t263;
-    mixed_1_0_1_mean[2] = t266;
-    const double t267 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[0];
-    const double t268 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[6];
-    const double t269 = t267 + t268;
-    const double t270 = mixed_1_0_1_share[0] * mixed_1_0_1_share[1];
-    const double t271 = t270 * mixed_apart_0_1_squared[0];
-    const double t272 = t269 + t271;
-    const double t273 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[1];
-    const double t274 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[7];
-    const double t275 = t273 + t274;
-    const double t276 = t270 * mixed_apart_0_1_squared[1];
-    const double t277 = t275 + t276;
-    const double t278 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[2];
-    const double t279 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[8];
-    const double t280 = t278 + t279;
-    const double t281 = t270 * mixed_apart_0_1_squared[2];
-    const double t282 = t280 + t281;
-    const double t283 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[3];
-    const double t284 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[9];
-    const double t285 = t283 + t284;
-    const double t286 = t270 * mixed_apart_0_1_squared[3];
-    const double t287 = t285 + t286;
-    const double t288 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[4];
-    const double t289 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[10];
-    const double t290 = t288 + t289;
-    const double t291 = t270 * mixed_apart_0_1_squared[4];
-    const double t292 = t290 + t291;
-    const double t293 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[5];
-    const double t294 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[11];
-    const double t295 = t293 + t294;
-    const double t296 = t270 * mixed_apart_0_1_squared[5];
-    const double t297 = t295 + t296;
-    mixed_1_0_1_covariance[0] = t272;
-    mixed_1_0_1_covariance[1] = t277;
-    mixed_1_0_1_covariance[2] = t282;
-    mixed_1_0_1_covariance[3] = t287;
-    mixed_1_0_1_covariance[4] = t292;
-    mixed_1_0_1_covariance[5] = t297;
-    const double t298 = mixing_1[2] + mixing_1[3];
-    const double t299 = t298 + GPS_GLITCH_TINY;
-    const double t300 = 1.0 / t299;
-    mixed_1_2_3_inverse = t300;
-    const double t301 = mixing_1[2] * mixed_1_2_3_inverse;
-    const double t302 = mixing_1[3] * mixed_1_2_3_inverse;
-    mixed_1_2_3_share[0] = t301;
-    mixed_1_2_3_share[1] = t302;
-    const double t303 = mixed_1_2_3_share[0] * self->mode_filtered_state[6];
-    const double t304 = mixed_1_2_3_share[1] * self->mode_filtered_state[9];
-    const double t305 = t303 + t304;
-    const double t306 = mixed_1_2_3_share[0] * self->mode_filtered_state[7];
-    const double t307 = mixed_1_2_3_share[1] * self->mode_filtered_state[10];
-    const double t308 = t306 + t307;
-    const double t309 = mixed_1_2_3_share[0] * self->mode_filtered_state[8];
-    const double t310 = mixed_1_2_3_share[1] * self->mode_filtered_state[11];
-    const double t311 = t309 + t310;
-    mixed_1_2_3_mean[0] = t305;
-    mixed_1_2_3_mean[1] = t308;
-    mixed_1_2_3_mean[2] = t311;
-    const double t312 = mixed_1_2_3_share[0] * self->mode_filtered_covariance[12];
-    const double t313 = mixed_1_2_3_share[1] * self->mode_filtered_covariance[18];
-    const double t314 = t312 + t313;
-    const double t315 = mixed_1_2_3_share[0] * mixed_1_2_3_share[1];
-    const double t316 = t315 * mixed_apart_2_3_squared[0];
-    const double t317 = t314 + t316;
-    const double t318 = mixed_1_2_3_share[0] * self->mode_filtered_covariance[13];
-    const double t319 = mixed_1_2_3_share[1] * self->mode_filtered_covariance[19];
-    const double t320 = t318 + t319;
-    const double t321 = t315 * mixed_apart_2_3_squared[1];
-    const double t322 = t320 + t321;
-    const double t323 = mixed_1_2_3_share[0] * self->mode_filtered_covariance[14];
-    const double t324 = mixed_1_2_3_share[1] * self->mode_filtered_covariance[20];
-    const double t325 = t323 + t324;
-    const double t326 = t315 * mixed_apart_2_3_squared[2];
-    const double t327 = t325 + t326;
-    const double t328 = mixed_1_2_3_share[0] * self->mode_filtered_covariance[15];
-    const double t329 = mixed_1_2_3_share[1] * self->mode_filtered_covariance[21];
-    const double t330 = t328 + t329;
-    const double t331 = t315 * mixed_apart_2_3_squared[3];
-    const double t332 = t330 + t331;
-    const double t333 = mixed_1_2_3_share[0] * self->mode_filtered_covariance[16];
-    const double t334 = mixed_1_2_3_share[1] * self->mode_filtered_covariance[22];
-    const double t335 = t333 + t334;
-    const double t336 = t315 * mixed_apart_2_3_squared[4];
-    const double t337 = t335 + t336;
-    const double t338 = mixed_1_2_3_share[0] * self->mode_filtered_covariance[17];
-    const double t339 = mixed_1_2_3_share[1] * self->mode_filtered_covariance[23];
-    const double t340 = t338 + t339;
-    const double t341 = t315 * mixed_apart_2_3_squared[5];
-    const double t342 = t340 + t341;
-    mixed_1_2_3_covariance[0] = t317;
-    mixed_1_2_3_covariance[1] = t322;
-    mixed_1_2_3_covariance[2] = t327;
-    mixed_1_2_3_covariance[3] = t332;
-    mixed_1_2_3_covariance[4] = t337;
-    mixed_1_2_3_covariance[5] = t342;
-    const double t343 = mixed_1_0_1_mean[0] - mixed_1_2_3_mean[0];
-    const double t344 = mixed_1_0_1_mean[1] - mixed_1_2_3_mean[1];
-    const double t345 = mixed_1_0_1_mean[2] - mixed_1_2_3_mean[2];
-    mixed_1_0_3_apart[0] = t343;
-    mixed_1_0_3_apart[1] = t344;
-    mixed_1_0_3_apart[2] = t345;
-    const double t346 = mixed_1_0_3_share[0] * mixed_1_0_1_mean[0];
-    const double t347 = mixed_1_0_3_share[1] * mixed_1_2_3_mean[0];
-    const double t348 = t346 + t347;
-    const double t349 = mixed_1_0_3_share[0] * mixed_1_0_1_mean[1];
-    const double t350 = mixed_1_0_3_share[1] * mixed_1_2_3_mean[1];
-    const double t351 = t349 + t350;
-    const double t352 = mixed_1_0_3_share[0] * mixed_1_0_1_mean[2];
-    const double t353 = mixed_1_0_3_share[1] * mixed_1_2_3_mean[2];
-    const double t354 = t352 + t353;
-    mixed_1_0_3_mean[0] = t348;
-    mixed_1_0_3_mean[1] = t351;
-    mixed_1_0_3_mean[2] = t354;
-    const double t355 = mixed_1_0_3_share[0] * mixed_1_0_1_covariance[0];
-    const double t356 = mixed_1_0_3_share[1] * mixed_1_2_3_covariance[0];
-    const double t357 = t355 + t356;
-    const double t358 = mixed_1_0_3_share[0] * mixed_1_0_3_share[1];
-    const double t359 = t358 * mixed_1_0_3_apart[0];
-    const double t360 = t359 * mixed_1_0_3_apart[0];
-    const double t361 = t357 + t360;
-    const double t362 = mixed_1_0_3_share[0] * mixed_1_0_1_covariance[1];
-    const double t363 = mixed_1_0_3_share[1] * mixed_1_2_3_covariance[1];
-    const double t364 = t362 + t363;
-    const double t365 = t358 * mixed_1_0_3_apart[1];
-    const double t366 = t365 * mixed_1_0_3_apart[0];
-    const double t367 = t364 + t366;
-    const double t368 = mixed_1_0_3_share[0] * mixed_1_0_1_covariance[2];
-    const double t369 = mixed_1_0_3_share[1] * mixed_1_2_3_covariance[2];
-    const double t370 = t368 + t369;
-    const double t371 = t365 * mixed_1_0_3_apart[1];
-    const double t372 = t370 + t371;
-    const double t373 = mixed_1_0_3_share[0] * mixed_1_0_1_covariance[3];
-    const double t374 = mixed_1_0_3_share[1] * mixed_1_2_3_covariance[3];
-    const double t375 = t373 + t374;
-    const double t376 = t358 * mixed_1_0_3_apart[2];
-    const double t377 = t376 * mixed_1_0_3_apart[0];
-    const double t378 = t375 + t377;
-    const double t379 = mixed_1_0_3_share[0] * mixed_1_0_1_covariance[4];
-    const double t380 = mixed_1_0_3_share[1] * mixed_1_2_3_covariance[4];
-    const double t381 = t379 + t380;
-    const double t382 = t376 * mixed_1_0_3_apart[1];
-    const double t383 = t381 + t382;
-    const double t384 = mixed_1_0_3_share[0] * mixed_1_0_1_covariance[5];
-    const double t385 = mixed_1_0_3_share[1] * mixed_1_2_3_covariance[5];
-    const double t386 = t384 + t385;
-    const double t387 = t376 * mixed_1_0_3_apart[2];
-    const double t388 = t386 + t387;
-    mixed_1_0_3_covariance[0] = t361;
-    mixed_1_0_3_covariance[1] = t367;
-    mixed_1_0_3_covariance[2] = t372;
-    mixed_1_0_3_covariance[3] = t378;
-    mixed_1_0_3_covariance[4] = t383;
-    mixed_1_0_3_covariance[5] = t388;
-    const double t389 = params->dt * mixed_1_0_3_mean[1];
-    const double t390 = mixed_1_0_3_mean[0] + t389;
-    moved_state_1[0] = t390;
-    moved_state_1[1] = mixed_1_0_3_mean[1];
-    moved_state_1[2] = mixed_1_0_3_mean[2];
-    const double t391 = params->dt * mixed_1_0_3_covariance[1];
-    const double t392 = mixed_1_0_3_covariance[0] + t391;
-    const double t393 = params->dt * mixed_1_0_3_covariance[2];
-    const double t394 = mixed_1_0_3_covariance[1] + t393;
-    const double t395 = t394 * params->dt;
-    const double t396 = t392 + t395;
-    const double t397 = t396 + Q[0];
-    const double t398 = mixed_1_0_3_covariance[2] * params->dt;
-    const double t399 = mixed_1_0_3_covariance[1] + t398;
-    const double t400 = t399 + Q[1];
-    const double t401 = mixed_1_0_3_covariance[2] + params->dt;
-    const double t402 = mixed_1_0_3_covariance[4] * params->dt;
-    const double t403 = mixed_1_0_3_covariance[3] + t402;
-    const double t404 = mixed_1_0_3_covariance[5] + Q[3];
-    moved_covariance_1[0] = t397;
-    moved_covariance_1[1] = t400;
-    moved_covariance_1[2] = t401;
-    moved_covariance_1[3] = t403;
-    moved_covariance_1[4] = mixed_1_0_3_covariance[4];
-    moved_covariance_1[5] = t404;
-    const double t405 = mixing_2[0] + mixing_2[1];
-    const double t406 = mixing_2[2] + mixing_2[3];
-    mixed_2_0_3_share[0] = t405;
-    mixed_2_0_3_share[1] = t406;
-    const double t407 = mixed_0_0_1_mean[0] - mixed_0_2_3_mean[0];
-    const double t408 = mixed_0_0_1_mean[1] - mixed_0_2_3_mean[1];
-    const double t409 = mixed_0_0_1_mean[2] - mixed_0_2_3_mean[2];
-    mixed_2_0_3_apart[0] = t407;
-    mixed_2_0_3_apart[1] = t408;
-    mixed_2_0_3_apart[2] = t409;
-    const double t410 = mixed_2_0_3_share[0] * mixed_0_0_1_mean[0];
-    const double t411 = mixed_2_0_3_share[1] * mixed_0_2_3_mean[0];
-    const double t412 = t410 + t411;
-    const double t413 = mixed_2_0_3_share[0] * mixed_0_0_1_mean[1];
-    const double t414 = mixed_2_0_3_share[1] * mixed_0_2_3_mean[1];
-    const double t415 = t413 + t414;
-    const double t416 = mixed_2_0_3_share[0] * mixed_0_0_1_mean[2];
-    const double t417 = mixed_2_0_3_share[1] * mixed_0_2_3_mean[2];
-    const double t418 = t416 + t417;
-    mixed_2_0_3_mean[0] = t412;
-    mixed_2_0_3_mean[1] = t415;
-    mixed_2_0_3_mean[2] = t418;
-    const double t419 = mixed_2_0_3_share[0] * mixed_0_0_1_covariance[0];
-    const double t420 = mixed_2_0_3_share[1] * mixed_0_2_3_covariance[0];
-    const double t421 = t419 + t420;
-    const double t422 = mixed_2_0_3_share[0] * mixed_2_0_3_share[1];
-    const double t423 = t422 * mixed_2_0_3_apart[0];
-    const double t424 = t423 * mixed_2_0_3_apart[0];
-    const double t425 = t421 + t424;
-    const double t426 = mixed_2_0_3_share[0] * mixed_0_0_1_covariance[1];
-    const double t427 = mixed_2_0_3_share[1] * mixed_0_2_3_covariance[1];
-    const double t428 = t426 + t427;
-    const double t429 = t422 * mixed_2_0_3_apart[1];
-    const double t430 = t429 * mixed_2_0_3_apart[0];
-    const double t431 = t428 + t430;
-    const double t432 = mixed_2_0_3_share[0] * mixed_0_0_1_covariance[2];
-    const double t433 = mixed_2_0_3_share[1] * mixed_0_2_3_covariance[2];
-    const double t434 = t432 + t433;
-    const double t435 = t429 * mixed_2_0_3_apart[1];
-    const double t436 = t434 + t435;
-    const double t437 = mixed_2_0_3_share[0] * mixed_0_0_1_covariance[3];
-    const double t438 = mixed_2_0_3_share[1] * mixed_0_2_3_covariance[3];
-    const double t439 = t437 + t438;
-    const double t440 = t422 * mixed_2_0_3_apart[2];
-    const double t441 = t440 * mixed_2_0_3_apart[0];
-    const double t442 = t439 + t441;
-    const double t443 = mixed_2_0_3_share[0] * mixed_0_0_1_covariance[4];
-    const double t444 = mixed_2_0_3_share[1] * mixed_0_2_3_covariance[4];
-    const double t445 = t443 + t444;
-    const double t446 = t440 * mixed_2_0_3_apart[1];
-    const double t447 = t445 + t446;
-    const double t448 = mixed_2_0_3_share[0] * mixed_0_0_1_covariance[5];
-    const double t449 = mixed_2_0_3_share[1] * mixed_0_2_3_covariance[5];
-    const double t450 = t448 + t449;
-    const double t451 = t440 * mixed_2_0_3_apart[2];
-    const double t452 = t450 + t451;
-    mixed_2_0_3_covariance[0] = t425;
-    mixed_2_0_3_covariance[1] = t431;
-    mixed_2_0_3_covariance[2] = t436;
-    mixed_2_0_3_covariance[3] = t442;
-    mixed_2_0_3_covariance[4] = t447;
-    mixed_2_0_3_covariance[5] = t452;
-    const double t453 = params->dt * mixed_2_0_3_mean[1];
-    const double t454 = mixed_2_0_3_mean[0] + t453;
-    moved_state_2[0] = t454;
-    moved_state_2[1] = mixed_2_0_3_mean[1];
-    moved_state_2[2] = mixed_2_0_3_mean[2];
-    const double t455 = params->dt * mixed_2_0_3_covariance[1];
-    const double t456 = mixed_2_0_3_covariance[0] + t455;
-    const double t457 = params->dt * mixed_2_0_3_covariance[2];
-    const double t458 = mixed_2_0_3_covariance[1] + t457;
-    const double t459 = t458 * params->dt;
-    const double t460 = t456 + t459;
-    const double t461 = t460 + Q[0];
-    const double t462 = mixed_2_0_3_covariance[2] * params->dt;
-    const double t463 = mixed_2_0_3_covariance[1] + t462;
-    const double t464 = t463 + Q[1];
-    const double t465 = mixed_2_0_3_covariance[2] + params->dt;
-    const double t466 = mixed_2_0_3_covariance[4] * params->dt;
-    const double t467 = mixed_2_0_3_covariance[3] + t466;
-    const double t468 = mixed_2_0_3_covariance[5] + Q[3];
-    moved_covariance_2[0] = t461;
-    moved_covariance_2[1] = t464;
-    moved_covariance_2[2] = t465;
-    moved_covariance_2[3] = t467;
-    moved_covariance_2[4] = mixed_2_0_3_covariance[4];
-    moved_covariance_2[5] = t468;
-    const double t469 = path_share_3[0] * path_share_inverse_3;
-    const double t470 = path_share_3[1] * path_share_inverse_3;
-    const double t471 = t469 + t470;
-    const double t472 = path_share_3[2] * path_share_inverse_3;
-    const double t473 = path_share_3[3] * path_share_inverse_3;
-    const double t474 = t472 + t473;
-    mixed_3_0_3_share[0] = t471;
-    mixed_3_0_3_share[1] = t474;
-    const double t475 = path_share_3[0] * path_share_inverse_3;
-    const double t476 = path_share_3[1] * path_share_inverse_3;
-    const double t477 = t475 + t476;
-    const double t478 = t477 + GPS_GLITCH_TINY;
-    const double t479 = 1.0 / t478;
-    mixed_3_0_1_inverse = t479;
-    const double t480 = path_share_3[0] * path_share_inverse_3;
-    const double t481 = t480 * mixed_3_0_1_inverse;
-    const double t482 = path_share_3[1] * path_share_inverse_3;
-    const double t483 = t482 * mixed_3_0_1_inverse;
-    mixed_3_0_1_share[0] = t481;
-    mixed_3_0_1_share[1] = t483;
-    const double t484 = mixed_3_0_1_share[0] * self->mode_filtered_state[0];
-    const double t485 = mixed_3_0_1_share[1] * self->mode_filtered_state[3];
-    const double t486 = t484 + t485;
-    const double t487 = mixed_3_0_1_share[0] * self->mode_filtered_state[1];
-    const double t488 = mixed_3_0_1_share[1] * self->mode_filtered_state[4];
-    const double t489 = t487 + t488;
-    const double t490 = mixed_3_0_1_share[0] * self->mode_filtered_state[2];
-    const double t491 = mixed_3_0_1_share[1] * self->mode_filtered_state[5];
-    const double t492 = t490 + t491;
-    mixed_3_0_1_mean[0] = t486;
-    mixed_3_0_1_mean[1] = t489;
-    mixed_3_0_1_mean[2] = t492;
-    const double t493 = mixed_3_0_1_share[0] * self->mode_filtered_covariance[0];
-    const double t494 = mixed_3_0_1_share[1] * self->mode_filtered_covariance[6];
-    const double t495 = t493 + t494;
-    const double t496 = mixed_3_0_1_share[0] * mixed_3_0_1_share[1];
-    const double t497 = t496 * mixed_apart_0_1_squared[0];
-    const double t498 = t495 + t497;
-    const double t499 = mixed_3_0_1_share[0] * self->mode_filtered_covariance[1];
-    const double t500 = mixed_3_0_1_share[1] * self->mode_filtered_covariance[7];
-    const double t501 = t499 + t500;
-    const double t502 = t496 * mixed_apart_0_1_squared[1];
-    const double t503 = t501 + t502;
-    const double t504 = mixed_3_0_1_share[0] * self->mode_filtered_covariance[2];
-    const double t505 = mixed_3_0_1_share[1] * self->mode_filtered_covariance[8];
-    const double t506 = t504 + t505;
-    const double t507 = t496 * mixed_apart_0_1_squared[2];
-    const double t508 = t506 + t507;
-    const double t509 = mixed_3_0_1_share[0] * self->mode_filtered_covariance[3];
-    const double t510 = mixed_3_0_1_share[1] * self->mode_filtered_covariance[9];
-    const double t511 = t509 + t510;
-    const double t512 = t496 * mixed_apart_0_1_squared[3];
-    const double t513 = t511 + t512;
-    const double t514 = mixed_3_0_1_share[0] * self->mode_filtered_covariance[4];
-    const double t515 = mixed_3_0_1_share[1] * self->mode_filtered_covariance[10];
-    const double t516 = t514 + t515;
-    const double t517 = t496 * mixed_apart_0_1_squared[4];
-    const double t518 = t516 + t517;
-    const double t519 = mixed_3_0_1_share[0] * self->mode_filtered_covariance[5];
-    const double t520 = mixed_3_0_1_share[1] * self->mode_filtered_covariance[11];
-    const double t521 = t519 + t520;
-    const double t522 = t496 * mixed_apart_0_1_squared[5];
-    const double t523 = t521 + t522;
-    mixed_3_0_1_covariance[0] = t498;
-    mixed_3_0_1_covariance[1] = t503;
-    mixed_3_0_1_covariance[2] = t508;
-    mixed_3_0_1_covariance[3] = t513;
-    mixed_3_0_1_covariance[4] = t518;
-    mixed_3_0_1_covariance[5] = t523;
-    const double t524 = path_share_3[2] * path_share_inverse_3;
-    const double t525 = path_share_3[3] * path_share_inverse_3;
-    const double t526 = t524 + t525;
-    const double t527 = t526 + GPS_GLITCH_TINY;
-    const double t528 = 1.0 / t527;
-    mixed_3_2_3_inverse = t528;
-    const double t529 = path_share_3[2] * path_share_inverse_3;
-    const double t530 = t529 * mixed_3_2_3_inverse;
-    const double t531 = path_share_3[3] * path_share_inverse_3;
-    const double t532 = t531 * mixed_3_2_3_inverse;
-    mixed_3_2_3_share[0] = t530;
-    mixed_3_2_3_share[1] = t532;
-    const double t533 = mixed_3_2_3_share[0] * self->mode_filtered_state[6];
-    const double t534 = mixed_3_2_3_share[1] * self->mode_filtered_state[9];
-    const double t535 = t533 + t534;
-    const double t536 = mixed_3_2_3_share[0] * self->mode_filtered_state[7];
-    const double t537 = mixed_3_2_3_share[1] * self->mode_filtered_state[10];
-    const double t538 = t536 + t537;
-    const double t539 = mixed_3_2_3_share[0] * self->mode_filtered_state[8];
-    const double t540 = mixed_3_2_3_share[1] * self->mode_filtered_state[11];
-    const double t541 = t539 + t540;
-    mixed_3_2_3_mean[0] = t535;
-    mixed_3_2_3_mean[1] = t538;
-    mixed_3_2_3_mean[2] = t541;
-    const double t542 = mixed_3_2_3_share[0] * self->mode_filtered_covariance[12];
-    const double t543 = mixed_3_2_3_share[1] * self->mode_filtered_covariance[18];
-    const double t544 = t542 + t543;
-    const double t545 = mixed_3_2_3_share[0] * mixed_3_2_3_share[1];
-    const double t546 = t545 * mixed_apart_2_3_squared[0];
-    const double t547 = t544 + t546;
-    const double t548 = mixed_3_2_3_share[0] * self->mode_filtered_covariance[13];
-    const double t549 = mixed_3_2_3_share[1] * self->mode_filtered_covariance[19];
-    const double t550 = t548 + t549;
-    const double t551 = t545 * mixed_apart_2_3_squared[1];
-    const double t552 = t550 + t551;
-    const double t553 = mixed_3_2_3_share[0] * self->mode_filtered_covariance[14];
-    const double t554 = mixed_3_2_3_share[1] * self->mode_filtered_covariance[20];
-    const double t555 = t553 + t554;
-    const double t556 = t545 * mixed_apart_2_3_squared[2];
-    const double t557 = t555 + t556;
-    const double t558 = mixed_3_2_3_share[0] * self->mode_filtered_covariance[15];
-    const double t559 = mixed_3_2_3_share[1] * self->mode_filtered_covariance[21];
-    const double t560 = t558 + t559;
-    const double t561 = t545 * mixed_apart_2_3_squared[3];
-    const double t562 = t560 + t561;
-    const double t563 = mixed_3_2_3_share[0] * self->mode_filtered_covariance[16];
-    const double t564 = mixed_3_2_3_share[1] * self->mode_filtered_covariance[22];
-    const double t565 = t563 + t564;
-    const double t566 = t545 * mixed_apart_2_3_squared[4];
-    const double t567 = t565 + t566;
-    const double t568 = mixed_3_2_3_share[0] * self->mode_filtered_covariance[17];
-    const double t569 = mixed_3_2_3_share[1] * self->mode_filtered_covariance[23];
-    const double t570 = t568 + t569;
-    const double t571 = t545 * mixed_apart_2_3_squared[5];
-    const double t572 = t570 + t571;
-    mixed_3_2_3_covariance[0] = t547;
-    mixed_3_2_3_covariance[1] = t552;
-    mixed_3_2_3_covariance[2] = t557;
-    mixed_3_2_3_covariance[3] = t562;
-    mixed_3_2_3_covariance[4] = t567;
-    mixed_3_2_3_covariance[5] = t572;
-    const double t573 = mixed_3_0_1_mean[0] - mixed_3_2_3_mean[0];
-    const double t574 = mixed_3_0_1_mean[1] - mixed_3_2_3_mean[1];
-    const double t575 = mixed_3_0_1_mean[2] - mixed_3_2_3_mean[2];
-    mixed_3_0_3_apart[0] = t573;
-    mixed_3_0_3_apart[1] = t574;
-    mixed_3_0_3_apart[2] = t575;
-    const double t576 = mixed_3_0_3_share[0] * mixed_3_0_1_mean[0];
-    const double t577 = mixed_3_0_3_share[1] * mixed_3_2_3_mean[0];
-    const double t578 = t576 + t577;
-    const double t579 = mixed_3_0_3_share[0] * mixed_3_0_1_mean[1];
-    const double t580 = mixed_3_0_3_share[1] * mixed_3_2_3_mean[1];
-    const double t581 = t579 + t580;
-    const double t582 = mixed_3_0_3_share[0] * mixed_3_0_1_mean[2];
-    const double t583 = mixed_3_0_3_share[1] * mixed_3_2_3_mean[2];
-    const double t584 = t582 + t583;
-    mixed_3_0_3_mean[0] = t578;
-    mixed_3_0_3_mean[1] = t581;
-    mixed_3_0_3_mean[2] = t584;
-    const double t585 = mixed_3_0_3_share[0] * mixed_3_0_1_covariance[0];
-    const double t586 = mixed_3_0_3_share[1] * mixed_3_2_3_covariance[0];
-    const double t587 = t585 + t586;
-    const double t588 = mixed_3_0_3_share[0] * mixed_3_0_3_share[1];
-    const double t589 = t588 * mixed_3_0_3_apart[0];
-    const double t590 = t589 * mixed_3_0_3_apart[0];
-    const double t591 = t587 + t590;
-    const double t592 = mixed_3_0_3_share[0] * mixed_3_0_1_covariance[1];
-    const double t593 = mixed_3_0_3_share[1] * mixed_3_2_3_covariance[1];
-    const double t594 = t592 + t593;
-    const double t595 = t588 * mixed_3_0_3_apart[1];
-    const double t596 = t595 * mixed_3_0_3_apart[0];
-    const double t597 = t594 + t596;
-    const double t598 = mixed_3_0_3_share[0] * mixed_3_0_1_covariance[2];
-    const double t599 = mixed_3_0_3_share[1] * mixed_3_2_3_covariance[2];
-    const double t600 = t598 + t599;
-    const double t601 = t595 * mixed_3_0_3_apart[1];
-    const double t602 = t600 + t601;
-    const double t603 = mixed_3_0_3_share[0] * mixed_3_0_1_covariance[3];
-    const double t604 = mixed_3_0_3_share[1] * mixed_3_2_3_covariance[3];
-    const double t605 = t603 + t604;
-    const double t606 = t588 * mixed_3_0_3_apart[2];
-    const double t607 = t606 * mixed_3_0_3_apart[0];
-    const double t608 = t605 + t607;
-    const double t609 = mixed_3_0_3_share[0] * mixed_3_0_1_covariance[4];
-    const double t610 = mixed_3_0_3_share[1] * mixed_3_2_3_covariance[4];
-    const double t611 = t609 + t610;
-    const double t612 = t606 * mixed_3_0_3_apart[1];
-    const double t613 = t611 + t612;
-    const double t614 = mixed_3_0_3_share[0] * mixed_3_0_1_covariance[5];
-    const double t615 = mixed_3_0_3_share[1] * mixed_3_2_3_covariance[5];
-    const double t616 = t614 + t615;
-    const double t617 = t606 * mixed_3_0_3_apart[2];
-    const double t618 = t616 + t617;
-    mixed_3_0_3_covariance[0] = t591;
-    mixed_3_0_3_covariance[1] = t597;
-    mixed_3_0_3_covariance[2] = t602;
-    mixed_3_0_3_covariance[3] = t608;
-    mixed_3_0_3_covariance[4] = t613;
-    mixed_3_0_3_covariance[5] = t618;
-    const double t619 = params->dt * mixed_3_0_3_mean[1];
-    const double t620 = mixed_3_0_3_mean[0] + t619;
-    moved_state_3[0] = t620;
-    moved_state_3[1] = mixed_3_0_3_mean[1];
-    moved_state_3[2] = mixed_3_0_3_mean[2];
-    const double t621 = params->dt * mixed_3_0_3_covariance[1];
-    const double t622 = mixed_3_0_3_covariance[0] + t621;
-    const double t623 = params->dt * mixed_3_0_3_covariance[2];
-    const double t624 = mixed_3_0_3_covariance[1] + t623;
-    const double t625 = t624 * params->dt;
-    const double t626 = t622 + t625;
-    const double t627 = t626 + Q[0];
-    const double t628 = mixed_3_0_3_covariance[2] * params->dt;
-    const double t629 = mixed_3_0_3_covariance[1] + t628;
-    const double t630 = t629 + Q[1];
-    const double t631 = mixed_3_0_3_covariance[2] + params->dt;
-    const double t632 = mixed_3_0_3_covariance[4] * params->dt;
-    const double t633 = mixed_3_0_3_covariance[3] + t632;
-    const double t634 = mixed_3_0_3_covariance[5] + Q[3];
-    moved_covariance_3[0] = t627;
-    moved_covariance_3[1] = t630;
-    moved_covariance_3[2] = t631;
-    moved_covariance_3[3] = t633;
-    moved_covariance_3[4] = mixed_3_0_3_covariance[4];
-    moved_covariance_3[5] = t634;
-
-    /* combined prediction */
-    const double t635 = gps_glitch_log(mode_prediction_0);
-    const double t636 = gps_glitch_log(mode_prediction_1);
-    const double t637 = gps_glitch_log(mode_prediction_2);
-    const double t638 = gps_glitch_log(path_share_total_3);
-    const double t639 = log_path_largest_3 + t638;
-    const double t640 = params->dt * self->filtered_state[1];
-    const double t641 = self->filtered_state[0] + t640;
-    const double t642 = params->dt * self->filtered_covariance[1];
-    const double t643 = self->filtered_covariance[0] + t642;
-    const double t644 = params->dt * self->filtered_covariance[2];
-    const double t645 = self->filtered_covariance[1] + t644;
-    const double t646 = t645 * params->dt;
-    const double t647 = t643 + t646;
-    const double t648 = t647 + Q[0];
-    const double t649 = self->filtered_covariance[2] * params->dt;
-    const double t650 = self->filtered_covariance[1] + t649;
-    const double t651 = t650 + Q[1];
-    const double t652 = self->filtered_covariance[2] + params->dt;
-    const double t653 = self->filtered_covariance[4] * params->dt;
-    const double t654 = self->filtered_covariance[3] + t653;
-    const double t655 = self->filtered_covariance[5] + Q[3];
-    const double t656 = moved_state_0[0] + moved_state_1[0];
-    const double t657 = t656 + moved_state_2[0];
-    const double t658 = t657 + moved_state_3[0];
-    const double t659 = moved_state_0[1] + moved_state_1[1];
-    const double t660 = t659 + moved_state_2[1];
-    const double t661 = t660 + moved_state_3[1];
-    const double t662 = moved_state_0[2] + moved_state_1[2];
-    const double t663 = t662 + moved_state_2[2];
-    const double t664 = t663 + moved_state_3[2];
-    const double t665 = moved_covariance_0[0] + moved_covariance_1[0];
-    const double t666 = t665 + moved_covariance_2[0];
-    const double t667 = t666 + moved_covariance_3[0];
-    const double t668 = moved_covariance_0[2] + moved_covariance_1[2];
-    const double t669 = t668 + moved_covariance_2[2];
-    const double t670 = t669 + moved_covariance_3[2];
-    const double t671 = moved_covariance_0[5] + moved_covariance_1[5];
-    const double t672 = t671 + moved_covariance_2[5];
-    const double t673 = t672 + moved_covariance_3[5];
-    if (!gps_glitch_finite(gps_glitch_defect(t658) + gps_glitch_defect(t661) +
-        gps_glitch_defect(t664) + gps_glitch_defect(t667) + gps_glitch_defect(t670) +
-        gps_glitch_defect(t673)))
+    path_share_3[3] = gps_glitch_exp(t73);
+    status = gps_glitch_mixing_and_prediction_4(path_share_3, mixing_0, self->mode_filtered_state,
+        self->mode_filtered_covariance, Q, mixing_1, mixing_2, mode_prediction_0, mode_prediction_1,
+        mode_prediction_2, log_path_largest_3, self->filtered_state, self->filtered_covariance,
+        next->predicted_mode_probability, mode_prediction_3, next->predicted_log_weight,
+        next->mode_state, next->mode_covariance, next->predicted_state, next->predicted_covariance,
+        params);
+    if (status != GPS_GLITCH_OK)
     {
-        return GPS_GLITCH_RESULT_NOT_FINITE;
+        return status;
     }
-    next->predicted_mode_probability[0] = mode_prediction_0;
-    next->predicted_mode_probability[1] = mode_prediction_1;
-    next->predicted_mode_probability[2] = mode_prediction_2;
-    next->predicted_mode_probability[3] = mode_prediction_3;
-    next->predicted_log_weight[0] = t635;
-    next->predicted_log_weight[1] = t636;
-    next->predicted_log_weight[2] = t637;
-    next->predicted_log_weight[3] = t639;
-    next->mode_state[0] = moved_state_0[0];
-    next->mode_state[1] = moved_state_0[1];
-    next->mode_state[2] = moved_state_0[2];
-    next->mode_state[3] = moved_state_1[0];
-    next->mode_state[4] = moved_state_1[1];
-    next->mode_state[5] = moved_state_1[2];
-    next->mode_state[6] = moved_state_2[0];
-    next->mode_state[7] = moved_state_2[1];
-    next->mode_state[8] = moved_state_2[2];
-    next->mode_state[9] = moved_state_3[0];
-    next->mode_state[10] = moved_state_3[1];
-    next->mode_state[11] = moved_state_3[2];
-    next->mode_covariance[0] = moved_covariance_0[0];
-    next->mode_covariance[1] = moved_covariance_0[1];
-    next->mode_covariance[2] = moved_covariance_0[2];
-    next->mode_covariance[3] = moved_covariance_0[3];
-    next->mode_covariance[4] = moved_covariance_0[4];
-    next->mode_covariance[5] = moved_covariance_0[5];
-    next->mode_covariance[6] = moved_covariance_1[0];
-    next->mode_covariance[7] = moved_covariance_1[1];
-    next->mode_covariance[8] = moved_covariance_1[2];
-    next->mode_covariance[9] = moved_covariance_1[3];
-    next->mode_covariance[10] = moved_covariance_1[4];
-    next->mode_covariance[11] = moved_covariance_1[5];
-    next->mode_covariance[12] = moved_covariance_2[0];
-    next->mode_covariance[13] = moved_covariance_2[1];
-    next->mode_covariance[14] = moved_covariance_2[2];
-    next->mode_covariance[15] = moved_covariance_2[3];
-    next->mode_covariance[16] = moved_covariance_2[4];
-    next->mode_covariance[17] = moved_covariance_2[5];
-    next->mode_covariance[18] = moved_covariance_3[0];
-    next->mode_covariance[19] = moved_covariance_3[1];
-    next->mode_covariance[20] = moved_covariance_3[2];
-    next->mode_covariance[21] = moved_covariance_3[3];
-    next->mode_covariance[22] = moved_covariance_3[4];
-    next->mode_covariance[23] = moved_covariance_3[5];
-    next->predicted_state[0] = t641;
-    next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_state[2] = self->filtered_state[2];
-    next->predicted_covariance[0] = t648;
-    next->predicted_covariance[1] = t651;
-    next->predicted_covariance[2] = t652;
-    next->predicted_covariance[3] = t654;
-    next->predicted_covariance[4] = self->filtered_covariance[4];
-    next->predicted_covariance[5] = t655;
     return GPS_GLITCH_OK;
 }
 

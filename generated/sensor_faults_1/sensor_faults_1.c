@@ -214,6 +214,60 @@ static int sensor_faults_1_present_rows(const double *y, uint32_t valid, uint32_
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
+/* What differs between the calls of sensor_faults_1_mode, a row for each. */
+static const double sensor_faults_1_mode_numbers[2][1] = {
+    { 1.0 },
+    { 10.0 }
+};
+
+/* mode 0: signal, R; mode 1: signal, noise x 10. */
+static sensor_faults_1_status_t sensor_faults_1_mode(const double y, const double predicted_state,
+    double *innovation_0, double *mean, const double predicted_covariance, double *covariance,
+    double *pivot_0, double *log_density, const double *numbers, uint32_t present)
+{
+    double inverse_0 = 0.0;
+    double quadratic = 0.0;
+    double log_constant = 0.0;
+    double determinant_0 = 1.0;
+
+    /* innovation, row by row */
+    if ((present & 0x1u) != 0u)
+    {
+        innovation_0[0] = y - predicted_state;
+    }
+
+    /* mode 0: signal, R */
+    mean[0] = predicted_state;
+    covariance[0] = predicted_covariance;
+
+    /* row 0 of y, y0 */
+    pivot_0[0] = predicted_covariance + numbers[0];
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(pivot_0[0] > 0.0))
+        {
+            return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_0 = 1.0 / pivot_0[0];
+        const double t3 = innovation_0[0] * inverse_0;
+        quadratic = innovation_0[0] * t3;
+        const double t5 = predicted_covariance * t3;
+        mean[0] = predicted_state + t5;
+        const double t7 = predicted_covariance * inverse_0;
+        const double t8 = t7 * predicted_covariance;
+        covariance[0] = predicted_covariance - t8;
+        log_constant = SENSOR_FAULTS_1_LOG_2_PI;
+        determinant_0 = pivot_0[0];
+    }
+
+    /* mode 0: signal, R */
+    const double t10 = sensor_faults_1_log(determinant_0);
+    const double t11 = log_constant + t10;
+    const double t12 = quadratic + t11;
+    log_density[0] = -0.5 * t12;
+    return SENSOR_FAULTS_1_OK;
+}
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
 SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const sensor_faults_1_t
     *self, const double *y, uint32_t present, sensor_faults_1_t *next)
@@ -222,19 +276,11 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     double mean_m0;
     double covariance_m0;
     double pivot_m0_0;
-    double inverse_m0_0 = 0.0;
-    double quadratic_m0 = 0.0;
-    double log_constant_m0 = 0.0;
-    double determinant_m0_0 = 1.0;
     double log_density_m0;
     double innovation_m1_0 = 0.0;
     double mean_m1;
     double covariance_m1;
     double pivot_m1_0;
-    double inverse_m1_0 = 0.0;
-    double quadratic_m1 = 0.0;
-    double log_constant_m1 = 0.0;
-    double determinant_m1_0 = 1.0;
     double log_density_m1;
     double innovation_m2_0 = 0.0;
     double quadratic_m2 = 0.0;
@@ -260,96 +306,29 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
     double combined_state;
+    sensor_faults_1_status_t status;
     if (!(self->predicted_covariance[0] >= 0.0))
     {
         return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE;
     }
 
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t0 = y[0] - self->predicted_state[0];
-        innovation_m0_0 = t0;
-    }
-
     /* mode 0: signal, R */
-    mean_m0 = self->predicted_state[0];
-    covariance_m0 = self->predicted_covariance[0];
-
-    /* row 0 of y, y0 */
-    const double t1 = self->predicted_covariance[0] + 1.0;
-    pivot_m0_0 = t1;
-    if ((present & 0x1u) != 0u)
+    status = sensor_faults_1_mode(y[0], self->predicted_state[0], &innovation_m0_0, &mean_m0,
+        self->predicted_covariance[0], &covariance_m0, &pivot_m0_0, &log_density_m0,
+        sensor_faults_1_mode_numbers[0], present);
+    if (status != SENSOR_FAULTS_1_OK)
     {
-        if (!(pivot_m0_0 > 0.0))
-        {
-            return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE;
-        }
-        const double t2 = 1.0 / pivot_m0_0;
-        inverse_m0_0 = t2;
-        const double t3 = innovation_m0_0 * inverse_m0_0;
-        const double t4 = innovation_m0_0 * t3;
-        const double t5 = self->predicted_covariance[0] * t3;
-        const double t6 = self->predicted_state[0] + t5;
-        const double t7 = self->predicted_covariance[0] * inverse_m0_0;
-        const double t8 = t7 * self->predicted_covariance[0];
-        const double t9 = self->predicted_covariance[0] - t8;
-        quadratic_m0 = t4;
-        log_constant_m0 = SENSOR_FAULTS_1_LOG_2_PI;
-        determinant_m0_0 = pivot_m0_0;
-        mean_m0 = t6;
-        covariance_m0 = t9;
-    }
-
-    /* mode 0: signal, R */
-    const double t10 = sensor_faults_1_log(determinant_m0_0);
-    const double t11 = log_constant_m0 + t10;
-    const double t12 = quadratic_m0 + t11;
-    const double t13 = -0.5 * t12;
-    log_density_m0 = t13;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t14 = y[0] - self->predicted_state[0];
-        innovation_m1_0 = t14;
+        return status;
     }
 
     /* mode 1: signal, noise x 10 */
-    mean_m1 = self->predicted_state[0];
-    covariance_m1 = self->predicted_covariance[0];
-
-    /* row 0 of y, y0 */
-    const double t15 = self->predicted_covariance[0] + 10.0;
-    pivot_m1_0 = t15;
-    if ((present & 0x1u) != 0u)
+    status = sensor_faults_1_mode(y[0], self->predicted_state[0], &innovation_m1_0, &mean_m1,
+        self->predicted_covariance[0], &covariance_m1, &pivot_m1_0, &log_density_m1,
+        sensor_faults_1_mode_numbers[1], present);
+    if (status != SENSOR_FAULTS_1_OK)
     {
-        if (!(pivot_m1_0 > 0.0))
-        {
-            return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE;
-        }
-        const double t16 = 1.0 / pivot_m1_0;
-        inverse_m1_0 = t16;
-        const double t17 = innovation_m1_0 * inverse_m1_0;
-        const double t18 = innovation_m1_0 * t17;
-        const double t19 = self->predicted_covariance[0] * t17;
-        const double t20 = self->predicted_state[0] + t19;
-        const double t21 = self->predicted_covariance[0] * inverse_m1_0;
-        const double t22 = t21 * self->predicted_covariance[0];
-        const double t23 = self->predicted_covariance[0] - t22;
-        quadratic_m1 = t18;
-        log_constant_m1 = SENSOR_FAULTS_1_LOG_2_PI;
-        determinant_m1_0 = pivot_m1_0;
-        mean_m1 = t20;
-        covariance_m1 = t23;
+        return status;
     }
-
-    /* mode 1: signal, noise x 10 */
-    const double t24 = sensor_faults_1_log(determinant_m1_0);
-    const double t25 = log_constant_m1 + t24;
-    const double t26 = quadratic_m1 + t25;
-    const double t27 = -0.5 * t26;
-    log_density_m1 = t27;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
@@ -360,15 +339,13 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     /* row 0 of y, y0 */
     if ((present & 0x1u) != 0u)
     {
-        const double t28 = innovation_m2_0 * innovation_m2_0;
-        quadratic_m2 = t28;
+        quadratic_m2 = innovation_m2_0 * innovation_m2_0;
         log_constant_m2 = SENSOR_FAULTS_1_LOG_2_PI;
     }
 
     /* mode 2: no signal, R */
     const double t29 = quadratic_m2 + log_constant_m2;
-    const double t30 = -0.5 * t29;
-    log_density_m2 = t30;
+    log_density_m2 = -0.5 * t29;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
@@ -380,15 +357,13 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     if ((present & 0x1u) != 0u)
     {
         const double t31 = 0.1 * innovation_m3_0;
-        const double t32 = innovation_m3_0 * t31;
-        quadratic_m3 = t32;
+        quadratic_m3 = innovation_m3_0 * t31;
         log_constant_m3 = 4.140462159403391;
     }
 
     /* mode 3: no signal, noise x 10 */
     const double t33 = quadratic_m3 + log_constant_m3;
-    const double t34 = -0.5 * t33;
-    log_density_m3 = t34;
+    log_density_m3 = -0.5 * t33;
 
     /* probabilities of the modes */
     weight[0] = self->predicted_mode_probability[0];
@@ -401,34 +376,24 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     log_weight_now[3] = self->predicted_log_weight[3];
     if ((present & 0x1u) != 0u)
     {
-        const double t35 = self->predicted_log_weight[0] + log_density_m0;
-        const double t36 = self->predicted_log_weight[1] + log_density_m1;
-        const double t37 = self->predicted_log_weight[2] + log_density_m2;
-        const double t38 = self->predicted_log_weight[3] + log_density_m3;
-        log_joint[0] = t35;
-        log_joint[1] = t36;
-        log_joint[2] = t37;
-        log_joint[3] = t38;
+        log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
+        log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
+        log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
+        log_joint[3] = self->predicted_log_weight[3] + log_density_m3;
         const double t39 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
         const double t40 = (t39 > log_joint[2]) ? t39 : log_joint[2];
-        const double t41 = (t40 > log_joint[3]) ? t40 : log_joint[3];
-        log_largest = t41;
+        log_largest = (t40 > log_joint[3]) ? t40 : log_joint[3];
         const double t42 = log_joint[0] - log_largest;
-        const double t43 = sensor_faults_1_exp(t42);
+        share_of_largest[0] = sensor_faults_1_exp(t42);
         const double t44 = log_joint[1] - log_largest;
-        const double t45 = sensor_faults_1_exp(t44);
+        share_of_largest[1] = sensor_faults_1_exp(t44);
         const double t46 = log_joint[2] - log_largest;
-        const double t47 = sensor_faults_1_exp(t46);
+        share_of_largest[2] = sensor_faults_1_exp(t46);
         const double t48 = log_joint[3] - log_largest;
-        const double t49 = sensor_faults_1_exp(t48);
-        share_of_largest[0] = t43;
-        share_of_largest[1] = t45;
-        share_of_largest[2] = t47;
-        share_of_largest[3] = t49;
+        share_of_largest[3] = sensor_faults_1_exp(t48);
         const double t50 = share_of_largest[0] + share_of_largest[1];
         const double t51 = t50 + share_of_largest[2];
-        const double t52 = t51 + share_of_largest[3];
-        share_total = t52;
+        share_total = t51 + share_of_largest[3];
         const double t53 = log_largest - SENSOR_FAULTS_1_LEAST_LOG_DENSITY;
         if (!(t53 > 0.0))
         {
@@ -438,36 +403,25 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         {
             return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
         }
-        const double t54 = 1.0 / share_total;
-        share_total_inverse = t54;
-        const double t55 = sensor_faults_1_log(share_total);
-        log_share_total = t55;
-        const double t56 = share_of_largest[0] * share_total_inverse;
-        const double t57 = share_of_largest[1] * share_total_inverse;
-        const double t58 = share_of_largest[2] * share_total_inverse;
-        const double t59 = share_of_largest[3] * share_total_inverse;
+        share_total_inverse = 1.0 / share_total;
+        log_share_total = sensor_faults_1_log(share_total);
+        weight[0] = share_of_largest[0] * share_total_inverse;
+        weight[1] = share_of_largest[1] * share_total_inverse;
+        weight[2] = share_of_largest[2] * share_total_inverse;
+        weight[3] = share_of_largest[3] * share_total_inverse;
         const double t60 = log_joint[0] - log_largest;
         const double t61 = t60 - log_share_total;
-        const double t62 = (t61 > SENSOR_FAULTS_1_LOG_ZERO) ? t61 : SENSOR_FAULTS_1_LOG_ZERO;
+        log_weight_now[0] = (t61 > SENSOR_FAULTS_1_LOG_ZERO) ? t61 : SENSOR_FAULTS_1_LOG_ZERO;
         const double t63 = log_joint[1] - log_largest;
         const double t64 = t63 - log_share_total;
-        const double t65 = (t64 > SENSOR_FAULTS_1_LOG_ZERO) ? t64 : SENSOR_FAULTS_1_LOG_ZERO;
+        log_weight_now[1] = (t64 > SENSOR_FAULTS_1_LOG_ZERO) ? t64 : SENSOR_FAULTS_1_LOG_ZERO;
         const double t66 = log_joint[2] - log_largest;
         const double t67 = t66 - log_share_total;
-        const double t68 = (t67 > SENSOR_FAULTS_1_LOG_ZERO) ? t67 : SENSOR_FAULTS_1_LOG_ZERO;
+        log_weight_now[2] = (t67 > SENSOR_FAULTS_1_LOG_ZERO) ? t67 : SENSOR_FAULTS_1_LOG_ZERO;
         const double t69 = log_joint[3] - log_largest;
         const double t70 = t69 - log_share_total;
-        const double t71 = (t70 > SENSOR_FAULTS_1_LOG_ZERO) ? t70 : SENSOR_FAULTS_1_LOG_ZERO;
-        const double t72 = log_largest + log_share_total;
-        weight[0] = t56;
-        weight[1] = t57;
-        weight[2] = t58;
-        weight[3] = t59;
-        log_weight_now[0] = t62;
-        log_weight_now[1] = t65;
-        log_weight_now[2] = t68;
-        log_weight_now[3] = t71;
-        log_evidence = t72;
+        log_weight_now[3] = (t70 > SENSOR_FAULTS_1_LOG_ZERO) ? t70 : SENSOR_FAULTS_1_LOG_ZERO;
+        log_evidence = log_largest + log_share_total;
     }
 
     /* innovation of the mixture */
@@ -493,16 +447,14 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     const double t90 = t89 * t81;
     const double t91 = t90 * t81;
     const double t92 = t88 + t91;
-    const double t93 = t78 + t92;
-    combined_variance = t93;
+    combined_variance = t78 + t92;
     const double t94 = self->predicted_mode_probability[0] * innovation_m0_0;
     const double t95 = self->predicted_mode_probability[1] * innovation_m1_0;
     const double t96 = t94 + t95;
     const double t97 = self->predicted_mode_probability[2] * innovation_m2_0;
     const double t98 = t96 + t97;
     const double t99 = self->predicted_mode_probability[3] * innovation_m3_0;
-    const double t100 = t98 + t99;
-    combined_innovation = t100;
+    combined_innovation = t98 + t99;
     whitening_pivot_combined_0 = combined_variance;
     if ((present & 0x1u) != 0u)
     {
@@ -510,8 +462,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         {
             return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE;
         }
-        const double t101 = 1.0 / whitening_pivot_combined_0;
-        whitening_inverse_combined_0 = t101;
+        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
 
     /* combination */
@@ -521,14 +472,13 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     const double t105 = weight[2] * self->predicted_state[0];
     const double t106 = t104 + t105;
     const double t107 = weight[3] * self->predicted_state[0];
-    const double t108 = t106 + t107;
-    combined_state = t108;
+    combined_state = t106 + t107;
     if (!sensor_faults_1_finite(sensor_faults_1_defect(combined_state)))
     {
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }
     const double t109 = combined_innovation * combined_innovation;
-    const double t110 = t109 * whitening_inverse_combined_0;
+    next->nis = t109 * whitening_inverse_combined_0;
     const double t111 = weight[0] * covariance_m0;
     const double t112 = weight[1] * covariance_m1;
     const double t113 = t111 + t112;
@@ -551,10 +501,9 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     const double t130 = weight[3] * t129;
     const double t131 = t130 * t129;
     const double t132 = t128 + t131;
-    const double t133 = t117 + t132;
+    next->filtered_covariance[0] = t117 + t132;
     next->innovation[0] = combined_innovation;
     next->innovation_covariance[0] = combined_variance;
-    next->nis = t110;
     next->mode_probability[0] = weight[0];
     next->mode_probability[1] = weight[1];
     next->mode_probability[2] = weight[2];
@@ -565,7 +514,6 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     next->log_weight[3] = log_weight_now[3];
     next->log_likelihood = log_evidence;
     next->filtered_state[0] = combined_state;
-    next->filtered_covariance[0] = t133;
     return SENSOR_FAULTS_1_OK;
 }
 
@@ -575,32 +523,28 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_propagate(const 
 {
     double mode_prediction_0;
     double mode_prediction_1;
-
-    /* law of the next mode */
     const double t0 = 0.08000000000000002 * self->mode_probability[0];
     const double t1 = 0.08000000000000002 * self->mode_probability[1];
     const double t2 = t0 + t1;
     const double t3 = 0.7200000000000001 * self->mode_probability[2];
     const double t4 = t2 + t3;
     const double t5 = 0.7200000000000001 * self->mode_probability[3];
-    const double t6 = t4 + t5;
-    mode_prediction_0 = t6;
+    mode_prediction_0 = t4 + t5;
     const double t7 = 0.7200000000000001 * self->mode_probability[0];
     const double t8 = 0.7200000000000001 * self->mode_probability[1];
     const double t9 = t7 + t8;
     const double t10 = 0.08000000000000002 * self->mode_probability[2];
     const double t11 = t9 + t10;
     const double t12 = 0.08000000000000002 * self->mode_probability[3];
-    const double t13 = t11 + t12;
-    mode_prediction_1 = t13;
+    mode_prediction_1 = t11 + t12;
 
     /* prediction of the next sample */
-    const double t14 = 0.25 * mode_prediction_0;
-    const double t15 = 0.25 * mode_prediction_1;
+    next->predicted_mode_probability[1] = 0.25 * mode_prediction_0;
+    next->predicted_mode_probability[3] = 0.25 * mode_prediction_1;
     const double t16 = sensor_faults_1_log(mode_prediction_0);
-    const double t17 = t16 + -1.3862943611198906;
+    next->predicted_log_weight[1] = t16 + -1.3862943611198906;
     const double t18 = sensor_faults_1_log(mode_prediction_1);
-    const double t19 = t18 + -1.3862943611198906;
+    next->predicted_log_weight[3] = t18 + -1.3862943611198906;
     const double t20 = -0.8 * self->filtered_state[0];
     const double t21 = 0.6400000000000001 * self->filtered_covariance[0];
     const double t22 = t21 + 1.0;
@@ -609,13 +553,9 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_propagate(const 
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }
     next->predicted_mode_probability[0] = mode_prediction_0;
-    next->predicted_mode_probability[1] = t14;
     next->predicted_mode_probability[2] = mode_prediction_1;
-    next->predicted_mode_probability[3] = t15;
     next->predicted_log_weight[0] = t16;
-    next->predicted_log_weight[1] = t17;
     next->predicted_log_weight[2] = t18;
-    next->predicted_log_weight[3] = t19;
     next->predicted_state[0] = t20;
     next->predicted_covariance[0] = t22;
     return SENSOR_FAULTS_1_OK;

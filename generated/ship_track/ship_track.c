@@ -297,6 +297,1354 @@ static int ship_track_present_rows(const double *y, uint32_t valid, uint32_t *pr
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
+/* row 0 of y, report_east. */
+static ship_track_status_t ship_track_row_of_y(const double *mode_covariance, double *variance,
+    const double *mode_state, double *mean, double *covariance, const double innovation_0,
+    double *quadratic, double *log_constant, double *determinant_0, const double innovation_1,
+    const double innovation_2, const double innovation_3, uint32_t present)
+{
+    double pivot_0;
+    double inverse_0 = 0.0;
+    double pivot_1;
+    double inverse_1 = 0.0;
+    double pivot_2;
+    double inverse_2 = 0.0;
+    double pivot_3;
+    double inverse_3 = 0.0;
+    variance[0] = mode_covariance[0] + 16.0;
+    variance[2] = mode_covariance[2] + 36.0;
+    variance[5] = mode_covariance[5] + 0.04;
+    variance[9] = mode_covariance[9] + 0.04;
+    variance[1] = mode_covariance[1];
+    variance[3] = mode_covariance[3];
+    variance[4] = mode_covariance[4];
+    variance[6] = mode_covariance[6];
+    variance[7] = mode_covariance[7];
+    variance[8] = mode_covariance[8];
+    mean[0] = mode_state[0];
+    mean[1] = mode_state[1];
+    mean[2] = mode_state[2];
+    mean[3] = mode_state[3];
+    covariance[0] = mode_covariance[0];
+    covariance[1] = mode_covariance[1];
+    covariance[2] = mode_covariance[2];
+    covariance[3] = mode_covariance[3];
+    covariance[4] = mode_covariance[4];
+    covariance[5] = mode_covariance[5];
+    covariance[6] = mode_covariance[6];
+    covariance[7] = mode_covariance[7];
+    covariance[8] = mode_covariance[8];
+    covariance[9] = mode_covariance[9];
+
+    /* row 0 of y, report_east */
+    pivot_0 = mode_covariance[0] + 16.0;
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(pivot_0 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_0 = 1.0 / pivot_0;
+        const double t6 = innovation_0 * inverse_0;
+        quadratic[0] = innovation_0 * t6;
+        const double t8 = mode_covariance[0] * t6;
+        mean[0] = mode_state[0] + t8;
+        const double t10 = mode_covariance[1] * t6;
+        mean[1] = mode_state[1] + t10;
+        const double t12 = mode_covariance[3] * t6;
+        mean[2] = mode_state[2] + t12;
+        const double t14 = mode_covariance[6] * t6;
+        mean[3] = mode_state[3] + t14;
+        const double t16 = mode_covariance[0] * inverse_0;
+        const double t17 = t16 * mode_covariance[0];
+        covariance[0] = mode_covariance[0] - t17;
+        const double t19 = mode_covariance[1] * inverse_0;
+        const double t20 = t19 * mode_covariance[0];
+        covariance[1] = mode_covariance[1] - t20;
+        const double t22 = t19 * mode_covariance[1];
+        covariance[2] = mode_covariance[2] - t22;
+        const double t24 = mode_covariance[3] * inverse_0;
+        const double t25 = t24 * mode_covariance[0];
+        covariance[3] = mode_covariance[3] - t25;
+        const double t27 = t24 * mode_covariance[1];
+        covariance[4] = mode_covariance[4] - t27;
+        const double t29 = t24 * mode_covariance[3];
+        covariance[5] = mode_covariance[5] - t29;
+        const double t31 = mode_covariance[6] * inverse_0;
+        const double t32 = t31 * mode_covariance[0];
+        covariance[6] = mode_covariance[6] - t32;
+        const double t34 = t31 * mode_covariance[1];
+        covariance[7] = mode_covariance[7] - t34;
+        const double t36 = t31 * mode_covariance[3];
+        covariance[8] = mode_covariance[8] - t36;
+        const double t38 = t31 * mode_covariance[6];
+        covariance[9] = mode_covariance[9] - t38;
+        log_constant[0] = SHIP_TRACK_LOG_2_PI;
+        determinant_0[0] = pivot_0;
+    }
+
+    /* row 1 of y, report_north */
+    pivot_1 = covariance[2] + 36.0;
+    if ((present & 0x2u) != 0u)
+    {
+        if (!(pivot_1 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_1 = 1.0 / pivot_1;
+        const double t42 = mean[1] - mode_state[1];
+        const double t43 = innovation_1 - t42;
+        const double t44 = t43 * inverse_1;
+        const double t45 = t43 * t44;
+        quadratic[0] = quadratic[0] + t45;
+        log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
+        determinant_0[0] = determinant_0[0] * pivot_1;
+        const double t49 = covariance[1] * t44;
+        mean[0] = mean[0] + t49;
+        const double t51 = covariance[2] * t44;
+        mean[1] = mean[1] + t51;
+        const double t53 = covariance[4] * t44;
+        mean[2] = mean[2] + t53;
+        const double t55 = covariance[7] * t44;
+        mean[3] = mean[3] + t55;
+        const double t57 = covariance[1] * inverse_1;
+        const double t58 = t57 * covariance[1];
+        covariance[0] = covariance[0] - t58;
+        const double t60 = covariance[2] * inverse_1;
+        const double t61 = t60 * covariance[1];
+        const double t62 = covariance[1] - t61;
+        const double t63 = t60 * covariance[2];
+        const double t64 = covariance[2] - t63;
+        const double t65 = covariance[4] * inverse_1;
+        const double t66 = t65 * covariance[1];
+        covariance[3] = covariance[3] - t66;
+        const double t68 = t65 * covariance[2];
+        const double t69 = covariance[4] - t68;
+        const double t70 = t65 * covariance[4];
+        covariance[5] = covariance[5] - t70;
+        const double t72 = covariance[7] * inverse_1;
+        const double t73 = t72 * covariance[1];
+        covariance[6] = covariance[6] - t73;
+        const double t75 = t72 * covariance[2];
+        const double t76 = covariance[7] - t75;
+        const double t77 = t72 * covariance[4];
+        covariance[8] = covariance[8] - t77;
+        const double t79 = t72 * covariance[7];
+        covariance[9] = covariance[9] - t79;
+        covariance[1] = t62;
+        covariance[2] = t64;
+        covariance[4] = t69;
+        covariance[7] = t76;
+    }
+
+    /* row 2 of y, report_speed_east */
+    pivot_2 = covariance[5] + 0.04;
+    if ((present & 0x4u) != 0u)
+    {
+        if (!(pivot_2 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_2 = 1.0 / pivot_2;
+        const double t83 = mean[2] - mode_state[2];
+        const double t84 = innovation_2 - t83;
+        const double t85 = t84 * inverse_2;
+        const double t86 = t84 * t85;
+        quadratic[0] = quadratic[0] + t86;
+        log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
+        determinant_0[0] = determinant_0[0] * pivot_2;
+        const double t90 = covariance[3] * t85;
+        mean[0] = mean[0] + t90;
+        const double t92 = covariance[4] * t85;
+        mean[1] = mean[1] + t92;
+        const double t94 = covariance[5] * t85;
+        mean[2] = mean[2] + t94;
+        const double t96 = covariance[8] * t85;
+        mean[3] = mean[3] + t96;
+        const double t98 = covariance[3] * inverse_2;
+        const double t99 = t98 * covariance[3];
+        covariance[0] = covariance[0] - t99;
+        const double t101 = covariance[4] * inverse_2;
+        const double t102 = t101 * covariance[3];
+        covariance[1] = covariance[1] - t102;
+        const double t104 = t101 * covariance[4];
+        covariance[2] = covariance[2] - t104;
+        const double t106 = covariance[5] * inverse_2;
+        const double t107 = t106 * covariance[3];
+        const double t108 = covariance[3] - t107;
+        const double t109 = t106 * covariance[4];
+        const double t110 = covariance[4] - t109;
+        const double t111 = t106 * covariance[5];
+        const double t112 = covariance[5] - t111;
+        const double t113 = covariance[8] * inverse_2;
+        const double t114 = t113 * covariance[3];
+        covariance[6] = covariance[6] - t114;
+        const double t116 = t113 * covariance[4];
+        covariance[7] = covariance[7] - t116;
+        const double t118 = t113 * covariance[5];
+        const double t119 = covariance[8] - t118;
+        const double t120 = t113 * covariance[8];
+        covariance[9] = covariance[9] - t120;
+        covariance[3] = t108;
+        covariance[4] = t110;
+        covariance[5] = t112;
+        covariance[8] = t119;
+    }
+
+    /* row 3 of y, report_speed_north */
+    pivot_3 = covariance[9] + 0.04;
+    if ((present & 0x8u) != 0u)
+    {
+        if (!(pivot_3 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_3 = 1.0 / pivot_3;
+        const double t124 = mean[3] - mode_state[3];
+        const double t125 = innovation_3 - t124;
+        const double t126 = t125 * inverse_3;
+        const double t127 = t125 * t126;
+        quadratic[0] = quadratic[0] + t127;
+        log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
+        determinant_0[0] = determinant_0[0] * pivot_3;
+        const double t131 = covariance[6] * t126;
+        mean[0] = mean[0] + t131;
+        const double t133 = covariance[7] * t126;
+        mean[1] = mean[1] + t133;
+        const double t135 = covariance[8] * t126;
+        mean[2] = mean[2] + t135;
+        const double t137 = covariance[9] * t126;
+        mean[3] = mean[3] + t137;
+        const double t139 = covariance[6] * inverse_3;
+        const double t140 = t139 * covariance[6];
+        covariance[0] = covariance[0] - t140;
+        const double t142 = covariance[7] * inverse_3;
+        const double t143 = t142 * covariance[6];
+        covariance[1] = covariance[1] - t143;
+        const double t145 = t142 * covariance[7];
+        covariance[2] = covariance[2] - t145;
+        const double t147 = covariance[8] * inverse_3;
+        const double t148 = t147 * covariance[6];
+        covariance[3] = covariance[3] - t148;
+        const double t150 = t147 * covariance[7];
+        covariance[4] = covariance[4] - t150;
+        const double t152 = t147 * covariance[8];
+        covariance[5] = covariance[5] - t152;
+        const double t154 = covariance[9] * inverse_3;
+        const double t155 = t154 * covariance[6];
+        covariance[6] = covariance[6] - t155;
+        const double t157 = t154 * covariance[7];
+        covariance[7] = covariance[7] - t157;
+        const double t159 = t154 * covariance[8];
+        covariance[8] = covariance[8] - t159;
+        const double t161 = t154 * covariance[9];
+        covariance[9] = covariance[9] - t161;
+    }
+
+    /* mode 0: the model */
+    return SHIP_TRACK_OK;
+}
+
+/* mode 0: the model; mode 1: with its own A, Q; mode 2: with its own A, Q. */
+static ship_track_status_t ship_track_mode(const double *y, const double *mode_state,
+    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
+    const double *mode_covariance, double *variance, double *mean, double *covariance,
+    double *quadratic, double *log_constant, double *determinant_0, uint32_t present)
+{
+    ship_track_status_t status;
+
+    /* innovation, row by row */
+    if ((present & 0x1u) != 0u)
+    {
+        innovation_0[0] = y[0] - mode_state[0];
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        innovation_1[0] = y[1] - mode_state[1];
+    }
+    if ((present & 0x4u) != 0u)
+    {
+        innovation_2[0] = y[2] - mode_state[2];
+    }
+    if ((present & 0x8u) != 0u)
+    {
+        innovation_3[0] = y[3] - mode_state[3];
+    }
+
+    /* mode 0: the model */
+    status = ship_track_row_of_y(mode_covariance, variance, mode_state, mean, covariance,
+        innovation_0[0], quadratic, log_constant, determinant_0, innovation_1[0], innovation_2[0],
+        innovation_3[0], present);
+    if (status != SHIP_TRACK_OK)
+    {
+        return status;
+    }
+    return SHIP_TRACK_OK;
+}
+
+/* mixing and prediction of every mode; part 2. */
+static void ship_track_part_3(const double *mixed_0_0_1_mean, const double *mode_filtered_state,
+    const double *mixed_0_0_2_share, double *mixed_0_0_2_mean, const double *mixed_0_0_1_covariance,
+    const double *covariance, double *mixed_0_0_2_covariance)
+{
+    double mixed_0_0_2_apart[4];
+    mixed_0_0_2_apart[0] = mixed_0_0_1_mean[0] - mode_filtered_state[0];
+    mixed_0_0_2_apart[1] = mixed_0_0_1_mean[1] - mode_filtered_state[1];
+    mixed_0_0_2_apart[2] = mixed_0_0_1_mean[2] - mode_filtered_state[2];
+    mixed_0_0_2_apart[3] = mixed_0_0_1_mean[3] - mode_filtered_state[3];
+    const double t4 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[0];
+    const double t5 = mixed_0_0_2_share[1] * mode_filtered_state[0];
+    mixed_0_0_2_mean[0] = t4 + t5;
+    const double t7 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[1];
+    const double t8 = mixed_0_0_2_share[1] * mode_filtered_state[1];
+    mixed_0_0_2_mean[1] = t7 + t8;
+    const double t10 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[2];
+    const double t11 = mixed_0_0_2_share[1] * mode_filtered_state[2];
+    mixed_0_0_2_mean[2] = t10 + t11;
+    const double t13 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[3];
+    const double t14 = mixed_0_0_2_share[1] * mode_filtered_state[3];
+    mixed_0_0_2_mean[3] = t13 + t14;
+    const double t16 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
+    const double t17 = mixed_0_0_2_share[1] * covariance[0];
+    const double t18 = t16 + t17;
+    const double t19 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
+    const double t20 = t19 * mixed_0_0_2_apart[0];
+    const double t21 = t20 * mixed_0_0_2_apart[0];
+    mixed_0_0_2_covariance[0] = t18 + t21;
+    const double t23 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
+    const double t24 = mixed_0_0_2_share[1] * covariance[1];
+    const double t25 = t23 + t24;
+    const double t26 = t19 * mixed_0_0_2_apart[1];
+    const double t27 = t26 * mixed_0_0_2_apart[0];
+    mixed_0_0_2_covariance[1] = t25 + t27;
+    const double t29 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
+    const double t30 = mixed_0_0_2_share[1] * covariance[2];
+    const double t31 = t29 + t30;
+    const double t32 = t26 * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[2] = t31 + t32;
+    const double t34 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
+    const double t35 = mixed_0_0_2_share[1] * covariance[3];
+    const double t36 = t34 + t35;
+    const double t37 = t19 * mixed_0_0_2_apart[2];
+    const double t38 = t37 * mixed_0_0_2_apart[0];
+    mixed_0_0_2_covariance[3] = t36 + t38;
+    const double t40 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
+    const double t41 = mixed_0_0_2_share[1] * covariance[4];
+    const double t42 = t40 + t41;
+    const double t43 = t37 * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[4] = t42 + t43;
+    const double t45 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
+    const double t46 = mixed_0_0_2_share[1] * covariance[5];
+    const double t47 = t45 + t46;
+    const double t48 = t37 * mixed_0_0_2_apart[2];
+    mixed_0_0_2_covariance[5] = t47 + t48;
+    const double t50 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
+    const double t51 = mixed_0_0_2_share[1] * covariance[6];
+    const double t52 = t50 + t51;
+    const double t53 = t19 * mixed_0_0_2_apart[3];
+    const double t54 = t53 * mixed_0_0_2_apart[0];
+    mixed_0_0_2_covariance[6] = t52 + t54;
+    const double t56 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
+    const double t57 = mixed_0_0_2_share[1] * covariance[7];
+    const double t58 = t56 + t57;
+    const double t59 = t53 * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[7] = t58 + t59;
+    const double t61 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
+    const double t62 = mixed_0_0_2_share[1] * covariance[8];
+    const double t63 = t61 + t62;
+    const double t64 = t53 * mixed_0_0_2_apart[2];
+    mixed_0_0_2_covariance[8] = t63 + t64;
+    const double t66 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
+    const double t67 = mixed_0_0_2_share[1] * covariance[9];
+    const double t68 = t66 + t67;
+    const double t69 = t53 * mixed_0_0_2_apart[3];
+    mixed_0_0_2_covariance[9] = t68 + t69;
+}
+
+/* combination; combined prediction. */
+static void ship_track_part_2(const double *mean_m0, const double *mean_m1,
+    const double *combined_0_1_share, const double *covariance, const double *covariance_2,
+    const double *mean_m2, const double *combined_0_2_share, double *combined_0_2_mean,
+    const double *covariance_3, double *combined_0_2_covariance)
+{
+    double apart_0_1[4];
+    double apart_0_1_squared[10];
+    double combined_0_1_mean[4];
+    double combined_0_1_covariance[10];
+    apart_0_1[0] = mean_m0[0] - mean_m1[0];
+    apart_0_1[1] = mean_m0[1] - mean_m1[1];
+    apart_0_1[2] = mean_m0[2] - mean_m1[2];
+    apart_0_1[3] = mean_m0[3] - mean_m1[3];
+    apart_0_1_squared[0] = apart_0_1[0] * apart_0_1[0];
+    apart_0_1_squared[1] = apart_0_1[1] * apart_0_1[0];
+    apart_0_1_squared[2] = apart_0_1[1] * apart_0_1[1];
+    apart_0_1_squared[3] = apart_0_1[2] * apart_0_1[0];
+    apart_0_1_squared[4] = apart_0_1[2] * apart_0_1[1];
+    apart_0_1_squared[5] = apart_0_1[2] * apart_0_1[2];
+    apart_0_1_squared[6] = apart_0_1[3] * apart_0_1[0];
+    apart_0_1_squared[7] = apart_0_1[3] * apart_0_1[1];
+    apart_0_1_squared[8] = apart_0_1[3] * apart_0_1[2];
+    apart_0_1_squared[9] = apart_0_1[3] * apart_0_1[3];
+    const double t14 = combined_0_1_share[0] * mean_m0[0];
+    const double t15 = combined_0_1_share[1] * mean_m1[0];
+    combined_0_1_mean[0] = t14 + t15;
+    const double t17 = combined_0_1_share[0] * mean_m0[1];
+    const double t18 = combined_0_1_share[1] * mean_m1[1];
+    combined_0_1_mean[1] = t17 + t18;
+    const double t20 = combined_0_1_share[0] * mean_m0[2];
+    const double t21 = combined_0_1_share[1] * mean_m1[2];
+    combined_0_1_mean[2] = t20 + t21;
+    const double t23 = combined_0_1_share[0] * mean_m0[3];
+    const double t24 = combined_0_1_share[1] * mean_m1[3];
+    combined_0_1_mean[3] = t23 + t24;
+    const double t26 = combined_0_1_share[0] * covariance[0];
+    const double t27 = combined_0_1_share[1] * covariance_2[0];
+    const double t28 = t26 + t27;
+    const double t29 = combined_0_1_share[0] * combined_0_1_share[1];
+    const double t30 = t29 * apart_0_1_squared[0];
+    combined_0_1_covariance[0] = t28 + t30;
+    const double t32 = combined_0_1_share[0] * covariance[1];
+    const double t33 = combined_0_1_share[1] * covariance_2[1];
+    const double t34 = t32 + t33;
+    const double t35 = t29 * apart_0_1_squared[1];
+    combined_0_1_covariance[1] = t34 + t35;
+    const double t37 = combined_0_1_share[0] * covariance[2];
+    const double t38 = combined_0_1_share[1] * covariance_2[2];
+    const double t39 = t37 + t38;
+    const double t40 = t29 * apart_0_1_squared[2];
+    combined_0_1_covariance[2] = t39 + t40;
+    const double t42 = combined_0_1_share[0] * covariance[3];
+    const double t43 = combined_0_1_share[1] * covariance_2[3];
+    const double t44 = t42 + t43;
+    const double t45 = t29 * apart_0_1_squared[3];
+    combined_0_1_covariance[3] = t44 + t45;
+    const double t47 = combined_0_1_share[0] * covariance[4];
+    const double t48 = combined_0_1_share[1] * covariance_2[4];
+    const double t49 = t47 + t48;
+    const double t50 = t29 * apart_0_1_squared[4];
+    combined_0_1_covariance[4] = t49 + t50;
+    const double t52 = combined_0_1_share[0] * covariance[5];
+    const double t53 = combined_0_1_share[1] * covariance_2[5];
+    const double t54 = t52 + t53;
+    const double t55 = t29 * apart_0_1_squared[5];
+    combined_0_1_covariance[5] = t54 + t55;
+    const double t57 = combined_0_1_share[0] * covariance[6];
+    const double t58 = combined_0_1_share[1] * covariance_2[6];
+    const double t59 = t57 + t58;
+    const double t60 = t29 * apart_0_1_squared[6];
+    combined_0_1_covariance[6] = t59 + t60;
+    const double t62 = combined_0_1_share[0] * covariance[7];
+    const double t63 = combined_0_1_share[1] * covariance_2[7];
+    const double t64 = t62 + t63;
+    const double t65 = t29 * apart_0_1_squared[7];
+    combined_0_1_covariance[7] = t64 + t65;
+    const double t67 = combined_0_1_share[0] * covariance[8];
+    const double t68 = combined_0_1_share[1] * covariance_2[8];
+    const double t69 = t67 + t68;
+    const double t70 = t29 * apart_0_1_squared[8];
+    combined_0_1_covariance[8] = t69 + t70;
+    const double t72 = combined_0_1_share[0] * covariance[9];
+    const double t73 = combined_0_1_share[1] * covariance_2[9];
+    const double t74 = t72 + t73;
+    const double t75 = t29 * apart_0_1_squared[9];
+    combined_0_1_covariance[9] = t74 + t75;
+    ship_track_part_3(combined_0_1_mean, mean_m2, combined_0_2_share, combined_0_2_mean,
+        combined_0_1_covariance, covariance_3, combined_0_2_covariance);
+}
+
+/* mixing and prediction of every mode. */
+static void ship_track_mixing_and_prediction(const double *mixed_0_1_share,
+    const double *mode_filtered_state, double *mixed_0_1_mean,
+    const double *mode_filtered_covariance, const double *mixed_apart_0_1_squared,
+    double *mixed_0_1_covariance)
+{
+    const double t0 = mixed_0_1_share[0] * mode_filtered_state[0];
+    const double t1 = mixed_0_1_share[1] * mode_filtered_state[4];
+    mixed_0_1_mean[0] = t0 + t1;
+    const double t3 = mixed_0_1_share[0] * mode_filtered_state[1];
+    const double t4 = mixed_0_1_share[1] * mode_filtered_state[5];
+    mixed_0_1_mean[1] = t3 + t4;
+    const double t6 = mixed_0_1_share[0] * mode_filtered_state[2];
+    const double t7 = mixed_0_1_share[1] * mode_filtered_state[6];
+    mixed_0_1_mean[2] = t6 + t7;
+    const double t9 = mixed_0_1_share[0] * mode_filtered_state[3];
+    const double t10 = mixed_0_1_share[1] * mode_filtered_state[7];
+    mixed_0_1_mean[3] = t9 + t10;
+    const double t12 = mixed_0_1_share[0] * mode_filtered_covariance[0];
+    const double t13 = mixed_0_1_share[1] * mode_filtered_covariance[10];
+    const double t14 = t12 + t13;
+    const double t15 = mixed_0_1_share[0] * mixed_0_1_share[1];
+    const double t16 = t15 * mixed_apart_0_1_squared[0];
+    mixed_0_1_covariance[0] = t14 + t16;
+    const double t18 = mixed_0_1_share[0] * mode_filtered_covariance[1];
+    const double t19 = mixed_0_1_share[1] * mode_filtered_covariance[11];
+    const double t20 = t18 + t19;
+    const double t21 = t15 * mixed_apart_0_1_squared[1];
+    mixed_0_1_covariance[1] = t20 + t21;
+    const double t23 = mixed_0_1_share[0] * mode_filtered_covariance[2];
+    const double t24 = mixed_0_1_share[1] * mode_filtered_covariance[12];
+    const double t25 = t23 + t24;
+    const double t26 = t15 * mixed_apart_0_1_squared[2];
+    mixed_0_1_covariance[2] = t25 + t26;
+    const double t28 = mixed_0_1_share[0] * mode_filtered_covariance[3];
+    const double t29 = mixed_0_1_share[1] * mode_filtered_covariance[13];
+    const double t30 = t28 + t29;
+    const double t31 = t15 * mixed_apart_0_1_squared[3];
+    mixed_0_1_covariance[3] = t30 + t31;
+    const double t33 = mixed_0_1_share[0] * mode_filtered_covariance[4];
+    const double t34 = mixed_0_1_share[1] * mode_filtered_covariance[14];
+    const double t35 = t33 + t34;
+    const double t36 = t15 * mixed_apart_0_1_squared[4];
+    mixed_0_1_covariance[4] = t35 + t36;
+    const double t38 = mixed_0_1_share[0] * mode_filtered_covariance[5];
+    const double t39 = mixed_0_1_share[1] * mode_filtered_covariance[15];
+    const double t40 = t38 + t39;
+    const double t41 = t15 * mixed_apart_0_1_squared[5];
+    mixed_0_1_covariance[5] = t40 + t41;
+    const double t43 = mixed_0_1_share[0] * mode_filtered_covariance[6];
+    const double t44 = mixed_0_1_share[1] * mode_filtered_covariance[16];
+    const double t45 = t43 + t44;
+    const double t46 = t15 * mixed_apart_0_1_squared[6];
+    mixed_0_1_covariance[6] = t45 + t46;
+    const double t48 = mixed_0_1_share[0] * mode_filtered_covariance[7];
+    const double t49 = mixed_0_1_share[1] * mode_filtered_covariance[17];
+    const double t50 = t48 + t49;
+    const double t51 = t15 * mixed_apart_0_1_squared[7];
+    mixed_0_1_covariance[7] = t50 + t51;
+    const double t53 = mixed_0_1_share[0] * mode_filtered_covariance[8];
+    const double t54 = mixed_0_1_share[1] * mode_filtered_covariance[18];
+    const double t55 = t53 + t54;
+    const double t56 = t15 * mixed_apart_0_1_squared[8];
+    mixed_0_1_covariance[8] = t55 + t56;
+    const double t58 = mixed_0_1_share[0] * mode_filtered_covariance[9];
+    const double t59 = mixed_0_1_share[1] * mode_filtered_covariance[19];
+    const double t60 = t58 + t59;
+    const double t61 = t15 * mixed_apart_0_1_squared[9];
+    mixed_0_1_covariance[9] = t60 + t61;
+}
+
+/* combination. */
+static ship_track_status_t ship_track_combination(const double *mode_state,
+    const double *predicted_mode_probability, const double *variance_m0, const double *variance_m1,
+    const double *variance_m2, double *combined_variance, const double innovation_m0_0,
+    const double innovation_m1_0, const double innovation_m2_0, const double innovation_m0_1,
+    const double innovation_m1_1, const double innovation_m2_1, const double innovation_m0_2,
+    const double innovation_m1_2, const double innovation_m2_2, const double innovation_m0_3,
+    const double innovation_m1_3, const double innovation_m2_3, double *combined_innovation,
+    double *whitening_inverse_combined_0, double *whitening_combined_0_1,
+    double *whitening_combined_0_2, double *whitening_combined_0_3,
+    double *whitening_inverse_combined_1, double *whitening_combined_1_2,
+    double *whitening_combined_1_3, double *whitening_inverse_combined_2,
+    double *whitening_combined_2_3, double *whitening_inverse_combined_3, const double *weight,
+    double *combined_0_2_share, double *combined_0_1_share, uint32_t present)
+{
+    double predicted_y_m0[4];
+    double predicted_y_m1[4];
+    double predicted_y_m2[4];
+    double whitening_pivot_combined_0;
+    double whitening_pivot_combined_1;
+    double whitening_pivot_combined_2;
+    double whitening_pivot_combined_3;
+    double combined_0_1_inverse;
+    predicted_y_m0[0] = mode_state[0];
+    predicted_y_m0[1] = mode_state[1];
+    predicted_y_m0[2] = mode_state[2];
+    predicted_y_m0[3] = mode_state[3];
+    predicted_y_m1[0] = mode_state[4];
+    predicted_y_m1[1] = mode_state[5];
+    predicted_y_m1[2] = mode_state[6];
+    predicted_y_m1[3] = mode_state[7];
+    predicted_y_m2[0] = mode_state[8];
+    predicted_y_m2[1] = mode_state[9];
+    predicted_y_m2[2] = mode_state[10];
+    predicted_y_m2[3] = mode_state[11];
+    const double t0 = predicted_mode_probability[0] * variance_m0[0];
+    const double t1 = predicted_mode_probability[1] * variance_m1[0];
+    const double t2 = t0 + t1;
+    const double t3 = predicted_mode_probability[2] * variance_m2[0];
+    const double t4 = t2 + t3;
+    const double t5 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t6 = predicted_mode_probability[1] * predicted_y_m1[0];
+    const double t7 = t5 + t6;
+    const double t8 = predicted_mode_probability[2] * predicted_y_m2[0];
+    const double t9 = t7 + t8;
+    const double t10 = predicted_y_m0[0] - t9;
+    const double t11 = predicted_mode_probability[0] * t10;
+    const double t12 = t11 * t10;
+    const double t13 = predicted_y_m1[0] - t9;
+    const double t14 = predicted_mode_probability[1] * t13;
+    const double t15 = t14 * t13;
+    const double t16 = t12 + t15;
+    const double t17 = predicted_y_m2[0] - t9;
+    const double t18 = predicted_mode_probability[2] * t17;
+    const double t19 = t18 * t17;
+    const double t20 = t16 + t19;
+    combined_variance[0] = t4 + t20;
+    const double t22 = predicted_mode_probability[0] * variance_m0[1];
+    const double t23 = predicted_mode_probability[1] * variance_m1[1];
+    const double t24 = t22 + t23;
+    const double t25 = predicted_mode_probability[2] * variance_m2[1];
+    const double t26 = t24 + t25;
+    const double t27 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t28 = predicted_mode_probability[1] * predicted_y_m1[1];
+    const double t29 = t27 + t28;
+    const double t30 = predicted_mode_probability[2] * predicted_y_m2[1];
+    const double t31 = t29 + t30;
+    const double t32 = predicted_y_m0[1] - t31;
+    const double t33 = predicted_mode_probability[0] * t32;
+    const double t34 = t33 * t10;
+    const double t35 = predicted_y_m1[1] - t31;
+    const double t36 = predicted_mode_probability[1] * t35;
+    const double t37 = t36 * t13;
+    const double t38 = t34 + t37;
+    const double t39 = predicted_y_m2[1] - t31;
+    const double t40 = predicted_mode_probability[2] * t39;
+    const double t41 = t40 * t17;
+    const double t42 = t38 + t41;
+    combined_variance[1] = t26 + t42;
+    const double t44 = predicted_mode_probability[0] * variance_m0[2];
+    const double t45 = predicted_mode_probability[1] * variance_m1[2];
+    const double t46 = t44 + t45;
+    const double t47 = predicted_mode_probability[2] * variance_m2[2];
+    const double t48 = t46 + t47;
+    const double t49 = t33 * t32;
+    const double t50 = t36 * t35;
+    const double t51 = t49 + t50;
+    const double t52 = t40 * t39;
+    const double t53 = t51 + t52;
+    combined_variance[2] = t48 + t53;
+    const double t55 = predicted_mode_probability[0] * variance_m0[3];
+    const double t56 = predicted_mode_probability[1] * variance_m1[3];
+    const double t57 = t55 + t56;
+    const double t58 = predicted_mode_probability[2] * variance_m2[3];
+    const double t59 = t57 + t58;
+    const double t60 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t61 = predicted_mode_probability[1] * predicted_y_m1[2];
+    const double t62 = t60 + t61;
+    const double t63 = predicted_mode_probability[2] * predicted_y_m2[2];
+    const double t64 = t62 + t63;
+    const double t65 = predicted_y_m0[2] - t64;
+    const double t66 = predicted_mode_probability[0] * t65;
+    const double t67 = t66 * t10;
+    const double t68 = predicted_y_m1[2] - t64;
+    const double t69 = predicted_mode_probability[1] * t68;
+    const double t70 = t69 * t13;
+    const double t71 = t67 + t70;
+    const double t72 = predicted_y_m2[2] - t64;
+    const double t73 = predicted_mode_probability[2] * t72;
+    const double t74 = t73 * t17;
+    const double t75 = t71 + t74;
+    combined_variance[3] = t59 + t75;
+    const double t77 = predicted_mode_probability[0] * variance_m0[4];
+    const double t78 = predicted_mode_probability[1] * variance_m1[4];
+    const double t79 = t77 + t78;
+    const double t80 = predicted_mode_probability[2] * variance_m2[4];
+    const double t81 = t79 + t80;
+    const double t82 = t66 * t32;
+    const double t83 = t69 * t35;
+    const double t84 = t82 + t83;
+    const double t85 = t73 * t39;
+    const double t86 = t84 + t85;
+    combined_variance[4] = t81 + t86;
+    const double t88 = predicted_mode_probability[0] * variance_m0[5];
+    const double t89 = predicted_mode_probability[1] * variance_m1[5];
+    const double t90 = t88 + t89;
+    const double t91 = predicted_mode_probability[2] * variance_m2[5];
+    const double t92 = t90 + t91;
+    const double t93 = t66 * t65;
+    const double t94 = t69 * t68;
+    const double t95 = t93 + t94;
+    const double t96 = t73 * t72;
+    const double t97 = t95 + t96;
+    combined_variance[5] = t92 + t97;
+    const double t99 = predicted_mode_probability[0] * variance_m0[6];
+    const double t100 = predicted_mode_probability[1] * variance_m1[6];
+    const double t101 = t99 + t100;
+    const double t102 = predicted_mode_probability[2] * variance_m2[6];
+    const double t103 = t101 + t102;
+    const double t104 = predicted_mode_probability[0] * predicted_y_m0[3];
+    const double t105 = predicted_mode_probability[1] * predicted_y_m1[3];
+    const double t106 = t104 + t105;
+    const double t107 = predicted_mode_probability[2] * predicted_y_m2[3];
+    const double t108 = t106 + t107;
+    const double t109 = predicted_y_m0[3] - t108;
+    const double t110 = predicted_mode_probability[0] * t109;
+    const double t111 = t110 * t10;
+    const double t112 = predicted_y_m1[3] - t108;
+    const double t113 = predicted_mode_probability[1] * t112;
+    const double t114 = t113 * t13;
+    const double t115 = t111 + t114;
+    const double t116 = predicted_y_m2[3] - t108;
+    const double t117 = predicted_mode_probability[2] * t116;
+    const double t118 = t117 * t17;
+    const double t119 = t115 + t118;
+    combined_variance[6] = t103 + t119;
+    const double t121 = predicted_mode_probability[0] * variance_m0[7];
+    const double t122 = predicted_mode_probability[1] * variance_m1[7];
+    const double t123 = t121 + t122;
+    const double t124 = predicted_mode_probability[2] * variance_m2[7];
+    const double t125 = t123 + t124;
+    const double t126 = t110 * t32;
+    const double t127 = t113 * t35;
+    const double t128 = t126 + t127;
+    const double t129 = t117 * t39;
+    const double t130 = t128 + t129;
+    combined_variance[7] = t125 + t130;
+    const double t132 = predicted_mode_probability[0] * variance_m0[8];
+    const double t133 = predicted_mode_probability[1] * variance_m1[8];
+    const double t134 = t132 + t133;
+    const double t135 = predicted_mode_probability[2] * variance_m2[8];
+    const double t136 = t134 + t135;
+    const double t137 = t110 * t65;
+    const double t138 = t113 * t68;
+    const double t139 = t137 + t138;
+    const double t140 = t117 * t72;
+    const double t141 = t139 + t140;
+    combined_variance[8] = t136 + t141;
+    const double t143 = predicted_mode_probability[0] * variance_m0[9];
+    const double t144 = predicted_mode_probability[1] * variance_m1[9];
+    const double t145 = t143 + t144;
+    const double t146 = predicted_mode_probability[2] * variance_m2[9];
+    const double t147 = t145 + t146;
+    const double t148 = t110 * t109;
+    const double t149 = t113 * t112;
+    const double t150 = t148 + t149;
+    const double t151 = t117 * t116;
+    const double t152 = t150 + t151;
+    combined_variance[9] = t147 + t152;
+    const double t154 = predicted_mode_probability[0] * innovation_m0_0;
+    const double t155 = predicted_mode_probability[1] * innovation_m1_0;
+    const double t156 = t154 + t155;
+    const double t157 = predicted_mode_probability[2] * innovation_m2_0;
+    combined_innovation[0] = t156 + t157;
+    const double t159 = predicted_mode_probability[0] * innovation_m0_1;
+    const double t160 = predicted_mode_probability[1] * innovation_m1_1;
+    const double t161 = t159 + t160;
+    const double t162 = predicted_mode_probability[2] * innovation_m2_1;
+    combined_innovation[1] = t161 + t162;
+    const double t164 = predicted_mode_probability[0] * innovation_m0_2;
+    const double t165 = predicted_mode_probability[1] * innovation_m1_2;
+    const double t166 = t164 + t165;
+    const double t167 = predicted_mode_probability[2] * innovation_m2_2;
+    combined_innovation[2] = t166 + t167;
+    const double t169 = predicted_mode_probability[0] * innovation_m0_3;
+    const double t170 = predicted_mode_probability[1] * innovation_m1_3;
+    const double t171 = t169 + t170;
+    const double t172 = predicted_mode_probability[2] * innovation_m2_3;
+    combined_innovation[3] = t171 + t172;
+    whitening_pivot_combined_0 = combined_variance[0];
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(whitening_pivot_combined_0 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_0[0] = 1.0 / whitening_pivot_combined_0;
+    }
+    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
+    whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
+    whitening_combined_0_3[0] = combined_variance[6] * whitening_inverse_combined_0[0];
+    const double t178 = whitening_combined_0_1[0] * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t178;
+    if ((present & 0x2u) != 0u)
+    {
+        if (!(whitening_pivot_combined_1 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_1[0] = 1.0 / whitening_pivot_combined_1;
+    }
+    const double t181 = whitening_combined_0_2[0] * combined_variance[1];
+    const double t182 = combined_variance[4] - t181;
+    whitening_combined_1_2[0] = t182 * whitening_inverse_combined_1[0];
+    const double t184 = whitening_combined_0_3[0] * combined_variance[1];
+    const double t185 = combined_variance[7] - t184;
+    whitening_combined_1_3[0] = t185 * whitening_inverse_combined_1[0];
+    const double t187 = whitening_combined_0_2[0] * combined_variance[3];
+    const double t188 = combined_variance[5] - t187;
+    const double t189 = whitening_combined_0_2[0] * combined_variance[1];
+    const double t190 = combined_variance[4] - t189;
+    const double t191 = whitening_combined_1_2[0] * t190;
+    whitening_pivot_combined_2 = t188 - t191;
+    if ((present & 0x4u) != 0u)
+    {
+        if (!(whitening_pivot_combined_2 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_2[0] = 1.0 / whitening_pivot_combined_2;
+    }
+    const double t194 = whitening_combined_0_3[0] * combined_variance[3];
+    const double t195 = combined_variance[8] - t194;
+    const double t196 = whitening_combined_0_2[0] * combined_variance[1];
+    const double t197 = combined_variance[4] - t196;
+    const double t198 = whitening_combined_1_3[0] * t197;
+    const double t199 = t195 - t198;
+    whitening_combined_2_3[0] = t199 * whitening_inverse_combined_2[0];
+    const double t201 = whitening_combined_0_3[0] * combined_variance[6];
+    const double t202 = combined_variance[9] - t201;
+    const double t203 = whitening_combined_0_3[0] * combined_variance[1];
+    const double t204 = combined_variance[7] - t203;
+    const double t205 = whitening_combined_1_3[0] * t204;
+    const double t206 = t202 - t205;
+    const double t207 = whitening_combined_0_3[0] * combined_variance[3];
+    const double t208 = combined_variance[8] - t207;
+    const double t209 = whitening_combined_0_2[0] * combined_variance[1];
+    const double t210 = combined_variance[4] - t209;
+    const double t211 = whitening_combined_1_3[0] * t210;
+    const double t212 = t208 - t211;
+    const double t213 = whitening_combined_2_3[0] * t212;
+    whitening_pivot_combined_3 = t206 - t213;
+    if ((present & 0x8u) != 0u)
+    {
+        if (!(whitening_pivot_combined_3 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_3[0] = 1.0 / whitening_pivot_combined_3;
+    }
+
+    /* combination */
+    combined_0_2_share[0] = weight[0] + weight[1];
+    combined_0_2_share[1] = weight[2];
+    const double t217 = weight[0] + weight[1];
+    const double t218 = t217 + SHIP_TRACK_TINY;
+    combined_0_1_inverse = 1.0 / t218;
+    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
+    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
+    return SHIP_TRACK_OK;
+}
+
+/* mixing and prediction of every mode. */
+static void ship_track_mixing_and_prediction_2(const double *mode_probability,
+    const double mode_prediction_inverse_0, double *mode_prediction_1, const double *log_weight,
+    double *log_path_largest_1, double *path_share_total_1, double *mode_prediction_2,
+    double *log_path_largest_2, double *path_share_total_2, const double *mode_filtered_state,
+    const double *mode_filtered_covariance, double *moved_state_0, const double *Q,
+    double *moved_covariance_0, const double *A, double *moved_state_1, double *moved_covariance_1,
+    double *mixed_2_0_2_share, const ship_track_params_t *params)
+{
+    double mixing_0[3];
+    double log_path_1[2];
+    double path_share_1[2];
+    double path_share_inverse_1;
+    double log_path_2[2];
+    double path_share_2[2];
+    double path_share_inverse_2;
+    double mixed_0_0_2_share[2];
+    double mixed_0_0_1_inverse;
+    double mixed_0_0_1_share[2];
+    double mixed_apart_0_1[4];
+    double mixed_apart_0_1_squared[10];
+    double mixed_0_0_1_mean[4];
+    double mixed_0_0_1_covariance[10];
+    double mixed_0_0_2_mean[4];
+    double mixed_0_0_2_covariance[10];
+    double mixed_1_0_1_inverse;
+    double mixed_1_0_1_share[2];
+    double mixed_1_0_1_mean[4];
+    double mixed_1_0_1_covariance[10];
+    const double t0 = 0.9 * mode_probability[0];
+    mixing_0[0] = t0 * mode_prediction_inverse_0;
+    const double t2 = 0.15 * mode_probability[1];
+    mixing_0[1] = t2 * mode_prediction_inverse_0;
+    const double t4 = 0.15 * mode_probability[2];
+    mixing_0[2] = t4 * mode_prediction_inverse_0;
+    const double t6 = 0.05 * mode_probability[0];
+    const double t7 = 0.85 * mode_probability[1];
+    mode_prediction_1[0] = t6 + t7;
+    log_path_1[0] = log_weight[0] + -2.995732273553991;
+    log_path_1[1] = log_weight[1] + -0.16251892949777494;
+    log_path_largest_1[0] = (log_path_1[0] > log_path_1[1]) ? log_path_1[0] : log_path_1[1];
+    const double t12 = log_path_1[0] - log_path_largest_1[0];
+    path_share_1[0] = ship_track_exp(t12);
+    const double t14 = log_path_1[1] - log_path_largest_1[0];
+    path_share_1[1] = ship_track_exp(t14);
+    path_share_total_1[0] = path_share_1[0] + path_share_1[1];
+    path_share_inverse_1 = 1.0 / path_share_total_1[0];
+    const double t18 = 0.05 * mode_probability[0];
+    const double t19 = 0.85 * mode_probability[2];
+    mode_prediction_2[0] = t18 + t19;
+    log_path_2[0] = log_weight[0] + -2.995732273553991;
+    log_path_2[1] = log_weight[2] + -0.16251892949777494;
+    log_path_largest_2[0] = (log_path_2[0] > log_path_2[1]) ? log_path_2[0] : log_path_2[1];
+    const double t24 = log_path_2[0] - log_path_largest_2[0];
+    path_share_2[0] = ship_track_exp(t24);
+    const double t26 = log_path_2[1] - log_path_largest_2[0];
+    path_share_2[1] = ship_track_exp(t26);
+    path_share_total_2[0] = path_share_2[0] + path_share_2[1];
+    path_share_inverse_2 = 1.0 / path_share_total_2[0];
+
+    /* mixing and prediction of every mode */
+    mixed_0_0_2_share[0] = mixing_0[0] + mixing_0[1];
+    mixed_0_0_2_share[1] = mixing_0[2];
+    const double t31 = mixing_0[0] + mixing_0[1];
+    const double t32 = t31 + SHIP_TRACK_TINY;
+    mixed_0_0_1_inverse = 1.0 / t32;
+    mixed_0_0_1_share[0] = mixing_0[0] * mixed_0_0_1_inverse;
+    mixed_0_0_1_share[1] = mixing_0[1] * mixed_0_0_1_inverse;
+    mixed_apart_0_1[0] = mode_filtered_state[0] - mode_filtered_state[4];
+    mixed_apart_0_1[1] = mode_filtered_state[1] - mode_filtered_state[5];
+    mixed_apart_0_1[2] = mode_filtered_state[2] - mode_filtered_state[6];
+    mixed_apart_0_1[3] = mode_filtered_state[3] - mode_filtered_state[7];
+    mixed_apart_0_1_squared[0] = mixed_apart_0_1[0] * mixed_apart_0_1[0];
+    mixed_apart_0_1_squared[1] = mixed_apart_0_1[1] * mixed_apart_0_1[0];
+    mixed_apart_0_1_squared[2] = mixed_apart_0_1[1] * mixed_apart_0_1[1];
+    mixed_apart_0_1_squared[3] = mixed_apart_0_1[2] * mixed_apart_0_1[0];
+    mixed_apart_0_1_squared[4] = mixed_apart_0_1[2] * mixed_apart_0_1[1];
+    mixed_apart_0_1_squared[5] = mixed_apart_0_1[2] * mixed_apart_0_1[2];
+    mixed_apart_0_1_squared[6] = mixed_apart_0_1[3] * mixed_apart_0_1[0];
+    mixed_apart_0_1_squared[7] = mixed_apart_0_1[3] * mixed_apart_0_1[1];
+    mixed_apart_0_1_squared[8] = mixed_apart_0_1[3] * mixed_apart_0_1[2];
+    mixed_apart_0_1_squared[9] = mixed_apart_0_1[3] * mixed_apart_0_1[3];
+    ship_track_mixing_and_prediction(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean,
+        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
+    ship_track_part_3(mixed_0_0_1_mean, &mode_filtered_state[8], mixed_0_0_2_share,
+        mixed_0_0_2_mean, mixed_0_0_1_covariance, &mode_filtered_covariance[20],
+        mixed_0_0_2_covariance);
+    const double t50 = params->dt * mixed_0_0_2_mean[2];
+    moved_state_0[0] = mixed_0_0_2_mean[0] + t50;
+    const double t52 = params->dt * mixed_0_0_2_mean[3];
+    moved_state_0[1] = mixed_0_0_2_mean[1] + t52;
+    moved_state_0[2] = mixed_0_0_2_mean[2];
+    moved_state_0[3] = mixed_0_0_2_mean[3];
+    const double t54 = params->dt * mixed_0_0_2_covariance[3];
+    const double t55 = mixed_0_0_2_covariance[0] + t54;
+    const double t56 = params->dt * mixed_0_0_2_covariance[5];
+    const double t57 = mixed_0_0_2_covariance[3] + t56;
+    const double t58 = t57 * params->dt;
+    const double t59 = t55 + t58;
+    moved_covariance_0[0] = t59 + Q[0];
+    const double t61 = params->dt * mixed_0_0_2_covariance[6];
+    const double t62 = mixed_0_0_2_covariance[1] + t61;
+    const double t63 = params->dt * mixed_0_0_2_covariance[8];
+    const double t64 = mixed_0_0_2_covariance[4] + t63;
+    const double t65 = t64 * params->dt;
+    moved_covariance_0[1] = t62 + t65;
+    const double t67 = params->dt * mixed_0_0_2_covariance[7];
+    const double t68 = mixed_0_0_2_covariance[2] + t67;
+    const double t69 = params->dt * mixed_0_0_2_covariance[9];
+    const double t70 = mixed_0_0_2_covariance[7] + t69;
+    const double t71 = t70 * params->dt;
+    const double t72 = t68 + t71;
+    moved_covariance_0[2] = t72 + Q[2];
+    const double t74 = mixed_0_0_2_covariance[5] * params->dt;
+    const double t75 = mixed_0_0_2_covariance[3] + t74;
+    moved_covariance_0[3] = t75 + Q[1];
+    const double t77 = mixed_0_0_2_covariance[8] * params->dt;
+    moved_covariance_0[4] = mixed_0_0_2_covariance[4] + t77;
+    moved_covariance_0[5] = mixed_0_0_2_covariance[5] + Q[5];
+    const double t80 = mixed_0_0_2_covariance[8] * params->dt;
+    moved_covariance_0[6] = mixed_0_0_2_covariance[6] + t80;
+    const double t82 = mixed_0_0_2_covariance[9] * params->dt;
+    const double t83 = mixed_0_0_2_covariance[7] + t82;
+    moved_covariance_0[7] = t83 + Q[3];
+    moved_covariance_0[9] = mixed_0_0_2_covariance[9] + Q[7];
+    moved_covariance_0[8] = mixed_0_0_2_covariance[8];
+    const double t86 = path_share_1[0] * path_share_inverse_1;
+    const double t87 = path_share_1[1] * path_share_inverse_1;
+    const double t88 = t86 + t87;
+    const double t89 = t88 + SHIP_TRACK_TINY;
+    mixed_1_0_1_inverse = 1.0 / t89;
+    const double t91 = path_share_1[0] * path_share_inverse_1;
+    mixed_1_0_1_share[0] = t91 * mixed_1_0_1_inverse;
+    const double t93 = path_share_1[1] * path_share_inverse_1;
+    mixed_1_0_1_share[1] = t93 * mixed_1_0_1_inverse;
+    ship_track_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
+        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    const double t95 = A[0] * mixed_1_0_1_mean[2];
+    const double t96 = mixed_1_0_1_mean[0] + t95;
+    const double t97 = A[4] * mixed_1_0_1_mean[3];
+    moved_state_1[0] = t96 + t97;
+    const double t99 = A[1] * mixed_1_0_1_mean[2];
+    const double t100 = mixed_1_0_1_mean[1] + t99;
+    const double t101 = A[5] * mixed_1_0_1_mean[3];
+    moved_state_1[1] = t100 + t101;
+    const double t103 = A[2] * mixed_1_0_1_mean[2];
+    const double t104 = A[6] * mixed_1_0_1_mean[3];
+    moved_state_1[2] = t103 + t104;
+    const double t106 = A[3] * mixed_1_0_1_mean[2];
+    const double t107 = A[7] * mixed_1_0_1_mean[3];
+    moved_state_1[3] = t106 + t107;
+    const double t109 = A[0] * mixed_1_0_1_covariance[3];
+    const double t110 = mixed_1_0_1_covariance[0] + t109;
+    const double t111 = A[4] * mixed_1_0_1_covariance[6];
+    const double t112 = t110 + t111;
+    const double t113 = A[0] * mixed_1_0_1_covariance[5];
+    const double t114 = mixed_1_0_1_covariance[3] + t113;
+    const double t115 = A[4] * mixed_1_0_1_covariance[8];
+    const double t116 = t114 + t115;
+    const double t117 = t116 * A[0];
+    const double t118 = t112 + t117;
+    const double t119 = A[0] * mixed_1_0_1_covariance[8];
+    const double t120 = mixed_1_0_1_covariance[6] + t119;
+    const double t121 = A[4] * mixed_1_0_1_covariance[9];
+    const double t122 = t120 + t121;
+    const double t123 = t122 * A[4];
+    const double t124 = t118 + t123;
+    moved_covariance_1[0] = t124 + Q[8];
+    const double t126 = A[1] * mixed_1_0_1_covariance[3];
+    const double t127 = mixed_1_0_1_covariance[1] + t126;
+    const double t128 = A[5] * mixed_1_0_1_covariance[6];
+    const double t129 = t127 + t128;
+    const double t130 = A[1] * mixed_1_0_1_covariance[5];
+    const double t131 = mixed_1_0_1_covariance[4] + t130;
+    const double t132 = A[5] * mixed_1_0_1_covariance[8];
+    const double t133 = t131 + t132;
+    const double t134 = t133 * A[0];
+    const double t135 = t129 + t134;
+    const double t136 = A[1] * mixed_1_0_1_covariance[8];
+    const double t137 = mixed_1_0_1_covariance[7] + t136;
+    const double t138 = A[5] * mixed_1_0_1_covariance[9];
+    const double t139 = t137 + t138;
+    const double t140 = t139 * A[4];
+    moved_covariance_1[1] = t135 + t140;
+    const double t142 = A[1] * mixed_1_0_1_covariance[4];
+    const double t143 = mixed_1_0_1_covariance[2] + t142;
+    const double t144 = A[5] * mixed_1_0_1_covariance[7];
+    const double t145 = t143 + t144;
+    const double t146 = t133 * A[1];
+    const double t147 = t145 + t146;
+    const double t148 = t139 * A[5];
+    const double t149 = t147 + t148;
+    moved_covariance_1[2] = t149 + Q[10];
+    const double t151 = A[2] * mixed_1_0_1_covariance[3];
+    const double t152 = A[6] * mixed_1_0_1_covariance[6];
+    const double t153 = t151 + t152;
+    const double t154 = A[2] * mixed_1_0_1_covariance[5];
+    const double t155 = A[6] * mixed_1_0_1_covariance[8];
+    const double t156 = t154 + t155;
+    const double t157 = t156 * A[0];
+    const double t158 = t153 + t157;
+    const double t159 = A[2] * mixed_1_0_1_covariance[8];
+    const double t160 = A[6] * mixed_1_0_1_covariance[9];
+    const double t161 = t159 + t160;
+    const double t162 = t161 * A[4];
+    const double t163 = t158 + t162;
+    moved_covariance_1[3] = t163 + Q[9];
+    const double t165 = A[2] * mixed_1_0_1_covariance[4];
+    const double t166 = A[6] * mixed_1_0_1_covariance[7];
+    const double t167 = t165 + t166;
+    const double t168 = t156 * A[1];
+    const double t169 = t167 + t168;
+    const double t170 = t161 * A[5];
+    moved_covariance_1[4] = t169 + t170;
+    const double t172 = t156 * A[2];
+    const double t173 = t161 * A[6];
+    const double t174 = t172 + t173;
+    moved_covariance_1[5] = t174 + Q[13];
+    const double t176 = A[3] * mixed_1_0_1_covariance[3];
+    const double t177 = A[7] * mixed_1_0_1_covariance[6];
+    const double t178 = t176 + t177;
+    const double t179 = A[3] * mixed_1_0_1_covariance[5];
+    const double t180 = A[7] * mixed_1_0_1_covariance[8];
+    const double t181 = t179 + t180;
+    const double t182 = t181 * A[0];
+    const double t183 = t178 + t182;
+    const double t184 = A[3] * mixed_1_0_1_covariance[8];
+    const double t185 = A[7] * mixed_1_0_1_covariance[9];
+    const double t186 = t184 + t185;
+    const double t187 = t186 * A[4];
+    moved_covariance_1[6] = t183 + t187;
+    const double t189 = A[3] * mixed_1_0_1_covariance[4];
+    const double t190 = A[7] * mixed_1_0_1_covariance[7];
+    const double t191 = t189 + t190;
+    const double t192 = t181 * A[1];
+    const double t193 = t191 + t192;
+    const double t194 = t186 * A[5];
+    const double t195 = t193 + t194;
+    moved_covariance_1[7] = t195 + Q[11];
+    const double t197 = t181 * A[2];
+    const double t198 = t186 * A[6];
+    moved_covariance_1[8] = t197 + t198;
+    const double t200 = t181 * A[3];
+    const double t201 = t186 * A[7];
+    const double t202 = t200 + t201;
+    moved_covariance_1[9] = t202 + Q[15];
+    mixed_2_0_2_share[0] = path_share_2[0] * path_share_inverse_2;
+    mixed_2_0_2_share[1] = path_share_2[1] * path_share_inverse_2;
+}
+
+/* law of the next mode, and mixing weights. */
+static ship_track_status_t ship_track_law_of_the_next(const double *mode_probability,
+    double *mode_prediction_0, double *mode_prediction_1, const double *log_weight,
+    double *log_path_largest_1, double *path_share_total_1, double *mode_prediction_2,
+    double *log_path_largest_2, double *path_share_total_2, const double *mode_filtered_state,
+    const double *mode_filtered_covariance, double *moved_state_0, double *moved_covariance_0,
+    double *moved_state_1, double *moved_covariance_1, double *moved_state_2,
+    double *moved_covariance_2, double *predicted_0_2_share, double *predicted_0_1_inverse,
+    const ship_track_params_t *params)
+{
+    double A[16];
+    double Q[16];
+    double mode_prediction_inverse_0;
+    double mixed_2_0_2_share[2];
+    double mixed_2_0_2_apart[4];
+    double mixed_2_0_2_mean[4];
+    double mixed_2_0_2_covariance[10];
+    const double t0 = params->turn * params->dt;
+    const double t1 = ship_track_sin(t0);
+    const double t2 = t1 / params->turn;
+    const double t3 = ship_track_cos(t0);
+    const double t4 = 1.0 - t3;
+    const double t5 = t4 / params->turn;
+    const double t6 = -t5;
+    const double t7 = -t1;
+    A[0] = t2;
+    A[1] = t5;
+    A[2] = t3;
+    A[3] = t1;
+    A[4] = t6;
+    A[5] = t2;
+    A[6] = t7;
+    A[7] = t3;
+    A[8] = t2;
+    A[9] = t6;
+    A[10] = t3;
+    A[11] = t7;
+    A[12] = t5;
+    A[13] = t2;
+    A[14] = t1;
+    A[15] = t3;
+    const double t8 = params->dt * params->dt;
+    const double t9 = params->dt * t8;
+    const double t10 = 0.02 * t9;
+    const double t11 = t10 / 3.0;
+    const double t12 = 0.02 * t8;
+    const double t13 = t12 / 2.0;
+    const double t14 = 0.02 * params->dt;
+    const double t15 = 0.3 * t9;
+    const double t16 = t15 / 3.0;
+    const double t17 = 0.3 * t8;
+    const double t18 = t17 / 2.0;
+    const double t19 = 0.3 * params->dt;
+    Q[0] = t11;
+    Q[1] = t13;
+    Q[2] = t11;
+    Q[3] = t13;
+    Q[4] = t13;
+    Q[5] = t14;
+    Q[6] = t13;
+    Q[7] = t14;
+    Q[8] = t16;
+    Q[9] = t18;
+    Q[10] = t16;
+    Q[11] = t18;
+    Q[12] = t18;
+    Q[13] = t19;
+    Q[14] = t18;
+    Q[15] = t19;
+    if (!((Q[0] >= 0.0) && (Q[2] >= 0.0) && (Q[5] >= 0.0) && (Q[7] >= 0.0)))
+    {
+        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
+    }
+    if (!((Q[8] >= 0.0) && (Q[10] >= 0.0) && (Q[13] >= 0.0) && (Q[15] >= 0.0)))
+    {
+        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
+    }
+
+    /* law of the next mode, and mixing weights */
+    const double t20 = 0.9 * mode_probability[0];
+    const double t21 = 0.15 * mode_probability[1];
+    const double t22 = t20 + t21;
+    const double t23 = 0.15 * mode_probability[2];
+    mode_prediction_0[0] = t22 + t23;
+    mode_prediction_inverse_0 = 1.0 / mode_prediction_0[0];
+    ship_track_mixing_and_prediction_2(mode_probability, mode_prediction_inverse_0,
+        mode_prediction_1, log_weight, log_path_largest_1, path_share_total_1, mode_prediction_2,
+        log_path_largest_2, path_share_total_2, mode_filtered_state, mode_filtered_covariance,
+        moved_state_0, Q, moved_covariance_0, A, moved_state_1, moved_covariance_1,
+        mixed_2_0_2_share, params);
+    mixed_2_0_2_apart[0] = mode_filtered_state[0] - mode_filtered_state[8];
+    mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
+    mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
+    mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
+    const double t30 = mixed_2_0_2_share[0] * mode_filtered_state[0];
+    const double t31 = mixed_2_0_2_share[1] * mode_filtered_state[8];
+    mixed_2_0_2_mean[0] = t30 + t31;
+    const double t33 = mixed_2_0_2_share[0] * mode_filtered_state[1];
+    const double t34 = mixed_2_0_2_share[1] * mode_filtered_state[9];
+    mixed_2_0_2_mean[1] = t33 + t34;
+    const double t36 = mixed_2_0_2_share[0] * mode_filtered_state[2];
+    const double t37 = mixed_2_0_2_share[1] * mode_filtered_state[10];
+    mixed_2_0_2_mean[2] = t36 + t37;
+    const double t39 = mixed_2_0_2_share[0] * mode_filtered_state[3];
+    const double t40 = mixed_2_0_2_share[1] * mode_filtered_state[11];
+    mixed_2_0_2_mean[3] = t39 + t40;
+    const double t42 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
+    const double t43 = mixed_2_0_2_share[1] * mode_filtered_covariance[20];
+    const double t44 = t42 + t43;
+    const double t45 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
+    const double t46 = t45 * mixed_2_0_2_apart[0];
+    const double t47 = t46 * mixed_2_0_2_apart[0];
+    mixed_2_0_2_covariance[0] = t44 + t47;
+    const double t49 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
+    const double t50 = mixed_2_0_2_share[1] * mode_filtered_covariance[21];
+    const double t51 = t49 + t50;
+    const double t52 = t45 * mixed_2_0_2_apart[1];
+    const double t53 = t52 * mixed_2_0_2_apart[0];
+    mixed_2_0_2_covariance[1] = t51 + t53;
+    const double t55 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
+    const double t56 = mixed_2_0_2_share[1] * mode_filtered_covariance[22];
+    const double t57 = t55 + t56;
+    const double t58 = t52 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[2] = t57 + t58;
+    const double t60 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
+    const double t61 = mixed_2_0_2_share[1] * mode_filtered_covariance[23];
+    const double t62 = t60 + t61;
+    const double t63 = t45 * mixed_2_0_2_apart[2];
+    const double t64 = t63 * mixed_2_0_2_apart[0];
+    mixed_2_0_2_covariance[3] = t62 + t64;
+    const double t66 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
+    const double t67 = mixed_2_0_2_share[1] * mode_filtered_covariance[24];
+    const double t68 = t66 + t67;
+    const double t69 = t63 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[4] = t68 + t69;
+    const double t71 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
+    const double t72 = mixed_2_0_2_share[1] * mode_filtered_covariance[25];
+    const double t73 = t71 + t72;
+    const double t74 = t63 * mixed_2_0_2_apart[2];
+    mixed_2_0_2_covariance[5] = t73 + t74;
+    const double t76 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
+    const double t77 = mixed_2_0_2_share[1] * mode_filtered_covariance[26];
+    const double t78 = t76 + t77;
+    const double t79 = t45 * mixed_2_0_2_apart[3];
+    const double t80 = t79 * mixed_2_0_2_apart[0];
+    mixed_2_0_2_covariance[6] = t78 + t80;
+    const double t82 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
+    const double t83 = mixed_2_0_2_share[1] * mode_filtered_covariance[27];
+    const double t84 = t82 + t83;
+    const double t85 = t79 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[7] = t84 + t85;
+    const double t87 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
+    const double t88 = mixed_2_0_2_share[1] * mode_filtered_covariance[28];
+    const double t89 = t87 + t88;
+    const double t90 = t79 * mixed_2_0_2_apart[2];
+    mixed_2_0_2_covariance[8] = t89 + t90;
+    const double t92 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
+    const double t93 = mixed_2_0_2_share[1] * mode_filtered_covariance[29];
+    const double t94 = t92 + t93;
+    const double t95 = t79 * mixed_2_0_2_apart[3];
+    mixed_2_0_2_covariance[9] = t94 + t95;
+    const double t97 = A[8] * mixed_2_0_2_mean[2];
+    const double t98 = mixed_2_0_2_mean[0] + t97;
+    const double t99 = A[12] * mixed_2_0_2_mean[3];
+    moved_state_2[0] = t98 + t99;
+    const double t101 = A[9] * mixed_2_0_2_mean[2];
+    const double t102 = mixed_2_0_2_mean[1] + t101;
+    const double t103 = A[13] * mixed_2_0_2_mean[3];
+    moved_state_2[1] = t102 + t103;
+    const double t105 = A[10] * mixed_2_0_2_mean[2];
+    const double t106 = A[14] * mixed_2_0_2_mean[3];
+    moved_state_2[2] = t105 + t106;
+    const double t108 = A[11] * mixed_2_0_2_mean[2];
+    const double t109 = A[15] * mixed_2_0_2_mean[3];
+    moved_state_2[3] = t108 + t109;
+    const double t111 = A[8] * mixed_2_0_2_covariance[3];
+    const double t112 = mixed_2_0_2_covariance[0] + t111;
+    const double t113 = A[12] * mixed_2_0_2_covariance[6];
+    const double t114 = t112 + t113;
+    const double t115 = A[8] * mixed_2_0_2_covariance[5];
+    const double t116 = mixed_2_0_2_covariance[3] + t115;
+    const double t117 = A[12] * mixed_2_0_2_covariance[8];
+    const double t118 = t116 + t117;
+    const double t119 = t118 * A[8];
+    const double t120 = t114 + t119;
+    const double t121 = A[8] * mixed_2_0_2_covariance[8];
+    const double t122 = mixed_2_0_2_covariance[6] + t121;
+    const double t123 = A[12] * mixed_2_0_2_covariance[9];
+    const double t124 = t122 + t123;
+    const double t125 = t124 * A[12];
+    const double t126 = t120 + t125;
+    moved_covariance_2[0] = t126 + Q[8];
+    const double t128 = A[9] * mixed_2_0_2_covariance[3];
+    const double t129 = mixed_2_0_2_covariance[1] + t128;
+    const double t130 = A[13] * mixed_2_0_2_covariance[6];
+    const double t131 = t129 + t130;
+    const double t132 = A[9] * mixed_2_0_2_covariance[5];
+    const double t133 = mixed_2_0_2_covariance[4] + t132;
+    const double t134 = A[13] * mixed_2_0_2_covariance[8];
+    const double t135 = t133 + t134;
+    const double t136 = t135 * A[8];
+    const double t137 = t131 + t136;
+    const double t138 = A[9] * mixed_2_0_2_covariance[8];
+    const double t139 = mixed_2_0_2_covariance[7] + t138;
+    const double t140 = A[13] * mixed_2_0_2_covariance[9];
+    const double t141 = t139 + t140;
+    const double t142 = t141 * A[12];
+    moved_covariance_2[1] = t137 + t142;
+    const double t144 = A[9] * mixed_2_0_2_covariance[4];
+    const double t145 = mixed_2_0_2_covariance[2] + t144;
+    const double t146 = A[13] * mixed_2_0_2_covariance[7];
+    const double t147 = t145 + t146;
+    const double t148 = t135 * A[9];
+    const double t149 = t147 + t148;
+    const double t150 = t141 * A[13];
+    const double t151 = t149 + t150;
+    moved_covariance_2[2] = t151 + Q[10];
+    const double t153 = A[10] * mixed_2_0_2_covariance[3];
+    const double t154 = A[14] * mixed_2_0_2_covariance[6];
+    const double t155 = t153 + t154;
+    const double t156 = A[10] * mixed_2_0_2_covariance[5];
+    const double t157 = A[14] * mixed_2_0_2_covariance[8];
+    const double t158 = t156 + t157;
+    const double t159 = t158 * A[8];
+    const double t160 = t155 + t159;
+    const double t161 = A[10] * mixed_2_0_2_covariance[8];
+    const double t162 = A[14] * mixed_2_0_2_covariance[9];
+    const double t163 = t161 + t162;
+    const double t164 = t163 * A[12];
+    const double t165 = t160 + t164;
+    moved_covariance_2[3] = t165 + Q[9];
+    const double t167 = A[10] * mixed_2_0_2_covariance[4];
+    const double t168 = A[14] * mixed_2_0_2_covariance[7];
+    const double t169 = t167 + t168;
+    const double t170 = t158 * A[9];
+    const double t171 = t169 + t170;
+    const double t172 = t163 * A[13];
+    moved_covariance_2[4] = t171 + t172;
+    const double t174 = t158 * A[10];
+    const double t175 = t163 * A[14];
+    const double t176 = t174 + t175;
+    moved_covariance_2[5] = t176 + Q[13];
+    const double t178 = A[11] * mixed_2_0_2_covariance[3];
+    const double t179 = A[15] * mixed_2_0_2_covariance[6];
+    const double t180 = t178 + t179;
+    const double t181 = A[11] * mixed_2_0_2_covariance[5];
+    const double t182 = A[15] * mixed_2_0_2_covariance[8];
+    const double t183 = t181 + t182;
+    const double t184 = t183 * A[8];
+    const double t185 = t180 + t184;
+    const double t186 = A[11] * mixed_2_0_2_covariance[8];
+    const double t187 = A[15] * mixed_2_0_2_covariance[9];
+    const double t188 = t186 + t187;
+    const double t189 = t188 * A[12];
+    moved_covariance_2[6] = t185 + t189;
+    const double t191 = A[11] * mixed_2_0_2_covariance[4];
+    const double t192 = A[15] * mixed_2_0_2_covariance[7];
+    const double t193 = t191 + t192;
+    const double t194 = t183 * A[9];
+    const double t195 = t193 + t194;
+    const double t196 = t188 * A[13];
+    const double t197 = t195 + t196;
+    moved_covariance_2[7] = t197 + Q[11];
+    const double t199 = t183 * A[10];
+    const double t200 = t188 * A[14];
+    moved_covariance_2[8] = t199 + t200;
+    const double t202 = t183 * A[11];
+    const double t203 = t188 * A[15];
+    const double t204 = t202 + t203;
+    moved_covariance_2[9] = t204 + Q[15];
+
+    /* combined prediction */
+    predicted_0_2_share[0] = mode_prediction_0[0] + mode_prediction_1[0];
+    predicted_0_2_share[1] = mode_prediction_2[0];
+    const double t207 = mode_prediction_0[0] + mode_prediction_1[0];
+    const double t208 = t207 + SHIP_TRACK_TINY;
+    predicted_0_1_inverse[0] = 1.0 / t208;
+    return SHIP_TRACK_OK;
+}
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
 SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *self, const double *y,
     uint32_t present, ship_track_t *next)
@@ -308,17 +1656,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double variance_m0[10];
     double mean_m0[4];
     double covariance_m0[10];
-    double pivot_m0_0;
-    double inverse_m0_0 = 0.0;
     double quadratic_m0 = 0.0;
     double log_constant_m0 = 0.0;
     double determinant_m0_0 = 1.0;
-    double pivot_m0_1;
-    double inverse_m0_1 = 0.0;
-    double pivot_m0_2;
-    double inverse_m0_2 = 0.0;
-    double pivot_m0_3;
-    double inverse_m0_3 = 0.0;
     double log_density_m0;
     double innovation_m1_0 = 0.0;
     double innovation_m1_1 = 0.0;
@@ -327,17 +1667,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double variance_m1[10];
     double mean_m1[4];
     double covariance_m1[10];
-    double pivot_m1_0;
-    double inverse_m1_0 = 0.0;
     double quadratic_m1 = 0.0;
     double log_constant_m1 = 0.0;
     double determinant_m1_0 = 1.0;
-    double pivot_m1_1;
-    double inverse_m1_1 = 0.0;
-    double pivot_m1_2;
-    double inverse_m1_2 = 0.0;
-    double pivot_m1_3;
-    double inverse_m1_3 = 0.0;
     double log_density_m1;
     double innovation_m2_0 = 0.0;
     double innovation_m2_1 = 0.0;
@@ -346,17 +1678,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double variance_m2[10];
     double mean_m2[4];
     double covariance_m2[10];
-    double pivot_m2_0;
-    double inverse_m2_0 = 0.0;
     double quadratic_m2 = 0.0;
     double log_constant_m2 = 0.0;
     double determinant_m2_0 = 1.0;
-    double pivot_m2_1;
-    double inverse_m2_1 = 0.0;
-    double pivot_m2_2;
-    double inverse_m2_2 = 0.0;
-    double pivot_m2_3;
-    double inverse_m2_3 = 0.0;
     double log_density_m2;
     double weight[3];
     double log_weight_now[3];
@@ -367,35 +1691,23 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double share_total = 0.0;
     double share_total_inverse = 0.0;
     double log_share_total = 0.0;
-    double predicted_y_m0[4];
-    double predicted_y_m1[4];
-    double predicted_y_m2[4];
     double combined_variance[10];
     double combined_innovation[4];
-    double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1;
     double whitening_combined_0_2;
     double whitening_combined_0_3;
-    double whitening_pivot_combined_1;
     double whitening_inverse_combined_1 = 0.0;
     double whitening_combined_1_2;
     double whitening_combined_1_3;
-    double whitening_pivot_combined_2;
     double whitening_inverse_combined_2 = 0.0;
     double whitening_combined_2_3;
-    double whitening_pivot_combined_3;
     double whitening_inverse_combined_3 = 0.0;
     double combined_0_2_share[2];
-    double combined_0_1_inverse;
     double combined_0_1_share[2];
-    double combined_apart_0_1[4];
-    double combined_apart_0_1_squared[10];
-    double combined_0_1_mean[4];
-    double combined_0_1_covariance[10];
-    double combined_0_2_apart[4];
     double combined_0_2_mean[4];
     double combined_0_2_covariance[10];
+    ship_track_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[9] >= 0.0)))
     {
@@ -412,995 +1724,44 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
     }
 
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t0 = y[0] - self->mode_state[0];
-        innovation_m0_0 = t0;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t1 = y[1] - self->mode_state[1];
-        innovation_m0_1 = t1;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t2 = y[2] - self->mode_state[2];
-        innovation_m0_2 = t2;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t3 = y[3] - self->mode_state[3];
-        innovation_m0_3 = t3;
-    }
-
     /* mode 0: the model */
-    const double t4 = self->mode_covariance[0] + 16.0;
-    const double t5 = self->mode_covariance[2] + 36.0;
-    const double t6 = self->mode_covariance[5] + 0.04;
-    const double t7 = self->mode_covariance[9] + 0.04;
-    variance_m0[0] = t4;
-    variance_m0[1] = self->mode_covariance[1];
-    variance_m0[2] = t5;
-    variance_m0[3] = self->mode_covariance[3];
-    variance_m0[4] = self->mode_covariance[4];
-    variance_m0[5] = t6;
-    variance_m0[6] = self->mode_covariance[6];
-    variance_m0[7] = self->mode_covariance[7];
-    variance_m0[8] = self->mode_covariance[8];
-    variance_m0[9] = t7;
-    mean_m0[0] = self->mode_state[0];
-    mean_m0[1] = self->mode_state[1];
-    mean_m0[2] = self->mode_state[2];
-    mean_m0[3] = self->mode_state[3];
-    covariance_m0[0] = self->mode_covariance[0];
-    covariance_m0[1] = self->mode_covariance[1];
-    covariance_m0[2] = self->mode_covariance[2];
-    covariance_m0[3] = self->mode_covariance[3];
-    covariance_m0[4] = self->mode_covariance[4];
-    covariance_m0[5] = self->mode_covariance[5];
-    covariance_m0[6] = self->mode_covariance[6];
-    covariance_m0[7] = self->mode_covariance[7];
-    covariance_m0[8] = self->mode_covariance[8];
-    covariance_m0[9] = self->mode_covariance[9];
-
-    /* row 0 of y, report_east */
-    const double t8 = self->mode_covariance[0] + 16.0;
-    pivot_m0_0 = t8;
-    if ((present & 0x1u) != 0u)
+    status = ship_track_mode(y, self->mode_state, &innovation_m0_0, &innovation_m0_1,
+        &innovation_m0_2, &innovation_m0_3, self->mode_covariance, variance_m0, mean_m0,
+        covariance_m0, &quadratic_m0, &log_constant_m0, &determinant_m0_0, present);
+    if (status != SHIP_TRACK_OK)
     {
-        if (!(pivot_m0_0 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t9 = 1.0 / pivot_m0_0;
-        inverse_m0_0 = t9;
-        const double t10 = innovation_m0_0 * inverse_m0_0;
-        const double t11 = innovation_m0_0 * t10;
-        const double t12 = self->mode_covariance[0] * t10;
-        const double t13 = self->mode_state[0] + t12;
-        const double t14 = self->mode_covariance[1] * t10;
-        const double t15 = self->mode_state[1] + t14;
-        const double t16 = self->mode_covariance[3] * t10;
-        const double t17 = self->mode_state[2] + t16;
-        const double t18 = self->mode_covariance[6] * t10;
-        const double t19 = self->mode_state[3] + t18;
-        const double t20 = self->mode_covariance[0] * inverse_m0_0;
-        const double t21 = t20 * self->mode_covariance[0];
-        const double t22 = self->mode_covariance[0] - t21;
-        const double t23 = self->mode_covariance[1] * inverse_m0_0;
-        const double t24 = t23 * self->mode_covariance[0];
-        const double t25 = self->mode_covariance[1] - t24;
-        const double t26 = t23 * self->mode_covariance[1];
-        const double t27 = self->mode_covariance[2] - t26;
-        const double t28 = self->mode_covariance[3] * inverse_m0_0;
-        const double t29 = t28 * self->mode_covariance[0];
-        const double t30 = self->mode_covariance[3] - t29;
-        const double t31 = t28 * self->mode_covariance[1];
-        const double t32 = self->mode_covariance[4] - t31;
-        const double t33 = t28 * self->mode_covariance[3];
-        const double t34 = self->mode_covariance[5] - t33;
-        const double t35 = self->mode_covariance[6] * inverse_m0_0;
-        const double t36 = t35 * self->mode_covariance[0];
-        const double t37 = self->mode_covariance[6] - t36;
-        const double t38 = t35 * self->mode_covariance[1];
-        const double t39 = self->mode_covariance[7] - t38;
-        const double t40 = t35 * self->mode_covariance[3];
-        const double t41 = self->mode_covariance[8] - t40;
-        const double t42 = t35 * self->mode_covariance[6];
-        const double t43 = self->mode_covariance[9] - t42;
-        quadratic_m0 = t11;
-        log_constant_m0 = SHIP_TRACK_LOG_2_PI;
-        determinant_m0_0 = pivot_m0_0;
-        mean_m0[0] = t13;
-        mean_m0[1] = t15;
-        mean_m0[2] = t17;
-        mean_m0[3] = t19;
-        covariance_m0[0] = t22;
-        covariance_m0[1] = t25;
-        covariance_m0[2] = t27;
-        covariance_m0[3] = t30;
-        covariance_m0[4] = t32;
-        covariance_m0[5] = t34;
-        covariance_m0[6] = t37;
-        covariance_m0[7] = t39;
-        covariance_m0[8] = t41;
-        covariance_m0[9] = t43;
+        return status;
     }
-
-    /* row 1 of y, report_north */
-    const double t44 = covariance_m0[2] + 36.0;
-    pivot_m0_1 = t44;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_m0_1 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t45 = 1.0 / pivot_m0_1;
-        inverse_m0_1 = t45;
-        const double t46 = mean_m0[1] - self->mode_state[1];
-        const double t47 = innovation_m0_1 - t46;
-        const double t48 = t47 * inverse_m0_1;
-        const double t49 = t47 * t48;
-        const double t50 = quadratic_m0 + t49;
-        const double t51 = log_constant_m0 + SHIP_TRACK_LOG_2_PI;
-        const double t52 = determinant_m0_0 * pivot_m0_1;
-        const double t53 = covariance_m0[1] * t48;
-        const double t54 = mean_m0[0] + t53;
-        const double t55 = covariance_m0[2] * t48;
-        const double t56 = mean_m0[1] + t55;
-        const double t57 = covariance_m0[4] * t48;
-        const double t58 = mean_m0[2] + t57;
-        const double t59 = covariance_m0[7] * t48;
-        const double t60 = mean_m0[3] + t59;
-        const double t61 = covariance_m0[1] * inverse_m0_1;
-        const double t62 = t61 * covariance_m0[1];
-        const double t63 = covariance_m0[0] - t62;
-        const double t64 = covariance_m0[2] * inverse_m0_1;
-        const double t65 = t64 * covariance_m0[1];
-        const double t66 = covariance_m0[1] - t65;
-        const double t67 = t64 * covariance_m0[2];
-        const double t68 = covariance_m0[2] - t67;
-        const double t69 = covariance_m0[4] * inverse_m0_1;
-        const double t70 = t69 * covariance_m0[1];
-        const double t71 = covariance_m0[3] - t70;
-        const double t72 = t69 * covariance_m0[2];
-        const double t73 = covariance_m0[4] - t72;
-        const double t74 = t69 * covariance_m0[4];
-        const double t75 = covariance_m0[5] - t74;
-        const double t76 = covariance_m0[7] * inverse_m0_1;
-        const double t77 = t76 * covariance_m0[1];
-        const double t78 = covariance_m0[6] - t77;
-        const double t79 = t76 * covariance_m0[2];
-        const double t80 = covariance_m0[7] - t79;
-        const double t81 = t76 * covariance_m0[4];
-        const double t82 = covariance_m0[8] - t81;
-        const double t83 = t76 * covariance_m0[7];
-        const double t84 = covariance_m0[9] - t83;
-        quadratic_m0 = t50;
-        log_constant_m0 = t51;
-        determinant_m0_0 = t52;
-        mean_m0[0] = t54;
-        mean_m0[1] = t56;
-        mean_m0[2] = t58;
-        mean_m0[3] = t60;
-        covariance_m0[0] = t63;
-        covariance_m0[1] = t66;
-        covariance_m0[2] = t68;
-        covariance_m0[3] = t71;
-        covariance_m0[4] = t73;
-        covariance_m0[5] = t75;
-        covariance_m0[6] = t78;
-        covariance_m0[7] = t80;
-        covariance_m0[8] = t82;
-        covariance_m0[9] = t84;
-    }
-
-    /* row 2 of y, report_speed_east */
-    const double t85 = covariance_m0[5] + 0.04;
-    pivot_m0_2 = t85;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_m0_2 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t86 = 1.0 / pivot_m0_2;
-        inverse_m0_2 = t86;
-        const double t87 = mean_m0[2] - self->mode_state[2];
-        const double t88 = innovation_m0_2 - t87;
-        const double t89 = t88 * inverse_m0_2;
-        const double t90 = t88 * t89;
-        const double t91 = quadratic_m0 + t90;
-        const double t92 = log_constant_m0 + SHIP_TRACK_LOG_2_PI;
-        const double t93 = determinant_m0_0 * pivot_m0_2;
-        const double t94 = covariance_m0[3] * t89;
-        const double t95 = mean_m0[0] + t94;
-        const double t96 = covariance_m0[4] * t89;
-        const double t97 = mean_m0[1] + t96;
-        const double t98 = covariance_m0[5] * t89;
-        const double t99 = mean_m0[2] + t98;
-        const double t100 = covariance_m0[8] * t89;
-        const double t101 = mean_m0[3] + t100;
-        const double t102 = covariance_m0[3] * inverse_m0_2;
-        const double t103 = t102 * covariance_m0[3];
-        const double t104 = covariance_m0[0] - t103;
-        const double t105 = covariance_m0[4] * inverse_m0_2;
-        const double t106 = t105 * covariance_m0[3];
-        const double t107 = covariance_m0[1] - t106;
-        const double t108 = t105 * covariance_m0[4];
-        const double t109 = covariance_m0[2] - t108;
-        const double t110 = covariance_m0[5] * inverse_m0_2;
-        const double t111 = t110 * covariance_m0[3];
-        const double t112 = covariance_m0[3] - t111;
-        const double t113 = t110 * covariance_m0[4];
-        const double t114 = covariance_m0[4] - t113;
-        const double t115 = t110 * covariance_m0[5];
-        const double t116 = covariance_m0[5] - t115;
-        const double t117 = covariance_m0[8] * inverse_m0_2;
-        const double t118 = t117 * covariance_m0[3];
-        const double t119 = covariance_m0[6] - t118;
-        const double t120 = t117 * covariance_m0[4];
-        const double t121 = covariance_m0[7] - t120;
-        const double t122 = t117 * covariance_m0[5];
-        const double t123 = covariance_m0[8] - t122;
-        const double t124 = t117 * covariance_m0[8];
-        const double t125 = covariance_m0[9] - t124;
-        quadratic_m0 = t91;
-        log_constant_m0 = t92;
-        determinant_m0_0 = t93;
-        mean_m0[0] = t95;
-        mean_m0[1] = t97;
-        mean_m0[2] = t99;
-        mean_m0[3] = t101;
-        covariance_m0[0] = t104;
-        covariance_m0[1] = t107;
-        covariance_m0[2] = t109;
-        covariance_m0[3] = t112;
-        covariance_m0[4] = t114;
-        covariance_m0[5] = t116;
-        covariance_m0[6] = t119;
-        covariance_m0[7] = t121;
-        covariance_m0[8] = t123;
-        covariance_m0[9] = t125;
-    }
-
-    /* row 3 of y, report_speed_north */
-    const double t126 = covariance_m0[9] + 0.04;
-    pivot_m0_3 = t126;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_m0_3 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t127 = 1.0 / pivot_m0_3;
-        inverse_m0_3 = t127;
-        const double t128 = mean_m0[3] - self->mode_state[3];
-        const double t129 = innovation_m0_3 - t128;
-        const double t130 = t129 * inverse_m0_3;
-        const double t131 = t129 * t130;
-        const double t132 = quadratic_m0 + t131;
-        const double t133 = log_constant_m0 + SHIP_TRACK_LOG_2_PI;
-        const double t134 = determinant_m0_0 * pivot_m0_3;
-        const double t135 = covariance_m0[6] * t130;
-        const double t136 = mean_m0[0] + t135;
-        const double t137 = covariance_m0[7] * t130;
-        const double t138 = mean_m0[1] + t137;
-        const double t139 = covariance_m0[8] * t130;
-        const double t140 = mean_m0[2] + t139;
-        const double t141 = covariance_m0[9] * t130;
-        const double t142 = mean_m0[3] + t141;
-        const double t143 = covariance_m0[6] * inverse_m0_3;
-        const double t144 = t143 * covariance_m0[6];
-        const double t145 = covariance_m0[0] - t144;
-        const double t146 = covariance_m0[7] * inverse_m0_3;
-        const double t147 = t146 * covariance_m0[6];
-        const double t148 = covariance_m0[1] - t147;
-        const double t149 = t146 * covariance_m0[7];
-        const double t150 = covariance_m0[2] - t149;
-        const double t151 = covariance_m0[8] * inverse_m0_3;
-        const double t152 = t151 * covariance_m0[6];
-        const double t153 = covariance_m0[3] - t152;
-        const double t154 = t151 * covariance_m0[7];
-        const double t155 = covariance_m0[4] - t154;
-        const double t156 = t151 * covariance_m0[8];
-        const double t157 = covariance_m0[5] - t156;
-        const double t158 = covariance_m0[9] * inverse_m0_3;
-        const double t159 = t158 * covariance_m0[6];
-        const double t160 = covariance_m0[6] - t159;
-        const double t161 = t158 * covariance_m0[7];
-        const double t162 = covariance_m0[7] - t161;
-        const double t163 = t158 * covariance_m0[8];
-        const double t164 = covariance_m0[8] - t163;
-        const double t165 = t158 * covariance_m0[9];
-        const double t166 = covariance_m0[9] - t165;
-        quadratic_m0 = t132;
-        log_constant_m0 = t133;
-        determinant_m0_0 = t134;
-        mean_m0[0] = t136;
-        mean_m0[1] = t138;
-        mean_m0[2] = t140;
-        mean_m0[3] = t142;
-        covariance_m0[0] = t145;
-        covariance_m0[1] = t148;
-        covariance_m0[2] = t150;
-        covariance_m0[3] = t153;
-        covariance_m0[4] = t155;
-        covariance_m0[5] = t157;
-        covariance_m0[6] = t160;
-        covariance_m0[7] = t162;
-        covariance_m0[8] = t164;
-        covariance_m0[9] = t166;
-    }
-
-    /* mode 0: the model */
     const double t167 = ship_track_log(determinant_m0_0);
     const double t168 = log_constant_m0 + t167;
     const double t169 = quadratic_m0 + t168;
-    const double t170 = -0.5 * t169;
-    log_density_m0 = t170;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t171 = y[0] - self->mode_state[4];
-        innovation_m1_0 = t171;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t172 = y[1] - self->mode_state[5];
-        innovation_m1_1 = t172;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t173 = y[2] - self->mode_state[6];
-        innovation_m1_2 = t173;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t174 = y[3] - self->mode_state[7];
-        innovation_m1_3 = t174;
-    }
+    log_density_m0 = -0.5 * t169;
 
     /* mode 1: with its own A, Q */
-    const double t175 = self->mode_covariance[10] + 16.0;
-    const double t176 = self->mode_covariance[12] + 36.0;
-    const double t177 = self->mode_covariance[15] + 0.04;
-    const double t178 = self->mode_covariance[19] + 0.04;
-    variance_m1[0] = t175;
-    variance_m1[1] = self->mode_covariance[11];
-    variance_m1[2] = t176;
-    variance_m1[3] = self->mode_covariance[13];
-    variance_m1[4] = self->mode_covariance[14];
-    variance_m1[5] = t177;
-    variance_m1[6] = self->mode_covariance[16];
-    variance_m1[7] = self->mode_covariance[17];
-    variance_m1[8] = self->mode_covariance[18];
-    variance_m1[9] = t178;
-    mean_m1[0] = self->mode_state[4];
-    mean_m1[1] = self->mode_state[5];
-    mean_m1[2] = self->mode_state[6];
-    mean_m1[3] = self->mode_state[7];
-    covariance_m1[0] = self->mode_covariance[10];
-    covariance_m1[1] = self->mode_covariance[11];
-    covariance_m1[2] = self->mode_covariance[12];
-    covariance_m1[3] = self->mode_covariance[13];
-    covariance_m1[4] = self->mode_covariance[14];
-    covariance_m1[5] = self->mode_covariance[15];
-    covariance_m1[6] = self->mode_covariance[16];
-    covariance_m1[7] = self->mode_covariance[17];
-    covariance_m1[8] = self->mode_covariance[18];
-    covariance_m1[9] = self->mode_covariance[19];
-
-    /* row 0 of y, report_east */
-    const double t179 = self->mode_covariance[10] + 16.0;
-    pivot_m1_0 = t179;
-    if ((present & 0x1u) != 0u)
+    status = ship_track_mode(y, &self->mode_state[4], &innovation_m1_0, &innovation_m1_1,
+        &innovation_m1_2, &innovation_m1_3, &self->mode_covariance[10], variance_m1, mean_m1,
+        covariance_m1, &quadratic_m1, &log_constant_m1, &determinant_m1_0, present);
+    if (status != SHIP_TRACK_OK)
     {
-        if (!(pivot_m1_0 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t180 = 1.0 / pivot_m1_0;
-        inverse_m1_0 = t180;
-        const double t181 = innovation_m1_0 * inverse_m1_0;
-        const double t182 = innovation_m1_0 * t181;
-        const double t183 = self->mode_covariance[10] * t181;
-        const double t184 = self->mode_state[4] + t183;
-        const double t185 = self->mode_covariance[11] * t181;
-        const double t186 = self->mode_state[5] + t185;
-        const double t187 = self->mode_covariance[13] * t181;
-        const double t188 = self->mode_state[6] + t187;
-        const double t189 = self->mode_covariance[16] * t181;
-        const double t190 = self->mode_state[7] + t189;
-        const double t191 = self->mode_covariance[10] * inverse_m1_0;
-        const double t192 = t191 * self->mode_covariance[10];
-        const double t193 = self->mode_covariance[10] - t192;
-        const double t194 = self->mode_covariance[11] * inverse_m1_0;
-        const double t195 = t194 * self->mode_covariance[10];
-        const double t196 = self->mode_covariance[11] - t195;
-        const double t197 = t194 * self->mode_covariance[11];
-        const double t198 = self->mode_covariance[12] - t197;
-        const double t199 = self->mode_covariance[13] * inverse_m1_0;
-        const double t200 = t199 * self->mode_covariance[10];
-        const double t201 = self->mode_covariance[13] - t200;
-        const double t202 = t199 * self->mode_covariance[11];
-        const double t203 = self->mode_covariance[14] - t202;
-        const double t204 = t199 * self->mode_covariance[13];
-        const double t205 = self->mode_covariance[15] - t204;
-        const double t206 = self->mode_covariance[16] * inverse_m1_0;
-        const double t207 = t206 * self->mode_covariance[10];
-        const double t208 = self->mode_covariance[16] - t207;
-        const double t209 = t206 * self->mode_covariance[11];
-        const double t210 = self->mode_covariance[17] - t209;
-        const double t211 = t206 * self->mode_covariance[13];
-        const double t212 = self->mode_covariance[18] - t211;
-        const double t213 = t206 * self->mode_covariance[16];
-        const double t214 = self->mode_covariance[19] - t213;
-        quadratic_m1 = t182;
-        log_constant_m1 = SHIP_TRACK_LOG_2_PI;
-        determinant_m1_0 = pivot_m1_0;
-        mean_m1[0] = t184;
-        mean_m1[1] = t186;
-        mean_m1[2] = t188;
-        mean_m1[3] = t190;
-        covariance_m1[0] = t193;
-        covariance_m1[1] = t196;
-        covariance_m1[2] = t198;
-        covariance_m1[3] = t201;
-        covariance_m1[4] = t203;
-        covariance_m1[5] = t205;
-        covariance_m1[6] = t208;
-        covariance_m1[7] = t210;
-        covariance_m1[8] = t212;
-        covariance_m1[9] = t214;
+        return status;
     }
-
-    /* row 1 of y, report_north */
-    const double t215 = covariance_m1[2] + 36.0;
-    pivot_m1_1 = t215;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_m1_1 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t216 = 1.0 / pivot_m1_1;
-        inverse_m1_1 = t216;
-        const double t217 = mean_m1[1] - self->mode_state[5];
-        const double t218 = innovation_m1_1 - t217;
-        const double t219 = t218 * inverse_m1_1;
-        const double t220 = t218 * t219;
-        const double t221 = quadratic_m1 + t220;
-        const double t222 = log_constant_m1 + SHIP_TRACK_LOG_2_PI;
-        const double t223 = determinant_m1_0 * pivot_m1_1;
-        const double t224 = covariance_m1[1] * t219;
-        const double t225 = mean_m1[0] + t224;
-        const double t226 = covariance_m1[2] * t219;
-        const double t227 = mean_m1[1] + t226;
-        const double t228 = covariance_m1[4] * t219;
-        const double t229 = mean_m1[2] + t228;
-        const double t230 = covariance_m1[7] * t219;
-        const double t231 = mean_m1[3] + t230;
-        const double t232 = covariance_m1[1] * inverse_m1_1;
-        const double t233 = t232 * covariance_m1[1];
-        const double t234 = covariance_m1[0] - t233;
-        const double t235 = covariance_m1[2] * inverse_m1_1;
-        const double t236 = t235 * covariance_m1[1];
-        const double t237 = covariance_m1[1] - t236;
-        const double t238 = t235 * covariance_m1[2];
-        const double t239 = covariance_m1[2] - t238;
-        const double t240 = covariance_m1[4] * inverse_m1_1;
-        const double t241 = t240 * covariance_m1[1];
-        const double t242 = covariance_m1[3] - t241;
-        const double t243 = t240 * covariance_m1[2];
-        const double t244 = covariance_m1[4] - t243;
-        const double t245 = t240 * covariance_m1[4];
-        const double t246 = covariance_m1[5] - t245;
-        const double t247 = covariance_m1[7] * inverse_m1_1;
-        const double t248 = t247 * covariance_m1[1];
-        const double t249 = covariance_m1[6] - t248;
-        const double t250 = t247 * covariance_m1[2];
-        const double t251 = covariance_m1[7] - t250;
-        const double t252 = t247 * covariance_m1[4];
-        const double t253 = covariance_m1[8] - t252;
-        const double t254 = t247 * covariance_m1[7];
-        const double t255 = covariance_m1[9] - t254;
-        quadratic_m1 = t221;
-        log_constant_m1 = t222;
-        determinant_m1_0 = t223;
-        mean_m1[0] = t225;
-        mean_m1[1] = t227;
-        mean_m1[2] = t229;
-        mean_m1[3] = t231;
-        covariance_m1[0] = t234;
-        covariance_m1[1] = t237;
-        covariance_m1[2] = t239;
-        covariance_m1[3] = t242;
-        covariance_m1[4] = t244;
-        covariance_m1[5] = t246;
-        covariance_m1[6] = t249;
-        covariance_m1[7] = t251;
-        covariance_m1[8] = t253;
-        covariance_m1[9] = t255;
-    }
-
-    /* row 2 of y, report_speed_east */
-    const double t256 = covariance_m1[5] + 0.04;
-    pivot_m1_2 = t256;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_m1_2 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t257 = 1.0 / pivot_m1_2;
-        inverse_m1_2 = t257;
-        const double t258 = mean_m1[2] - self->mode_state[6];
-        const double t259 = innovation_m1_2 - t258;
-        const double t260 = t259 * inverse_m1_2;
-        const double t261 = t259 * t260;
-        const double t262 = quadratic_m1 + t261;
-        const double t263 = log_constant_m1 + SHIP_TRACK_LOG_2_PI;
-        const double t264 = determinant_m1_0 * pivot_m1_2;
-        const double t265 = covariance_m1[3] * t260;
-        const double t266 = mean_m1[0] + t265;
-        const double t267 = covariance_m1[4] * t260;
-        const double t268 = mean_m1[1] + t267;
-        const double t269 = covariance_m1[5] * t260;
-        const double t270 = mean_m1[2] + t269;
-        const double t271 = covariance_m1[8] * t260;
-        const double t272 = mean_m1[3] + t271;
-        const double t273 = covariance_m1[3] * inverse_m1_2;
-        const double t274 = t273 * covariance_m1[3];
-        const double t275 = covariance_m1[0] - t274;
-        const double t276 = covariance_m1[4] * inverse_m1_2;
-        const double t277 = t276 * covariance_m1[3];
-        const double t278 = covariance_m1[1] - t277;
-        const double t279 = t276 * covariance_m1[4];
-        const double t280 = covariance_m1[2] - t279;
-        const double t281 = covariance_m1[5] * inverse_m1_2;
-        const double t282 = t281 * covariance_m1[3];
-        const double t283 = covariance_m1[3] - t282;
-        const double t284 = t281 * covariance_m1[4];
-        const double t285 = covariance_m1[4] - t284;
-        const double t286 = t281 * covariance_m1[5];
-        const double t287 = covariance_m1[5] - t286;
-        const double t288 = covariance_m1[8] * inverse_m1_2;
-        const double t289 = t288 * covariance_m1[3];
-        const double t290 = covariance_m1[6] - t289;
-        const double t291 = t288 * covariance_m1[4];
-        const double t292 = covariance_m1[7] - t291;
-        const double t293 = t288 * covariance_m1[5];
-        const double t294 = covariance_m1[8] - t293;
-        const double t295 = t288 * covariance_m1[8];
-        const double t296 = covariance_m1[9] - t295;
-        quadratic_m1 = t262;
-        log_constant_m1 = t263;
-        determinant_m1_0 = t264;
-        mean_m1[0] = t266;
-        mean_m1[1] = t268;
-        mean_m1[2] = t270;
-        mean_m1[3] = t272;
-        covariance_m1[0] = t275;
-        covariance_m1[1] = t278;
-        covariance_m1[2] = t280;
-        covariance_m1[3] = t283;
-        covariance_m1[4] = t285;
-        covariance_m1[5] = t287;
-        covariance_m1[6] = t290;
-        covariance_m1[7] = t292;
-        covariance_m1[8] = t294;
-        covariance_m1[9] = t296;
-    }
-
-    /* row 3 of y, report_speed_north */
-    const double t297 = covariance_m1[9] + 0.04;
-    pivot_m1_3 = t297;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_m1_3 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t298 = 1.0 / pivot_m1_3;
-        inverse_m1_3 = t298;
-        const double t299 = mean_m1[3] - self->mode_state[7];
-        const double t300 = innovation_m1_3 - t299;
-        const double t301 = t300 * inverse_m1_3;
-        const double t302 = t300 * t301;
-        const double t303 = quadratic_m1 + t302;
-        const double t304 = log_constant_m1 + SHIP_TRACK_LOG_2_PI;
-        const double t305 = determinant_m1_0 * pivot_m1_3;
-        const double t306 = covariance_m1[6] * t301;
-        const double t307 = mean_m1[0] + t306;
-        const double t308 = covariance_m1[7] * t301;
-        const double t309 = mean_m1[1] + t308;
-        const double t310 = covariance_m1[8] * t301;
-        const double t311 = mean_m1[2] + t310;
-        const double t312 = covariance_m1[9] * t301;
-        const double t313 = mean_m1[3] + t312;
-        const double t314 = covariance_m1[6] * inverse_m1_3;
-        const double t315 = t314 * covariance_m1[6];
-        const double t316 = covariance_m1[0] - t315;
-        const double t317 = covariance_m1[7] * inverse_m1_3;
-        const double t318 = t317 * covariance_m1[6];
-        const double t319 = covariance_m1[1] - t318;
-        const double t320 = t317 * covariance_m1[7];
-        const double t321 = covariance_m1[2] - t320;
-        const double t322 = covariance_m1[8] * inverse_m1_3;
-        const double t323 = t322 * covariance_m1[6];
-        const double t324 = covariance_m1[3] - t323;
-        const double t325 = t322 * covariance_m1[7];
-        const double t326 = covariance_m1[4] - t325;
-        const double t327 = t322 * covariance_m1[8];
-        const double t328 = covariance_m1[5] - t327;
-        const double t329 = covariance_m1[9] * inverse_m1_3;
-        const double t330 = t329 * covariance_m1[6];
-        const double t331 = covariance_m1[6] - t330;
-        const double t332 = t329 * covariance_m1[7];
-        const double t333 = covariance_m1[7] - t332;
-        const double t334 = t329 * covariance_m1[8];
-        const double t335 = covariance_m1[8] - t334;
-        const double t336 = t329 * covariance_m1[9];
-        const double t337 = covariance_m1[9] - t336;
-        quadratic_m1 = t303;
-        log_constant_m1 = t304;
-        determinant_m1_0 = t305;
-        mean_m1[0] = t307;
-        mean_m1[1] = t309;
-        mean_m1[2] = t311;
-        mean_m1[3] = t313;
-        covariance_m1[0] = t316;
-        covariance_m1[1] = t319;
-        covariance_m1[2] = t321;
-        covariance_m1[3] = t324;
-        covariance_m1[4] = t326;
-        covariance_m1[5] = t328;
-        covariance_m1[6] = t331;
-        covariance_m1[7] = t333;
-        covariance_m1[8] = t335;
-        covariance_m1[9] = t337;
-    }
-
-    /* mode 1: with its own A, Q */
     const double t338 = ship_track_log(determinant_m1_0);
     const double t339 = log_constant_m1 + t338;
     const double t340 = quadratic_m1 + t339;
-    const double t341 = -0.5 * t340;
-    log_density_m1 = t341;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t342 = y[0] - self->mode_state[8];
-        innovation_m2_0 = t342;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t343 = y[1] - self->mode_state[9];
-        innovation_m2_1 = t343;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t344 = y[2] - self->mode_state[10];
-        innovation_m2_2 = t344;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t345 = y[3] - self->mode_state[11];
-        innovation_m2_3 = t345;
-    }
+    log_density_m1 = -0.5 * t340;
 
     /* mode 2: with its own A, Q */
-    const double t346 = self->mode_covariance[20] + 16.0;
-    const double t347 = self->mode_covariance[22] + 36.0;
-    const double t348 = self->mode_covariance[25] + 0.04;
-    const double t349 = self->mode_covariance[29] + 0.04;
-    variance_m2[0] = t346;
-    variance_m2[1] = self->mode_covariance[21];
-    variance_m2[2] = t347;
-    variance_m2[3] = self->mode_covariance[23];
-    variance_m2[4] = self->mode_covariance[24];
-    variance_m2[5] = t348;
-    variance_m2[6] = self->mode_covariance[26];
-    variance_m2[7] = self->mode_covariance[27];
-    variance_m2[8] = self->mode_covariance[28];
-    variance_m2[9] = t349;
-    mean_m2[0] = self->mode_state[8];
-    mean_m2[1] = self->mode_state[9];
-    mean_m2[2] = self->mode_state[10];
-    mean_m2[3] = self->mode_state[11];
-    covariance_m2[0] = self->mode_covariance[20];
-    covariance_m2[1] = self->mode_covariance[21];
-    covariance_m2[2] = self->mode_covariance[22];
-    covariance_m2[3] = self->mode_covariance[23];
-    covariance_m2[4] = self->mode_covariance[24];
-    covariance_m2[5] = self->mode_covariance[25];
-    covariance_m2[6] = self->mode_covariance[26];
-    covariance_m2[7] = self->mode_covariance[27];
-    covariance_m2[8] = self->mode_covariance[28];
-    covariance_m2[9] = self->mode_covariance[29];
-
-    /* row 0 of y, report_east */
-    const double t350 = self->mode_covariance[20] + 16.0;
-    pivot_m2_0 = t350;
-    if ((present & 0x1u) != 0u)
+    status = ship_track_mode(y, &self->mode_state[8], &innovation_m2_0, &innovation_m2_1,
+        &innovation_m2_2, &innovation_m2_3, &self->mode_covariance[20], variance_m2, mean_m2,
+        covariance_m2, &quadratic_m2, &log_constant_m2, &determinant_m2_0, present);
+    if (status != SHIP_TRACK_OK)
     {
-        if (!(pivot_m2_0 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t351 = 1.0 / pivot_m2_0;
-        inverse_m2_0 = t351;
-        const double t352 = innovation_m2_0 * inverse_m2_0;
-        const double t353 = innovation_m2_0 * t352;
-        const double t354 = self->mode_covariance[20] * t352;
-        const double t355 = self->mode_state[8] + t354;
-        const double t356 = self->mode_covariance[21] * t352;
-        const double t357 = self->mode_state[9] + t356;
-        const double t358 = self->mode_covariance[23] * t352;
-        const double t359 = self->mode_state[10] + t358;
-        const double t360 = self->mode_covariance[26] * t352;
-        const double t361 = self->mode_state[11] + t360;
-        const double t362 = self->mode_covariance[20] * inverse_m2_0;
-        const double t363 = t362 * self->mode_covariance[20];
-        const double t364 = self->mode_covariance[20] - t363;
-        const double t365 = self->mode_covariance[21] * inverse_m2_0;
-        const double t366 = t365 * self->mode_covariance[20];
-        const double t367 = self->mode_covariance[21] - t366;
-        const double t368 = t365 * self->mode_covariance[21];
-        const double t369 = self->mode_covariance[22] - t368;
-        const double t370 = self->mode_covariance[23] * inverse_m2_0;
-        const double t371 = t370 * self->mode_covariance[20];
-        const double t372 = self->mode_covariance[23] - t371;
-        const double t373 = t370 * self->mode_covariance[21];
-        const double t374 = self->mode_covariance[24] - t373;
-        const double t375 = t370 * self->mode_covariance[23];
-        const double t376 = self->mode_covariance[25] - t375;
-        const double t377 = self->mode_covariance[26] * inverse_m2_0;
-        const double t378 = t377 * self->mode_covariance[20];
-        const double t379 = self->mode_covariance[26] - t378;
-        const double t380 = t377 * self->mode_covariance[21];
-        const double t381 = self->mode_covariance[27] - t380;
-        const double t382 = t377 * self->mode_covariance[23];
-        const double t383 = self->mode_covariance[28] - t382;
-        const double t384 = t377 * self->mode_covariance[26];
-        const double t385 = self->mode_covariance[29] - t384;
-        quadratic_m2 = t353;
-        log_constant_m2 = SHIP_TRACK_LOG_2_PI;
-        determinant_m2_0 = pivot_m2_0;
-        mean_m2[0] = t355;
-        mean_m2[1] = t357;
-        mean_m2[2] = t359;
-        mean_m2[3] = t361;
-        covariance_m2[0] = t364;
-        covariance_m2[1] = t367;
-        covariance_m2[2] = t369;
-        covariance_m2[3] = t372;
-        covariance_m2[4] = t374;
-        covariance_m2[5] = t376;
-        covariance_m2[6] = t379;
-        covariance_m2[7] = t381;
-        covariance_m2[8] = t383;
-        covariance_m2[9] = t385;
+        return status;
     }
-
-    /* row 1 of y, report_north */
-    const double t386 = covariance_m2[2] + 36.0;
-    pivot_m2_1 = t386;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_m2_1 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t387 = 1.0 / pivot_m2_1;
-        inverse_m2_1 = t387;
-        const double t388 = mean_m2[1] - self->mode_state[9];
-        const double t389 = innovation_m2_1 - t388;
-        const double t390 = t389 * inverse_m2_1;
-        const double t391 = t389 * t390;
-        const double t392 = quadratic_m2 + t391;
-        const double t393 = log_constant_m2 + SHIP_TRACK_LOG_2_PI;
-        const double t394 = determinant_m2_0 * pivot_m2_1;
-        const double t395 = covariance_m2[1] * t390;
-        const double t396 = mean_m2[0] + t395;
-        const double t397 = covariance_m2[2] * t390;
-        const double t398 = mean_m2[1] + t397;
-        const double t399 = covariance_m2[4] * t390;
-        const double t400 = mean_m2[2] + t399;
-        const double t401 = covariance_m2[7] * t390;
-        const double t402 = mean_m2[3] + t401;
-        const double t403 = covariance_m2[1] * inverse_m2_1;
-        const double t404 = t403 * covariance_m2[1];
-        const double t405 = covariance_m2[0] - t404;
-        const double t406 = covariance_m2[2] * inverse_m2_1;
-        const double t407 = t406 * covariance_m2[1];
-        const double t408 = covariance_m2[1] - t407;
-        const double t409 = t406 * covariance_m2[2];
-        const double t410 = covariance_m2[2] - t409;
-        const double t411 = covariance_m2[4] * inverse_m2_1;
-        const double t412 = t411 * covariance_m2[1];
-        const double t413 = covariance_m2[3] - t412;
-        const double t414 = t411 * covariance_m2[2];
-        const double t415 = covariance_m2[4] - t414;
-        const double t416 = t411 * covariance_m2[4];
-        const double t417 = covariance_m2[5] - t416;
-        const double t418 = covariance_m2[7] * inverse_m2_1;
-        const double t419 = t418 * covariance_m2[1];
-        const double t420 = covariance_m2[6] - t419;
-        const double t421 = t418 * covariance_m2[2];
-        const double t422 = covariance_m2[7] - t421;
-        const double t423 = t418 * covariance_m2[4];
-        const double t424 = covariance_m2[8] - t423;
-        const double t425 = t418 * covariance_m2[7];
-        const double t426 = covariance_m2[9] - t425;
-        quadratic_m2 = t392;
-        log_constant_m2 = t393;
-        determinant_m2_0 = t394;
-        mean_m2[0] = t396;
-        mean_m2[1] = t398;
-        mean_m2[2] = t400;
-        mean_m2[3] = t402;
-        covariance_m2[0] = t405;
-        covariance_m2[1] = t408;
-        covariance_m2[2] = t410;
-        covariance_m2[3] = t413;
-        covariance_m2[4] = t415;
-        covariance_m2[5] = t417;
-        covariance_m2[6] = t420;
-        covariance_m2[7] = t422;
-        covariance_m2[8] = t424;
-        covariance_m2[9] = t426;
-    }
-
-    /* row 2 of y, report_speed_east */
-    const double t427 = covariance_m2[5] + 0.04;
-    pivot_m2_2 = t427;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_m2_2 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t428 = 1.0 / pivot_m2_2;
-        inverse_m2_2 = t428;
-        const double t429 = mean_m2[2] - self->mode_state[10];
-        const double t430 = innovation_m2_2 - t429;
-        const double t431 = t430 * inverse_m2_2;
-        const double t432 = t430 * t431;
-        const double t433 = quadratic_m2 + t432;
-        const double t434 = log_constant_m2 + SHIP_TRACK_LOG_2_PI;
-        const double t435 = determinant_m2_0 * pivot_m2_2;
-        const double t436 = covariance_m2[3] * t431;
-        const double t437 = mean_m2[0] + t436;
-        const double t438 = covariance_m2[4] * t431;
-        const double t439 = mean_m2[1] + t438;
-        const double t440 = covariance_m2[5] * t431;
-        const double t441 = mean_m2[2] + t440;
-        const double t442 = covariance_m2[8] * t431;
-        const double t443 = mean_m2[3] + t442;
-        const double t444 = covariance_m2[3] * inverse_m2_2;
-        const double t445 = t444 * covariance_m2[3];
-        const double t446 = covariance_m2[0] - t445;
-        const double t447 = covariance_m2[4] * inverse_m2_2;
-        const double t448 = t447 * covariance_m2[3];
-        const double t449 = covariance_m2[1] - t448;
-        const double t450 = t447 * covariance_m2[4];
-        const double t451 = covariance_m2[2] - t450;
-        const double t452 = covariance_m2[5] * inverse_m2_2;
-        const double t453 = t452 * covariance_m2[3];
-        const double t454 = covariance_m2[3] - t453;
-        const double t455 = t452 * covariance_m2[4];
-        const double t456 = covariance_m2[4] - t455;
-        const double t457 = t452 * covariance_m2[5];
-        const double t458 = covariance_m2[5] - t457;
-        const double t459 = covariance_m2[8] * inverse_m2_2;
-        const double t460 = t459 * covariance_m2[3];
-        const double t461 = covariance_m2[6] - t460;
-        const double t462 = t459 * covariance_m2[4];
-        const double t463 = covariance_m2[7] - t462;
-        const double t464 = t459 * covariance_m2[5];
-        const double t465 = covariance_m2[8] - t464;
-        const double t466 = t459 * covariance_m2[8];
-        const double t467 = covariance_m2[9] - t466;
-        quadratic_m2 = t433;
-        log_constant_m2 = t434;
-        determinant_m2_0 = t435;
-        mean_m2[0] = t437;
-        mean_m2[1] = t439;
-        mean_m2[2] = t441;
-        mean_m2[3] = t443;
-        covariance_m2[0] = t446;
-        covariance_m2[1] = t449;
-        covariance_m2[2] = t451;
-        covariance_m2[3] = t454;
-        covariance_m2[4] = t456;
-        covariance_m2[5] = t458;
-        covariance_m2[6] = t461;
-        covariance_m2[7] = t463;
-        covariance_m2[8] = t465;
-        covariance_m2[9] = t467;
-    }
-
-    /* row 3 of y, report_speed_north */
-    const double t468 = covariance_m2[9] + 0.04;
-    pivot_m2_3 = t468;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_m2_3 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t469 = 1.0 / pivot_m2_3;
-        inverse_m2_3 = t469;
-        const double t470 = mean_m2[3] - self->mode_state[11];
-        const double t471 = innovation_m2_3 - t470;
-        const double t472 = t471 * inverse_m2_3;
-        const double t473 = t471 * t472;
-        const double t474 = quadratic_m2 + t473;
-        const double t475 = log_constant_m2 + SHIP_TRACK_LOG_2_PI;
-        const double t476 = determinant_m2_0 * pivot_m2_3;
-        const double t477 = covariance_m2[6] * t472;
-        const double t478 = mean_m2[0] + t477;
-        const double t479 = covariance_m2[7] * t472;
-        const double t480 = mean_m2[1] + t479;
-        const double t481 = covariance_m2[8] * t472;
-        const double t482 = mean_m2[2] + t481;
-        const double t483 = covariance_m2[9] * t472;
-        const double t484 = mean_m2[3] + t483;
-        const double t485 = covariance_m2[6] * inverse_m2_3;
-        const double t486 = t485 * covariance_m2[6];
-        const double t487 = covariance_m2[0] - t486;
-        const double t488 = covariance_m2[7] * inverse_m2_3;
-        const double t489 = t488 * covariance_m2[6];
-        const double t490 = covariance_m2[1] - t489;
-        const double t491 = t488 * covariance_m2[7];
-        const double t492 = covariance_m2[2] - t491;
-        const double t493 = covariance_m2[8] * inverse_m2_3;
-        const double t494 = t493 * covariance_m2[6];
-        const double t495 = covariance_m2[3] - t494;
-        const double t496 = t493 * covariance_m2[7];
-        const double t497 = covariance_m2[4] - t496;
-        const double t498 = t493 * covariance_m2[8];
-        const double t499 = covariance_m2[5] - t498;
-        const double t500 = covariance_m2[9] * inverse_m2_3;
-        const double t501 = t500 * covariance_m2[6];
-        const double t502 = covariance_m2[6] - t501;
-        const double t503 = t500 * covariance_m2[7];
-        const double t504 = covariance_m2[7] - t503;
-        const double t505 = t500 * covariance_m2[8];
-        const double t506 = covariance_m2[8] - t505;
-        const double t507 = t500 * covariance_m2[9];
-        const double t508 = covariance_m2[9] - t507;
-        quadratic_m2 = t474;
-        log_constant_m2 = t475;
-        determinant_m2_0 = t476;
-        mean_m2[0] = t478;
-        mean_m2[1] = t480;
-        mean_m2[2] = t482;
-        mean_m2[3] = t484;
-        covariance_m2[0] = t487;
-        covariance_m2[1] = t490;
-        covariance_m2[2] = t492;
-        covariance_m2[3] = t495;
-        covariance_m2[4] = t497;
-        covariance_m2[5] = t499;
-        covariance_m2[6] = t502;
-        covariance_m2[7] = t504;
-        covariance_m2[8] = t506;
-        covariance_m2[9] = t508;
-    }
-
-    /* mode 2: with its own A, Q */
     const double t509 = ship_track_log(determinant_m2_0);
     const double t510 = log_constant_m2 + t509;
     const double t511 = quadratic_m2 + t510;
-    const double t512 = -0.5 * t511;
-    log_density_m2 = t512;
+    log_density_m2 = -0.5 * t511;
 
     /* probabilities of the modes */
     weight[0] = self->predicted_mode_probability[0];
@@ -1411,27 +1772,19 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     log_weight_now[2] = self->predicted_log_weight[2];
     if ((present) != 0u)
     {
-        const double t513 = self->predicted_log_weight[0] + log_density_m0;
-        const double t514 = self->predicted_log_weight[1] + log_density_m1;
-        const double t515 = self->predicted_log_weight[2] + log_density_m2;
-        log_joint[0] = t513;
-        log_joint[1] = t514;
-        log_joint[2] = t515;
+        log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
+        log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
+        log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
         const double t516 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t517 = (t516 > log_joint[2]) ? t516 : log_joint[2];
-        log_largest = t517;
+        log_largest = (t516 > log_joint[2]) ? t516 : log_joint[2];
         const double t518 = log_joint[0] - log_largest;
-        const double t519 = ship_track_exp(t518);
+        share_of_largest[0] = ship_track_exp(t518);
         const double t520 = log_joint[1] - log_largest;
-        const double t521 = ship_track_exp(t520);
+        share_of_largest[1] = ship_track_exp(t520);
         const double t522 = log_joint[2] - log_largest;
-        const double t523 = ship_track_exp(t522);
-        share_of_largest[0] = t519;
-        share_of_largest[1] = t521;
-        share_of_largest[2] = t523;
+        share_of_largest[2] = ship_track_exp(t522);
         const double t524 = share_of_largest[0] + share_of_largest[1];
-        const double t525 = t524 + share_of_largest[2];
-        share_total = t525;
+        share_total = t524 + share_of_largest[2];
         const double t526 = log_largest - SHIP_TRACK_LEAST_LOG_DENSITY;
         if (!(t526 > 0.0))
         {
@@ -1441,524 +1794,39 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         {
             return SHIP_TRACK_RESULT_NOT_FINITE;
         }
-        const double t527 = 1.0 / share_total;
-        share_total_inverse = t527;
-        const double t528 = ship_track_log(share_total);
-        log_share_total = t528;
-        const double t529 = share_of_largest[0] * share_total_inverse;
-        const double t530 = share_of_largest[1] * share_total_inverse;
-        const double t531 = share_of_largest[2] * share_total_inverse;
+        share_total_inverse = 1.0 / share_total;
+        log_share_total = ship_track_log(share_total);
+        weight[0] = share_of_largest[0] * share_total_inverse;
+        weight[1] = share_of_largest[1] * share_total_inverse;
+        weight[2] = share_of_largest[2] * share_total_inverse;
         const double t532 = log_joint[0] - log_largest;
         const double t533 = t532 - log_share_total;
-        const double t534 = (t533 > SHIP_TRACK_LOG_ZERO) ? t533 : SHIP_TRACK_LOG_ZERO;
+        log_weight_now[0] = (t533 > SHIP_TRACK_LOG_ZERO) ? t533 : SHIP_TRACK_LOG_ZERO;
         const double t535 = log_joint[1] - log_largest;
         const double t536 = t535 - log_share_total;
-        const double t537 = (t536 > SHIP_TRACK_LOG_ZERO) ? t536 : SHIP_TRACK_LOG_ZERO;
+        log_weight_now[1] = (t536 > SHIP_TRACK_LOG_ZERO) ? t536 : SHIP_TRACK_LOG_ZERO;
         const double t538 = log_joint[2] - log_largest;
         const double t539 = t538 - log_share_total;
-        const double t540 = (t539 > SHIP_TRACK_LOG_ZERO) ? t539 : SHIP_TRACK_LOG_ZERO;
-        const double t541 = log_largest + log_share_total;
-        weight[0] = t529;
-        weight[1] = t530;
-        weight[2] = t531;
-        log_weight_now[0] = t534;
-        log_weight_now[1] = t537;
-        log_weight_now[2] = t540;
-        log_evidence = t541;
+        log_weight_now[2] = (t539 > SHIP_TRACK_LOG_ZERO) ? t539 : SHIP_TRACK_LOG_ZERO;
+        log_evidence = log_largest + log_share_total;
     }
 
     /* innovation of the mixture */
-    predicted_y_m0[0] = self->mode_state[0];
-    predicted_y_m0[1] = self->mode_state[1];
-    predicted_y_m0[2] = self->mode_state[2];
-    predicted_y_m0[3] = self->mode_state[3];
-    predicted_y_m1[0] = self->mode_state[4];
-    predicted_y_m1[1] = self->mode_state[5];
-    predicted_y_m1[2] = self->mode_state[6];
-    predicted_y_m1[3] = self->mode_state[7];
-    predicted_y_m2[0] = self->mode_state[8];
-    predicted_y_m2[1] = self->mode_state[9];
-    predicted_y_m2[2] = self->mode_state[10];
-    predicted_y_m2[3] = self->mode_state[11];
-    const double t542 = self->predicted_mode_probability[0] * variance_m0[0];
-    const double t543 = self->predicted_mode_probability[1] * variance_m1[0];
-    const double t544 = t542 + t543;
-    const double t545 = self->predicted_mode_probability[2] * variance_m2[0];
-    const double t546 = t544 + t545;
-    const double t547 = self->predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t548 = self->predicted_mode_probability[1] * predicted_y_m1[0];
-    const double t549 = t547 + t548;
-    const double t550 = self->predicted_mode_probability[2] * predicted_y_m2[0];
-    const double t551 = t549 + t550;
-    const double t552 = predicted_y_m0[0] - t551;
-    const double t553 = self->predicted_mode_probability[0] * t552;
-    const double t554 = t553 * t552;
-    const double t555 = predicted_y_m1[0] - t551;
-    const double t556 = self->predicted_mode_probability[1] * t555;
-    const double t557 = t556 * t555;
-    const double t558 = t554 + t557;
-    const double t559 = predicted_y_m2[0] - t551;
-    const double t560 = self->predicted_mode_probability[2] * t559;
-    const double t561 = t560 * t559;
-    const double t562 = t558 + t561;
-    const double t563 = t546 + t562;
-    const double t564 = self->predicted_mode_probability[0] * variance_m0[1];
-    const double t565 = self->predicted_mode_probability[1] * variance_m1[1];
-    const double t566 = t564 + t565;
-    const double t567 = self->predicted_mode_probability[2] * variance_m2[1];
-    const double t568 = t566 + t567;
-    const double t569 = self->predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t570 = self->predicted_mode_probability[1] * predicted_y_m1[1];
-    const double t571 = t569 + t570;
-    const double t572 = self->predicted_mode_probability[2] * predicted_y_m2[1];
-    const double t573 = t571 + t572;
-    const double t574 = predicted_y_m0[1] - t573;
-    const double t575 = self->predicted_mode_probability[0] * t574;
-    const double t576 = t575 * t552;
-    const double t577 = predicted_y_m1[1] - t573;
-    const double t578 = self->predicted_mode_probability[1] * t577;
-    const double t579 = t578 * t555;
-    const double t580 = t576 + t579;
-    const double t581 = predicted_y_m2[1] - t573;
-    const double t582 = self->predicted_mode_probability[2] * t581;
-    const double t583 = t582 * t559;
-    const double t584 = t580 + t583;
-    const double t585 = t568 + t584;
-    const double t586 = self->predicted_mode_probability[0] * variance_m0[2];
-    const double t587 = self->predicted_mode_probability[1] * variance_m1[2];
-    const double t588 = t586 + t587;
-    const double t589 = self->predicted_mode_probability[2] * variance_m2[2];
-    const double t590 = t588 + t589;
-    const double t591 = t575 * t574;
-    const double t592 = t578 * t577;
-    const double t593 = t591 + t592;
-    const double t594 = t582 * t581;
-    const double t595 = t593 + t594;
-    const double t596 = t590 + t595;
-    const double t597 = self->predicted_mode_probability[0] * variance_m0[3];
-    const double t598 = self->predicted_mode_probability[1] * variance_m1[3];
-    const double t599 = t597 + t598;
-    const double t600 = self->predicted_mode_probability[2] * variance_m2[3];
-    const double t601 = t599 + t600;
-    const double t602 = self->predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t603 = self->predicted_mode_probability[1] * predicted_y_m1[2];
-    const double t604 = t602 + t603;
-    const double t605 = self->predicted_mode_probability[2] * predicted_y_m2[2];
-    const double t606 = t604 + t605;
-    const double t607 = predicted_y_m0[2] - t606;
-    const double t608 = self->predicted_mode_probability[0] * t607;
-    const double t609 = t608 * t552;
-    const double t610 = predicted_y_m1[2] - t606;
-    const double t611 = self->predicted_mode_probability[1] * t610;
-    const double t612 = t611 * t555;
-    const double t613 = t609 + t612;
-    const double t614 = predicted_y_m2[2] - t606;
-    const double t615 = self->predicted_mode_probability[2] * t614;
-    const double t616 = t615 * t559;
-    const double t617 = t613 + t616;
-    const double t618 = t601 + t617;
-    const double t619 = self->predicted_mode_probability[0] * variance_m0[4];
-    const double t620 = self->predicted_mode_probability[1] * variance_m1[4];
-    const double t621 = t619 + t620;
-    const double t622 = self->predicted_mode_probability[2] * variance_m2[4];
-    const double t623 = t621 + t622;
-    const double t624 = t608 * t574;
-    const double t625 = t611 * t577;
-    const double t626 = t624 + t625;
-    const double t627 = t615 * t581;
-    const double t628 = t626 + t627;
-    const double t629 = t623 + t628;
-    const double t630 = self->predicted_mode_probability[0] * variance_m0[5];
-    const double t631 = self->predicted_mode_probability[1] * variance_m1[5];
-    const double t632 = t630 + t631;
-    const double t633 = self->predicted_mode_probability[2] * variance_m2[5];
-    const double t634 = t632 + t633;
-    const double t635 = t608 * t607;
-    const double t636 = t611 * t610;
-    const double t637 = t635 + t636;
-    const double t638 = t615 * t614;
-    const double t639 = t637 + t638;
-    const double t640 = t634 + t639;
-    const double t641 = self->predicted_mode_probability[0] * variance_m0[6];
-    const double t642 = self->predicted_mode_probability[1] * variance_m1[6];
-    const double t643 = t641 + t642;
-    const double t644 = self->predicted_mode_probability[2] * variance_m2[6];
-    const double t645 = t643 + t644;
-    const double t646 = self->predicted_mode_probability[0] * predicted_y_m0[3];
-    const double t647 = self->predicted_mode_probability[1] * predicted_y_m1[3];
-    const double t648 = t646 + t647;
-    const double t649 = self->predicted_mode_probability[2] * predicted_y_m2[3];
-    const double t650 = t648 + t649;
-    const double t651 = predicted_y_m0[3] - t650;
-    const double t652 = self->predicted_mode_probability[0] * t651;
-    const double t653 = t652 * t552;
-    const double t654 = predicted_y_m1[3] - t650;
-    const double t655 = self->predicted_mode_probability[1] * t654;
-    const double t656 = t655 * t555;
-    const double t657 = t653 + t656;
-    const double t658 = predicted_y_m2[3] - t650;
-    const double t659 = self->predicted_mode_probability[2] * t658;
-    const double t660 = t659 * t559;
-    const double t661 = t657 + t660;
-    const double t662 = t645 + t661;
-    const double t663 = self->predicted_mode_probability[0] * variance_m0[7];
-    const double t664 = self->predicted_mode_probability[1] * variance_m1[7];
-    const double t665 = t663 + t664;
-    const double t666 = self->predicted_mode_probability[2] * variance_m2[7];
-    const double t667 = t665 + t666;
-    const double t668 = t652 * t574;
-    const double t669 = t655 * t577;
-    const double t670 = t668 + t669;
-    const double t671 = t659 * t581;
-    const double t672 = t670 + t671;
-    const double t673 = t667 + t672;
-    const double t674 = self->predicted_mode_probability[0] * variance_m0[8];
-    const double t675 = self->predicted_mode_probability[1] * variance_m1[8];
-    const double t676 = t674 + t675;
-    const double t677 = self->predicted_mode_probability[2] * variance_m2[8];
-    const double t678 = t676 + t677;
-    const double t679 = t652 * t607;
-    const double t680 = t655 * t610;
-    const double t681 = t679 + t680;
-    const double t682 = t659 * t614;
-    const double t683 = t681 + t682;
-    const double t684 = t678 + t683;
-    const double t685 = self->predicted_mode_probability[0] * variance_m0[9];
-    const double t686 = self->predicted_mode_probability[1] * variance_m1[9];
-    const double t687 = t685 + t686;
-    const double t688 = self->predicted_mode_probability[2] * variance_m2[9];
-    const double t689 = t687 + t688;
-    const double t690 = t652 * t651;
-    const double t691 = t655 * t654;
-    const double t692 = t690 + t691;
-    const double t693 = t659 * t658;
-    const double t694 = t692 + t693;
-    const double t695 = t689 + t694;
-    combined_variance[0] = t563;
-    combined_variance[1] = t585;
-    combined_variance[2] = t596;
-    combined_variance[3] = t618;
-    combined_variance[4] = t629;
-    combined_variance[5] = t640;
-    combined_variance[6] = t662;
-    combined_variance[7] = t673;
-    combined_variance[8] = t684;
-    combined_variance[9] = t695;
-    const double t696 = self->predicted_mode_probability[0] * innovation_m0_0;
-    const double t697 = self->predicted_mode_probability[1] * innovation_m1_0;
-    const double t698 = t696 + t697;
-    const double t699 = self->predicted_mode_probability[2] * innovation_m2_0;
-    const double t700 = t698 + t699;
-    const double t701 = self->predicted_mode_probability[0] * innovation_m0_1;
-    const double t702 = self->predicted_mode_probability[1] * innovation_m1_1;
-    const double t703 = t701 + t702;
-    const double t704 = self->predicted_mode_probability[2] * innovation_m2_1;
-    const double t705 = t703 + t704;
-    const double t706 = self->predicted_mode_probability[0] * innovation_m0_2;
-    const double t707 = self->predicted_mode_probability[1] * innovation_m1_2;
-    const double t708 = t706 + t707;
-    const double t709 = self->predicted_mode_probability[2] * innovation_m2_2;
-    const double t710 = t708 + t709;
-    const double t711 = self->predicted_mode_probability[0] * innovation_m0_3;
-    const double t712 = self->predicted_mode_probability[1] * innovation_m1_3;
-    const double t713 = t711 + t712;
-    const double t714 = self->predicted_mode_probability[2] * innovation_m2_3;
-    const double t715 = t713 + t714;
-    combined_innovation[0] = t700;
-    combined_innovation[1] = t705;
-    combined_innovation[2] = t710;
-    combined_innovation[3] = t715;
-    whitening_pivot_combined_0 = combined_variance[0];
-    if ((present & 0x1u) != 0u)
+    status = ship_track_combination(self->mode_state, self->predicted_mode_probability, variance_m0,
+        variance_m1, variance_m2, combined_variance, innovation_m0_0, innovation_m1_0,
+        innovation_m2_0, innovation_m0_1, innovation_m1_1, innovation_m2_1, innovation_m0_2,
+        innovation_m1_2, innovation_m2_2, innovation_m0_3, innovation_m1_3, innovation_m2_3,
+        combined_innovation, &whitening_inverse_combined_0, &whitening_combined_0_1,
+        &whitening_combined_0_2, &whitening_combined_0_3, &whitening_inverse_combined_1,
+        &whitening_combined_1_2, &whitening_combined_1_3, &whitening_inverse_combined_2,
+        &whitening_combined_2_3, &whitening_inverse_combined_3, weight, combined_0_2_share,
+        combined_0_1_share, present);
+    if (status != SHIP_TRACK_OK)
     {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t716 = 1.0 / whitening_pivot_combined_0;
-        whitening_inverse_combined_0 = t716;
+        return status;
     }
-    const double t717 = combined_variance[1] * whitening_inverse_combined_0;
-    whitening_combined_0_1 = t717;
-    const double t718 = combined_variance[3] * whitening_inverse_combined_0;
-    whitening_combined_0_2 = t718;
-    const double t719 = combined_variance[6] * whitening_inverse_combined_0;
-    whitening_combined_0_3 = t719;
-    const double t720 = whitening_combined_0_1 * combined_variance[1];
-    const double t721 = combined_variance[2] - t720;
-    whitening_pivot_combined_1 = t721;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(whitening_pivot_combined_1 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t722 = 1.0 / whitening_pivot_combined_1;
-        whitening_inverse_combined_1 = t722;
-    }
-    const double t723 = whitening_combined_0_2 * combined_variance[1];
-    const double t724 = combined_variance[4] - t723;
-    const double t725 = t724 * whitening_inverse_combined_1;
-    whitening_combined_1_2 = t725;
-    const double t726 = whitening_combined_0_3 * combined_variance[1];
-    const double t727 = combined_variance[7] - t726;
-    const double t728 = t727 * whitening_inverse_combined_1;
-    whitening_combined_1_3 = t728;
-    const double t729 = whitening_combined_0_2 * combined_variance[3];
-    const double t730 = combined_variance[5] - t729;
-    const double t731 = whitening_combined_0_2 * combined_variance[1];
-    const double t732 = combined_variance[4] - t731;
-    const double t733 = whitening_combined_1_2 * t732;
-    const double t734 = t730 - t733;
-    whitening_pivot_combined_2 = t734;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(whitening_pivot_combined_2 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t735 = 1.0 / whitening_pivot_combined_2;
-        whitening_inverse_combined_2 = t735;
-    }
-    const double t736 = whitening_combined_0_3 * combined_variance[3];
-    const double t737 = combined_variance[8] - t736;
-    const double t738 = whitening_combined_0_2 * combined_variance[1];
-    const double t739 = combined_variance[4] - t738;
-    const double t740 = whitening_combined_1_3 * t739;
-    const double t741 = t737 - t740;
-    const double t742 = t741 * whitening_inverse_combined_2;
-    whitening_combined_2_3 = t742;
-    const double t743 = whitening_combined_0_3 * combined_variance[6];
-    const double t744 = combined_variance[9] - t743;
-    const double t745 = whitening_combined_0_3 * combined_variance[1];
-    const double t746 = combined_variance[7] - t745;
-    const double t747 = whitening_combined_1_3 * t746;
-    const double t748 = t744 - t747;
-    const double t749 = whitening_combined_0_3 * combined_variance[3];
-    const double t750 = combined_variance[8] - t749;
-    const double t751 = whitening_combined_0_2 * combined_variance[1];
-    const double t752 = combined_variance[4] - t751;
-    const double t753 = whitening_combined_1_3 * t752;
-    const double t754 = t750 - t753;
-    const double t755 = whitening_combined_2_3 * t754;
-    const double t756 = t748 - t755;
-    whitening_pivot_combined_3 = t756;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(whitening_pivot_combined_3 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        const double t757 = 1.0 / whitening_pivot_combined_3;
-        whitening_inverse_combined_3 = t757;
-    }
-
-    /* combination */
-    const double t758 = weight[0] + weight[1];
-    combined_0_2_share[0] = t758;
-    combined_0_2_share[1] = weight[2];
-    const double t759 = weight[0] + weight[1];
-    const double t760 = t759 + SHIP_TRACK_TINY;
-    const double t761 = 1.0 / t760;
-    combined_0_1_inverse = t761;
-    const double t762 = weight[0] * combined_0_1_inverse;
-    const double t763 = weight[1] * combined_0_1_inverse;
-    combined_0_1_share[0] = t762;
-    combined_0_1_share[1] = t763;
-    const double t764 = mean_m0[0] - mean_m1[0];
-    const double t765 = mean_m0[1] - mean_m1[1];
-    const double t766 = mean_m0[2] - mean_m1[2];
-    const double t767 = mean_m0[3] - mean_m1[3];
-    combined_apart_0_1[0] = t764;
-    combined_apart_0_1[1] = t765;
-    combined_apart_0_1[2] = t766;
-    combined_apart_0_1[3] = t767;
-    const double t768 = combined_apart_0_1[0] * combined_apart_0_1[0];
-    const double t769 = combined_apart_0_1[1] * combined_apart_0_1[0];
-    const double t770 = combined_apart_0_1[1] * combined_apart_0_1[1];
-    const double t771 = combined_apart_0_1[2] * combined_apart_0_1[0];
-    const double t772 = combined_apart_0_1[2] * combined_apart_0_1[1];
-    const double t773 = combined_apart_0_1[2] * combined_apart_0_1[2];
-    const double t774 = combined_apart_0_1[3] * combined_apart_0_1[0];
-    const double t775 = combined_apart_0_1[3] * combined_apart_0_1[1];
-    const double t776 = combined_apart_0_1[3] * combined_apart_0_1[2];
-    const double t777 = combined_apart_0_1[3] * combined_apart_0_1[3];
-    combined_apart_0_1_squared[0] = t768;
-    combined_apart_0_1_squared[1] = t769;
-    combined_apart_0_1_squared[2] = t770;
-    combined_apart_0_1_squared[3] = t771;
-    combined_apart_0_1_squared[4] = t772;
-    combined_apart_0_1_squared[5] = t773;
-    combined_apart_0_1_squared[6] = t774;
-    combined_apart_0_1_squared[7] = t775;
-    combined_apart_0_1_squared[8] = t776;
-    combined_apart_0_1_squared[9] = t777;
-    const double t778 = combined_0_1_share[0] * mean_m0[0];
-    const double t779 = combined_0_1_share[1] * mean_m1[0];
-    const double t780 = t778 + t779;
-    const double t781 = combined_0_1_share[0] * mean_m0[1];
-    const double t782 = combined_0_1_share[1] * mean_m1[1];
-    const double t783 = t781 + t782;
-    const double t784 = combined_0_1_share[0] * mean_m0[2];
-    const double t785 = combined_0_1_share[1] * mean_m1[2];
-    const double t786 = t784 + t785;
-    const double t787 = combined_0_1_share[0] * mean_m0[3];
-    const double t788 = combined_0_1_share[1] * mean_m1[3];
-    const double t789 = t787 + t788;
-    combined_0_1_mean[0] = t780;
-    combined_0_1_mean[1] = t783;
-    combined_0_1_mean[2] = t786;
-    combined_0_1_mean[3] = t789;
-    const double t790 = combined_0_1_share[0] * covariance_m0[0];
-    const double t791 = combined_0_1_share[1] * covariance_m1[0];
-    const double t792 = t790 + t791;
-    const double t793 = combined_0_1_share[0] * combined_0_1_share[1];
-    const double t794 = t793 * combined_apart_0_1_squared[0];
-    const double t795 = t792 + t794;
-    const double t796 = combined_0_1_share[0] * covariance_m0[1];
-    const double t797 = combined_0_1_share[1] * covariance_m1[1];
-    const double t798 = t796 + t797;
-    const double t799 = t793 * combined_apart_0_1_squared[1];
-    const double t800 = t798 + t799;
-    const double t801 = combined_0_1_share[0] * covariance_m0[2];
-    const double t802 = combined_0_1_share[1] * covariance_m1[2];
-    const double t803 = t801 + t802;
-    const double t804 = t793 * combined_apart_0_1_squared[2];
-    const double t805 = t803 + t804;
-    const double t806 = combined_0_1_share[0] * covariance_m0[3];
-    const double t807 = combined_0_1_share[1] * covariance_m1[3];
-    const double t808 = t806 + t807;
-    const double t809 = t793 * combined_apart_0_1_squared[3];
-    const double t810 = t808 + t809;
-    const double t811 = combined_0_1_share[0] * covariance_m0[4];
-    const double t812 = combined_0_1_share[1] * covariance_m1[4];
-    const double t813 = t811 + t812;
-    const double t814 = t793 * combined_apart_0_1_squared[4];
-    const double t815 = t813 + t814;
-    const double t816 = combined_0_1_share[0] * covariance_m0[5];
-    const double t817 = combined_0_1_share[1] * covariance_m1[5];
-    const double t818 = t816 + t817;
-    const double t819 = t793 * combined_apart_0_1_squared[5];
-    const double t820 = t818 + t819;
-    const double t821 = combined_0_1_share[0] * covariance_m0[6];
-    const double t822 = combined_0_1_share[1] * covariance_m1[6];
-    const double t823 = t821 + t822;
-    const double t824 = t793 * combined_apart_0_1_squared[6];
-    const double t825 = t823 + t824;
-    const double t826 = combined_0_1_share[0] * covariance_m0[7];
-    const double t827 = combined_0_1_share[1] * covariance_m1[7];
-    const double t828 = t826 + t827;
-    const double t829 = t793 * combined_apart_0_1_squared[7];
-    const double t830 = t828 + t829;
-    const double t831 = combined_0_1_share[0] * covariance_m0[8];
-    const double t832 = combined_0_1_share[1] * covariance_m1[8];
-    const double t833 = t831 + t832;
-    const double t834 = t793 * combined_apart_0_1_squared[8];
-    const double t835 = t833 + t834;
-    const double t836 = combined_0_1_share[0] * covariance_m0[9];
-    const double t837 = combined_0_1_share[1] * covariance_m1[9];
-    const double t838 = t836 + t837;
-    const double t839 = t793 * combined_apart_0_1_squared[9];
-    const double t840 = t838 + t839;
-    combined_0_1_covariance[0] = t795;
-    combined_0_1_covariance[1] = t800;
-    combined_0_1_covariance[2] = t805;
-    combined_0_1_covariance[3] = t810;
-    combined_0_1_covariance[4] = t815;
-    combined_0_1_covariance[5] = t820;
-    combined_0_1_covariance[6] = t825;
-    combined_0_1_covariance[7] = t830;
-    combined_0_1_covariance[8] = t835;
-    combined_0_1_covariance[9] = t840;
-    const double t841 = combined_0_1_mean[0] - mean_m2[0];
-    const double t842 = combined_0_1_mean[1] - mean_m2[1];
-    const double t843 = combined_0_1_mean[2] - mean_m2[2];
-    const double t844 = combined_0_1_mean[3] - mean_m2[3];
-    combined_0_2_apart[0] = t841;
-    combined_0_2_apart[1] = t842;
-    combined_0_2_apart[2] = t843;
-    combined_0_2_apart[3] = t844;
-    const double t845 = combined_0_2_share[0] * combined_0_1_mean[0];
-    const double t846 = combined_0_2_share[1] * mean_m2[0];
-    const double t847 = t845 + t846;
-    const double t848 = combined_0_2_share[0] * combined_0_1_mean[1];
-    const double t849 = combined_0_2_share[1] * mean_m2[1];
-    const double t850 = t848 + t849;
-    const double t851 = combined_0_2_share[0] * combined_0_1_mean[2];
-    const double t852 = combined_0_2_share[1] * mean_m2[2];
-    const double t853 = t851 + t852;
-    const double t854 = combined_0_2_share[0] * combined_0_1_mean[3];
-    const double t855 = combined_0_2_share[1] * mean_m2[3];
-    const double t856 = t854 + t855;
-    combined_0_2_mean[0] = t847;
-    combined_0_2_mean[1] = t850;
-    combined_0_2_mean[2] = t853;
-    combined_0_2_mean[3] = t856;
-    const double t857 = combined_0_2_share[0] * combined_0_1_covariance[0];
-    const double t858 = combined_0_2_share[1] * covariance_m2[0];
-    const double t859 = t857 + t858;
-    const double t860 = combined_0_2_share[0] * combined_0_2_share[1];
-    const double t861 = t860 * combined_0_2_apart[0];
-    const double t862 = t861 * combined_0_2_apart[0];
-    const double t863 = t859 + t862;
-    const double t864 = combined_0_2_share[0] * combined_0_1_covariance[1];
-    const double t865 = combined_0_2_share[1] * covariance_m2[1];
-    const double t866 = t864 + t865;
-    const double t867 = t860 * combined_0_2_apart[1];
-    const double t868 = t867 * combined_0_2_apart[0];
-    const double t869 = t866 + t868;
-    const double t870 = combined_0_2_share[0] * combined_0_1_covariance[2];
-    const double t871 = combined_0_2_share[1] * covariance_m2[2];
-    const double t872 = t870 + t871;
-    const double t873 = t867 * combined_0_2_apart[1];
-    const double t874 = t872 + t873;
-    const double t875 = combined_0_2_share[0] * combined_0_1_covariance[3];
-    const double t876 = combined_0_2_share[1] * covariance_m2[3];
-    const double t877 = t875 + t876;
-    const double t878 = t860 * combined_0_2_apart[2];
-    const double t879 = t878 * combined_0_2_apart[0];
-    const double t880 = t877 + t879;
-    const double t881 = combined_0_2_share[0] * combined_0_1_covariance[4];
-    const double t882 = combined_0_2_share[1] * covariance_m2[4];
-    const double t883 = t881 + t882;
-    const double t884 = t878 * combined_0_2_apart[1];
-    const double t885 = t883 + t884;
-    const double t886 = combined_0_2_share[0] * combined_0_1_covariance[5];
-    const double t887 = combined_0_2_share[1] * covariance_m2[5];
-    const double t888 = t886 + t887;
-    const double t889 = t878 * combined_0_2_apart[2];
-    const double t890 = t888 + t889;
-    const double t891 = combined_0_2_share[0] * combined_0_1_covariance[6];
-    const double t892 = combined_0_2_share[1] * covariance_m2[6];
-    const double t893 = t891 + t892;
-    const double t894 = t860 * combined_0_2_apart[3];
-    const double t895 = t894 * combined_0_2_apart[0];
-    const double t896 = t893 + t895;
-    const double t897 = combined_0_2_share[0] * combined_0_1_covariance[7];
-    const double t898 = combined_0_2_share[1] * covariance_m2[7];
-    const double t899 = t897 + t898;
-    const double t900 = t894 * combined_0_2_apart[1];
-    const double t901 = t899 + t900;
-    const double t902 = combined_0_2_share[0] * combined_0_1_covariance[8];
-    const double t903 = combined_0_2_share[1] * covariance_m2[8];
-    const double t904 = t902 + t903;
-    const double t905 = t894 * combined_0_2_apart[2];
-    const double t906 = t904 + t905;
-    const double t907 = combined_0_2_share[0] * combined_0_1_covariance[9];
-    const double t908 = combined_0_2_share[1] * covariance_m2[9];
-    const double t909 = t907 + t908;
-    const double t910 = t894 * combined_0_2_apart[3];
-    const double t911 = t909 + t910;
-    combined_0_2_covariance[0] = t863;
-    combined_0_2_covariance[1] = t869;
-    combined_0_2_covariance[2] = t874;
-    combined_0_2_covariance[3] = t880;
-    combined_0_2_covariance[4] = t885;
-    combined_0_2_covariance[5] = t890;
-    combined_0_2_covariance[6] = t896;
-    combined_0_2_covariance[7] = t901;
-    combined_0_2_covariance[8] = t906;
-    combined_0_2_covariance[9] = t911;
+    ship_track_part_2(mean_m0, mean_m1, combined_0_1_share, covariance_m0, covariance_m1, mean_m2,
+        combined_0_2_share, combined_0_2_mean, covariance_m2, combined_0_2_covariance);
     if (!ship_track_finite(ship_track_defect(combined_0_2_mean[0]) +
         ship_track_defect(combined_0_2_mean[1]) + ship_track_defect(combined_0_2_mean[2]) +
         ship_track_defect(combined_0_2_mean[3])))
@@ -1987,7 +1855,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     const double t931 = t929 - t930;
     const double t932 = t931 * t931;
     const double t933 = t932 * whitening_inverse_combined_3;
-    const double t934 = t925 + t933;
+    next->nis = t925 + t933;
     next->innovation[0] = combined_innovation[0];
     next->innovation[1] = combined_innovation[1];
     next->innovation[2] = combined_innovation[2];
@@ -2002,7 +1870,6 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     next->innovation_covariance[7] = combined_variance[7];
     next->innovation_covariance[8] = combined_variance[8];
     next->innovation_covariance[9] = combined_variance[9];
-    next->nis = t934;
     next->mode_probability[0] = weight[0];
     next->mode_probability[1] = weight[1];
     next->mode_probability[2] = weight[2];
@@ -2073,1073 +1940,45 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
 SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *self,
     const ship_track_params_t *params, ship_track_t *next)
 {
-    double A[16];
-    double Q[16];
     double mode_prediction_0;
-    double mode_prediction_inverse_0;
-    double mixing_0[3];
     double mode_prediction_1;
-    double log_path_1[2];
     double log_path_largest_1;
-    double path_share_1[2];
     double path_share_total_1;
-    double path_share_inverse_1;
     double mode_prediction_2;
-    double log_path_2[2];
     double log_path_largest_2;
-    double path_share_2[2];
     double path_share_total_2;
-    double path_share_inverse_2;
-    double mixed_0_0_2_share[2];
-    double mixed_0_0_1_inverse;
-    double mixed_0_0_1_share[2];
-    double mixed_apart_0_1[4];
-    double mixed_apart_0_1_squared[10];
-    double mixed_0_0_1_mean[4];
-    double mixed_0_0_1_covariance[10];
-    double mixed_0_0_2_apart[4];
-    double mixed_0_0_2_mean[4];
-    double mixed_0_0_2_covariance[10];
     double moved_state_0[4];
     double moved_covariance_0[10];
-    double mixed_1_0_1_inverse;
-    double mixed_1_0_1_share[2];
-    double mixed_1_0_1_mean[4];
-    double mixed_1_0_1_covariance[10];
     double moved_state_1[4];
     double moved_covariance_1[10];
-    double mixed_2_0_2_share[2];
-    double mixed_2_0_2_apart[4];
-    double mixed_2_0_2_mean[4];
-    double mixed_2_0_2_covariance[10];
     double moved_state_2[4];
     double moved_covariance_2[10];
     double predicted_0_2_share[2];
     double predicted_0_1_inverse;
     double predicted_0_1_share[2];
-    double predicted_apart_0_1[4];
-    double predicted_apart_0_1_squared[10];
-    double predicted_0_1_mean[4];
-    double predicted_0_1_covariance[10];
-    double predicted_0_2_apart[4];
     double predicted_0_2_mean[4];
     double predicted_0_2_covariance[10];
-    const double t0 = params->turn * params->dt;
-    const double t1 = ship_track_sin(t0);
-    const double t2 = t1 / params->turn;
-    const double t3 = ship_track_cos(t0);
-    const double t4 = 1.0 - t3;
-    const double t5 = t4 / params->turn;
-    const double t6 = -t5;
-    const double t7 = -t1;
-    A[0] = t2;
-    A[1] = t5;
-    A[2] = t3;
-    A[3] = t1;
-    A[4] = t6;
-    A[5] = t2;
-    A[6] = t7;
-    A[7] = t3;
-    A[8] = t2;
-    A[9] = t6;
-    A[10] = t3;
-    A[11] = t7;
-    A[12] = t5;
-    A[13] = t2;
-    A[14] = t1;
-    A[15] = t3;
-    const double t8 = params->dt * params->dt;
-    const double t9 = params->dt * t8;
-    const double t10 = 0.02 * t9;
-    const double t11 = t10 / 3.0;
-    const double t12 = 0.02 * t8;
-    const double t13 = t12 / 2.0;
-    const double t14 = 0.02 * params->dt;
-    const double t15 = 0.3 * t9;
-    const double t16 = t15 / 3.0;
-    const double t17 = 0.3 * t8;
-    const double t18 = t17 / 2.0;
-    const double t19 = 0.3 * params->dt;
-    Q[0] = t11;
-    Q[1] = t13;
-    Q[2] = t11;
-    Q[3] = t13;
-    Q[4] = t13;
-    Q[5] = t14;
-    Q[6] = t13;
-    Q[7] = t14;
-    Q[8] = t16;
-    Q[9] = t18;
-    Q[10] = t16;
-    Q[11] = t18;
-    Q[12] = t18;
-    Q[13] = t19;
-    Q[14] = t18;
-    Q[15] = t19;
-    if (!((Q[0] >= 0.0) && (Q[2] >= 0.0) && (Q[5] >= 0.0) && (Q[7] >= 0.0)))
+    ship_track_status_t status;
+    status = ship_track_law_of_the_next(self->mode_probability, &mode_prediction_0,
+        &mode_prediction_1, self->log_weight, &log_path_largest_1, &path_share_total_1,
+        &mode_prediction_2, &log_path_largest_2, &path_share_total_2, self->mode_filtered_state,
+        self->mode_filtered_covariance, moved_state_0, moved_covariance_0, moved_state_1,
+        moved_covariance_1, moved_state_2, moved_covariance_2, predicted_0_2_share,
+        &predicted_0_1_inverse, params);
+    if (status != SHIP_TRACK_OK)
     {
-        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
+        return status;
     }
-    if (!((Q[8] >= 0.0) && (Q[10] >= 0.0) && (Q[13] >= 0.0) && (Q[15] >= 0.0)))
-    {
-        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
-    }
-
-    /* law of the next mode, and mixing weights */
-    const double t20 = 0.9 * self->mode_probability[0];
-    const double t21 = 0.15 * self->mode_probability[1];
-    const double t22 = t20 + t21;
-    const double t23 = 0.15 * self->mode_probability[2];
-    const double t24 = t22 + t23;
-    mode_prediction_0 = t24;
-    const double t25 = 1.0 / mode_prediction_0;
-    mode_prediction_inverse_0 = t25;
-    const double t26 = 0.9 * self->mode_probability[0];
-    const double t27 = t26 * mode_prediction_inverse_0;
-    const double t28 = 0.15 * self->mode_probability[1];
-    const double t29 = t28 * mode_prediction_inverse_0;
-    const double t30 = 0.15 * self->mode_probability[2];
-    const double t31 = t30 * mode_prediction_inverse_0;
-    mixing_0[0] = t27;
-    mixing_0[1] = t29;
-    mixing_0[2] = t31;
-    const double t32 = 0.05 * self->mode_probability[0];
-    const double t33 = 0.85 * self->mode_probability[1];
-    const double t34 = t32 + t33;
-    mode_prediction_1 = t34;
-    const double t35 = self->log_weight[0] + -2.995732273553991;
-    const double t36 = self->log_weight[1] + -0.16251892949777494;
-    log_path_1[0] = t35;
-    log_path_1[1] = t36;
-    const double t37 = (log_path_1[0] > log_path_1[1]) ? log_path_1[0] : log_path_1[1];
-    log_path_largest_1 = t37;
-    const double t38 = log_path_1[0] - log_path_largest_1;
-    const double t39 = ship_track_exp(t38);
-    const double t40 = log_path_1[1] - log_path_largest_1;
-    const double t41 = ship_track_exp(t40);
-    path_share_1[0] = t39;
-    path_share_1[1] = t41;
-    const double t42 = path_share_1[0] + path_share_1[1];
-    path_share_total_1 = t42;
-    const double t43 = 1.0 / path_share_total_1;
-    path_share_inverse_1 = t43;
-    const double t44 = 0.05 * self->mode_probability[0];
-    const double t45 = 0.85 * self->mode_probability[2];
-    const double t46 = t44 + t45;
-    mode_prediction_2 = t46;
-    const double t47 = self->log_weight[0] + -2.995732273553991;
-    const double t48 = self->log_weight[2] + -0.16251892949777494;
-    log_path_2[0] = t47;
-    log_path_2[1] = t48;
-    const double t49 = (log_path_2[0] > log_path_2[1]) ? log_path_2[0] : log_path_2[1];
-    log_path_largest_2 = t49;
-    const double t50 = log_path_2[0] - log_path_largest_2;
-    const double t51 = ship_track_exp(t50);
-    const double t52 = log_path_2[1] - log_path_largest_2;
-    const double t53 = ship_track_exp(t52);
-    path_share_2[0] = t51;
-    path_share_2[1] = t53;
-    const double t54 = path_share_2[0] + path_share_2[1];
-    path_share_total_2 = t54;
-    const double t55 = 1.0 / path_share_total_2;
-    path_share_inverse_2 = t55;
-
-    /* mixing and prediction of every mode */
-    const double t56 = mixing_0[0] + mixing_0[1];
-    mixed_0_0_2_share[0] = t56;
-    mixed_0_0_2_share[1] = mixing_0[2];
-    const double t57 = mixing_0[0] + mixing_0[1];
-    const double t58 = t57 + SHIP_TRACK_TINY;
-    const double t59 = 1.0 / t58;
-    mixed_0_0_1_inverse = t59;
-    const double t60 = mixing_0[0] * mixed_0_0_1_inverse;
-    const double t61 = mixing_0[1] * mixed_0_0_1_inverse;
-    mixed_0_0_1_share[0] = t60;
-    mixed_0_0_1_share[1] = t61;
-    const double t62 = self->mode_filtered_state[0] - self->mode_filtered_state[4];
-    const double t63 = self->mode_filtered_state[1] - self->mode_filtered_state[5];
-    const double t64 = self->mode_filtered_state[2] - self->mode_filtered_state[6];
-    const double t65 = self->mode_filtered_state[3] - self->mode_filtered_state[7];
-    mixed_apart_0_1[0] = t62;
-    mixed_apart_0_1[1] = t63;
-    mixed_apart_0_1[2] = t64;
-    mixed_apart_0_1[3] = t65;
-    const double t66 = mixed_apart_0_1[0] * mixed_apart_0_1[0];
-    const double t67 = mixed_apart_0_1[1] * mixed_apart_0_1[0];
-    const double t68 = mixed_apart_0_1[1] * mixed_apart_0_1[1];
-    const double t69 = mixed_apart_0_1[2] * mixed_apart_0_1[0];
-    const double t70 = mixed_apart_0_1[2] * mixed_apart_0_1[1];
-    const double t71 = mixed_apart_0_1[2] * mixed_apart_0_1[2];
-    const double t72 = mixed_apart_0_1[3] * mixed_apart_0_1[0];
-    const double t73 = mixed_apart_0_1[3] * mixed_apart_0_1[1];
-    const double t74 = mixed_apart_0_1[3] * mixed_apart_0_1[2];
-    const double t75 = mixed_apart_0_1[3] * mixed_apart_0_1[3];
-    mixed_apart_0_1_squared[0] = t66;
-    mixed_apart_0_1_squared[1] = t67;
-    mixed_apart_0_1_squared[2] = t68;
-    mixed_apart_0_1_squared[3] = t69;
-    mixed_apart_0_1_squared[4] = t70;
-    mixed_apart_0_1_squared[5] = t71;
-    mixed_apart_0_1_squared[6] = t72;
-    mixed_apart_0_1_squared[7] = t73;
-    mixed_apart_0_1_squared[8] = t74;
-    mixed_apart_0_1_squared[9] = t75;
-    const double t76 = mixed_0_0_1_share[0] * self->mode_filtered_state[0];
-    const double t77 = mixed_0_0_1_share[1] * self->mode_filtered_state[4];
-    const double t78 = t76 + t77;
-    const double t79 = mixed_0_0_1_share[0] * self->mode_filtered_state[1];
-    const double t80 = mixed_0_0_1_share[1] * self->mode_filtered_state[5];
-    const double t81 = t79 + t80;
-    const double t82 = mixed_0_0_1_share[0] * self->mode_filtered_state[2];
-    const double t83 = mixed_0_0_1_share[1] * self->mode_filtered_state[6];
-    const double t84 = t82 + t83;
-    const double t85 = mixed_0_0_1_share[0] * self->mode_filtered_state[3];
-    const double t86 = mixed_0_0_1_share[1] * self->mode_filtered_state[7];
-    const double t87 = t85 + t86;
-    mixed_0_0_1_mean[0] = t78;
-    mixed_0_0_1_mean[1] = t81;
-    mixed_0_0_1_mean[2] = t84;
-    mixed_0_0_1_mean[3] = t87;
-    const double t88 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[0];
-    const double t89 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[10];
-    const double t90 = t88 + t89;
-    const double t91 = mixed_0_0_1_share[0] * mixed_0_0_1_share[1];
-    const double t92 = t91 * mixed_apart_0_1_squared[0];
-    const double t93 = t90 + t92;
-    const double t94 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[1];
-    const double t95 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[11];
-    const double t96 = t94 + t95;
-    const double t97 = t91 * mixed_apart_0_1_squared[1];
-    const double t98 = t96 + t97;
-    const double t99 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[2];
-    const double t100 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[12];
-    const double t101 = t99 + t100;
-    const double t102 = t91 * mixed_apart_0_1_squared[2];
-    const double t103 = t101 + t102;
-    const double t104 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[3];
-    const double t105 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[13];
-    const double t106 = t104 + t105;
-    const double t107 = t91 * mixed_apart_0_1_squared[3];
-    const double t108 = t106 + t107;
-    const double t109 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[4];
-    const double t110 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[14];
-    const double t111 = t109 + t110;
-    const double t112 = t91 * mixed_apart_0_1_squared[4];
-    const double t113 = t111 + t112;
-    const double t114 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[5];
-    const double t115 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[15];
-    const double t116 = t114 + t115;
-    const double t117 = t91 * mixed_apart_0_1_squared[5];
-    const double t118 = t116 + t117;
-    const double t119 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[6];
-    const double t120 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[16];
-    const double t121 = t119 + t120;
-    const double t122 = t91 * mixed_apart_0_1_squared[6];
-    const double t123 = t121 + t122;
-    const double t124 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[7];
-    const double t125 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[17];
-    const double t126 = t124 + t125;
-    const double t127 = t91 * mixed_apart_0_1_squared[7];
-    const double t128 = t126 + t127;
-    const double t129 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[8];
-    const double t130 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[18];
-    const double t131 = t129 + t130;
-    const double t132 = t91 * mixed_apart_0_1_squared[8];
-    const double t133 = t131 + t132;
-    const double t134 = mixed_0_0_1_share[0] * self->mode_filtered_covariance[9];
-    const double t135 = mixed_0_0_1_share[1] * self->mode_filtered_covariance[19];
-    const double t136 = t134 + t135;
-    const double t137 = t91 * mixed_apart_0_1_squared[9];
-    const double t138 = t136 + t137;
-    mixed_0_0_1_covariance[0] = t93;
-    mixed_0_0_1_covariance[1] = t98;
-    mixed_0_0_1_covariance[2] = t103;
-    mixed_0_0_1_covariance[3] = t108;
-    mixed_0_0_1_covariance[4] = t113;
-    mixed_0_0_1_covariance[5] = t118;
-    mixed_0_0_1_covariance[6] = t123;
-    mixed_0_0_1_covariance[7] = t128;
-    mixed_0_0_1_covariance[8] = t133;
-    mixed_0_0_1_covariance[9] = t138;
-    const double t139 = mixed_0_0_1_mean[0] - self->mode_filtered_state[8];
-    const double t140 = mixed_0_0_1_mean[1] - self->mode_filtered_state[9];
-    const double t141 = mixed_0_0_1_mean[2] - self->mode_filtered_state[10];
-    const double t142 = mixed_0_0_1_mean[3] - self->mode_filtered_state[11];
-    mixed_0_0_2_apart[0] = t139;
-    mixed_0_0_2_apart[1] = t140;
-    mixed_0_0_2_apart[2] = t141;
-    mixed_0_0_2_apart[3] = t142;
-    const double t143 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[0];
-    const double t144 = mixed_0_0_2_share[1] * self->mode_filtered_state[8];
-    const double t145 = t143 + t144;
-    const double t146 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[1];
-    const double t147 = mixed_0_0_2_share[1] * self->mode_filtered_state[9];
-    const double t148 = t146 + t147;
-    const double t149 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[2];
-    const double t150 = mixed_0_0_2_share[1] * self->mode_filtered_state[10];
-    const double t151 = t149 + t150;
-    const double t152 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[3];
-    const double t153 = mixed_0_0_2_share[1] * self->mode_filtered_state[11];
-    const double t154 = t152 + t153;
-    mixed_0_0_2_mean[0] = t145;
-    mixed_0_0_2_mean[1] = t148;
-    mixed_0_0_2_mean[2] = t151;
-    mixed_0_0_2_mean[3] = t154;
-    const double t155 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
-    const double t156 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[20];
-    const double t157 = t155 + t156;
-    const double t158 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
-    const double t159 = t158 * mixed_0_0_2_apart[0];
-    const double t160 = t159 * mixed_0_0_2_apart[0];
-    const double t161 = t157 + t160;
-    const double t162 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
-    const double t163 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[21];
-    const double t164 = t162 + t163;
-    const double t165 = t158 * mixed_0_0_2_apart[1];
-    const double t166 = t165 * mixed_0_0_2_apart[0];
-    const double t167 = t164 + t166;
-    const double t168 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
-    const double t169 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[22];
-    const double t170 = t168 + t169;
-    const double t171 = t165 * mixed_0_0_2_apart[1];
-    const double t172 = t170 + t171;
-    const double t173 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
-    const double t174 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[23];
-    const double t175 = t173 + t174;
-    const double t176 = t158 * mixed_0_0_2_apart[2];
-    const double t177 = t176 * mixed_0_0_2_apart[0];
-    const double t178 = t175 + t177;
-    const double t179 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
-    const double t180 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[24];
-    const double t181 = t179 + t180;
-    const double t182 = t176 * mixed_0_0_2_apart[1];
-    const double t183 = t181 + t182;
-    const double t184 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
-    const double t185 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[25];
-    const double t186 = t184 + t185;
-    const double t187 = t176 * mixed_0_0_2_apart[2];
-    const double t188 = t186 + t187;
-    const double t189 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
-    const double t190 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[26];
-    const double t191 = t189 + t190;
-    const double t192 = t158 * mixed_0_0_2_apart[3];
-    const double t193 = t192 * mixed_0_0_2_apart[0];
-    const double t194 = t191 + t193;
-    const double t195 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
-    const double t196 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[27];
-    const double t197 = t195 + t196;
-    const double t198 = t192 * mixed_0_0_2_apart[1];
-    const double t199 = t197 + t198;
-    const double t200 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
-    const double t201 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[28];
-    const double t202 = t200 + t201;
-    const double t203 = t192 * mixed_0_0_2_apart[2];
-    const double t204 = t202 + t203;
-    const double t205 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
-    const double t206 = mixed_0_0_2_share[1] * self->mode_filtered_covariance[29];
-    const double t207 = t205 + t206;
-    const double t208 = t192 * mixed_0_0_2_apart[3];
-    const double t209 = t207 + t208;
-    mixed_0_0_2_covariance[0] = t161;
-    mixed_0_0_2_covariance[1] = t167;
-    mixed_0_0_2_covariance[2] = t172;
-    mixed_0_0_2_covariance[3] = t178;
-    mixed_0_0_2_covariance[4] = t183;
-    mixed_0_0_2_covariance[5] = t188;
-    mixed_0_0_2_covariance[6] = t194;
-    mixed_0_0_2_covariance[7] = t199;
-    mixed_0_0_2_covariance[8] = t204;
-    mixed_0_0_2_covariance[9] = t209;
-    const double t210 = params->dt * mixed_0_0_2_mean[2];
-    const double t211 = mixed_0_0_2_mean[0] + t210;
-    const double t212 = params->dt * mixed_0_0_2_mean[3];
-    const double t213 = mixed_0_0_2_mean[1] + t212;
-    moved_state_0[0] = t211;
-    moved_state_0[1] = t213;
-    moved_state_0[2] = mixed_0_0_2_mean[2];
-    moved_state_0[3] = mixed_0_0_2_mean[3];
-    const double t214 = params->dt * mixed_0_0_2_covariance[3];
-    const double t215 = mixed_0_0_2_covariance[0] + t214;
-    const double t216 = params->dt * mixed_0_0_2_covariance[5];
-    const double t217 = mixed_0_0_2_covariance[3] + t216;
-    const double t218 = t217 * params->dt;
-    const double t219 = t215 + t218;
-    const double t220 = t219 + Q[0];
-    const double t221 = params->dt * mixed_0_0_2_covariance[6];
-    const double t222 = mixed_0_0_2_covariance[1] + t221;
-    const double t223 = params->dt * mixed_0_0_2_covariance[8];
-    const double t224 = mixed_0_0_2_covariance[4] + t223;
-    const double t225 = t224 * params->dt;
-    const double t226 = t222 + t225;
-    const double t227 = params->dt * mixed_0_0_2_covariance[7];
-    const double t228 = mixed_0_0_2_covariance[2] + t227;
-    const double t229 = params->dt * mixed_0_0_2_covariance[9];
-    const double t230 = mixed_0_0_2_covariance[7] + t229;
-    const double t231 = t230 * params->dt;
-    const double t232 = t228 + t231;
-    const double t233 = t232 + Q[2];
-    const double t234 = mixed_0_0_2_covariance[5] * params->dt;
-    const double t235 = mixed_0_0_2_covariance[3] + t234;
-    const double t236 = t235 + Q[1];
-    const double t237 = mixed_0_0_2_covariance[8] * params->dt;
-    const double t238 = mixed_0_0_2_covariance[4] + t237;
-    const double t239 = mixed_0_0_2_covariance[5] + Q[5];
-    const double t240 = mixed_0_0_2_covariance[8] * params->dt;
-    const double t241 = mixed_0_0_2_covariance[6] + t240;
-    const double t242 = mixed_0_0_2_covariance[9] * params->dt;
-    const double t243 = mixed_0_0_2_covariance[7] + t242;
-    const double t244 = t243 + Q[3];
-    const double t245 = mixed_0_0_2_covariance[9] + Q[7];
-    moved_covariance_0[0] = t220;
-    moved_covariance_0[1] = t226;
-    moved_covariance_0[2] = t233;
-    moved_covariance_0[3] = t236;
-    moved_covariance_0[4] = t238;
-    moved_covariance_0[5] = t239;
-    moved_covariance_0[6] = t241;
-    moved_covariance_0[7] = t244;
-    moved_covariance_0[8] = mixed_0_0_2_covariance[8];
-    moved_covariance_0[9] = t245;
-    const double t246 = path_share_1[0] * path_share_inverse_1;
-    const double t247 = path_share_1[1] * path_share_inverse_1;
-    const double t248 = t246 + t247;
-    const double t249 = t248 + SHIP_TRACK_TINY;
-    const double t250 = 1.0 / t249;
-    mixed_1_0_1_inverse = t250;
-    const double t251 = path_share_1[0] * path_share_inverse_1;
-    const double t252 = t251 * mixed_1_0_1_inverse;
-    const double t253 = path_share_1[1] * path_share_inverse_1;
-    const double t254 = t253 * mixed_1_0_1_inverse;
-    mixed_1_0_1_share[0] = t252;
-    mixed_1_0_1_share[1] = t254;
-    const double t255 = mixed_1_0_1_share[0] * self->mode_filtered_state[0];
-    const double t256 = mixed_1_0_1_share[1] * self->mode_filtered_state[4];
-    const double t257 = t255 + t256;
-    const double t258 = mixed_1_0_1_share[0] * self->mode_filtered_state[1];
-    const double t259 = mixed_1_0_1_share[1] * self->mode_filtered_state[5];
-    const double t260 = t258 + t259;
-    const double t261 = mixed_1_0_1_share[0] * self->mode_filtered_state[2];
-    const double t262 = mixed_1_0_1_share[1] * self->mode_filtered_state[6];
-    const double t263 = t261 + t262;
-    const double t264 = mixed_1_0_1_share[0] * self->mode_filtered_state[3];
-    const double t265 = mixed_1_0_1_share[1] * self->mode_filtered_state[7];
-    const double t266 = t264 + t265;
-    mixed_1_0_1_mean[0] = t257;
-    mixed_1_0_1_mean[1] = t260;
-    mixed_1_0_1_mean[2] = t263;
-    mixed_1_0_1_mean[3] = t266;
-    const double t267 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[0];
-    const double t268 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[10];
-    const double t269 = t267 + t268;
-    const double t270 = mixed_1_0_1_share[0] * mixed_1_0_1_share[1];
-    const double t271 = t270 * mixed_apart_0_1_squared[0];
-    const double t272 = t269 + t271;
-    const double t273 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[1];
-    const double t274 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[11];
-    const double t275 = t273 + t274;
-    const double t276 = t270 * mixed_apart_0_1_squared[1];
-    const double t277 = t275 + t276;
-    const double t278 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[2];
-    const double t279 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[12];
-    const double t280 = t278 + t279;
-    const double t281 = t270 * mixed_apart_0_1_squared[2];
-    const double t282 = t280 + t281;
-    const double t283 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[3];
-    const double t284 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[13];
-    const double t285 = t283 + t284;
-    const double t286 = t270 * mixed_apart_0_1_squared[3];
-    const double t287 = t285 + t286;
-    const double t288 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[4];
-    const double t289 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[14];
-    const double t290 = t288 + t289;
-    const double t291 = t270 * mixed_apart_0_1_squared[4];
-    const double t292 = t290 + t291;
-    const double t293 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[5];
-    const double t294 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[15];
-    const double t295 = t293 + t294;
-    const double t296 = t270 * mixed_apart_0_1_squared[5];
-    const double t297 = t295 + t296;
-    const double t298 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[6];
-    const double t299 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[16];
-    const double t300 = t298 + t299;
-    const double t301 = t270 * mixed_apart_0_1_squared[6];
-    const double t302 = t300 + t301;
-    const double t303 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[7];
-    const double t304 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[17];
-    const double t305 = t303 + t304;
-    const double t306 = t270 * mixed_apart_0_1_squared[7];
-    const double t307 = t305 + t306;
-    const double t308 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[8];
-    const double t309 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[18];
-    const double t310 = t308 + t309;
-    const double t311 = t270 * mixed_apart_0_1_squared[8];
-    const double t312 = t310 + t311;
-    const double t313 = mixed_1_0_1_share[0] * self->mode_filtered_covariance[9];
-    const double t314 = mixed_1_0_1_share[1] * self->mode_filtered_covariance[19];
-    const double t315 = t313 + t314;
-    const double t316 = t270 * mixed_apart_0_1_squared[9];
-    const double t317 = t315 + t316;
-    mixed_1_0_1_covariance[0] = t272;
-    mixed_1_0_1_covariance[1] = t277;
-    mixed_1_0_1_covariance[2] = t282;
-    mixed_1_0_1_covariance[3] = t287;
-    mixed_1_0_1_covariance[4] = t292;
-    mixed_1_0_1_covariance[5] = t297;
-    mixed_1_0_1_covariance[6] = t302;
-    mixed_1_0_1_covariance[7] = t307;
-    mixed_1_0_1_covariance[8] = t312;
-    mixed_1_0_1_covariance[9] = t317;
-    const double t318 = A[0] * mixed_1_0_1_mean[2];
-    const double t319 = mixed_1_0_1_mean[0] + t318;
-    const double t320 = A[4] * mixed_1_0_1_mean[3];
-    const double t321 = t319 + t320;
-    const double t322 = A[1] * mixed_1_0_1_mean[2];
-    const double t323 = mixed_1_0_1_mean[1] + t322;
-    const double t324 = A[5] * mixed_1_0_1_mean[3];
-    const double t325 = t323 + t324;
-    const double t326 = A[2] * mixed_1_0_1_mean[2];
-    const double t327 = A[6] * mixed_1_0_1_mean[3];
-    const double t328 = t326 + t327;
-    const double t329 = A[3] * mixed_1_0_1_mean[2];
-    const double t330 = A[7] * mixed_1_0_1_mean[3];
-    const double t331 = t329 + t330;
-    moved_state_1[0] = t321;
-    moved_state_1[1] = t325;
-    moved_state_1[2] = t328;
-    moved_state_1[3] = t331;
-    const double t332 = A[0] * mixed_1_0_1_covariance[3];
-    const double t333 = mixed_1_0_1_covariance[0] + t332;
-    const double t334 = A[4] * mixed_1_0_1_covariance[6];
-    const double t335 = t333 + t334;
-    const double t336 = A[0] * mixed_1_0_1_covariance[5];
-    const double t337 = mixed_1_0_1_covariance[3] + t336;
-    const double t338 = A[4] * mixed_1_0_1_covariance[8];
-    const double t339 = t337 + t338;
-    const double t340 = t339 * A[0];
-    const double t341 = t335 + t340;
-    const double t342 = A[0] * mixed_1_0_1_covariance[8];
-    const double t343 = mixed_1_0_1_covariance[6] + t342;
-    const double t344 = A[4] * mixed_1_0_1_covariance[9];
-    const double t345 = t343 + t344;
-    const double t346 = t345 * A[4];
-    const double t347 = t341 + t346;
-    const double t348 = t347 + Q[8];
-    const double t349 = A[1] * mixed_1_0_1_covariance[3];
-    const double t350 = mixed_1_0_1_covariance[1] + t349;
-    const double t351 = A[5] * mixed_1_0_1_covariance[6];
-    const double t352 = t350 + t351;
-    const double t353 = A[1] * mixed_1_0_1_covariance[5];
-    const double t354 = mixed_1_0_1_covariance[4] + t353;
-    const double t355 = A[5] * mixed_1_0_1_covariance[8];
-    const double t356 = t354 + t355;
-    const double t357 = t356 * A[0];
-    const double t358 = t352 + t357;
-    const double t359 = A[1] * mixed_1_0_1_covariance[8];
-    const double t360 = mixed_1_0_1_covariance[7] + t359;
-    const double t361 = A[5] * mixed_1_0_1_covariance[9];
-    const double t362 = t360 + t361;
-    const double t363 = t362 * A[4];
-    const double t364 = t358 + t363;
-    const double t365 = A[1] * mixed_1_0_1_covariance[4];
-    const double t366 = mixed_1_0_1_covariance[2] + t365;
-    const double t367 = A[5] * mixed_1_0_1_covariance[7];
-    const double t368 = t366 + t367;
-    const double t369 = t356 * A[1];
-    const double t370 = t368 + t369;
-    const double t371 = t362 * A[5];
-    const double t372 = t370 + t371;
-    const double t373 = t372 + Q[10];
-    const double t374 = A[2] * mixed_1_0_1_covariance[3];
-    const double t375 = A[6] * mixed_1_0_1_covariance[6];
-    const double t376 = t374 + t375;
-    const double t377 = A[2] * mixed_1_0_1_covariance[5];
-    const double t378 = A[6] * mixed_1_0_1_covariance[8];
-    const double t379 = t377 + t378;
-    const double t380 = t379 * A[0];
-    const double t381 = t376 + t380;
-    const double t382 = A[2] * mixed_1_0_1_covariance[8];
-    const double t383 = A[6] * mixed_1_0_1_covariance[9];
-    const double t384 = t382 + t383;
-    const double t385 = t384 * A[4];
-    const double t386 = t381 + t385;
-    const double t387 = t386 + Q[9];
-    const double t388 = A[2] * mixed_1_0_1_covariance[4];
-    const double t389 = A[6] * mixed_1_0_1_covariance[7];
-    const double t390 = t388 + t389;
-    const double t391 = t379 * A[1];
-    const double t392 = t390 + t391;
-    const double t393 = t384 * A[5];
-    const double t394 = t392 + t393;
-    const double t395 = t379 * A[2];
-    const double t396 = t384 * A[6];
-    const double t397 = t395 + t396;
-    const double t398 = t397 + Q[13];
-    const double t399 = A[3] * mixed_1_0_1_covariance[3];
-    const double t400 = A[7] * mixed_1_0_1_covariance[6];
-    const double t401 = t399 + t400;
-    const double t402 = A[3] * mixed_1_0_1_covariance[5];
-    const double t403 = A[7] * mixed_1_0_1_covariance[8];
-    const double t404 = t402 + t403;
-    const double t405 = t404 * A[0];
-    const double t406 = t401 + t405;
-    const double t407 = A[3] * mixed_1_0_1_covariance[8];
-    const double t408 = A[7] * mixed_1_0_1_covariance[9];
-    const double t409 = t407 + t408;
-    const double t410 = t409 * A[4];
-    const double t411 = t406 + t410;
-    const double t412 = A[3] * mixed_1_0_1_covariance[4];
-    const double t413 = A[7] * mixed_1_0_1_covariance[7];
-    const double t414 = t412 + t413;
-    const double t415 = t404 * A[1];
-    const double t416 = t414 + t415;
-    const double t417 = t409 * A[5];
-    const double t418 = t416 + t417;
-    const double t419 = t418 + Q[11];
-    const double t420 = t404 * A[2];
-    const double t421 = t409 * A[6];
-    const double t422 = t420 + t421;
-    const double t423 = t404 * A[3];
-    const double t424 = t409 * A[7];
-    const double t425 = t423 + t424;
-    const double t426 = t425 + Q[15];
-    moved_covariance_1[0] = t348;
-    moved_covariance_1[1] = t364;
-    moved_covariance_1[2] = t373;
-    moved_covariance_1[3] = t387;
-    moved_covariance_1[4] = t394;
-    moved_covariance_1[5] = t398;
-    moved_covariance_1[6] = t411;
-    moved_covariance_1[7] = t419;
-    moved_covariance_1[8] = t422;
-    moved_covariance_1[9] = t426;
-    const double t427 = path_share_2[0] * path_share_inverse_2;
-    const double t428 = path_share_2[1] * path_share_inverse_2;
-    mixed_2_0_2_share[0] = t427;
-    mixed_2_0_2_share[1] = t428;
-    const double t429 = self->mode_filtered_state[0] - self->mode_filtered_state[8];
-    const double t430 = self->mode_filtered_state[1] - self->mode_filtered_state[9];
-    const double t431 = self->mode_filtered_state[2] - self->mode_filtered_state[10];
-    const double t432 = self->mode_filtered_state[3] - self->mode_filtered_state[11];
-    mixed_2_0_2_apart[0] = t429;
-    mixed_2_0_2_apart[1] = t430;
-    mixed_2_0_2_apart[2] = t431;
-    mixed_2_0_2_apart[3] = t432;
-    const double t433 = mixed_2_0_2_share[0] * self->mode_filtered_state[0];
-    const double t434 = mixed_2_0_2_share[1] * self->mode_filtered_state[8];
-    const double t435 = t433 + t434;
-    const double t436 = mixed_2_0_2_share[0] * self->mode_filtered_state[1];
-    const double t437 = mixed_2_0_2_share[1] * self->mode_filtered_state[9];
-    const double t438 = t436 + t437;
-    const double t439 = mixed_2_0_2_share[0] * self->mode_filtered_state[2];
-    const double t440 = mixed_2_0_2_share[1] * self->mode_filtered_state[10];
-    const double t441 = t439 + t440;
-    const double t442 = mixed_2_0_2_share[0] * self->mode_filtered_state[3];
-    const double t443 = mixed_2_0_2_share[1] * self->mode_filtered_state[11];
-    const double t444 = t442 + t443;
-    mixed_2_0_2_mean[0] = t435;
-    mixed_2_0_2_mean[1] = t438;
-    mixed_2_0_2_mean[2] = t441;
-    mixed_2_0_2_mean[3] = t444;
-    const double t445 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[0];
-    const double t446 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[20];
-    const double t447 = t445 + t446;
-    const double t448 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
-    const double t449 = t448 * mixed_2_0_2_apart[0];
-    const double t450 = t449 * mixed_2_0_2_apart[0];
-    const double t451 = t447 + t450;
-    const double t452 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[1];
-    const double t453 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[21];
-    const double t454 = t452 + t453;
-    const double t455 = t448 * mixed_2_0_2_apart[1];
-    const double t456 = t455 * mixed_2_0_2_apart[0];
-    const double t457 = t454 + t456;
-    const double t458 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[2];
-    const double t459 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[22];
-    const double t460 = t458 + t459;
-    const double t461 = t455 * mixed_2_0_2_apart[1];
-    const double t462 = t460 + t461;
-    const double t463 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[3];
-    const double t464 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[23];
-    const double t465 = t463 + t464;
-    const double t466 = t448 * mixed_2_0_2_apart[2];
-    const double t467 = t466 * mixed_2_0_2_apart[0];
-    const double t468 = t465 + t467;
-    const double t469 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[4];
-    const double t470 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[24];
-    const double t471 = t469 + t470;
-    const double t472 = t466 * mixed_2_0_2_apart[1];
-    const double t473 = t471 + t472;
-    const double t474 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[5];
-    const double t475 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[25];
-    const double t476 = t474 + t475;
-    const double t477 = t466 * mixed_2_0_2_apart[2];
-    const double t478 = t476 + t477;
-    const double t479 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[6];
-    const double t480 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[26];
-    const double t481 = t479 + t480;
-    const double t482 = t448 * mixed_2_0_2_apart[3];
-    const double t483 = t482 * mixed_2_0_2_apart[0];
-    const double t484 = t481 + t483;
-    const double t485 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[7];
-    const double t486 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[27];
-    const double t487 = t485 + t486;
-    const double t488 = t482 * mixed_2_0_2_apart[1];
-    const double t489 = t487 + t488;
-    const double t490 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[8];
-    const double t491 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[28];
-    const double t492 = t490 + t491;
-    const double t493 = t482 * mixed_2_0_2_apart[2];
-    const double t494 = t492 + t493;
-    const double t495 = mixed_2_0_2_share[0] * self->mode_filtered_covariance[9];
-    const double t496 = mixed_2_0_2_share[1] * self->mode_filtered_covariance[29];
-    const double t497 = t495 + t496;
-    const double t498 = t482 * mixed_2_0_2_apart[3];
-    const double t499 = t497 + t498;
-    mixed_2_0_2_covariance[0] = t451;
-    mixed_2_0_2_covariance[1] = t457;
-    mixed_2_0_2_covariance[2] = t462;
-    mixed_2_0_2_covariance[3] = t468;
-    mixed_2_0_2_covariance[4] = t473;
-    mixed_2_0_2_covariance[5] = t478;
-    mixed_2_0_2_covariance[6] = t484;
-    mixed_2_0_2_covariance[7] = t489;
-    mixed_2_0_2_covariance[8] = t494;
-    mixed_2_0_2_covariance[9] = t499;
-    const double t500 = A[8] * mixed_2_0_2_mean[2];
-    const double t501 = mixed_2_0_2_mean[0] + t500;
-    const double t502 = A[12] * mixed_2_0_2_mean[3];
-    const double t503 = t501 + t502;
-    const double t504 = A[9] * mixed_2_0_2_mean[2];
-    const double t505 = mixed_2_0_2_mean[1] + t504;
-    const double t506 = A[13] * mixed_2_0_2_mean[3];
-    const double t507 = t505 + t506;
-    const double t508 = A[10] * mixed_2_0_2_mean[2];
-    const double t509 = A[14] * mixed_2_0_2_mean[3];
-    const double t510 = t508 + t509;
-    const double t511 = A[11] * mixed_2_0_2_mean[2];
-    const double t512 = A[15] * mixed_2_0_2_mean[3];
-    const double t513 = t511 + t512;
-    moved_state_2[0] = t503;
-    moved_state_2[1] = t507;
-    moved_state_2[2] = t510;
-    moved_state_2[3] = t513;
-    const double t514 = A[8] * mixed_2_0_2_covariance[3];
-    const double t515 = mixed_2_0_2_covariance[0] + t514;
-    const double t516 = A[12] * mixed_2_0_2_covariance[6];
-    const double t517 = t515 + t516;
-    const double t518 = A[8] * mixed_2_0_2_covariance[5];
-    const double t519 = mixed_2_0_2_covariance[3] + t518;
-    const double t520 = A[12] * mixed_2_0_2_covariance[8];
-    const double t521 = t519 + t520;
-    const double t522 = t521 * A[8];
-    const double t523 = t517 + t522;
-    const double t524 = A[8] * mixed_2_0_2_covariance[8];
-    const double t525 = mixed_2_0_2_covariance[6] + t524;
-    const double t526 = A[12] * mixed_2_0_2_covariance[9];
-    const double t527 = t525 + t526;
-    const double t528 = t527 * A[12];
-    const double t529 = t523 + t528;
-    const double t530 = t529 + Q[8];
-    const double t531 = A[9] * mixed_2_0_2_covariance[3];
-    const double t532 = mixed_2_0_2_covariance[1] + t531;
-    const double t533 = A[13] * mixed_2_0_2_covariance[6];
-    const double t534 = t532 + t533;
-    const double t535 = A[9] * mixed_2_0_2_covariance[5];
-    const double t536 = mixed_2_0_2_covariance[4] + t535;
-    const double t537 = A[13] * mixed_2_0_2_covariance[8];
-    const double t538 = t536 + t537;
-    const double t539 = t538 * A[8];
-    const double t540 = t534 + t539;
-    const double t541 = A[9] * mixed_2_0_2_covariance[8];
-    const double t542 = mixed_2_0_2_covariance[7] + t541;
-    const double t543 = A[13] * mixed_2_0_2_covariance[9];
-    const double t544 = t542 + t543;
-    const double t545 = t544 * A[12];
-    const double t546 = t540 + t545;
-    const double t547 = A[9] * mixed_2_0_2_covariance[4];
-    const double t548 = mixed_2_0_2_covariance[2] + t547;
-    const double t549 = A[13] * mixed_2_0_2_covariance[7];
-    const double t550 = t548 + t549;
-    const double t551 = t538 * A[9];
-    const double t552 = t550 + t551;
-    const double t553 = t544 * A[13];
-    const double t554 = t552 + t553;
-    const double t555 = t554 + Q[10];
-    const double t556 = A[10] * mixed_2_0_2_covariance[3];
-    const double t557 = A[14] * mixed_2_0_2_covariance[6];
-    const double t558 = t556 + t557;
-    const double t559 = A[10] * mixed_2_0_2_covariance[5];
-    const double t560 = A[14] * mixed_2_0_2_covariance[8];
-    const double t561 = t559 + t560;
-    const double t562 = t561 * A[8];
-    const double t563 = t558 + t562;
-    const double t564 = A[10] * mixed_2_0_2_covariance[8];
-    const double t565 = A[14] * mixed_2_0_2_covariance[9];
-    const double t566 = t564 + t565;
-    const double t567 = t566 * A[12];
-    const double t568 = t563 + t567;
-    const double t569 = t568 + Q[9];
-    const double t570 = A[10] * mixed_2_0_2_covariance[4];
-    const double t571 = A[14] * mixed_2_0_2_covariance[7];
-    const double t572 = t570 + t571;
-    const double t573 = t561 * A[9];
-    const double t574 = t572 + t573;
-    const double t575 = t566 * A[13];
-    const double t576 = t574 + t575;
-    const double t577 = t561 * A[10];
-    const double t578 = t566 * A[14];
-    const double t579 = t577 + t578;
-    const double t580 = t579 + Q[13];
-    const double t581 = A[11] * mixed_2_0_2_covariance[3];
-    const double t582 = A[15] * mixed_2_0_2_covariance[6];
-    const double t583 = t581 + t582;
-    const double t584 = A[11] * mixed_2_0_2_covariance[5];
-    const double t585 = A[15] * mixed_2_0_2_covariance[8];
-    const double t586 = t584 + t585;
-    const double t587 = t586 * A[8];
-    const double t588 = t583 + t587;
-    const double t589 = A[11] * mixed_2_0_2_covariance[8];
-    const double t590 = A[15] * mixed_2_0_2_covariance[9];
-    const double t591 = t589 + t590;
-    const double t592 = t591 * A[12];
-    const double t593 = t588 + t592;
-    const double t594 = A[11] * mixed_2_0_2_covariance[4];
-    const double t595 = A[15] * mixed_2_0_2_covariance[7];
-    const double t596 = t594 + t595;
-    const double t597 = t586 * A[9];
-    const double t598 = t596 + t597;
-    const double t599 = t591 * A[13];
-    const double t600 = t598 + t599;
-    const double t601 = t600 + Q[11];
-    const double t602 = t586 * A[10];
-    const double t603 = t591 * A[14];
-    const double t604 = t602 + t603;
-    const double t605 = t586 * A[11];
-    const double t606 = t591 * A[15];
-    const double t607 = t605 + t606;
-    const double t608 = t607 + Q[15];
-    moved_covariance_2[0] = t530;
-    moved_covariance_2[1] = t546;
-    moved_covariance_2[2] = t555;
-    moved_covariance_2[3] = t569;
-    moved_covariance_2[4] = t576;
-    moved_covariance_2[5] = t580;
-    moved_covariance_2[6] = t593;
-    moved_covariance_2[7] = t601;
-    moved_covariance_2[8] = t604;
-    moved_covariance_2[9] = t608;
-
-    /* combined prediction */
-    const double t609 = mode_prediction_0 + mode_prediction_1;
-    predicted_0_2_share[0] = t609;
-    predicted_0_2_share[1] = mode_prediction_2;
-    const double t610 = mode_prediction_0 + mode_prediction_1;
-    const double t611 = t610 + SHIP_TRACK_TINY;
-    const double t612 = 1.0 / t611;
-    predicted_0_1_inverse = t612;
-    const double t613 = mode_prediction_0 * predicted_0_1_inverse;
-    const double t614 = mode_prediction_1 * predicted_0_1_inverse;
-    predicted_0_1_share[0] = t613;
-    predicted_0_1_share[1] = t614;
-    const double t615 = moved_state_0[0] - moved_state_1[0];
-    const double t616 = moved_state_0[1] - moved_state_1[1];
-    const double t617 = moved_state_0[2] - moved_state_1[2];
-    const double t618 = moved_state_0[3] - moved_state_1[3];
-    predicted_apart_0_1[0] = t615;
-    predicted_apart_0_1[1] = t616;
-    predicted_apart_0_1[2] = t617;
-    predicted_apart_0_1[3] = t618;
-    const double t619 = predicted_apart_0_1[0] * predicted_apart_0_1[0];
-    const double t620 = predicted_apart_0_1[1] * predicted_apart_0_1[0];
-    const double t621 = predicted_apart_0_1[1] * predicted_apart_0_1[1];
-    const double t622 = predicted_apart_0_1[2] * predicted_apart_0_1[0];
-    const double t623 = predicted_apart_0_1[2] * predicted_apart_0_1[1];
-    const double t624 = predicted_apart_0_1[2] * predicted_apart_0_1[2];
-    const double t625 = predicted_apart_0_1[3] * predicted_apart_0_1[0];
-    const double t626 = predicted_apart_0_1[3] * predicted_apart_0_1[1];
-    const double t627 = predicted_apart_0_1[3] * predicted_apart_0_1[2];
-    const double t628 = predicted_apart_0_1[3] * predicted_apart_0_1[3];
-    predicted_apart_0_1_squared[0] = t619;
-    predicted_apart_0_1_squared[1] = t620;
-    predicted_apart_0_1_squared[2] = t621;
-    predicted_apart_0_1_squared[3] = t622;
-    predicted_apart_0_1_squared[4] = t623;
-    predicted_apart_0_1_squared[5] = t624;
-    predicted_apart_0_1_squared[6] = t625;
-    predicted_apart_0_1_squared[7] = t626;
-    predicted_apart_0_1_squared[8] = t627;
-    predicted_apart_0_1_squared[9] = t628;
-    const double t629 = predicted_0_1_share[0] * moved_state_0[0];
-    const double t630 = predicted_0_1_share[1] * moved_state_1[0];
-    const double t631 = t629 + t630;
-    const double t632 = predicted_0_1_share[0] * moved_state_0[1];
-    const double t633 = predicted_0_1_share[1] * moved_state_1[1];
-    const double t634 = t632 + t633;
-    const double t635 = predicted_0_1_share[0] * moved_state_0[2];
-    const double t636 = predicted_0_1_share[1] * moved_state_1[2];
-    const double t637 = t635 + t636;
-    const double t638 = predicted_0_1_share[0] * moved_state_0[3];
-    const double t639 = predicted_0_1_share[1] * moved_state_1[3];
-    const double t640 = t638 + t639;
-    predicted_0_1_mean[0] = t631;
-    predicted_0_1_mean[1] = t634;
-    predicted_0_1_mean[2] = t637;
-    predicted_0_1_mean[3] = t640;
-    const double t641 = predicted_0_1_share[0] * moved_covariance_0[0];
-    const double t642 = predicted_0_1_share[1] * moved_covariance_1[0];
-    const double t643 = t641 + t642;
-    const double t644 = predicted_0_1_share[0] * predicted_0_1_share[1];
-    const double t645 = t644 * predicted_apart_0_1_squared[0];
-    const double t646 = t643 + t645;
-    const double t647 = predicted_0_1_share[0] * moved_covariance_0[1];
-    const double t648 = predicted_0_1_share[1] * moved_covariance_1[1];
-    const double t649 = t647 + t648;
-    const double t650 = t644 * predicted_apart_0_1_squared[1];
-    const double t651 = t649 + t650;
-    const double t652 = predicted_0_1_share[0] * moved_covariance_0[2];
-    const double t653 = predicted_0_1_share[1] * moved_covariance_1[2];
-    const double t654 = t652 + t653;
-    const double t655 = t644 * predicted_apart_0_1_squared[2];
-    const double t656 = t654 + t655;
-    const double t657 = predicted_0_1_share[0] * moved_covariance_0[3];
-    const double t658 = predicted_0_1_share[1] * moved_covariance_1[3];
-    const double t659 = t657 + t658;
-    const double t660 = t644 * predicted_apart_0_1_squared[3];
-    const double t661 = t659 + t660;
-    const double t662 = predicted_0_1_share[0] * moved_covariance_0[4];
-    const double t663 = predicted_0_1_share[1] * moved_covariance_1[4];
-    const double t664 = t662 + t663;
-    const double t665 = t644 * predicted_apart_0_1_squared[4];
-    const double t666 = t664 + t665;
-    const double t667 = predicted_0_1_share[0] * moved_covariance_0[5];
-    const double t668 = predicted_0_1_share[1] * moved_covariance_1[5];
-    const double t669 = t667 + t668;
-    const double t670 = t644 * predicted_apart_0_1_squared[5];
-    const double t671 = t669 + t670;
-    const double t672 = predicted_0_1_share[0] * moved_covariance_0[6];
-    const double t673 = predicted_0_1_share[1] * moved_covariance_1[6];
-    const double t674 = t672 + t673;
-    const double t675 = t644 * predicted_apart_0_1_squared[6];
-    const double t676 = t674 + t675;
-    const double t677 = predicted_0_1_share[0] * moved_covariance_0[7];
-    const double t678 = predicted_0_1_share[1] * moved_covariance_1[7];
-    const double t679 = t677 + t678;
-    const double t680 = t644 * predicted_apart_0_1_squared[7];
-    const double t681 = t679 + t680;
-    const double t682 = predicted_0_1_share[0] * moved_covariance_0[8];
-    const double t683 = predicted_0_1_share[1] * moved_covariance_1[8];
-    const double t684 = t682 + t683;
-    const double t685 = t644 * predicted_apart_0_1_squared[8];
-    const double t686 = t684 + t685;
-    const double t687 = predicted_0_1_share[0] * moved_covariance_0[9];
-    const double t688 = predicted_0_1_share[1] * moved_covariance_1[9];
-    const double t689 = t687 + t688;
-    const double t690 = t644 * predicted_apart_0_1_squared[9];
-    const double t691 = t689 + t690;
-    predicted_0_1_covariance[0] = t646;
-    predicted_0_1_covariance[1] = t651;
-    predicted_0_1_covariance[2] = t656;
-    predicted_0_1_covariance[3] = t661;
-    predicted_0_1_covariance[4] = t666;
-    predicted_0_1_covariance[5] = t671;
-    predicted_0_1_covariance[6] = t676;
-    predicted_0_1_covariance[7] = t681;
-    predicted_0_1_covariance[8] = t686;
-    predicted_0_1_covariance[9] = t691;
-    const double t692 = predicted_0_1_mean[0] - moved_state_2[0];
-    const double t693 = predicted_0_1_mean[1] - moved_state_2[1];
-    const double t694 = predicted_0_1_mean[2] - moved_state_2[2];
-    const double t695 = predicted_0_1_mean[3] - moved_state_2[3];
-    predicted_0_2_apart[0] = t692;
-    predicted_0_2_apart[1] = t693;
-    predicted_0_2_apart[2] = t694;
-    predicted_0_2_apart[3] = t695;
-    const double t696 = predicted_0_2_share[0] * predicted_0_1_mean[0];
-    const double t697 = predicted_0_2_share[1] * moved_state_2[0];
-    const double t698 = t696 + t697;
-    const double t699 = predicted_0_2_share[0] * predicted_0_1_mean[1];
-    const double t700 = predicted_0_2_share[1] * moved_state_2[1];
-    const double t701 = t699 + t700;
-    const double t702 = predicted_0_2_share[0] * predicted_0_1_mean[2];
-    const double t703 = predicted_0_2_share[1] * moved_state_2[2];
-    const double t704 = t702 + t703;
-    const double t705 = predicted_0_2_share[0] * predicted_0_1_mean[3];
-    const double t706 = predicted_0_2_share[1] * moved_state_2[3];
-    const double t707 = t705 + t706;
-    predicted_0_2_mean[0] = t698;
-    predicted_0_2_mean[1] = t701;
-    predicted_0_2_mean[2] = t704;
-    predicted_0_2_mean[3] = t707;
-    const double t708 = predicted_0_2_share[0] * predicted_0_1_covariance[0];
-    const double t709 = predicted_0_2_share[1] * moved_covariance_2[0];
-    const double t710 = t708 + t709;
-    const double t711 = predicted_0_2_share[0] * predicted_0_2_share[1];
-    const double t712 = t711 * predicted_0_2_apart[0];
-    const double t713 = t712 * predicted_0_2_apart[0];
-    const double t714 = t710 + t713;
-    const double t715 = predicted_0_2_share[0] * predicted_0_1_covariance[1];
-    const double t716 = predicted_0_2_share[1] * moved_covariance_2[1];
-    const double t717 = t715 + t716;
-    const double t718 = t711 * predicted_0_2_apart[1];
-    const double t719 = t718 * predicted_0_2_apart[0];
-    const double t720 = t717 + t719;
-    const double t721 = predicted_0_2_share[0] * predicted_0_1_covariance[2];
-    const double t722 = predicted_0_2_share[1] * moved_covariance_2[2];
-    const double t723 = t721 + t722;
-    const double t724 = t718 * predicted_0_2_apart[1];
-    const double t725 = t723 + t724;
-    const double t726 = predicted_0_2_share[0] * predicted_0_1_covariance[3];
-    const double t727 = predicted_0_2_share[1] * moved_covariance_2[3];
-    const double t728 = t726 + t727;
-    const double t729 = t711 * predicted_0_2_apart[2];
-    const double t730 = t729 * predicted_0_2_apart[0];
-    const double t731 = t728 + t730;
-    const double t732 = predicted_0_2_share[0] * predicted_0_1_covariance[4];
-    const double t733 = predicted_0_2_share[1] * moved_covariance_2[4];
-    const double t734 = t732 + t733;
-    const double t735 = t729 * predicted_0_2_apart[1];
-    const double t736 = t734 + t735;
-    const double t737 = predicted_0_2_share[0] * predicted_0_1_covariance[5];
-    const double t738 = predicted_0_2_share[1] * moved_covariance_2[5];
-    const double t739 = t737 + t738;
-    const double t740 = t729 * predicted_0_2_apart[2];
-    const double t741 = t739 + t740;
-    const double t742 = predicted_0_2_share[0] * predicted_0_1_covariance[6];
-    const double t743 = predicted_0_2_share[1] * moved_covariance_2[6];
-    const double t744 = t742 + t743;
-    const double t745 = t711 * predicted_0_2_apart[3];
-    const double t746 = t745 * predicted_0_2_apart[0];
-    const double t747 = t744 + t746;
-    const double t748 = predicted_0_2_share[0] * predicted_0_1_covariance[7];
-    const double t749 = predicted_0_2_share[1] * moved_covariance_2[7];
-    const double t750 = t748 + t749;
-    const double t751 = t745 * predicted_0_2_apart[1];
-    const double t752 = t750 + t751;
-    const double t753 = predicted_0_2_share[0] * predicted_0_1_covariance[8];
-    const double t754 = predicted_0_2_share[1] * moved_covariance_2[8];
-    const double t755 = t753 + t754;
-    const double t756 = t745 * predicted_0_2_apart[2];
-    const double t757 = t755 + t756;
-    const double t758 = predicted_0_2_share[0] * predicted_0_1_covariance[9];
-    const double t759 = predicted_0_2_share[1] * moved_covariance_2[9];
-    const double t760 = t758 + t759;
-    const double t761 = t745 * predicted_0_2_apart[3];
-    const double t762 = t760 + t761;
-    predicted_0_2_covariance[0] = t714;
-    predicted_0_2_covariance[1] = t720;
-    predicted_0_2_covariance[2] = t725;
-    predicted_0_2_covariance[3] = t731;
-    predicted_0_2_covariance[4] = t736;
-    predicted_0_2_covariance[5] = t741;
-    predicted_0_2_covariance[6] = t747;
-    predicted_0_2_covariance[7] = t752;
-    predicted_0_2_covariance[8] = t757;
-    predicted_0_2_covariance[9] = t762;
-    const double t763 = ship_track_log(mode_prediction_0);
+    predicted_0_1_share[0] = mode_prediction_0 * predicted_0_1_inverse;
+    predicted_0_1_share[1] = mode_prediction_1 * predicted_0_1_inverse;
+    ship_track_part_2(moved_state_0, moved_state_1, predicted_0_1_share, moved_covariance_0,
+        moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
+        moved_covariance_2, predicted_0_2_covariance);
+    next->predicted_log_weight[0] = ship_track_log(mode_prediction_0);
     const double t764 = ship_track_log(path_share_total_1);
-    const double t765 = log_path_largest_1 + t764;
+    next->predicted_log_weight[1] = log_path_largest_1 + t764;
     const double t766 = ship_track_log(path_share_total_2);
-    const double t767 = log_path_largest_2 + t766;
+    next->predicted_log_weight[2] = log_path_largest_2 + t766;
     const double t768 = moved_state_0[0] + moved_state_1[0];
     const double t769 = t768 + moved_state_2[0];
     const double t770 = moved_state_0[1] + moved_state_1[1];
@@ -3165,9 +2004,6 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     next->predicted_mode_probability[0] = mode_prediction_0;
     next->predicted_mode_probability[1] = mode_prediction_1;
     next->predicted_mode_probability[2] = mode_prediction_2;
-    next->predicted_log_weight[0] = t763;
-    next->predicted_log_weight[1] = t765;
-    next->predicted_log_weight[2] = t767;
     next->mode_state[0] = moved_state_0[0];
     next->mode_state[1] = moved_state_0[1];
     next->mode_state[2] = moved_state_0[2];

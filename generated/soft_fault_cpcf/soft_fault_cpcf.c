@@ -174,13 +174,11 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t0 = y[0] - self->predicted_state[0];
-        innovation_0 = t0;
+        innovation_0 = y[0] - self->predicted_state[0];
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t1 = y[1] - self->predicted_state[1];
-        innovation_1 = t1;
+        innovation_1 = y[1] - self->predicted_state[1];
     }
 
     /* the compressed measurement, if there is one */
@@ -202,50 +200,38 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     covariance[5] = carried_compressed_noise;
 
     /* row 1 of y, measured_velocity */
-    const double t2 = self->predicted_covariance[2] + 0.01;
-    pivot_0 = t2;
+    pivot_0 = self->predicted_covariance[2] + 0.01;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_0 > 0.0))
         {
             return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
         }
-        const double t3 = 1.0 / pivot_0;
-        inverse_0 = t3;
+        inverse_0 = 1.0 / pivot_0;
         const double t4 = innovation_1 * inverse_0;
-        const double t5 = innovation_1 * t4;
+        quadratic = innovation_1 * t4;
         const double t6 = self->predicted_covariance[1] * t4;
-        const double t7 = self->predicted_state[0] + t6;
+        mean[0] = self->predicted_state[0] + t6;
         const double t8 = self->predicted_covariance[2] * t4;
-        const double t9 = self->predicted_state[1] + t8;
-        const double t10 = carried_compressed_cross_covariance[1] * t4;
+        mean[1] = self->predicted_state[1] + t8;
+        mean[2] = carried_compressed_cross_covariance[1] * t4;
         const double t11 = self->predicted_covariance[1] * inverse_0;
         const double t12 = t11 * self->predicted_covariance[1];
-        const double t13 = self->predicted_covariance[0] - t12;
+        covariance[0] = self->predicted_covariance[0] - t12;
         const double t14 = self->predicted_covariance[2] * inverse_0;
         const double t15 = t14 * self->predicted_covariance[1];
-        const double t16 = self->predicted_covariance[1] - t15;
+        covariance[1] = self->predicted_covariance[1] - t15;
         const double t17 = t14 * self->predicted_covariance[2];
-        const double t18 = self->predicted_covariance[2] - t17;
+        covariance[2] = self->predicted_covariance[2] - t17;
         const double t19 = carried_compressed_cross_covariance[1] * inverse_0;
         const double t20 = t19 * self->predicted_covariance[1];
-        const double t21 = carried_compressed_cross_covariance[0] - t20;
+        covariance[3] = carried_compressed_cross_covariance[0] - t20;
         const double t22 = t19 * self->predicted_covariance[2];
-        const double t23 = carried_compressed_cross_covariance[1] - t22;
+        covariance[4] = carried_compressed_cross_covariance[1] - t22;
         const double t24 = t19 * carried_compressed_cross_covariance[1];
-        const double t25 = carried_compressed_noise - t24;
-        quadratic = t5;
+        covariance[5] = carried_compressed_noise - t24;
         log_constant = SOFT_FAULT_CPCF_LOG_2_PI;
         determinant_0 = pivot_0;
-        mean[0] = t7;
-        mean[1] = t9;
-        mean[2] = t10;
-        covariance[0] = t13;
-        covariance[1] = t16;
-        covariance[2] = t18;
-        covariance[3] = t21;
-        covariance[4] = t23;
-        covariance[5] = t25;
     }
 
     /* maintenance of the compressed measurement */
@@ -253,13 +239,11 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     {
         const double t26 = mean[0] - self->predicted_state[0];
         const double t27 = t26 + mean[2];
-        const double t28 = carried_compressed_measurement - t27;
-        maintained = t28;
+        maintained = carried_compressed_measurement - t27;
     }
 
     /* whether a compressed measurement begins */
-    const double t29 = 1.0 - self->predicted_collecting;
-    fresh = t29;
+    fresh = 1.0 - self->predicted_collecting;
     if ((present & 0x1u) != 0u)
     {
         begins_0 = fresh;
@@ -269,51 +253,43 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     if ((present & 0x1u) != 0u)
     {
         const double t30 = y[0] - maintained;
-        const double t31 = t30 - mean[0];
-        innovation_compressed_0 = t31;
+        innovation_compressed_0 = t30 - mean[0];
     }
     mean_compressed = maintained;
     covariance_compressed = covariance[5];
 
     /* row 0 of y, measured_position */
-    const double t32 = covariance[5] + 100.0;
-    pivot_compressed_0 = t32;
+    pivot_compressed_0 = covariance[5] + 100.0;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compressed_0 > 0.0))
         {
             return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
         }
-        const double t33 = 1.0 / pivot_compressed_0;
-        inverse_compressed_0 = t33;
+        inverse_compressed_0 = 1.0 / pivot_compressed_0;
         const double t34 = innovation_compressed_0 * inverse_compressed_0;
         const double t35 = covariance[5] * t34;
-        const double t36 = maintained + t35;
+        mean_compressed = maintained + t35;
         const double t37 = covariance[5] * inverse_compressed_0;
         const double t38 = t37 * covariance[5];
         const double t39 = covariance[5] - t38;
         const double t40 = 100.0 * t37;
         const double t41 = t40 - t39;
         const double t42 = t41 * t37;
-        const double t43 = t39 + t42;
-        mean_compressed = t36;
-        covariance_compressed = t43;
+        covariance_compressed = t39 + t42;
         update_gain_compressed = t37;
     }
 
     /* a compressed measurement begins */
     const double t44 = update_gain_compressed * covariance[3];
-    const double t45 = covariance[3] - t44;
+    new_compressed_cross_covariance[0] = covariance[3] - t44;
     const double t46 = update_gain_compressed * covariance[4];
-    const double t47 = covariance[4] - t46;
+    new_compressed_cross_covariance[1] = covariance[4] - t46;
     new_compressed_measurement = mean_compressed;
     new_compressed_noise = covariance_compressed;
-    new_compressed_cross_covariance[0] = t45;
-    new_compressed_cross_covariance[1] = t47;
     if (begins_0 > 0.0)
     {
-        const double t48 = y[0] - mean[0];
-        new_compressed_measurement = t48;
+        new_compressed_measurement = y[0] - mean[0];
         new_compressed_noise = 100.0;
         new_compressed_cross_covariance[0] = 0.0;
         new_compressed_cross_covariance[1] = 0.0;
@@ -332,12 +308,12 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     }
 
     /* results of the update */
-    const double t49 = self->predicted_covariance[0] + 100.0;
-    const double t50 = self->predicted_covariance[2] + 0.01;
+    next->innovation_covariance[0] = self->predicted_covariance[0] + 100.0;
+    next->innovation_covariance[2] = self->predicted_covariance[2] + 0.01;
     const double t51 = soft_fault_cpcf_log(determinant_0);
     const double t52 = log_constant + t51;
     const double t53 = quadratic + t52;
-    const double t54 = -0.5 * t53;
+    next->log_likelihood = -0.5 * t53;
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_covariance[0] = covariance[0];
@@ -345,11 +321,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     next->filtered_covariance[2] = covariance[2];
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
-    next->innovation_covariance[0] = t49;
     next->innovation_covariance[1] = self->predicted_covariance[1];
-    next->innovation_covariance[2] = t50;
     next->nis = quadratic;
-    next->log_likelihood = t54;
     next->compressed_measurement[0] = new_compressed_measurement;
     next->compressed_noise[0] = new_compressed_noise;
     next->compressed_cross_covariance[0] = new_compressed_cross_covariance[0];
@@ -379,8 +352,7 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     double threshold = 0.0;
     double closed_state[2];
     double closed_covariance[3];
-    const double t0 = self->filtered_covariance[0] + self->compressed_noise[0];
-    size = t0;
+    size = self->filtered_covariance[0] + self->compressed_noise[0];
     mean_taken[0] = 0.0;
     mean_taken[1] = 0.0;
     mean_taken[2] = 0.0;
@@ -392,14 +364,10 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     covariance_taken[5] = self->compressed_noise[0];
 
     /* row 0 of the compressed measurement, measured_position */
-    const double t1 = self->filtered_covariance[0] + self->compressed_cross_covariance[0];
-    const double t2 = self->filtered_covariance[1] + self->compressed_cross_covariance[1];
-    const double t3 = self->compressed_cross_covariance[0] + self->compressed_noise[0];
-    cross_taken_0[0] = t1;
-    cross_taken_0[1] = t2;
-    cross_taken_0[2] = t3;
-    const double t4 = cross_taken_0[0] + cross_taken_0[2];
-    pivot_taken_0 = t4;
+    cross_taken_0[0] = self->filtered_covariance[0] + self->compressed_cross_covariance[0];
+    cross_taken_0[1] = self->filtered_covariance[1] + self->compressed_cross_covariance[1];
+    cross_taken_0[2] = self->compressed_cross_covariance[0] + self->compressed_noise[0];
+    pivot_taken_0 = cross_taken_0[0] + cross_taken_0[2];
     if (!(size >= 0.0))
     {
         return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
@@ -412,43 +380,31 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
         {
             return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
         }
-        const double t7 = 1.0 / pivot_taken_0;
-        inverse_taken_0 = t7;
+        inverse_taken_0 = 1.0 / pivot_taken_0;
         const double t8 = self->compressed_measurement[0] * inverse_taken_0;
-        const double t9 = self->compressed_measurement[0] * t8;
-        const double t10 = cross_taken_0[0] * t8;
-        const double t11 = cross_taken_0[1] * t8;
-        const double t12 = cross_taken_0[2] * t8;
+        quadratic_taken = self->compressed_measurement[0] * t8;
+        mean_taken[0] = cross_taken_0[0] * t8;
+        mean_taken[1] = cross_taken_0[1] * t8;
+        mean_taken[2] = cross_taken_0[2] * t8;
         const double t13 = cross_taken_0[0] * inverse_taken_0;
         const double t14 = t13 * cross_taken_0[0];
-        const double t15 = self->filtered_covariance[0] - t14;
+        covariance_taken[0] = self->filtered_covariance[0] - t14;
         const double t16 = cross_taken_0[1] * inverse_taken_0;
         const double t17 = t16 * cross_taken_0[0];
-        const double t18 = self->filtered_covariance[1] - t17;
+        covariance_taken[1] = self->filtered_covariance[1] - t17;
         const double t19 = t16 * cross_taken_0[1];
-        const double t20 = self->filtered_covariance[2] - t19;
+        covariance_taken[2] = self->filtered_covariance[2] - t19;
         const double t21 = cross_taken_0[2] * inverse_taken_0;
         const double t22 = t21 * cross_taken_0[0];
-        const double t23 = self->compressed_cross_covariance[0] - t22;
+        covariance_taken[3] = self->compressed_cross_covariance[0] - t22;
         const double t24 = t21 * cross_taken_0[1];
-        const double t25 = self->compressed_cross_covariance[1] - t24;
+        covariance_taken[4] = self->compressed_cross_covariance[1] - t24;
         const double t26 = t21 * cross_taken_0[2];
-        const double t27 = self->compressed_noise[0] - t26;
-        quadratic_taken = t9;
-        mean_taken[0] = t10;
-        mean_taken[1] = t11;
-        mean_taken[2] = t12;
-        covariance_taken[0] = t15;
-        covariance_taken[1] = t18;
-        covariance_taken[2] = t20;
-        covariance_taken[3] = t23;
-        covariance_taken[4] = t25;
-        covariance_taken[5] = t27;
+        covariance_taken[5] = self->compressed_noise[0] - t26;
     }
     if (inverse_taken_0 > 0.0)
     {
-        const double t28 = rank + 1.0;
-        rank = t28;
+        rank = rank + 1.0;
     }
 
     /* verdict */
@@ -474,18 +430,16 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     closed_covariance[2] = self->filtered_covariance[2];
     if (accepted > 0.0)
     {
-        const double t31 = self->filtered_state[0] + mean_taken[0];
-        const double t32 = self->filtered_state[1] + mean_taken[1];
-        closed_state[0] = t31;
-        closed_state[1] = t32;
+        closed_state[0] = self->filtered_state[0] + mean_taken[0];
+        closed_state[1] = self->filtered_state[1] + mean_taken[1];
         closed_covariance[0] = covariance_taken[0];
         closed_covariance[1] = covariance_taken[1];
         closed_covariance[2] = covariance_taken[2];
     }
 
     /* results of the window */
-    const double t33 = quadratic_taken * self->collecting;
-    const double t34 = rank * self->collecting;
+    next->test_statistic = quadratic_taken * self->collecting;
+    next->test_dof = rank * self->collecting;
     if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(closed_state[0]) +
         soft_fault_cpcf_defect(closed_state[1]) + soft_fault_cpcf_defect(closed_covariance[0]) +
         soft_fault_cpcf_defect(closed_covariance[2])))
@@ -498,8 +452,6 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     next->filtered_covariance[1] = closed_covariance[1];
     next->filtered_covariance[2] = closed_covariance[2];
     next->collecting = 0.0;
-    next->test_statistic = t33;
-    next->test_dof = t34;
     next->fault_declared = rejected;
     return SOFT_FAULT_CPCF_OK;
 }
@@ -509,10 +461,7 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     *self, soft_fault_cpcf_t *next)
 {
     double left;
-
-    /* samples left in the window */
-    const double t0 = self->window_left - 1.0;
-    left = t0;
+    left = self->window_left - 1.0;
     const double t1 = 0.5 - self->window_left;
     if (t1 > 0.0)
     {
@@ -531,7 +480,7 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     const double t10 = t9 + 0.01;
     const double t11 = 0.2 * self->filtered_covariance[2];
     const double t12 = self->filtered_covariance[1] + t11;
-    const double t13 = t12 + 0.1;
+    next->predicted_covariance[1] = t12 + 0.1;
     const double t14 = self->filtered_covariance[2] + 1.0;
     const double t15 = -0.2 * self->filtered_covariance[2];
     const double t16 = t15 + self->compressed_cross_covariance[1];
@@ -544,8 +493,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     const double t23 = t22 + self->compressed_cross_covariance[0];
     const double t24 = 0.2 * t16;
     const double t25 = t23 + t24;
-    const double t26 = t25 + -0.01;
-    const double t27 = t16 + -0.1;
+    next->predicted_compressed_cross_covariance[0] = t25 + -0.01;
+    next->predicted_compressed_cross_covariance[1] = t16 + -0.1;
     if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t3) +
         soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t10) +
         soft_fault_cpcf_defect(t14)))
@@ -560,12 +509,9 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     next->predicted_state[0] = t3;
     next->predicted_state[1] = self->filtered_state[1];
     next->predicted_covariance[0] = t10;
-    next->predicted_covariance[1] = t13;
     next->predicted_covariance[2] = t14;
     next->predicted_compressed_measurement[0] = self->compressed_measurement[0];
     next->predicted_compressed_noise[0] = t21;
-    next->predicted_compressed_cross_covariance[0] = t26;
-    next->predicted_compressed_cross_covariance[1] = t27;
     next->predicted_window_left = left;
     next->predicted_collecting = self->collecting;
     return SOFT_FAULT_CPCF_OK;

@@ -174,13 +174,11 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t0 = y[0] - self->predicted_state[0];
-        innovation_0 = t0;
+        innovation_0 = y[0] - self->predicted_state[0];
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t1 = y[1] - self->predicted_state[1];
-        innovation_1 = t1;
+        innovation_1 = y[1] - self->predicted_state[1];
     }
     mean_host[0] = 0.0;
     mean_host[1] = 0.0;
@@ -189,20 +187,18 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     covariance_host[2] = self->predicted_covariance[2];
 
     /* row 1 of y, measured_velocity: host */
-    const double t2 = self->predicted_covariance[2] + 0.01;
-    pivot_host_0 = t2;
+    pivot_host_0 = self->predicted_covariance[2] + 0.01;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_host_0 > 0.0))
         {
             return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
         }
-        const double t3 = 1.0 / pivot_host_0;
-        inverse_host_0 = t3;
+        inverse_host_0 = 1.0 / pivot_host_0;
         const double t4 = innovation_1 * inverse_host_0;
-        const double t5 = innovation_1 * t4;
-        const double t6 = self->predicted_covariance[1] * t4;
-        const double t7 = self->predicted_covariance[2] * t4;
+        quadratic_host = innovation_1 * t4;
+        mean_host[0] = self->predicted_covariance[1] * t4;
+        mean_host[1] = self->predicted_covariance[2] * t4;
         const double t8 = self->predicted_covariance[1] * inverse_host_0;
         const double t9 = t8 * self->predicted_covariance[1];
         const double t10 = self->predicted_covariance[0] - t9;
@@ -212,39 +208,29 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
         const double t14 = self->predicted_covariance[1] - t13;
         const double t15 = t11 - t14;
         const double t16 = t15 * t8;
-        const double t17 = t10 + t16;
+        covariance_host[0] = t10 + t16;
         const double t18 = 0.01 * t12;
         const double t19 = t12 * self->predicted_covariance[2];
         const double t20 = self->predicted_covariance[2] - t19;
         const double t21 = t18 - t20;
         const double t22 = t21 * t8;
-        const double t23 = t14 + t22;
+        covariance_host[1] = t14 + t22;
         const double t24 = t21 * t12;
-        const double t25 = t20 + t24;
-        quadratic_host = t5;
+        covariance_host[2] = t20 + t24;
         log_constant_host = SOFT_FAULT_DFCF_LOG_2_PI;
         determinant_host_0 = pivot_host_0;
-        mean_host[0] = t6;
-        mean_host[1] = t7;
-        covariance_host[0] = t17;
-        covariance_host[1] = t23;
-        covariance_host[2] = t25;
     }
-    const double t26 = self->predicted_state[0] + mean_host[0];
-    const double t27 = self->predicted_state[1] + mean_host[1];
-    host_state[0] = t26;
-    host_state[1] = t27;
+    host_state[0] = self->predicted_state[0] + mean_host[0];
+    host_state[1] = self->predicted_state[1] + mean_host[1];
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t28 = innovation_0 - self->predicted_compression_deviation[0];
-        innovation_compression_0 = t28;
+        innovation_compression_0 = innovation_0 - self->predicted_compression_deviation[0];
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t29 = innovation_1 - self->predicted_compression_deviation[1];
-        innovation_compression_1 = t29;
+        innovation_compression_1 = innovation_1 - self->predicted_compression_deviation[1];
     }
     mean_compression[0] = self->predicted_compression_deviation[0];
     mean_compression[1] = self->predicted_compression_deviation[1];
@@ -253,64 +239,55 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     covariance_compression[2] = self->predicted_compression_covariance[2];
 
     /* row 0 of y, measured_position: compression filter */
-    const double t30 = self->predicted_compression_covariance[0] + 100.0;
-    pivot_compression_0 = t30;
+    pivot_compression_0 = self->predicted_compression_covariance[0] + 100.0;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_compression_0 > 0.0))
         {
             return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
         }
-        const double t31 = 1.0 / pivot_compression_0;
-        inverse_compression_0 = t31;
+        inverse_compression_0 = 1.0 / pivot_compression_0;
         const double t32 = innovation_compression_0 * inverse_compression_0;
         const double t33 = self->predicted_compression_covariance[0] * t32;
-        const double t34 = self->predicted_compression_deviation[0] + t33;
+        mean_compression[0] = self->predicted_compression_deviation[0] + t33;
         const double t35 = self->predicted_compression_covariance[1] * t32;
-        const double t36 = self->predicted_compression_deviation[1] + t35;
+        mean_compression[1] = self->predicted_compression_deviation[1] + t35;
         const double t37 = self->predicted_compression_covariance[0] * inverse_compression_0;
         const double t38 = t37 * self->predicted_compression_covariance[0];
         const double t39 = self->predicted_compression_covariance[0] - t38;
         const double t40 = 100.0 * t37;
         const double t41 = t40 - t39;
         const double t42 = t41 * t37;
-        const double t43 = t39 + t42;
+        covariance_compression[0] = t39 + t42;
         const double t44 = self->predicted_compression_covariance[1] * inverse_compression_0;
         const double t45 = t44 * self->predicted_compression_covariance[0];
         const double t46 = self->predicted_compression_covariance[1] - t45;
         const double t47 = 100.0 * t44;
         const double t48 = t47 - t46;
         const double t49 = t48 * t37;
-        const double t50 = t46 + t49;
+        covariance_compression[1] = t46 + t49;
         const double t51 = t44 * self->predicted_compression_covariance[1];
         const double t52 = self->predicted_compression_covariance[2] - t51;
         const double t53 = t48 * t44;
-        const double t54 = t52 + t53;
-        mean_compression[0] = t34;
-        mean_compression[1] = t36;
-        covariance_compression[0] = t43;
-        covariance_compression[1] = t50;
-        covariance_compression[2] = t54;
+        covariance_compression[2] = t52 + t53;
     }
 
     /* row 1 of y, measured_velocity: compression filter */
-    const double t55 = covariance_compression[2] + 0.01;
-    pivot_compression_1 = t55;
+    pivot_compression_1 = covariance_compression[2] + 0.01;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_compression_1 > 0.0))
         {
             return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
         }
-        const double t56 = 1.0 / pivot_compression_1;
-        inverse_compression_1 = t56;
+        inverse_compression_1 = 1.0 / pivot_compression_1;
         const double t57 = mean_compression[1] - self->predicted_compression_deviation[1];
         const double t58 = innovation_compression_1 - t57;
         const double t59 = t58 * inverse_compression_1;
         const double t60 = covariance_compression[1] * t59;
-        const double t61 = mean_compression[0] + t60;
+        mean_compression[0] = mean_compression[0] + t60;
         const double t62 = covariance_compression[2] * t59;
-        const double t63 = mean_compression[1] + t62;
+        mean_compression[1] = mean_compression[1] + t62;
         const double t64 = covariance_compression[1] * inverse_compression_1;
         const double t65 = t64 * covariance_compression[1];
         const double t66 = covariance_compression[0] - t65;
@@ -320,25 +297,18 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
         const double t70 = covariance_compression[1] - t69;
         const double t71 = t67 - t70;
         const double t72 = t71 * t64;
-        const double t73 = t66 + t72;
+        covariance_compression[0] = t66 + t72;
         const double t74 = 0.01 * t68;
         const double t75 = t68 * covariance_compression[2];
         const double t76 = covariance_compression[2] - t75;
         const double t77 = t74 - t76;
         const double t78 = t77 * t64;
-        const double t79 = t70 + t78;
+        covariance_compression[1] = t70 + t78;
         const double t80 = t77 * t68;
-        const double t81 = t76 + t80;
-        mean_compression[0] = t61;
-        mean_compression[1] = t63;
-        covariance_compression[0] = t73;
-        covariance_compression[1] = t79;
-        covariance_compression[2] = t81;
+        covariance_compression[2] = t76 + t80;
     }
-    const double t82 = mean_compression[0] - mean_host[0];
-    const double t83 = mean_compression[1] - mean_host[1];
-    deviation_compression[0] = t82;
-    deviation_compression[1] = t83;
+    deviation_compression[0] = mean_compression[0] - mean_host[0];
+    deviation_compression[1] = mean_compression[1] - mean_host[1];
     if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(host_state[0]) +
         soft_fault_dfcf_defect(host_state[1]) + soft_fault_dfcf_defect(deviation_compression[0]) +
         soft_fault_dfcf_defect(deviation_compression[1])))
@@ -354,12 +324,12 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     }
 
     /* results of the update */
-    const double t84 = self->predicted_covariance[0] + 100.0;
-    const double t85 = self->predicted_covariance[2] + 0.01;
+    next->innovation_covariance[0] = self->predicted_covariance[0] + 100.0;
+    next->innovation_covariance[2] = self->predicted_covariance[2] + 0.01;
     const double t86 = soft_fault_dfcf_log(determinant_host_0);
     const double t87 = log_constant_host + t86;
     const double t88 = quadratic_host + t87;
-    const double t89 = -0.5 * t88;
+    next->log_likelihood = -0.5 * t88;
     next->filtered_state[0] = host_state[0];
     next->filtered_state[1] = host_state[1];
     next->filtered_covariance[0] = covariance_host[0];
@@ -372,11 +342,8 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     next->compression_covariance[2] = covariance_compression[2];
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
-    next->innovation_covariance[0] = t84;
     next->innovation_covariance[1] = self->predicted_covariance[1];
-    next->innovation_covariance[2] = t85;
     next->nis = quadratic_host;
-    next->log_likelihood = t89;
     next->window_left = self->predicted_window_left;
     next->collecting = collecting_0;
     next->test_statistic = 0.0;
@@ -407,12 +374,9 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     const double t0 = self->collecting - 0.5;
     if (t0 > 0.0)
     {
-        const double t1 = self->filtered_covariance[0] - self->compression_covariance[0];
-        const double t2 = self->filtered_covariance[1] - self->compression_covariance[1];
-        const double t3 = self->filtered_covariance[2] - self->compression_covariance[2];
-        difference_0[0] = t1;
-        difference_0[1] = t2;
-        difference_0[2] = t3;
+        difference_0[0] = self->filtered_covariance[0] - self->compression_covariance[0];
+        difference_0[1] = self->filtered_covariance[1] - self->compression_covariance[1];
+        difference_0[2] = self->filtered_covariance[2] - self->compression_covariance[2];
         shift_0[0] = self->compression_deviation[0];
         shift_0[1] = self->compression_deviation[1];
         scale_0[0] = self->filtered_covariance[0];
@@ -440,33 +404,26 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     const double t14 = difference_0[0] - t13;
     if (t14 > 0.0)
     {
-        const double t15 = 1.0 / difference_0[0];
-        inverse_0_0 = t15;
-        const double t16 = difference_0[1] * inverse_0_0;
-        share_0_0_1 = t16;
+        inverse_0_0 = 1.0 / difference_0[0];
+        share_0_0_1 = difference_0[1] * inverse_0_0;
         const double t17 = shift_0[0] * inverse_0_0;
         const double t18 = shift_0[0] * t17;
-        const double t19 = statistic_0 + t18;
+        statistic_0 = statistic_0 + t18;
         const double t20 = share_0_0_1 * difference_0[1];
-        const double t21 = difference_0[2] - t20;
+        difference_0[2] = difference_0[2] - t20;
         const double t22 = share_0_0_1 * shift_0[0];
-        const double t23 = shift_0[1] - t22;
-        statistic_0 = t19;
+        shift_0[1] = shift_0[1] - t22;
         dof_0 = 1.0;
         threshold_0 = 3.8414588206941285;
-        difference_0[2] = t21;
-        shift_0[1] = t23;
     }
     const double t24 = 1.0e-11 * scale_0[1];
     const double t25 = difference_0[2] - t24;
     if (t25 > 0.0)
     {
-        const double t26 = 1.0 / difference_0[2];
-        inverse_0_1 = t26;
+        inverse_0_1 = 1.0 / difference_0[2];
         const double t27 = shift_0[1] * inverse_0_1;
         const double t28 = shift_0[1] * t27;
-        const double t29 = statistic_0 + t28;
-        statistic_0 = t29;
+        statistic_0 = statistic_0 + t28;
         dof_0 = 2.0;
         threshold_0 = 5.991464547107983;
     }
@@ -490,10 +447,8 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     const double t31 = -0.5 + accepted_0;
     if (t31 > 0.0)
     {
-        const double t32 = self->filtered_state[0] + self->compression_deviation[0];
-        const double t33 = self->filtered_state[1] + self->compression_deviation[1];
-        closed_state[0] = t32;
-        closed_state[1] = t33;
+        closed_state[0] = self->filtered_state[0] + self->compression_deviation[0];
+        closed_state[1] = self->filtered_state[1] + self->compression_deviation[1];
         closed_covariance[0] = self->compression_covariance[0];
         closed_covariance[1] = self->compression_covariance[1];
         closed_covariance[2] = self->compression_covariance[2];
@@ -528,10 +483,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     *self, soft_fault_dfcf_t *next)
 {
     double left;
-
-    /* samples left in the window */
-    const double t0 = self->window_left - 1.0;
-    left = t0;
+    left = self->window_left - 1.0;
     const double t1 = 0.5 - self->window_left;
     if (t1 > 0.0)
     {
@@ -550,7 +502,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     const double t10 = t9 + 0.01;
     const double t11 = 0.2 * self->filtered_covariance[2];
     const double t12 = self->filtered_covariance[1] + t11;
-    const double t13 = t12 + 0.1;
+    next->predicted_covariance[1] = t12 + 0.1;
     const double t14 = self->filtered_covariance[2] + 1.0;
     const double t15 = 0.2 * self->compression_deviation[1];
     const double t16 = self->compression_deviation[0] + t15;
@@ -563,7 +515,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     const double t23 = t22 + 0.01;
     const double t24 = 0.2 * self->compression_covariance[2];
     const double t25 = self->compression_covariance[1] + t24;
-    const double t26 = t25 + 0.1;
+    next->predicted_compression_covariance[1] = t25 + 0.1;
     const double t27 = self->compression_covariance[2] + 1.0;
     if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t3) +
         soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t10) +
@@ -580,12 +532,10 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     next->predicted_state[0] = t3;
     next->predicted_state[1] = self->filtered_state[1];
     next->predicted_covariance[0] = t10;
-    next->predicted_covariance[1] = t13;
     next->predicted_covariance[2] = t14;
     next->predicted_compression_deviation[0] = t16;
     next->predicted_compression_deviation[1] = self->compression_deviation[1];
     next->predicted_compression_covariance[0] = t23;
-    next->predicted_compression_covariance[1] = t26;
     next->predicted_compression_covariance[2] = t27;
     next->predicted_window_left = left;
     next->predicted_collecting = self->collecting;

@@ -157,478 +157,659 @@ static int wheel_drift_present_rows(const double *y, uint32_t valid, uint32_t *p
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* Condition on y[k]: reads *self, writes the results to *next. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t *self,
-    const double *y, uint32_t present, wheel_drift_t *next)
+/* row 4 of y, ublox: compression filter; row 2 of y, wheel_rl: compression filter. */
+static wheel_drift_status_t wheel_drift_row_of_y_5(const double numbers_2, double *covariance,
+    double *mean, const double predicted_compression_deviation, const double innovation, int row_0)
 {
-    double innovation_0 = 0.0;
-    double innovation_1 = 0.0;
-    double innovation_2 = 0.0;
-    double innovation_3 = 0.0;
-    double innovation_4 = 0.0;
-    double innovation_5 = 0.0;
-    double mean_host[2];
-    double covariance_host[3];
+    double cross[2];
+    double pivot;
+    double inverse = 0.0;
+    cross[0] = numbers_2 * covariance[0];
+    cross[1] = numbers_2 * covariance[1];
+    const double t2 = numbers_2 * cross[0];
+    pivot = t2 + 0.04;
+    if (row_0 != 0)
+    {
+        if (!(pivot > 0.0))
+        {
+            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        }
+        inverse = 1.0 / pivot;
+        const double t5 = mean[0] - predicted_compression_deviation;
+        const double t6 = numbers_2 * t5;
+        const double t7 = innovation - t6;
+        const double t8 = t7 * inverse;
+        const double t9 = cross[0] * t8;
+        mean[0] = mean[0] + t9;
+        const double t11 = cross[1] * t8;
+        mean[1] = mean[1] + t11;
+        const double t13 = cross[0] * inverse;
+        const double t14 = t13 * cross[0];
+        const double t15 = covariance[0] - t14;
+        const double t16 = 0.04 * t13;
+        const double t17 = numbers_2 * t15;
+        const double t18 = t16 - t17;
+        const double t19 = t18 * t13;
+        covariance[0] = t15 + t19;
+        const double t21 = cross[1] * inverse;
+        const double t22 = t21 * cross[0];
+        const double t23 = covariance[1] - t22;
+        const double t24 = 0.04 * t21;
+        const double t25 = numbers_2 * t23;
+        const double t26 = t24 - t25;
+        const double t27 = t26 * t13;
+        covariance[1] = t23 + t27;
+        const double t29 = t21 * cross[1];
+        const double t30 = covariance[2] - t29;
+        const double t31 = t26 * t21;
+        covariance[2] = t30 + t31;
+    }
+
+    /* row 4 of y, ublox: compression filter */
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_row_of_y, a row for each. */
+static const double wheel_drift_row_of_y_numbers[11][1] = {
+    { 0.9921619208254787 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 }
+};
+
+/* row 4 of y, ublox: compression filter. */
+static wheel_drift_status_t wheel_drift_row_of_y(double *covariance, double *mean,
+    const double predicted_compression_deviation, const double innovation,
+    const double innovation_2, const double innovation_3, const double *mean_host,
+    double *deviation, const double *numbers, uint32_t present, int row_0)
+{
+    double pivot_2;
+    double inverse_2 = 0.0;
+    double pivot_3;
+    double inverse_3 = 0.0;
+    wheel_drift_status_t status;
+    status = wheel_drift_row_of_y_5(numbers[0], covariance, mean, predicted_compression_deviation,
+        innovation, row_0);
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    pivot_2 = covariance[0] + 0.25;
+    if ((present & 0x10u) != 0u)
+    {
+        if (!(pivot_2 > 0.0))
+        {
+            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_2 = 1.0 / pivot_2;
+        const double t35 = mean[0] - predicted_compression_deviation;
+        const double t36 = innovation_2 - t35;
+        const double t37 = t36 * inverse_2;
+        const double t38 = covariance[0] * t37;
+        mean[0] = mean[0] + t38;
+        const double t40 = covariance[1] * t37;
+        mean[1] = mean[1] + t40;
+        const double t42 = covariance[0] * inverse_2;
+        const double t43 = t42 * covariance[0];
+        const double t44 = covariance[0] - t43;
+        const double t45 = 0.25 * t42;
+        const double t46 = t45 - t44;
+        const double t47 = t46 * t42;
+        const double t48 = t44 + t47;
+        const double t49 = covariance[1] * inverse_2;
+        const double t50 = t49 * covariance[0];
+        const double t51 = covariance[1] - t50;
+        const double t52 = 0.25 * t49;
+        const double t53 = t52 - t51;
+        const double t54 = t53 * t42;
+        const double t55 = t51 + t54;
+        const double t56 = t49 * covariance[1];
+        const double t57 = covariance[2] - t56;
+        const double t58 = t53 * t49;
+        covariance[2] = t57 + t58;
+        covariance[0] = t48;
+        covariance[1] = t55;
+    }
+
+    /* row 5 of y, qcom: compression filter */
+    pivot_3 = covariance[0] + 9.0;
+    if ((present & 0x20u) != 0u)
+    {
+        if (!(pivot_3 > 0.0))
+        {
+            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_3 = 1.0 / pivot_3;
+        const double t62 = mean[0] - predicted_compression_deviation;
+        const double t63 = innovation_3 - t62;
+        const double t64 = t63 * inverse_3;
+        const double t65 = covariance[0] * t64;
+        mean[0] = mean[0] + t65;
+        const double t67 = covariance[1] * t64;
+        mean[1] = mean[1] + t67;
+        const double t69 = covariance[0] * inverse_3;
+        const double t70 = t69 * covariance[0];
+        const double t71 = covariance[0] - t70;
+        const double t72 = 9.0 * t69;
+        const double t73 = t72 - t71;
+        const double t74 = t73 * t69;
+        const double t75 = t71 + t74;
+        const double t76 = covariance[1] * inverse_3;
+        const double t77 = t76 * covariance[0];
+        const double t78 = covariance[1] - t77;
+        const double t79 = 9.0 * t76;
+        const double t80 = t79 - t78;
+        const double t81 = t80 * t69;
+        const double t82 = t78 + t81;
+        const double t83 = t76 * covariance[1];
+        const double t84 = covariance[2] - t83;
+        const double t85 = t80 * t76;
+        covariance[2] = t84 + t85;
+        covariance[0] = t75;
+        covariance[1] = t82;
+    }
+    deviation[0] = mean[0] - mean_host[0];
+    deviation[1] = mean[1] - mean_host[1];
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_row_of_y_2, a row for each. */
+static const double wheel_drift_row_of_y_2_numbers[15][1] = {
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9903931860948796 },
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9921619208254787 }
+};
+
+/* row 0 of y, wheel_fl: compression filter; row 1 of y, wheel_fr: compression filter; row 2 of y,
+ * wheel_rl: compression filter; row 3 of y, wheel_rr: compression filter. */
+static wheel_drift_status_t wheel_drift_row_of_y_2(const double innovation_4,
+    const double *predicted_compression_deviation, double *innovation, const double innovation_5,
+    double *innovation_2, double *mean, const double *predicted_compression_covariance,
+    double *covariance, const double innovation_0, const double *numbers, uint32_t present,
+    int row_0)
+{
+    double cross_0[2];
+    double pivot_0;
+    double inverse_0 = 0.0;
+    if ((present & 0x10u) != 0u)
+    {
+        innovation[0] = innovation_4 - predicted_compression_deviation[0];
+    }
+    if ((present & 0x20u) != 0u)
+    {
+        innovation_2[0] = innovation_5 - predicted_compression_deviation[0];
+    }
+    mean[0] = predicted_compression_deviation[0];
+    mean[1] = predicted_compression_deviation[1];
+    covariance[0] = predicted_compression_covariance[0];
+    covariance[1] = predicted_compression_covariance[1];
+    covariance[2] = predicted_compression_covariance[2];
+
+    /* row 0 of y, wheel_fl: compression filter */
+    cross_0[0] = numbers[0] * predicted_compression_covariance[0];
+    cross_0[1] = numbers[0] * predicted_compression_covariance[1];
+    const double t4 = numbers[0] * cross_0[0];
+    pivot_0 = t4 + 0.04;
+    if (row_0 != 0)
+    {
+        if (!(pivot_0 > 0.0))
+        {
+            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_0 = 1.0 / pivot_0;
+        const double t7 = innovation_0 * inverse_0;
+        const double t8 = cross_0[0] * t7;
+        mean[0] = predicted_compression_deviation[0] + t8;
+        const double t10 = cross_0[1] * t7;
+        mean[1] = predicted_compression_deviation[1] + t10;
+        const double t12 = cross_0[0] * inverse_0;
+        const double t13 = t12 * cross_0[0];
+        const double t14 = predicted_compression_covariance[0] - t13;
+        const double t15 = 0.04 * t12;
+        const double t16 = numbers[0] * t14;
+        const double t17 = t15 - t16;
+        const double t18 = t17 * t12;
+        covariance[0] = t14 + t18;
+        const double t20 = cross_0[1] * inverse_0;
+        const double t21 = t20 * cross_0[0];
+        const double t22 = predicted_compression_covariance[1] - t21;
+        const double t23 = 0.04 * t20;
+        const double t24 = numbers[0] * t22;
+        const double t25 = t23 - t24;
+        const double t26 = t25 * t12;
+        covariance[1] = t22 + t26;
+        const double t28 = t20 * cross_0[1];
+        const double t29 = predicted_compression_covariance[2] - t28;
+        const double t30 = t25 * t20;
+        covariance[2] = t29 + t30;
+    }
+
+    /* row 4 of y, ublox: compression filter */
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_row_of_y_3, a row for each. */
+static const double wheel_drift_row_of_y_3_numbers[4][1] = {
+    { 0.9921619208254787 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9921619208254787 }
+};
+
+/* row 5 of y, qcom: compression filter. */
+static wheel_drift_status_t wheel_drift_row_of_y_3(double *covariance, double *mean,
+    const double *predicted_compression_deviation, const double innovation_1,
+    const double innovation_2, const double *mean_host, double *deviation, const double innovation,
+    double *innovation_0, const double *numbers, uint32_t present, int row_0)
+{
+    double pivot_1;
+    double inverse_1 = 0.0;
+    double pivot_2;
+    double inverse_2 = 0.0;
+    pivot_1 = covariance[0] + 0.25;
+    if ((present & 0x10u) != 0u)
+    {
+        if (!(pivot_1 > 0.0))
+        {
+            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_1 = 1.0 / pivot_1;
+        const double t2 = mean[0] - predicted_compression_deviation[0];
+        const double t3 = innovation_1 - t2;
+        const double t4 = t3 * inverse_1;
+        const double t5 = covariance[0] * t4;
+        mean[0] = mean[0] + t5;
+        const double t7 = covariance[1] * t4;
+        mean[1] = mean[1] + t7;
+        const double t9 = covariance[0] * inverse_1;
+        const double t10 = t9 * covariance[0];
+        const double t11 = covariance[0] - t10;
+        const double t12 = 0.25 * t9;
+        const double t13 = t12 - t11;
+        const double t14 = t13 * t9;
+        const double t15 = t11 + t14;
+        const double t16 = covariance[1] * inverse_1;
+        const double t17 = t16 * covariance[0];
+        const double t18 = covariance[1] - t17;
+        const double t19 = 0.25 * t16;
+        const double t20 = t19 - t18;
+        const double t21 = t20 * t9;
+        const double t22 = t18 + t21;
+        const double t23 = t16 * covariance[1];
+        const double t24 = covariance[2] - t23;
+        const double t25 = t20 * t16;
+        covariance[2] = t24 + t25;
+        covariance[0] = t15;
+        covariance[1] = t22;
+    }
+
+    /* row 5 of y, qcom: compression filter */
+    pivot_2 = covariance[0] + 9.0;
+    if ((present & 0x20u) != 0u)
+    {
+        if (!(pivot_2 > 0.0))
+        {
+            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_2 = 1.0 / pivot_2;
+        const double t29 = mean[0] - predicted_compression_deviation[0];
+        const double t30 = innovation_2 - t29;
+        const double t31 = t30 * inverse_2;
+        const double t32 = covariance[0] * t31;
+        mean[0] = mean[0] + t32;
+        const double t34 = covariance[1] * t31;
+        mean[1] = mean[1] + t34;
+        const double t36 = covariance[0] * inverse_2;
+        const double t37 = t36 * covariance[0];
+        const double t38 = covariance[0] - t37;
+        const double t39 = 9.0 * t36;
+        const double t40 = t39 - t38;
+        const double t41 = t40 * t36;
+        const double t42 = t38 + t41;
+        const double t43 = covariance[1] * inverse_2;
+        const double t44 = t43 * covariance[0];
+        const double t45 = covariance[1] - t44;
+        const double t46 = 9.0 * t43;
+        const double t47 = t46 - t45;
+        const double t48 = t47 * t36;
+        const double t49 = t45 + t48;
+        const double t50 = t43 * covariance[1];
+        const double t51 = covariance[2] - t50;
+        const double t52 = t47 * t43;
+        covariance[2] = t51 + t52;
+        covariance[0] = t42;
+        covariance[1] = t49;
+    }
+    deviation[0] = mean[0] - mean_host[0];
+    deviation[1] = mean[1] - mean_host[1];
+
+    /* innovation, row by row */
+    if (row_0 != 0)
+    {
+        const double t56 = numbers[0] * predicted_compression_deviation[2];
+        innovation_0[0] = innovation - t56;
+    }
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_row_of_y_4, a row for each. */
+static const double wheel_drift_row_of_y_4_numbers[6][1] = {
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9921619208254787 },
+    { 0.9903931860948796 }
+};
+
+/* row 2 of y, wheel_rl: compression filter; row 3 of y, wheel_rr: compression filter. */
+static wheel_drift_status_t wheel_drift_row_of_y_4(double *covariance, double *mean,
+    const double predicted_compression_deviation, const double innovation, const double *numbers,
+    int row_0)
+{
+    wheel_drift_status_t status;
+    status = wheel_drift_row_of_y_5(numbers[0], covariance, mean, predicted_compression_deviation,
+        innovation, row_0);
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    return WHEEL_DRIFT_OK;
+}
+
+/* test of group 0; test of group 1; test of group 2; test of group 3. */
+static void wheel_drift_test_of_group(const double collecting, const double *filtered_covariance,
+    const double *compression_covariance, double *difference, const double *compression_deviation,
+    double *shift, double *scale, double *statistic, double *dof, double *threshold)
+{
+    double inverse_0 = 0.0;
+    double share_0_1 = 0.0;
+
+    /* test of group 0 */
+    const double t0 = collecting - 0.5;
+    if (t0 > 0.0)
+    {
+        difference[0] = filtered_covariance[0] - compression_covariance[0];
+        difference[1] = filtered_covariance[1] - compression_covariance[1];
+        difference[2] = filtered_covariance[2] - compression_covariance[2];
+        shift[0] = compression_deviation[0];
+        shift[1] = compression_deviation[1];
+        scale[0] = filtered_covariance[0];
+        scale[1] = filtered_covariance[2];
+    }
+    const double t4 = difference[2] * scale[0];
+    const double t5 = difference[0] * scale[1];
+    const double t6 = t4 - t5;
+    if (t6 > 0.0)
+    {
+        const double t7 = difference[2];
+        const double t8 = difference[0];
+        const double t9 = shift[1];
+        const double t10 = shift[0];
+        const double t11 = scale[1];
+        const double t12 = scale[0];
+        difference[0] = t7;
+        difference[2] = t8;
+        shift[0] = t9;
+        shift[1] = t10;
+        scale[0] = t11;
+        scale[1] = t12;
+    }
+    const double t13 = 1.0e-11 * scale[0];
+    const double t14 = difference[0] - t13;
+    if (t14 > 0.0)
+    {
+        inverse_0 = 1.0 / difference[0];
+        share_0_1 = difference[1] * inverse_0;
+        const double t17 = shift[0] * inverse_0;
+        const double t18 = shift[0] * t17;
+        statistic[0] = statistic[0] + t18;
+        const double t20 = share_0_1 * difference[1];
+        difference[2] = difference[2] - t20;
+        const double t22 = share_0_1 * shift[0];
+        shift[1] = shift[1] - t22;
+        dof[0] = 1.0;
+        threshold[0] = 10.827566170662733;
+    }
+}
+
+/* What differs between the calls of wheel_drift_innovation, a row for each. */
+static const double wheel_drift_innovation_numbers[5][1] = {
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 },
+    { 0.9921619208254787 }
+};
+
+/* innovation, row by row. */
+static void wheel_drift_innovation(const double predicted_compression_deviation,
+    const double innovation, double *innovation_0, const double innovation_2, double *innovation_1,
+    const double innovation_3, double *innovation_2_2, const double *numbers, int row_0, int row_1,
+    int row_2)
+{
+    /* innovation, row by row */
+    if (row_0 != 0)
+    {
+        const double t0 = 0.9921619208254787 * predicted_compression_deviation;
+        innovation_0[0] = innovation - t0;
+    }
+    if (row_1 != 0)
+    {
+        const double t2 = numbers[0] * predicted_compression_deviation;
+        innovation_1[0] = innovation_2 - t2;
+    }
+    if (row_2 != 0)
+    {
+        const double t4 = 0.9903931860948796 * predicted_compression_deviation;
+        innovation_2_2[0] = innovation_3 - t4;
+    }
+}
+
+/* correct. */
+static wheel_drift_status_t wheel_drift_correct_2(const double *predicted_compression_covariance)
+{
+    if (!((predicted_compression_covariance[0] >= 0.0) && (predicted_compression_covariance[2] >=
+        0.0)))
+    {
+        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+    }
+    if (!((predicted_compression_covariance[3] >= 0.0) && (predicted_compression_covariance[5] >=
+        0.0)))
+    {
+        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+    }
+    if (!((predicted_compression_covariance[6] >= 0.0) && (predicted_compression_covariance[8] >=
+        0.0)))
+    {
+        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+    }
+    if (!((predicted_compression_covariance[9] >= 0.0) && (predicted_compression_covariance[11] >=
+        0.0)))
+    {
+        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+    }
+    if (!((predicted_compression_covariance[12] >= 0.0) && (predicted_compression_covariance[14] >=
+        0.0)))
+    {
+        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+    }
+    return WHEEL_DRIFT_OK;
+}
+
+/* innovation, row by row. */
+static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_covariance,
+    const double *predicted_compression_covariance, const double *predicted_state, const double *y,
+    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
+    double *innovation_4, double *innovation_5, double *mean_host, double *covariance_host,
+    double *quadratic_host, double *log_constant_host, double *determinant_host_0,
+    double *host_state, const double *predicted_compression_deviation,
+    double *covariance_compression, double *deviation_compression, double *covariance_compression1,
+    double *deviation_compression1, double *covariance_compression2, double *deviation_compression2,
+    double *covariance_compression3, double *deviation_compression3,
+    double *covariance_compression4, double *deviation_compression4,
+    double *covariance_compression5, double *deviation_compression5,
+    double *innovation_compression6_0, double *innovation_compression6_1, uint32_t present)
+{
     double pivot_host_0;
     double inverse_host_0 = 0.0;
-    double quadratic_host = 0.0;
-    double log_constant_host = 0.0;
-    double determinant_host_0 = 1.0;
     double pivot_host_1;
     double inverse_host_1 = 0.0;
-    double host_state[2];
     double innovation_compression_0 = 0.0;
     double innovation_compression_1 = 0.0;
     double innovation_compression_2 = 0.0;
     double mean_compression[2];
-    double covariance_compression[3];
-    double cross_compression_0[2];
-    double pivot_compression_0;
-    double inverse_compression_0 = 0.0;
-    double pivot_compression_1;
-    double inverse_compression_1 = 0.0;
-    double pivot_compression_2;
-    double inverse_compression_2 = 0.0;
-    double deviation_compression[2];
     double innovation_compression1_0 = 0.0;
     double innovation_compression1_1 = 0.0;
     double innovation_compression1_2 = 0.0;
     double mean_compression1[2];
-    double covariance_compression1[3];
-    double cross_compression1_0[2];
-    double pivot_compression1_0;
-    double inverse_compression1_0 = 0.0;
-    double pivot_compression1_1;
-    double inverse_compression1_1 = 0.0;
-    double pivot_compression1_2;
-    double inverse_compression1_2 = 0.0;
-    double deviation_compression1[2];
     double innovation_compression2_0 = 0.0;
     double innovation_compression2_1 = 0.0;
     double innovation_compression2_2 = 0.0;
     double mean_compression2[2];
-    double covariance_compression2[3];
-    double cross_compression2_0[2];
-    double pivot_compression2_0;
-    double inverse_compression2_0 = 0.0;
-    double pivot_compression2_1;
-    double inverse_compression2_1 = 0.0;
-    double pivot_compression2_2;
-    double inverse_compression2_2 = 0.0;
-    double deviation_compression2[2];
     double innovation_compression3_0 = 0.0;
     double innovation_compression3_1 = 0.0;
     double innovation_compression3_2 = 0.0;
     double mean_compression3[2];
-    double covariance_compression3[3];
-    double cross_compression3_0[2];
-    double pivot_compression3_0;
-    double inverse_compression3_0 = 0.0;
-    double pivot_compression3_1;
-    double inverse_compression3_1 = 0.0;
-    double pivot_compression3_2;
-    double inverse_compression3_2 = 0.0;
-    double deviation_compression3[2];
     double innovation_compression4_0 = 0.0;
     double innovation_compression4_1 = 0.0;
     double innovation_compression4_2 = 0.0;
     double innovation_compression4_3 = 0.0;
     double mean_compression4[2];
-    double covariance_compression4[3];
-    double cross_compression4_0[2];
-    double pivot_compression4_0;
-    double inverse_compression4_0 = 0.0;
-    double cross_compression4_1[2];
-    double pivot_compression4_1;
-    double inverse_compression4_1 = 0.0;
-    double pivot_compression4_2;
-    double inverse_compression4_2 = 0.0;
-    double pivot_compression4_3;
-    double inverse_compression4_3 = 0.0;
-    double deviation_compression4[2];
     double innovation_compression5_0 = 0.0;
     double innovation_compression5_1 = 0.0;
     double innovation_compression5_2 = 0.0;
     double innovation_compression5_3 = 0.0;
     double mean_compression5[2];
-    double covariance_compression5[3];
-    double cross_compression5_0[2];
-    double pivot_compression5_0;
-    double inverse_compression5_0 = 0.0;
-    double cross_compression5_1[2];
-    double pivot_compression5_1;
-    double inverse_compression5_1 = 0.0;
-    double pivot_compression5_2;
-    double inverse_compression5_2 = 0.0;
-    double pivot_compression5_3;
-    double inverse_compression5_3 = 0.0;
-    double deviation_compression5[2];
-    double innovation_compression6_0 = 0.0;
-    double innovation_compression6_1 = 0.0;
-    double innovation_compression6_2 = 0.0;
-    double innovation_compression6_3 = 0.0;
-    double mean_compression6[2];
-    double covariance_compression6[3];
-    double cross_compression6_0[2];
-    double pivot_compression6_0;
-    double inverse_compression6_0 = 0.0;
-    double cross_compression6_1[2];
-    double pivot_compression6_1;
-    double inverse_compression6_1 = 0.0;
-    double pivot_compression6_2;
-    double inverse_compression6_2 = 0.0;
-    double pivot_compression6_3;
-    double inverse_compression6_3 = 0.0;
-    double deviation_compression6[2];
-    double innovation_compression7_0 = 0.0;
-    double innovation_compression7_1 = 0.0;
-    double innovation_compression7_2 = 0.0;
-    double innovation_compression7_3 = 0.0;
-    double mean_compression7[2];
-    double covariance_compression7[3];
-    double cross_compression7_0[2];
-    double pivot_compression7_0;
-    double inverse_compression7_0 = 0.0;
-    double cross_compression7_1[2];
-    double pivot_compression7_1;
-    double inverse_compression7_1 = 0.0;
-    double pivot_compression7_2;
-    double inverse_compression7_2 = 0.0;
-    double pivot_compression7_3;
-    double inverse_compression7_3 = 0.0;
-    double deviation_compression7[2];
-    double innovation_compression8_0 = 0.0;
-    double innovation_compression8_1 = 0.0;
-    double innovation_compression8_2 = 0.0;
-    double innovation_compression8_3 = 0.0;
-    double mean_compression8[2];
-    double covariance_compression8[3];
-    double cross_compression8_0[2];
-    double pivot_compression8_0;
-    double inverse_compression8_0 = 0.0;
-    double cross_compression8_1[2];
-    double pivot_compression8_1;
-    double inverse_compression8_1 = 0.0;
-    double pivot_compression8_2;
-    double inverse_compression8_2 = 0.0;
-    double pivot_compression8_3;
-    double inverse_compression8_3 = 0.0;
-    double deviation_compression8[2];
-    double innovation_compression9_0 = 0.0;
-    double innovation_compression9_1 = 0.0;
-    double innovation_compression9_2 = 0.0;
-    double innovation_compression9_3 = 0.0;
-    double mean_compression9[2];
-    double covariance_compression9[3];
-    double cross_compression9_0[2];
-    double pivot_compression9_0;
-    double inverse_compression9_0 = 0.0;
-    double cross_compression9_1[2];
-    double pivot_compression9_1;
-    double inverse_compression9_1 = 0.0;
-    double pivot_compression9_2;
-    double inverse_compression9_2 = 0.0;
-    double pivot_compression9_3;
-    double inverse_compression9_3 = 0.0;
-    double deviation_compression9[2];
-    double innovation_compression10_0 = 0.0;
-    double innovation_compression10_1 = 0.0;
-    double innovation_compression10_2 = 0.0;
-    double innovation_compression10_3 = 0.0;
-    double innovation_compression10_4 = 0.0;
-    double mean_compression10[2];
-    double covariance_compression10[3];
-    double cross_compression10_0[2];
-    double pivot_compression10_0;
-    double inverse_compression10_0 = 0.0;
-    double cross_compression10_1[2];
-    double pivot_compression10_1;
-    double inverse_compression10_1 = 0.0;
-    double cross_compression10_2[2];
-    double pivot_compression10_2;
-    double inverse_compression10_2 = 0.0;
-    double pivot_compression10_3;
-    double inverse_compression10_3 = 0.0;
-    double pivot_compression10_4;
-    double inverse_compression10_4 = 0.0;
-    double deviation_compression10[2];
-    double innovation_compression11_0 = 0.0;
-    double innovation_compression11_1 = 0.0;
-    double innovation_compression11_2 = 0.0;
-    double innovation_compression11_3 = 0.0;
-    double innovation_compression11_4 = 0.0;
-    double mean_compression11[2];
-    double covariance_compression11[3];
-    double cross_compression11_0[2];
-    double pivot_compression11_0;
-    double inverse_compression11_0 = 0.0;
-    double cross_compression11_1[2];
-    double pivot_compression11_1;
-    double inverse_compression11_1 = 0.0;
-    double cross_compression11_2[2];
-    double pivot_compression11_2;
-    double inverse_compression11_2 = 0.0;
-    double pivot_compression11_3;
-    double inverse_compression11_3 = 0.0;
-    double pivot_compression11_4;
-    double inverse_compression11_4 = 0.0;
-    double deviation_compression11[2];
-    double innovation_compression12_0 = 0.0;
-    double innovation_compression12_1 = 0.0;
-    double innovation_compression12_2 = 0.0;
-    double innovation_compression12_3 = 0.0;
-    double innovation_compression12_4 = 0.0;
-    double mean_compression12[2];
-    double covariance_compression12[3];
-    double cross_compression12_0[2];
-    double pivot_compression12_0;
-    double inverse_compression12_0 = 0.0;
-    double cross_compression12_1[2];
-    double pivot_compression12_1;
-    double inverse_compression12_1 = 0.0;
-    double cross_compression12_2[2];
-    double pivot_compression12_2;
-    double inverse_compression12_2 = 0.0;
-    double pivot_compression12_3;
-    double inverse_compression12_3 = 0.0;
-    double pivot_compression12_4;
-    double inverse_compression12_4 = 0.0;
-    double deviation_compression12[2];
-    double innovation_compression13_0 = 0.0;
-    double innovation_compression13_1 = 0.0;
-    double innovation_compression13_2 = 0.0;
-    double innovation_compression13_3 = 0.0;
-    double innovation_compression13_4 = 0.0;
-    double mean_compression13[2];
-    double covariance_compression13[3];
-    double cross_compression13_0[2];
-    double pivot_compression13_0;
-    double inverse_compression13_0 = 0.0;
-    double cross_compression13_1[2];
-    double pivot_compression13_1;
-    double inverse_compression13_1 = 0.0;
-    double cross_compression13_2[2];
-    double pivot_compression13_2;
-    double inverse_compression13_2 = 0.0;
-    double pivot_compression13_3;
-    double inverse_compression13_3 = 0.0;
-    double pivot_compression13_4;
-    double inverse_compression13_4 = 0.0;
-    double deviation_compression13[2];
-    double innovation_compression14_0 = 0.0;
-    double innovation_compression14_1 = 0.0;
-    double innovation_compression14_2 = 0.0;
-    double innovation_compression14_3 = 0.0;
-    double innovation_compression14_4 = 0.0;
-    double innovation_compression14_5 = 0.0;
-    double mean_compression14[2];
-    double covariance_compression14[3];
-    double cross_compression14_0[2];
-    double pivot_compression14_0;
-    double inverse_compression14_0 = 0.0;
-    double cross_compression14_1[2];
-    double pivot_compression14_1;
-    double inverse_compression14_1 = 0.0;
-    double cross_compression14_2[2];
-    double pivot_compression14_2;
-    double inverse_compression14_2 = 0.0;
-    double cross_compression14_3[2];
-    double pivot_compression14_3;
-    double inverse_compression14_3 = 0.0;
-    double pivot_compression14_4;
-    double inverse_compression14_4 = 0.0;
-    double pivot_compression14_5;
-    double inverse_compression14_5 = 0.0;
-    double deviation_compression14[2];
-    double collecting_0;
-    double collecting_1;
-    double collecting_2;
-    double collecting_3;
-    if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
+    wheel_drift_status_t status;
+    if (!((predicted_covariance[0] >= 0.0) && (predicted_covariance[2] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((self->predicted_compression_covariance[0] >= 0.0) &&
-        (self->predicted_compression_covariance[2] >= 0.0)))
+    status = wheel_drift_correct_2(predicted_compression_covariance);
+    if (status != WHEEL_DRIFT_OK)
     {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        return status;
     }
-    if (!((self->predicted_compression_covariance[3] >= 0.0) &&
-        (self->predicted_compression_covariance[5] >= 0.0)))
+    status = wheel_drift_correct_2(&predicted_compression_covariance[15]);
+    if (status != WHEEL_DRIFT_OK)
     {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        return status;
     }
-    if (!((self->predicted_compression_covariance[6] >= 0.0) &&
-        (self->predicted_compression_covariance[8] >= 0.0)))
+    status = wheel_drift_correct_2(&predicted_compression_covariance[30]);
+    if (status != WHEEL_DRIFT_OK)
     {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[9] >= 0.0) &&
-        (self->predicted_compression_covariance[11] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[12] >= 0.0) &&
-        (self->predicted_compression_covariance[14] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[15] >= 0.0) &&
-        (self->predicted_compression_covariance[17] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[18] >= 0.0) &&
-        (self->predicted_compression_covariance[20] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[21] >= 0.0) &&
-        (self->predicted_compression_covariance[23] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[24] >= 0.0) &&
-        (self->predicted_compression_covariance[26] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[27] >= 0.0) &&
-        (self->predicted_compression_covariance[29] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[30] >= 0.0) &&
-        (self->predicted_compression_covariance[32] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[33] >= 0.0) &&
-        (self->predicted_compression_covariance[35] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[36] >= 0.0) &&
-        (self->predicted_compression_covariance[38] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[39] >= 0.0) &&
-        (self->predicted_compression_covariance[41] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[42] >= 0.0) &&
-        (self->predicted_compression_covariance[44] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+        return status;
     }
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t0 = 0.9921619208254787 * self->predicted_state[0];
-        const double t1 = y[0] - t0;
-        innovation_0 = t1;
+        const double t0 = 0.9921619208254787 * predicted_state[0];
+        innovation_0[0] = y[0] - t0;
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t2 = 0.9921619208254787 * self->predicted_state[0];
-        const double t3 = y[1] - t2;
-        innovation_1 = t3;
+        const double t2 = 0.9921619208254787 * predicted_state[0];
+        innovation_1[0] = y[1] - t2;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t4 = 0.9903931860948796 * self->predicted_state[0];
-        const double t5 = y[2] - t4;
-        innovation_2 = t5;
+        const double t4 = 0.9903931860948796 * predicted_state[0];
+        innovation_2[0] = y[2] - t4;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t6 = 0.9903931860948796 * self->predicted_state[0];
-        const double t7 = y[3] - t6;
-        innovation_3 = t7;
+        const double t6 = 0.9903931860948796 * predicted_state[0];
+        innovation_3[0] = y[3] - t6;
     }
     if ((present & 0x10u) != 0u)
     {
-        const double t8 = y[4] - self->predicted_state[0];
-        innovation_4 = t8;
+        innovation_4[0] = y[4] - predicted_state[0];
     }
     if ((present & 0x20u) != 0u)
     {
-        const double t9 = y[5] - self->predicted_state[0];
-        innovation_5 = t9;
+        innovation_5[0] = y[5] - predicted_state[0];
     }
     mean_host[0] = 0.0;
     mean_host[1] = 0.0;
-    covariance_host[0] = self->predicted_covariance[0];
-    covariance_host[1] = self->predicted_covariance[1];
-    covariance_host[2] = self->predicted_covariance[2];
+    covariance_host[0] = predicted_covariance[0];
+    covariance_host[1] = predicted_covariance[1];
+    covariance_host[2] = predicted_covariance[2];
 
     /* row 4 of y, ublox: host */
-    const double t10 = self->predicted_covariance[0] + 0.25;
-    pivot_host_0 = t10;
+    pivot_host_0 = predicted_covariance[0] + 0.25;
     if ((present & 0x10u) != 0u)
     {
         if (!(pivot_host_0 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t11 = 1.0 / pivot_host_0;
-        inverse_host_0 = t11;
-        const double t12 = innovation_4 * inverse_host_0;
-        const double t13 = innovation_4 * t12;
-        const double t14 = self->predicted_covariance[0] * t12;
-        const double t15 = self->predicted_covariance[1] * t12;
-        const double t16 = self->predicted_covariance[0] * inverse_host_0;
-        const double t17 = t16 * self->predicted_covariance[0];
-        const double t18 = self->predicted_covariance[0] - t17;
+        inverse_host_0 = 1.0 / pivot_host_0;
+        const double t12 = innovation_4[0] * inverse_host_0;
+        quadratic_host[0] = innovation_4[0] * t12;
+        mean_host[0] = predicted_covariance[0] * t12;
+        mean_host[1] = predicted_covariance[1] * t12;
+        const double t16 = predicted_covariance[0] * inverse_host_0;
+        const double t17 = t16 * predicted_covariance[0];
+        const double t18 = predicted_covariance[0] - t17;
         const double t19 = 0.25 * t16;
         const double t20 = t19 - t18;
         const double t21 = t20 * t16;
-        const double t22 = t18 + t21;
-        const double t23 = self->predicted_covariance[1] * inverse_host_0;
-        const double t24 = t23 * self->predicted_covariance[0];
-        const double t25 = self->predicted_covariance[1] - t24;
+        covariance_host[0] = t18 + t21;
+        const double t23 = predicted_covariance[1] * inverse_host_0;
+        const double t24 = t23 * predicted_covariance[0];
+        const double t25 = predicted_covariance[1] - t24;
         const double t26 = 0.25 * t23;
         const double t27 = t26 - t25;
         const double t28 = t27 * t16;
-        const double t29 = t25 + t28;
-        const double t30 = t23 * self->predicted_covariance[1];
-        const double t31 = self->predicted_covariance[2] - t30;
+        covariance_host[1] = t25 + t28;
+        const double t30 = t23 * predicted_covariance[1];
+        const double t31 = predicted_covariance[2] - t30;
         const double t32 = t27 * t23;
-        const double t33 = t31 + t32;
-        quadratic_host = t13;
-        log_constant_host = WHEEL_DRIFT_LOG_2_PI;
-        determinant_host_0 = pivot_host_0;
-        mean_host[0] = t14;
-        mean_host[1] = t15;
-        covariance_host[0] = t22;
-        covariance_host[1] = t29;
-        covariance_host[2] = t33;
+        covariance_host[2] = t31 + t32;
+        log_constant_host[0] = WHEEL_DRIFT_LOG_2_PI;
+        determinant_host_0[0] = pivot_host_0;
     }
 
     /* row 5 of y, qcom: host */
-    const double t34 = covariance_host[0] + 9.0;
-    pivot_host_1 = t34;
+    pivot_host_1 = covariance_host[0] + 9.0;
     if ((present & 0x20u) != 0u)
     {
         if (!(pivot_host_1 > 0.0))
         {
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
-        const double t35 = 1.0 / pivot_host_1;
-        inverse_host_1 = t35;
-        const double t36 = innovation_5 - mean_host[0];
+        inverse_host_1 = 1.0 / pivot_host_1;
+        const double t36 = innovation_5[0] - mean_host[0];
         const double t37 = t36 * inverse_host_1;
         const double t38 = t36 * t37;
-        const double t39 = quadratic_host + t38;
-        const double t40 = log_constant_host + WHEEL_DRIFT_LOG_2_PI;
-        const double t41 = determinant_host_0 * pivot_host_1;
+        quadratic_host[0] = quadratic_host[0] + t38;
+        log_constant_host[0] = log_constant_host[0] + WHEEL_DRIFT_LOG_2_PI;
+        determinant_host_0[0] = determinant_host_0[0] * pivot_host_1;
         const double t42 = covariance_host[0] * t37;
-        const double t43 = mean_host[0] + t42;
+        mean_host[0] = mean_host[0] + t42;
         const double t44 = covariance_host[1] * t37;
-        const double t45 = mean_host[1] + t44;
+        mean_host[1] = mean_host[1] + t44;
         const double t46 = covariance_host[0] * inverse_host_1;
         const double t47 = t46 * covariance_host[0];
         const double t48 = covariance_host[0] - t47;
@@ -646,3404 +827,320 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
         const double t60 = t53 * covariance_host[1];
         const double t61 = covariance_host[2] - t60;
         const double t62 = t57 * t53;
-        const double t63 = t61 + t62;
-        quadratic_host = t39;
-        log_constant_host = t40;
-        determinant_host_0 = t41;
-        mean_host[0] = t43;
-        mean_host[1] = t45;
+        covariance_host[2] = t61 + t62;
         covariance_host[0] = t52;
         covariance_host[1] = t59;
-        covariance_host[2] = t63;
     }
-    const double t64 = self->predicted_state[0] + mean_host[0];
-    const double t65 = self->predicted_state[1] + mean_host[1];
-    host_state[0] = t64;
-    host_state[1] = t65;
+    host_state[0] = predicted_state[0] + mean_host[0];
+    host_state[1] = predicted_state[1] + mean_host[1];
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t66 = 0.9921619208254787 * self->predicted_compression_deviation[0];
-        const double t67 = innovation_0 - t66;
-        innovation_compression_0 = t67;
+        const double t66 = 0.9921619208254787 * predicted_compression_deviation[0];
+        innovation_compression_0 = innovation_0[0] - t66;
     }
-    if ((present & 0x10u) != 0u)
+    status = wheel_drift_row_of_y_2(innovation_4[0], predicted_compression_deviation,
+        &innovation_compression_1, innovation_5[0], &innovation_compression_2, mean_compression,
+        predicted_compression_covariance, covariance_compression, innovation_compression_0,
+        wheel_drift_row_of_y_2_numbers[0], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t68 = innovation_4 - self->predicted_compression_deviation[0];
-        innovation_compression_1 = t68;
+        return status;
     }
-    if ((present & 0x20u) != 0u)
+    status = wheel_drift_row_of_y_3(covariance_compression, mean_compression,
+        predicted_compression_deviation, innovation_compression_1, innovation_compression_2,
+        mean_host, deviation_compression, innovation_1[0], &innovation_compression1_0,
+        wheel_drift_row_of_y_3_numbers[0], present, ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t69 = innovation_5 - self->predicted_compression_deviation[0];
-        innovation_compression_2 = t69;
+        return status;
     }
-    mean_compression[0] = self->predicted_compression_deviation[0];
-    mean_compression[1] = self->predicted_compression_deviation[1];
-    covariance_compression[0] = self->predicted_compression_covariance[0];
-    covariance_compression[1] = self->predicted_compression_covariance[1];
-    covariance_compression[2] = self->predicted_compression_covariance[2];
-
-    /* row 0 of y, wheel_fl: compression filter */
-    const double t70 = 0.9921619208254787 * self->predicted_compression_covariance[0];
-    const double t71 = 0.9921619208254787 * self->predicted_compression_covariance[1];
-    cross_compression_0[0] = t70;
-    cross_compression_0[1] = t71;
-    const double t72 = 0.9921619208254787 * cross_compression_0[0];
-    const double t73 = t72 + 0.04;
-    pivot_compression_0 = t73;
-    if ((present & 0x1u) != 0u)
+    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[2],
+        &innovation_compression1_1, innovation_5[0], &innovation_compression1_2, mean_compression1,
+        &predicted_compression_covariance[3], covariance_compression1, innovation_compression1_0,
+        wheel_drift_row_of_y_2_numbers[1], present, ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        if (!(pivot_compression_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t74 = 1.0 / pivot_compression_0;
-        inverse_compression_0 = t74;
-        const double t75 = innovation_compression_0 * inverse_compression_0;
-        const double t76 = cross_compression_0[0] * t75;
-        const double t77 = self->predicted_compression_deviation[0] + t76;
-        const double t78 = cross_compression_0[1] * t75;
-        const double t79 = self->predicted_compression_deviation[1] + t78;
-        const double t80 = cross_compression_0[0] * inverse_compression_0;
-        const double t81 = t80 * cross_compression_0[0];
-        const double t82 = self->predicted_compression_covariance[0] - t81;
-        const double t83 = 0.04 * t80;
-        const double t84 = 0.9921619208254787 * t82;
-        const double t85 = t83 - t84;
-        const double t86 = t85 * t80;
-        const double t87 = t82 + t86;
-        const double t88 = cross_compression_0[1] * inverse_compression_0;
-        const double t89 = t88 * cross_compression_0[0];
-        const double t90 = self->predicted_compression_covariance[1] - t89;
-        const double t91 = 0.04 * t88;
-        const double t92 = 0.9921619208254787 * t90;
-        const double t93 = t91 - t92;
-        const double t94 = t93 * t80;
-        const double t95 = t90 + t94;
-        const double t96 = t88 * cross_compression_0[1];
-        const double t97 = self->predicted_compression_covariance[2] - t96;
-        const double t98 = t93 * t88;
-        const double t99 = t97 + t98;
-        mean_compression[0] = t77;
-        mean_compression[1] = t79;
-        covariance_compression[0] = t87;
-        covariance_compression[1] = t95;
-        covariance_compression[2] = t99;
+        return status;
     }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t100 = covariance_compression[0] + 0.25;
-    pivot_compression_1 = t100;
-    if ((present & 0x10u) != 0u)
+    status = wheel_drift_row_of_y_3(covariance_compression1, mean_compression1,
+        &predicted_compression_deviation[2], innovation_compression1_1, innovation_compression1_2,
+        mean_host, deviation_compression1, innovation_2[0], &innovation_compression2_0,
+        wheel_drift_row_of_y_3_numbers[1], present, ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        if (!(pivot_compression_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t101 = 1.0 / pivot_compression_1;
-        inverse_compression_1 = t101;
-        const double t102 = mean_compression[0] - self->predicted_compression_deviation[0];
-        const double t103 = innovation_compression_1 - t102;
-        const double t104 = t103 * inverse_compression_1;
-        const double t105 = covariance_compression[0] * t104;
-        const double t106 = mean_compression[0] + t105;
-        const double t107 = covariance_compression[1] * t104;
-        const double t108 = mean_compression[1] + t107;
-        const double t109 = covariance_compression[0] * inverse_compression_1;
-        const double t110 = t109 * covariance_compression[0];
-        const double t111 = covariance_compression[0] - t110;
-        const double t112 = 0.25 * t109;
-        const double t113 = t112 - t111;
-        const double t114 = t113 * t109;
-        const double t115 = t111 + t114;
-        const double t116 = covariance_compression[1] * inverse_compression_1;
-        const double t117 = t116 * covariance_compression[0];
-        const double t118 = covariance_compression[1] - t117;
-        const double t119 = 0.25 * t116;
-        const double t120 = t119 - t118;
-        const double t121 = t120 * t109;
-        const double t122 = t118 + t121;
-        const double t123 = t116 * covariance_compression[1];
-        const double t124 = covariance_compression[2] - t123;
-        const double t125 = t120 * t116;
-        const double t126 = t124 + t125;
-        mean_compression[0] = t106;
-        mean_compression[1] = t108;
-        covariance_compression[0] = t115;
-        covariance_compression[1] = t122;
-        covariance_compression[2] = t126;
+        return status;
     }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t127 = covariance_compression[0] + 9.0;
-    pivot_compression_2 = t127;
-    if ((present & 0x20u) != 0u)
+    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[4],
+        &innovation_compression2_1, innovation_5[0], &innovation_compression2_2, mean_compression2,
+        &predicted_compression_covariance[6], covariance_compression2, innovation_compression2_0,
+        wheel_drift_row_of_y_2_numbers[2], present, ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        if (!(pivot_compression_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t128 = 1.0 / pivot_compression_2;
-        inverse_compression_2 = t128;
-        const double t129 = mean_compression[0] - self->predicted_compression_deviation[0];
-        const double t130 = innovation_compression_2 - t129;
-        const double t131 = t130 * inverse_compression_2;
-        const double t132 = covariance_compression[0] * t131;
-        const double t133 = mean_compression[0] + t132;
-        const double t134 = covariance_compression[1] * t131;
-        const double t135 = mean_compression[1] + t134;
-        const double t136 = covariance_compression[0] * inverse_compression_2;
-        const double t137 = t136 * covariance_compression[0];
-        const double t138 = covariance_compression[0] - t137;
-        const double t139 = 9.0 * t136;
-        const double t140 = t139 - t138;
-        const double t141 = t140 * t136;
-        const double t142 = t138 + t141;
-        const double t143 = covariance_compression[1] * inverse_compression_2;
-        const double t144 = t143 * covariance_compression[0];
-        const double t145 = covariance_compression[1] - t144;
-        const double t146 = 9.0 * t143;
-        const double t147 = t146 - t145;
-        const double t148 = t147 * t136;
-        const double t149 = t145 + t148;
-        const double t150 = t143 * covariance_compression[1];
-        const double t151 = covariance_compression[2] - t150;
-        const double t152 = t147 * t143;
-        const double t153 = t151 + t152;
-        mean_compression[0] = t133;
-        mean_compression[1] = t135;
-        covariance_compression[0] = t142;
-        covariance_compression[1] = t149;
-        covariance_compression[2] = t153;
+        return status;
     }
-    const double t154 = mean_compression[0] - mean_host[0];
-    const double t155 = mean_compression[1] - mean_host[1];
-    deviation_compression[0] = t154;
-    deviation_compression[1] = t155;
-
-    /* innovation, row by row */
+    status = wheel_drift_row_of_y_3(covariance_compression2, mean_compression2,
+        &predicted_compression_deviation[4], innovation_compression2_1, innovation_compression2_2,
+        mean_host, deviation_compression2, innovation_3[0], &innovation_compression3_0,
+        wheel_drift_row_of_y_3_numbers[2], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[6],
+        &innovation_compression3_1, innovation_5[0], &innovation_compression3_2, mean_compression3,
+        &predicted_compression_covariance[9], covariance_compression3, innovation_compression3_0,
+        wheel_drift_row_of_y_2_numbers[3], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y_3(covariance_compression3, mean_compression3,
+        &predicted_compression_deviation[6], innovation_compression3_1, innovation_compression3_2,
+        mean_host, deviation_compression3, innovation_0[0], &innovation_compression4_0,
+        wheel_drift_row_of_y_3_numbers[3], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
     if ((present & 0x2u) != 0u)
     {
-        const double t156 = 0.9921619208254787 * self->predicted_compression_deviation[2];
-        const double t157 = innovation_1 - t156;
-        innovation_compression1_0 = t157;
+        const double t68 = 0.9921619208254787 * predicted_compression_deviation[8];
+        innovation_compression4_1 = innovation_1[0] - t68;
     }
-    if ((present & 0x10u) != 0u)
+    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[8],
+        &innovation_compression4_2, innovation_5[0], &innovation_compression4_3, mean_compression4,
+        &predicted_compression_covariance[12], covariance_compression4, innovation_compression4_0,
+        wheel_drift_row_of_y_2_numbers[4], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t158 = innovation_4 - self->predicted_compression_deviation[2];
-        innovation_compression1_1 = t158;
+        return status;
     }
-    if ((present & 0x20u) != 0u)
+    status = wheel_drift_row_of_y(covariance_compression4, mean_compression4,
+        predicted_compression_deviation[8], innovation_compression4_1, innovation_compression4_2,
+        innovation_compression4_3, mean_host, deviation_compression4,
+        wheel_drift_row_of_y_numbers[0], present, ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t159 = innovation_5 - self->predicted_compression_deviation[2];
-        innovation_compression1_2 = t159;
+        return status;
     }
-    mean_compression1[0] = self->predicted_compression_deviation[2];
-    mean_compression1[1] = self->predicted_compression_deviation[3];
-    covariance_compression1[0] = self->predicted_compression_covariance[3];
-    covariance_compression1[1] = self->predicted_compression_covariance[4];
-    covariance_compression1[2] = self->predicted_compression_covariance[5];
-
-    /* row 1 of y, wheel_fr: compression filter */
-    const double t160 = 0.9921619208254787 * self->predicted_compression_covariance[3];
-    const double t161 = 0.9921619208254787 * self->predicted_compression_covariance[4];
-    cross_compression1_0[0] = t160;
-    cross_compression1_0[1] = t161;
-    const double t162 = 0.9921619208254787 * cross_compression1_0[0];
-    const double t163 = t162 + 0.04;
-    pivot_compression1_0 = t163;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_compression1_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t164 = 1.0 / pivot_compression1_0;
-        inverse_compression1_0 = t164;
-        const double t165 = innovation_compression1_0 * inverse_compression1_0;
-        const double t166 = cross_compression1_0[0] * t165;
-        const double t167 = self->predicted_compression_deviation[2] + t166;
-        const double t168 = cross_compression1_0[1] * t165;
-        const double t169 = self->predicted_compression_deviation[3] + t168;
-        const double t170 = cross_compression1_0[0] * inverse_compression1_0;
-        const double t171 = t170 * cross_compression1_0[0];
-        const double t172 = self->predicted_compression_covariance[3] - t171;
-        const double t173 = 0.04 * t170;
-        const double t174 = 0.9921619208254787 * t172;
-        const double t175 = t173 - t174;
-        const double t176 = t175 * t170;
-        const double t177 = t172 + t176;
-        const double t178 = cross_compression1_0[1] * inverse_compression1_0;
-        const double t179 = t178 * cross_compression1_0[0];
-        const double t180 = self->predicted_compression_covariance[4] - t179;
-        const double t181 = 0.04 * t178;
-        const double t182 = 0.9921619208254787 * t180;
-        const double t183 = t181 - t182;
-        const double t184 = t183 * t170;
-        const double t185 = t180 + t184;
-        const double t186 = t178 * cross_compression1_0[1];
-        const double t187 = self->predicted_compression_covariance[5] - t186;
-        const double t188 = t183 * t178;
-        const double t189 = t187 + t188;
-        mean_compression1[0] = t167;
-        mean_compression1[1] = t169;
-        covariance_compression1[0] = t177;
-        covariance_compression1[1] = t185;
-        covariance_compression1[2] = t189;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t190 = covariance_compression1[0] + 0.25;
-    pivot_compression1_1 = t190;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression1_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t191 = 1.0 / pivot_compression1_1;
-        inverse_compression1_1 = t191;
-        const double t192 = mean_compression1[0] - self->predicted_compression_deviation[2];
-        const double t193 = innovation_compression1_1 - t192;
-        const double t194 = t193 * inverse_compression1_1;
-        const double t195 = covariance_compression1[0] * t194;
-        const double t196 = mean_compression1[0] + t195;
-        const double t197 = covariance_compression1[1] * t194;
-        const double t198 = mean_compression1[1] + t197;
-        const double t199 = covariance_compression1[0] * inverse_compression1_1;
-        const double t200 = t199 * covariance_compression1[0];
-        const double t201 = covariance_compression1[0] - t200;
-        const double t202 = 0.25 * t199;
-        const double t203 = t202 - t201;
-        const double t204 = t203 * t199;
-        const double t205 = t201 + t204;
-        const double t206 = covariance_compression1[1] * inverse_compression1_1;
-        const double t207 = t206 * covariance_compression1[0];
-        const double t208 = covariance_compression1[1] - t207;
-        const double t209 = 0.25 * t206;
-        const double t210 = t209 - t208;
-        const double t211 = t210 * t199;
-        const double t212 = t208 + t211;
-        const double t213 = t206 * covariance_compression1[1];
-        const double t214 = covariance_compression1[2] - t213;
-        const double t215 = t210 * t206;
-        const double t216 = t214 + t215;
-        mean_compression1[0] = t196;
-        mean_compression1[1] = t198;
-        covariance_compression1[0] = t205;
-        covariance_compression1[1] = t212;
-        covariance_compression1[2] = t216;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t217 = covariance_compression1[0] + 9.0;
-    pivot_compression1_2 = t217;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression1_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t218 = 1.0 / pivot_compression1_2;
-        inverse_compression1_2 = t218;
-        const double t219 = mean_compression1[0] - self->predicted_compression_deviation[2];
-        const double t220 = innovation_compression1_2 - t219;
-        const double t221 = t220 * inverse_compression1_2;
-        const double t222 = covariance_compression1[0] * t221;
-        const double t223 = mean_compression1[0] + t222;
-        const double t224 = covariance_compression1[1] * t221;
-        const double t225 = mean_compression1[1] + t224;
-        const double t226 = covariance_compression1[0] * inverse_compression1_2;
-        const double t227 = t226 * covariance_compression1[0];
-        const double t228 = covariance_compression1[0] - t227;
-        const double t229 = 9.0 * t226;
-        const double t230 = t229 - t228;
-        const double t231 = t230 * t226;
-        const double t232 = t228 + t231;
-        const double t233 = covariance_compression1[1] * inverse_compression1_2;
-        const double t234 = t233 * covariance_compression1[0];
-        const double t235 = covariance_compression1[1] - t234;
-        const double t236 = 9.0 * t233;
-        const double t237 = t236 - t235;
-        const double t238 = t237 * t226;
-        const double t239 = t235 + t238;
-        const double t240 = t233 * covariance_compression1[1];
-        const double t241 = covariance_compression1[2] - t240;
-        const double t242 = t237 * t233;
-        const double t243 = t241 + t242;
-        mean_compression1[0] = t223;
-        mean_compression1[1] = t225;
-        covariance_compression1[0] = t232;
-        covariance_compression1[1] = t239;
-        covariance_compression1[2] = t243;
-    }
-    const double t244 = mean_compression1[0] - mean_host[0];
-    const double t245 = mean_compression1[1] - mean_host[1];
-    deviation_compression1[0] = t244;
-    deviation_compression1[1] = t245;
-
-    /* innovation, row by row */
-    if ((present & 0x4u) != 0u)
-    {
-        const double t246 = 0.9903931860948796 * self->predicted_compression_deviation[4];
-        const double t247 = innovation_2 - t246;
-        innovation_compression2_0 = t247;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t248 = innovation_4 - self->predicted_compression_deviation[4];
-        innovation_compression2_1 = t248;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t249 = innovation_5 - self->predicted_compression_deviation[4];
-        innovation_compression2_2 = t249;
-    }
-    mean_compression2[0] = self->predicted_compression_deviation[4];
-    mean_compression2[1] = self->predicted_compression_deviation[5];
-    covariance_compression2[0] = self->predicted_compression_covariance[6];
-    covariance_compression2[1] = self->predicted_compression_covariance[7];
-    covariance_compression2[2] = self->predicted_compression_covariance[8];
-
-    /* row 2 of y, wheel_rl: compression filter */
-    const double t250 = 0.9903931860948796 * self->predicted_compression_covariance[6];
-    const double t251 = 0.9903931860948796 * self->predicted_compression_covariance[7];
-    cross_compression2_0[0] = t250;
-    cross_compression2_0[1] = t251;
-    const double t252 = 0.9903931860948796 * cross_compression2_0[0];
-    const double t253 = t252 + 0.04;
-    pivot_compression2_0 = t253;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_compression2_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t254 = 1.0 / pivot_compression2_0;
-        inverse_compression2_0 = t254;
-        const double t255 = innovation_compression2_0 * inverse_compression2_0;
-        const double t256 = cross_compression2_0[0] * t255;
-        const double t257 = self->predicted_compression_deviation[4] + t256;
-        const double t258 = cross_compression2_0[1] * t255;
-        const double t259 = self->predicted_compression_deviation[5] + t258;
-        const double t260 = cross_compression2_0[0] * inverse_compression2_0;
-        const double t261 = t260 * cross_compression2_0[0];
-        const double t262 = self->predicted_compression_covariance[6] - t261;
-        const double t263 = 0.04 * t260;
-        const double t264 = 0.9903931860948796 * t262;
-        const double t265 = t263 - t264;
-        const double t266 = t265 * t260;
-        const double t267 = t262 + t266;
-        const double t268 = cross_compression2_0[1] * inverse_compression2_0;
-        const double t269 = t268 * cross_compression2_0[0];
-        const double t270 = self->predicted_compression_covariance[7] - t269;
-        const double t271 = 0.04 * t268;
-        const double t272 = 0.9903931860948796 * t270;
-        const double t273 = t271 - t272;
-        const double t274 = t273 * t260;
-        const double t275 = t270 + t274;
-        const double t276 = t268 * cross_compression2_0[1];
-        const double t277 = self->predicted_compression_covariance[8] - t276;
-        const double t278 = t273 * t268;
-        const double t279 = t277 + t278;
-        mean_compression2[0] = t257;
-        mean_compression2[1] = t259;
-        covariance_compression2[0] = t267;
-        covariance_compression2[1] = t275;
-        covariance_compression2[2] = t279;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t280 = covariance_compression2[0] + 0.25;
-    pivot_compression2_1 = t280;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression2_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t281 = 1.0 / pivot_compression2_1;
-        inverse_compression2_1 = t281;
-        const double t282 = mean_compression2[0] - self->predicted_compression_deviation[4];
-        const double t283 = innovation_compression2_1 - t282;
-        const double t284 = t283 * inverse_compression2_1;
-        const double t285 = covariance_compression2[0] * t284;
-        const double t286 = mean_compression2[0] + t285;
-        const double t287 = covariance_compression2[1] * t284;
-        const double t288 = mean_compression2[1] + t287;
-        const double t289 = covariance_compression2[0] * inverse_compression2_1;
-        const double t290 = t289 * covariance_compression2[0];
-        const double t291 = covariance_compression2[0] - t290;
-        const double t292 = 0.25 * t289;
-        const double t293 = t292 - t291;
-        const double t294 = t293 * t289;
-        const double t295 = t291 + t294;
-        const double t296 = covariance_compression2[1] * inverse_compression2_1;
-        const double t297 = t296 * covariance_compression2[0];
-        const double t298 = covariance_compression2[1] - t297;
-        const double t299 = 0.25 * t296;
-        const double t300 = t299 - t298;
-        const double t301 = t300 * t289;
-        const double t302 = t298 + t301;
-        const double t303 = t296 * covariance_compression2[1];
-        const double t304 = covariance_compression2[2] - t303;
-        const double t305 = t300 * t296;
-        const double t306 = t304 + t305;
-        mean_compression2[0] = t286;
-        mean_compression2[1] = t288;
-        covariance_compression2[0] = t295;
-        covariance_compression2[1] = t302;
-        covariance_compression2[2] = t306;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t307 = covariance_compression2[0] + 9.0;
-    pivot_compression2_2 = t307;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression2_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t308 = 1.0 / pivot_compression2_2;
-        inverse_compression2_2 = t308;
-        const double t309 = mean_compression2[0] - self->predicted_compression_deviation[4];
-        const double t310 = innovation_compression2_2 - t309;
-        const double t311 = t310 * inverse_compression2_2;
-        const double t312 = covariance_compression2[0] * t311;
-        const double t313 = mean_compression2[0] + t312;
-        const double t314 = covariance_compression2[1] * t311;
-        const double t315 = mean_compression2[1] + t314;
-        const double t316 = covariance_compression2[0] * inverse_compression2_2;
-        const double t317 = t316 * covariance_compression2[0];
-        const double t318 = covariance_compression2[0] - t317;
-        const double t319 = 9.0 * t316;
-        const double t320 = t319 - t318;
-        const double t321 = t320 * t316;
-        const double t322 = t318 + t321;
-        const double t323 = covariance_compression2[1] * inverse_compression2_2;
-        const double t324 = t323 * covariance_compression2[0];
-        const double t325 = covariance_compression2[1] - t324;
-        const double t326 = 9.0 * t323;
-        const double t327 = t326 - t325;
-        const double t328 = t327 * t316;
-        const double t329 = t325 + t328;
-        const double t330 = t323 * covariance_compression2[1];
-        const double t331 = covariance_compression2[2] - t330;
-        const double t332 = t327 * t323;
-        const double t333 = t331 + t332;
-        mean_compression2[0] = t313;
-        mean_compression2[1] = t315;
-        covariance_compression2[0] = t322;
-        covariance_compression2[1] = t329;
-        covariance_compression2[2] = t333;
-    }
-    const double t334 = mean_compression2[0] - mean_host[0];
-    const double t335 = mean_compression2[1] - mean_host[1];
-    deviation_compression2[0] = t334;
-    deviation_compression2[1] = t335;
-
-    /* innovation, row by row */
-    if ((present & 0x8u) != 0u)
-    {
-        const double t336 = 0.9903931860948796 * self->predicted_compression_deviation[6];
-        const double t337 = innovation_3 - t336;
-        innovation_compression3_0 = t337;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t338 = innovation_4 - self->predicted_compression_deviation[6];
-        innovation_compression3_1 = t338;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t339 = innovation_5 - self->predicted_compression_deviation[6];
-        innovation_compression3_2 = t339;
-    }
-    mean_compression3[0] = self->predicted_compression_deviation[6];
-    mean_compression3[1] = self->predicted_compression_deviation[7];
-    covariance_compression3[0] = self->predicted_compression_covariance[9];
-    covariance_compression3[1] = self->predicted_compression_covariance[10];
-    covariance_compression3[2] = self->predicted_compression_covariance[11];
-
-    /* row 3 of y, wheel_rr: compression filter */
-    const double t340 = 0.9903931860948796 * self->predicted_compression_covariance[9];
-    const double t341 = 0.9903931860948796 * self->predicted_compression_covariance[10];
-    cross_compression3_0[0] = t340;
-    cross_compression3_0[1] = t341;
-    const double t342 = 0.9903931860948796 * cross_compression3_0[0];
-    const double t343 = t342 + 0.04;
-    pivot_compression3_0 = t343;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_compression3_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t344 = 1.0 / pivot_compression3_0;
-        inverse_compression3_0 = t344;
-        const double t345 = innovation_compression3_0 * inverse_compression3_0;
-        const double t346 = cross_compression3_0[0] * t345;
-        const double t347 = self->predicted_compression_deviation[6] + t346;
-        const double t348 = cross_compression3_0[1] * t345;
-        const double t349 = self->predicted_compression_deviation[7] + t348;
-        const double t350 = cross_compression3_0[0] * inverse_compression3_0;
-        const double t351 = t350 * cross_compression3_0[0];
-        const double t352 = self->predicted_compression_covariance[9] - t351;
-        const double t353 = 0.04 * t350;
-        const double t354 = 0.9903931860948796 * t352;
-        const double t355 = t353 - t354;
-        const double t356 = t355 * t350;
-        const double t357 = t352 + t356;
-        const double t358 = cross_compression3_0[1] * inverse_compression3_0;
-        const double t359 = t358 * cross_compression3_0[0];
-        const double t360 = self->predicted_compression_covariance[10] - t359;
-        const double t361 = 0.04 * t358;
-        const double t362 = 0.9903931860948796 * t360;
-        const double t363 = t361 - t362;
-        const double t364 = t363 * t350;
-        const double t365 = t360 + t364;
-        const double t366 = t358 * cross_compression3_0[1];
-        const double t367 = self->predicted_compression_covariance[11] - t366;
-        const double t368 = t363 * t358;
-        const double t369 = t367 + t368;
-        mean_compression3[0] = t347;
-        mean_compression3[1] = t349;
-        covariance_compression3[0] = t357;
-        covariance_compression3[1] = t365;
-        covariance_compression3[2] = t369;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t370 = covariance_compression3[0] + 0.25;
-    pivot_compression3_1 = t370;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression3_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t371 = 1.0 / pivot_compression3_1;
-        inverse_compression3_1 = t371;
-        const double t372 = mean_compression3[0] - self->predicted_compression_deviation[6];
-        const double t373 = innovation_compression3_1 - t372;
-        const double t374 = t373 * inverse_compression3_1;
-        const double t375 = covariance_compression3[0] * t374;
-        const double t376 = mean_compression3[0] + t375;
-        const double t377 = covariance_compression3[1] * t374;
-        const double t378 = mean_compression3[1] + t377;
-        const double t379 = covariance_compression3[0] * inverse_compression3_1;
-        const double t380 = t379 * covariance_compression3[0];
-        const double t381 = covariance_compression3[0] - t380;
-        const double t382 = 0.25 * t379;
-        const double t383 = t382 - t381;
-        const double t384 = t383 * t379;
-        const double t385 = t381 + t384;
-        const double t386 = covariance_compression3[1] * inverse_compression3_1;
-        const double t387 = t386 * covariance_compression3[0];
-        const double t388 = covariance_compression3[1] - t387;
-        const double t389 = 0.25 * t386;
-        const double t390 = t389 - t388;
-        const double t391 = t390 * t379;
-        const double t392 = t388 + t391;
-        const double t393 = t386 * covariance_compression3[1];
-        const double t394 = covariance_compression3[2] - t393;
-        const double t395 = t390 * t386;
-        const double t396 = t394 + t395;
-        mean_compression3[0] = t376;
-        mean_compression3[1] = t378;
-        covariance_compression3[0] = t385;
-        covariance_compression3[1] = t392;
-        covariance_compression3[2] = t396;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t397 = covariance_compression3[0] + 9.0;
-    pivot_compression3_2 = t397;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression3_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t398 = 1.0 / pivot_compression3_2;
-        inverse_compression3_2 = t398;
-        const double t399 = mean_compression3[0] - self->predicted_compression_deviation[6];
-        const double t400 = innovation_compression3_2 - t399;
-        const double t401 = t400 * inverse_compression3_2;
-        const double t402 = covariance_compression3[0] * t401;
-        const double t403 = mean_compression3[0] + t402;
-        const double t404 = covariance_compression3[1] * t401;
-        const double t405 = mean_compression3[1] + t404;
-        const double t406 = covariance_compression3[0] * inverse_compression3_2;
-        const double t407 = t406 * covariance_compression3[0];
-        const double t408 = covariance_compression3[0] - t407;
-        const double t409 = 9.0 * t406;
-        const double t410 = t409 - t408;
-        const double t411 = t410 * t406;
-        const double t412 = t408 + t411;
-        const double t413 = covariance_compression3[1] * inverse_compression3_2;
-        const double t414 = t413 * covariance_compression3[0];
-        const double t415 = covariance_compression3[1] - t414;
-        const double t416 = 9.0 * t413;
-        const double t417 = t416 - t415;
-        const double t418 = t417 * t406;
-        const double t419 = t415 + t418;
-        const double t420 = t413 * covariance_compression3[1];
-        const double t421 = covariance_compression3[2] - t420;
-        const double t422 = t417 * t413;
-        const double t423 = t421 + t422;
-        mean_compression3[0] = t403;
-        mean_compression3[1] = t405;
-        covariance_compression3[0] = t412;
-        covariance_compression3[1] = t419;
-        covariance_compression3[2] = t423;
-    }
-    const double t424 = mean_compression3[0] - mean_host[0];
-    const double t425 = mean_compression3[1] - mean_host[1];
-    deviation_compression3[0] = t424;
-    deviation_compression3[1] = t425;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t426 = 0.9921619208254787 * self->predicted_compression_deviation[8];
-        const double t427 = innovation_0 - t426;
-        innovation_compression4_0 = t427;
+        const double t70 = 0.9921619208254787 * predicted_compression_deviation[10];
+        innovation_compression5_0 = innovation_0[0] - t70;
     }
-    if ((present & 0x2u) != 0u)
+    if ((present & 0x4u) != 0u)
     {
-        const double t428 = 0.9921619208254787 * self->predicted_compression_deviation[8];
-        const double t429 = innovation_1 - t428;
-        innovation_compression4_1 = t429;
+        const double t72 = 0.9903931860948796 * predicted_compression_deviation[10];
+        innovation_compression5_1 = innovation_2[0] - t72;
     }
-    if ((present & 0x10u) != 0u)
+    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[10],
+        &innovation_compression5_2, innovation_5[0], &innovation_compression5_3, mean_compression5,
+        &predicted_compression_covariance[15], covariance_compression5, innovation_compression5_0,
+        wheel_drift_row_of_y_2_numbers[5], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t430 = innovation_4 - self->predicted_compression_deviation[8];
-        innovation_compression4_2 = t430;
+        return status;
     }
-    if ((present & 0x20u) != 0u)
+    status = wheel_drift_row_of_y(covariance_compression5, mean_compression5,
+        predicted_compression_deviation[10], innovation_compression5_1, innovation_compression5_2,
+        innovation_compression5_3, mean_host, deviation_compression5,
+        wheel_drift_row_of_y_numbers[1], present, ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t431 = innovation_5 - self->predicted_compression_deviation[8];
-        innovation_compression4_3 = t431;
+        return status;
     }
-    mean_compression4[0] = self->predicted_compression_deviation[8];
-    mean_compression4[1] = self->predicted_compression_deviation[9];
-    covariance_compression4[0] = self->predicted_compression_covariance[12];
-    covariance_compression4[1] = self->predicted_compression_covariance[13];
-    covariance_compression4[2] = self->predicted_compression_covariance[14];
-
-    /* row 0 of y, wheel_fl: compression filter */
-    const double t432 = 0.9921619208254787 * self->predicted_compression_covariance[12];
-    const double t433 = 0.9921619208254787 * self->predicted_compression_covariance[13];
-    cross_compression4_0[0] = t432;
-    cross_compression4_0[1] = t433;
-    const double t434 = 0.9921619208254787 * cross_compression4_0[0];
-    const double t435 = t434 + 0.04;
-    pivot_compression4_0 = t435;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_compression4_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t436 = 1.0 / pivot_compression4_0;
-        inverse_compression4_0 = t436;
-        const double t437 = innovation_compression4_0 * inverse_compression4_0;
-        const double t438 = cross_compression4_0[0] * t437;
-        const double t439 = self->predicted_compression_deviation[8] + t438;
-        const double t440 = cross_compression4_0[1] * t437;
-        const double t441 = self->predicted_compression_deviation[9] + t440;
-        const double t442 = cross_compression4_0[0] * inverse_compression4_0;
-        const double t443 = t442 * cross_compression4_0[0];
-        const double t444 = self->predicted_compression_covariance[12] - t443;
-        const double t445 = 0.04 * t442;
-        const double t446 = 0.9921619208254787 * t444;
-        const double t447 = t445 - t446;
-        const double t448 = t447 * t442;
-        const double t449 = t444 + t448;
-        const double t450 = cross_compression4_0[1] * inverse_compression4_0;
-        const double t451 = t450 * cross_compression4_0[0];
-        const double t452 = self->predicted_compression_covariance[13] - t451;
-        const double t453 = 0.04 * t450;
-        const double t454 = 0.9921619208254787 * t452;
-        const double t455 = t453 - t454;
-        const double t456 = t455 * t442;
-        const double t457 = t452 + t456;
-        const double t458 = t450 * cross_compression4_0[1];
-        const double t459 = self->predicted_compression_covariance[14] - t458;
-        const double t460 = t455 * t450;
-        const double t461 = t459 + t460;
-        mean_compression4[0] = t439;
-        mean_compression4[1] = t441;
-        covariance_compression4[0] = t449;
-        covariance_compression4[1] = t457;
-        covariance_compression4[2] = t461;
-    }
-
-    /* row 1 of y, wheel_fr: compression filter */
-    const double t462 = 0.9921619208254787 * covariance_compression4[0];
-    const double t463 = 0.9921619208254787 * covariance_compression4[1];
-    cross_compression4_1[0] = t462;
-    cross_compression4_1[1] = t463;
-    const double t464 = 0.9921619208254787 * cross_compression4_1[0];
-    const double t465 = t464 + 0.04;
-    pivot_compression4_1 = t465;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_compression4_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t466 = 1.0 / pivot_compression4_1;
-        inverse_compression4_1 = t466;
-        const double t467 = mean_compression4[0] - self->predicted_compression_deviation[8];
-        const double t468 = 0.9921619208254787 * t467;
-        const double t469 = innovation_compression4_1 - t468;
-        const double t470 = t469 * inverse_compression4_1;
-        const double t471 = cross_compression4_1[0] * t470;
-        const double t472 = mean_compression4[0] + t471;
-        const double t473 = cross_compression4_1[1] * t470;
-        const double t474 = mean_compression4[1] + t473;
-        const double t475 = cross_compression4_1[0] * inverse_compression4_1;
-        const double t476 = t475 * cross_compression4_1[0];
-        const double t477 = covariance_compression4[0] - t476;
-        const double t478 = 0.04 * t475;
-        const double t479 = 0.9921619208254787 * t477;
-        const double t480 = t478 - t479;
-        const double t481 = t480 * t475;
-        const double t482 = t477 + t481;
-        const double t483 = cross_compression4_1[1] * inverse_compression4_1;
-        const double t484 = t483 * cross_compression4_1[0];
-        const double t485 = covariance_compression4[1] - t484;
-        const double t486 = 0.04 * t483;
-        const double t487 = 0.9921619208254787 * t485;
-        const double t488 = t486 - t487;
-        const double t489 = t488 * t475;
-        const double t490 = t485 + t489;
-        const double t491 = t483 * cross_compression4_1[1];
-        const double t492 = covariance_compression4[2] - t491;
-        const double t493 = t488 * t483;
-        const double t494 = t492 + t493;
-        mean_compression4[0] = t472;
-        mean_compression4[1] = t474;
-        covariance_compression4[0] = t482;
-        covariance_compression4[1] = t490;
-        covariance_compression4[2] = t494;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t495 = covariance_compression4[0] + 0.25;
-    pivot_compression4_2 = t495;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression4_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t496 = 1.0 / pivot_compression4_2;
-        inverse_compression4_2 = t496;
-        const double t497 = mean_compression4[0] - self->predicted_compression_deviation[8];
-        const double t498 = innovation_compression4_2 - t497;
-        const double t499 = t498 * inverse_compression4_2;
-        const double t500 = covariance_compression4[0] * t499;
-        const double t501 = mean_compression4[0] + t500;
-        const double t502 = covariance_compression4[1] * t499;
-        const double t503 = mean_compression4[1] + t502;
-        const double t504 = covariance_compression4[0] * inverse_compression4_2;
-        const double t505 = t504 * covariance_compression4[0];
-        const double t506 = covariance_compression4[0] - t505;
-        const double t507 = 0.25 * t504;
-        const double t508 = t507 - t506;
-        const double t509 = t508 * t504;
-        const double t510 = t506 + t509;
-        const double t511 = covariance_compression4[1] * inverse_compression4_2;
-        const double t512 = t511 * covariance_compression4[0];
-        const double t513 = covariance_compression4[1] - t512;
-        const double t514 = 0.25 * t511;
-        const double t515 = t514 - t513;
-        const double t516 = t515 * t504;
-        const double t517 = t513 + t516;
-        const double t518 = t511 * covariance_compression4[1];
-        const double t519 = covariance_compression4[2] - t518;
-        const double t520 = t515 * t511;
-        const double t521 = t519 + t520;
-        mean_compression4[0] = t501;
-        mean_compression4[1] = t503;
-        covariance_compression4[0] = t510;
-        covariance_compression4[1] = t517;
-        covariance_compression4[2] = t521;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t522 = covariance_compression4[0] + 9.0;
-    pivot_compression4_3 = t522;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression4_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t523 = 1.0 / pivot_compression4_3;
-        inverse_compression4_3 = t523;
-        const double t524 = mean_compression4[0] - self->predicted_compression_deviation[8];
-        const double t525 = innovation_compression4_3 - t524;
-        const double t526 = t525 * inverse_compression4_3;
-        const double t527 = covariance_compression4[0] * t526;
-        const double t528 = mean_compression4[0] + t527;
-        const double t529 = covariance_compression4[1] * t526;
-        const double t530 = mean_compression4[1] + t529;
-        const double t531 = covariance_compression4[0] * inverse_compression4_3;
-        const double t532 = t531 * covariance_compression4[0];
-        const double t533 = covariance_compression4[0] - t532;
-        const double t534 = 9.0 * t531;
-        const double t535 = t534 - t533;
-        const double t536 = t535 * t531;
-        const double t537 = t533 + t536;
-        const double t538 = covariance_compression4[1] * inverse_compression4_3;
-        const double t539 = t538 * covariance_compression4[0];
-        const double t540 = covariance_compression4[1] - t539;
-        const double t541 = 9.0 * t538;
-        const double t542 = t541 - t540;
-        const double t543 = t542 * t531;
-        const double t544 = t540 + t543;
-        const double t545 = t538 * covariance_compression4[1];
-        const double t546 = covariance_compression4[2] - t545;
-        const double t547 = t542 * t538;
-        const double t548 = t546 + t547;
-        mean_compression4[0] = t528;
-        mean_compression4[1] = t530;
-        covariance_compression4[0] = t537;
-        covariance_compression4[1] = t544;
-        covariance_compression4[2] = t548;
-    }
-    const double t549 = mean_compression4[0] - mean_host[0];
-    const double t550 = mean_compression4[1] - mean_host[1];
-    deviation_compression4[0] = t549;
-    deviation_compression4[1] = t550;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t551 = 0.9921619208254787 * self->predicted_compression_deviation[10];
-        const double t552 = innovation_0 - t551;
-        innovation_compression5_0 = t552;
+        const double t74 = 0.9921619208254787 * predicted_compression_deviation[12];
+        innovation_compression6_0[0] = innovation_0[0] - t74;
     }
-    if ((present & 0x4u) != 0u)
+    if ((present & 0x8u) != 0u)
     {
-        const double t553 = 0.9903931860948796 * self->predicted_compression_deviation[10];
-        const double t554 = innovation_2 - t553;
-        innovation_compression5_1 = t554;
+        const double t76 = 0.9903931860948796 * predicted_compression_deviation[12];
+        innovation_compression6_1[0] = innovation_3[0] - t76;
     }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t555 = innovation_4 - self->predicted_compression_deviation[10];
-        innovation_compression5_2 = t555;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t556 = innovation_5 - self->predicted_compression_deviation[10];
-        innovation_compression5_3 = t556;
-    }
-    mean_compression5[0] = self->predicted_compression_deviation[10];
-    mean_compression5[1] = self->predicted_compression_deviation[11];
-    covariance_compression5[0] = self->predicted_compression_covariance[15];
-    covariance_compression5[1] = self->predicted_compression_covariance[16];
-    covariance_compression5[2] = self->predicted_compression_covariance[17];
+    return WHEEL_DRIFT_OK;
+}
 
-    /* row 0 of y, wheel_fl: compression filter */
-    const double t557 = 0.9921619208254787 * self->predicted_compression_covariance[15];
-    const double t558 = 0.9921619208254787 * self->predicted_compression_covariance[16];
-    cross_compression5_0[0] = t557;
-    cross_compression5_0[1] = t558;
-    const double t559 = 0.9921619208254787 * cross_compression5_0[0];
-    const double t560 = t559 + 0.04;
-    pivot_compression5_0 = t560;
-    if ((present & 0x1u) != 0u)
+/* innovation, row by row. */
+static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compression11,
+    double *mean_compression11, const double *predicted_compression_deviation,
+    const double innovation_compression11_1, const double innovation_compression11_2,
+    const double innovation_compression11_3, const double innovation_compression11_4,
+    const double *mean_host, const double innovation_0, const double innovation_2,
+    const double innovation_3, const double innovation_4, const double innovation_5,
+    const double *predicted_compression_covariance, const double innovation_1,
+    const double *host_state, const double *deviation_compression,
+    const double *deviation_compression1, const double *deviation_compression2,
+    const double *deviation_compression3, const double *deviation_compression4,
+    const double *deviation_compression5, const double *deviation_compression6,
+    const double *deviation_compression7, const double *deviation_compression8,
+    const double *deviation_compression9, const double *deviation_compression10,
+    const double *predicted_collecting, const double predicted_covariance,
+    const double determinant_host_0, const double log_constant_host, const double quadratic_host,
+    double *filtered_state, const double *covariance_host, double *filtered_covariance,
+    double *compression_deviation, const double *covariance_compression,
+    double *compression_covariance, const double *covariance_compression1,
+    const double *covariance_compression2, const double *covariance_compression3,
+    const double *covariance_compression4, const double *covariance_compression5,
+    const double *covariance_compression6, const double *covariance_compression7,
+    const double *covariance_compression8, const double *covariance_compression9,
+    const double *covariance_compression10, double *innovation, double *innovation_covariance,
+    double *nis, double *log_likelihood, const double predicted_window_left, double *window_left,
+    double *collecting, double *test_statistic, double *test_dof, double *fault_declared,
+    uint32_t present)
+{
+    double deviation_compression11[2];
+    double innovation_compression12_0 = 0.0;
+    double innovation_compression12_1 = 0.0;
+    double innovation_compression12_2 = 0.0;
+    double innovation_compression12_3 = 0.0;
+    double innovation_compression12_4 = 0.0;
+    double mean_compression12[2];
+    double covariance_compression12[3];
+    double deviation_compression12[2];
+    double innovation_compression13_0 = 0.0;
+    double innovation_compression13_1 = 0.0;
+    double innovation_compression13_2 = 0.0;
+    double innovation_compression13_3 = 0.0;
+    double innovation_compression13_4 = 0.0;
+    double mean_compression13[2];
+    double covariance_compression13[3];
+    double deviation_compression13[2];
+    double innovation_compression14_0 = 0.0;
+    double innovation_compression14_1 = 0.0;
+    double innovation_compression14_2 = 0.0;
+    double innovation_compression14_3 = 0.0;
+    double innovation_compression14_4 = 0.0;
+    double innovation_compression14_5 = 0.0;
+    double mean_compression14[2];
+    double covariance_compression14[3];
+    double deviation_compression14[2];
+    double collecting_0;
+    double collecting_1;
+    double collecting_2;
+    double collecting_3;
+    wheel_drift_status_t status;
+    status = wheel_drift_row_of_y_4(covariance_compression11, mean_compression11,
+        predicted_compression_deviation[0], innovation_compression11_1,
+        wheel_drift_row_of_y_4_numbers[1], ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        if (!(pivot_compression5_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t561 = 1.0 / pivot_compression5_0;
-        inverse_compression5_0 = t561;
-        const double t562 = innovation_compression5_0 * inverse_compression5_0;
-        const double t563 = cross_compression5_0[0] * t562;
-        const double t564 = self->predicted_compression_deviation[10] + t563;
-        const double t565 = cross_compression5_0[1] * t562;
-        const double t566 = self->predicted_compression_deviation[11] + t565;
-        const double t567 = cross_compression5_0[0] * inverse_compression5_0;
-        const double t568 = t567 * cross_compression5_0[0];
-        const double t569 = self->predicted_compression_covariance[15] - t568;
-        const double t570 = 0.04 * t567;
-        const double t571 = 0.9921619208254787 * t569;
-        const double t572 = t570 - t571;
-        const double t573 = t572 * t567;
-        const double t574 = t569 + t573;
-        const double t575 = cross_compression5_0[1] * inverse_compression5_0;
-        const double t576 = t575 * cross_compression5_0[0];
-        const double t577 = self->predicted_compression_covariance[16] - t576;
-        const double t578 = 0.04 * t575;
-        const double t579 = 0.9921619208254787 * t577;
-        const double t580 = t578 - t579;
-        const double t581 = t580 * t567;
-        const double t582 = t577 + t581;
-        const double t583 = t575 * cross_compression5_0[1];
-        const double t584 = self->predicted_compression_covariance[17] - t583;
-        const double t585 = t580 * t575;
-        const double t586 = t584 + t585;
-        mean_compression5[0] = t564;
-        mean_compression5[1] = t566;
-        covariance_compression5[0] = t574;
-        covariance_compression5[1] = t582;
-        covariance_compression5[2] = t586;
+        return status;
     }
-
-    /* row 2 of y, wheel_rl: compression filter */
-    const double t587 = 0.9903931860948796 * covariance_compression5[0];
-    const double t588 = 0.9903931860948796 * covariance_compression5[1];
-    cross_compression5_1[0] = t587;
-    cross_compression5_1[1] = t588;
-    const double t589 = 0.9903931860948796 * cross_compression5_1[0];
-    const double t590 = t589 + 0.04;
-    pivot_compression5_1 = t590;
-    if ((present & 0x4u) != 0u)
+    status = wheel_drift_row_of_y(covariance_compression11, mean_compression11,
+        predicted_compression_deviation[0], innovation_compression11_2, innovation_compression11_3,
+        innovation_compression11_4, mean_host, deviation_compression11,
+        wheel_drift_row_of_y_numbers[7], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        if (!(pivot_compression5_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t591 = 1.0 / pivot_compression5_1;
-        inverse_compression5_1 = t591;
-        const double t592 = mean_compression5[0] - self->predicted_compression_deviation[10];
-        const double t593 = 0.9903931860948796 * t592;
-        const double t594 = innovation_compression5_1 - t593;
-        const double t595 = t594 * inverse_compression5_1;
-        const double t596 = cross_compression5_1[0] * t595;
-        const double t597 = mean_compression5[0] + t596;
-        const double t598 = cross_compression5_1[1] * t595;
-        const double t599 = mean_compression5[1] + t598;
-        const double t600 = cross_compression5_1[0] * inverse_compression5_1;
-        const double t601 = t600 * cross_compression5_1[0];
-        const double t602 = covariance_compression5[0] - t601;
-        const double t603 = 0.04 * t600;
-        const double t604 = 0.9903931860948796 * t602;
-        const double t605 = t603 - t604;
-        const double t606 = t605 * t600;
-        const double t607 = t602 + t606;
-        const double t608 = cross_compression5_1[1] * inverse_compression5_1;
-        const double t609 = t608 * cross_compression5_1[0];
-        const double t610 = covariance_compression5[1] - t609;
-        const double t611 = 0.04 * t608;
-        const double t612 = 0.9903931860948796 * t610;
-        const double t613 = t611 - t612;
-        const double t614 = t613 * t600;
-        const double t615 = t610 + t614;
-        const double t616 = t608 * cross_compression5_1[1];
-        const double t617 = covariance_compression5[2] - t616;
-        const double t618 = t613 * t608;
-        const double t619 = t617 + t618;
-        mean_compression5[0] = t597;
-        mean_compression5[1] = t599;
-        covariance_compression5[0] = t607;
-        covariance_compression5[1] = t615;
-        covariance_compression5[2] = t619;
+        return status;
     }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t620 = covariance_compression5[0] + 0.25;
-    pivot_compression5_2 = t620;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression5_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t621 = 1.0 / pivot_compression5_2;
-        inverse_compression5_2 = t621;
-        const double t622 = mean_compression5[0] - self->predicted_compression_deviation[10];
-        const double t623 = innovation_compression5_2 - t622;
-        const double t624 = t623 * inverse_compression5_2;
-        const double t625 = covariance_compression5[0] * t624;
-        const double t626 = mean_compression5[0] + t625;
-        const double t627 = covariance_compression5[1] * t624;
-        const double t628 = mean_compression5[1] + t627;
-        const double t629 = covariance_compression5[0] * inverse_compression5_2;
-        const double t630 = t629 * covariance_compression5[0];
-        const double t631 = covariance_compression5[0] - t630;
-        const double t632 = 0.25 * t629;
-        const double t633 = t632 - t631;
-        const double t634 = t633 * t629;
-        const double t635 = t631 + t634;
-        const double t636 = covariance_compression5[1] * inverse_compression5_2;
-        const double t637 = t636 * covariance_compression5[0];
-        const double t638 = covariance_compression5[1] - t637;
-        const double t639 = 0.25 * t636;
-        const double t640 = t639 - t638;
-        const double t641 = t640 * t629;
-        const double t642 = t638 + t641;
-        const double t643 = t636 * covariance_compression5[1];
-        const double t644 = covariance_compression5[2] - t643;
-        const double t645 = t640 * t636;
-        const double t646 = t644 + t645;
-        mean_compression5[0] = t626;
-        mean_compression5[1] = t628;
-        covariance_compression5[0] = t635;
-        covariance_compression5[1] = t642;
-        covariance_compression5[2] = t646;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t647 = covariance_compression5[0] + 9.0;
-    pivot_compression5_3 = t647;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression5_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t648 = 1.0 / pivot_compression5_3;
-        inverse_compression5_3 = t648;
-        const double t649 = mean_compression5[0] - self->predicted_compression_deviation[10];
-        const double t650 = innovation_compression5_3 - t649;
-        const double t651 = t650 * inverse_compression5_3;
-        const double t652 = covariance_compression5[0] * t651;
-        const double t653 = mean_compression5[0] + t652;
-        const double t654 = covariance_compression5[1] * t651;
-        const double t655 = mean_compression5[1] + t654;
-        const double t656 = covariance_compression5[0] * inverse_compression5_3;
-        const double t657 = t656 * covariance_compression5[0];
-        const double t658 = covariance_compression5[0] - t657;
-        const double t659 = 9.0 * t656;
-        const double t660 = t659 - t658;
-        const double t661 = t660 * t656;
-        const double t662 = t658 + t661;
-        const double t663 = covariance_compression5[1] * inverse_compression5_3;
-        const double t664 = t663 * covariance_compression5[0];
-        const double t665 = covariance_compression5[1] - t664;
-        const double t666 = 9.0 * t663;
-        const double t667 = t666 - t665;
-        const double t668 = t667 * t656;
-        const double t669 = t665 + t668;
-        const double t670 = t663 * covariance_compression5[1];
-        const double t671 = covariance_compression5[2] - t670;
-        const double t672 = t667 * t663;
-        const double t673 = t671 + t672;
-        mean_compression5[0] = t653;
-        mean_compression5[1] = t655;
-        covariance_compression5[0] = t662;
-        covariance_compression5[1] = t669;
-        covariance_compression5[2] = t673;
-    }
-    const double t674 = mean_compression5[0] - mean_host[0];
-    const double t675 = mean_compression5[1] - mean_host[1];
-    deviation_compression5[0] = t674;
-    deviation_compression5[1] = t675;
 
     /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
+    wheel_drift_innovation(predicted_compression_deviation[2], innovation_0,
+        &innovation_compression12_0, innovation_2, &innovation_compression12_1, innovation_3,
+        &innovation_compression12_2, wheel_drift_innovation_numbers[2], ((present & 0x1u) != 0u),
+        ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
+    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[2],
+        &innovation_compression12_3, innovation_5, &innovation_compression12_4, mean_compression12,
+        predicted_compression_covariance, covariance_compression12, innovation_compression12_0,
+        wheel_drift_row_of_y_2_numbers[12], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t676 = 0.9921619208254787 * self->predicted_compression_deviation[12];
-        const double t677 = innovation_0 - t676;
-        innovation_compression6_0 = t677;
+        return status;
     }
-    if ((present & 0x8u) != 0u)
+    status = wheel_drift_row_of_y_4(covariance_compression12, mean_compression12,
+        predicted_compression_deviation[2], innovation_compression12_1,
+        wheel_drift_row_of_y_4_numbers[2], ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t678 = 0.9903931860948796 * self->predicted_compression_deviation[12];
-        const double t679 = innovation_3 - t678;
-        innovation_compression6_1 = t679;
+        return status;
     }
-    if ((present & 0x10u) != 0u)
+    status = wheel_drift_row_of_y(covariance_compression12, mean_compression12,
+        predicted_compression_deviation[2], innovation_compression12_2, innovation_compression12_3,
+        innovation_compression12_4, mean_host, deviation_compression12,
+        wheel_drift_row_of_y_numbers[8], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t680 = innovation_4 - self->predicted_compression_deviation[12];
-        innovation_compression6_2 = t680;
+        return status;
     }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t681 = innovation_5 - self->predicted_compression_deviation[12];
-        innovation_compression6_3 = t681;
-    }
-    mean_compression6[0] = self->predicted_compression_deviation[12];
-    mean_compression6[1] = self->predicted_compression_deviation[13];
-    covariance_compression6[0] = self->predicted_compression_covariance[18];
-    covariance_compression6[1] = self->predicted_compression_covariance[19];
-    covariance_compression6[2] = self->predicted_compression_covariance[20];
-
-    /* row 0 of y, wheel_fl: compression filter */
-    const double t682 = 0.9921619208254787 * self->predicted_compression_covariance[18];
-    const double t683 = 0.9921619208254787 * self->predicted_compression_covariance[19];
-    cross_compression6_0[0] = t682;
-    cross_compression6_0[1] = t683;
-    const double t684 = 0.9921619208254787 * cross_compression6_0[0];
-    const double t685 = t684 + 0.04;
-    pivot_compression6_0 = t685;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_compression6_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t686 = 1.0 / pivot_compression6_0;
-        inverse_compression6_0 = t686;
-        const double t687 = innovation_compression6_0 * inverse_compression6_0;
-        const double t688 = cross_compression6_0[0] * t687;
-        const double t689 = self->predicted_compression_deviation[12] + t688;
-        const double t690 = cross_compression6_0[1] * t687;
-        const double t691 = self->predicted_compression_deviation[13] + t690;
-        const double t692 = cross_compression6_0[0] * inverse_compression6_0;
-        const double t693 = t692 * cross_compression6_0[0];
-        const double t694 = self->predicted_compression_covariance[18] - t693;
-        const double t695 = 0.04 * t692;
-        const double t696 = 0.9921619208254787 * t694;
-        const double t697 = t695 - t696;
-        const double t698 = t697 * t692;
-        const double t699 = t694 + t698;
-        const double t700 = cross_compression6_0[1] * inverse_compression6_0;
-        const double t701 = t700 * cross_compression6_0[0];
-        const double t702 = self->predicted_compression_covariance[19] - t701;
-        const double t703 = 0.04 * t700;
-        const double t704 = 0.9921619208254787 * t702;
-        const double t705 = t703 - t704;
-        const double t706 = t705 * t692;
-        const double t707 = t702 + t706;
-        const double t708 = t700 * cross_compression6_0[1];
-        const double t709 = self->predicted_compression_covariance[20] - t708;
-        const double t710 = t705 * t700;
-        const double t711 = t709 + t710;
-        mean_compression6[0] = t689;
-        mean_compression6[1] = t691;
-        covariance_compression6[0] = t699;
-        covariance_compression6[1] = t707;
-        covariance_compression6[2] = t711;
-    }
-
-    /* row 3 of y, wheel_rr: compression filter */
-    const double t712 = 0.9903931860948796 * covariance_compression6[0];
-    const double t713 = 0.9903931860948796 * covariance_compression6[1];
-    cross_compression6_1[0] = t712;
-    cross_compression6_1[1] = t713;
-    const double t714 = 0.9903931860948796 * cross_compression6_1[0];
-    const double t715 = t714 + 0.04;
-    pivot_compression6_1 = t715;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_compression6_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t716 = 1.0 / pivot_compression6_1;
-        inverse_compression6_1 = t716;
-        const double t717 = mean_compression6[0] - self->predicted_compression_deviation[12];
-        const double t718 = 0.9903931860948796 * t717;
-        const double t719 = innovation_compression6_1 - t718;
-        const double t720 = t719 * inverse_compression6_1;
-        const double t721 = cross_compression6_1[0] * t720;
-        const double t722 = mean_compression6[0] + t721;
-        const double t723 = cross_compression6_1[1] * t720;
-        const double t724 = mean_compression6[1] + t723;
-        const double t725 = cross_compression6_1[0] * inverse_compression6_1;
-        const double t726 = t725 * cross_compression6_1[0];
-        const double t727 = covariance_compression6[0] - t726;
-        const double t728 = 0.04 * t725;
-        const double t729 = 0.9903931860948796 * t727;
-        const double t730 = t728 - t729;
-        const double t731 = t730 * t725;
-        const double t732 = t727 + t731;
-        const double t733 = cross_compression6_1[1] * inverse_compression6_1;
-        const double t734 = t733 * cross_compression6_1[0];
-        const double t735 = covariance_compression6[1] - t734;
-        const double t736 = 0.04 * t733;
-        const double t737 = 0.9903931860948796 * t735;
-        const double t738 = t736 - t737;
-        const double t739 = t738 * t725;
-        const double t740 = t735 + t739;
-        const double t741 = t733 * cross_compression6_1[1];
-        const double t742 = covariance_compression6[2] - t741;
-        const double t743 = t738 * t733;
-        const double t744 = t742 + t743;
-        mean_compression6[0] = t722;
-        mean_compression6[1] = t724;
-        covariance_compression6[0] = t732;
-        covariance_compression6[1] = t740;
-        covariance_compression6[2] = t744;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t745 = covariance_compression6[0] + 0.25;
-    pivot_compression6_2 = t745;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression6_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t746 = 1.0 / pivot_compression6_2;
-        inverse_compression6_2 = t746;
-        const double t747 = mean_compression6[0] - self->predicted_compression_deviation[12];
-        const double t748 = innovation_compression6_2 - t747;
-        const double t749 = t748 * inverse_compression6_2;
-        const double t750 = covariance_compression6[0] * t749;
-        const double t751 = mean_compression6[0] + t750;
-        const double t752 = covariance_compression6[1] * t749;
-        const double t753 = mean_compression6[1] + t752;
-        const double t754 = covariance_compression6[0] * inverse_compression6_2;
-        const double t755 = t754 * covariance_compression6[0];
-        const double t756 = covariance_compression6[0] - t755;
-        const double t757 = 0.25 * t754;
-        const double t758 = t757 - t756;
-        const double t759 = t758 * t754;
-        const double t760 = t756 + t759;
-        const double t761 = covariance_compression6[1] * inverse_compression6_2;
-        const double t762 = t761 * covariance_compression6[0];
-        const double t763 = covariance_compression6[1] - t762;
-        const double t764 = 0.25 * t761;
-        const double t765 = t764 - t763;
-        const double t766 = t765 * t754;
-        const double t767 = t763 + t766;
-        const double t768 = t761 * covariance_compression6[1];
-        const double t769 = covariance_compression6[2] - t768;
-        const double t770 = t765 * t761;
-        const double t771 = t769 + t770;
-        mean_compression6[0] = t751;
-        mean_compression6[1] = t753;
-        covariance_compression6[0] = t760;
-        covariance_compression6[1] = t767;
-        covariance_compression6[2] = t771;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t772 = covariance_compression6[0] + 9.0;
-    pivot_compression6_3 = t772;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression6_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t773 = 1.0 / pivot_compression6_3;
-        inverse_compression6_3 = t773;
-        const double t774 = mean_compression6[0] - self->predicted_compression_deviation[12];
-        const double t775 = innovation_compression6_3 - t774;
-        const double t776 = t775 * inverse_compression6_3;
-        const double t777 = covariance_compression6[0] * t776;
-        const double t778 = mean_compression6[0] + t777;
-        const double t779 = covariance_compression6[1] * t776;
-        const double t780 = mean_compression6[1] + t779;
-        const double t781 = covariance_compression6[0] * inverse_compression6_3;
-        const double t782 = t781 * covariance_compression6[0];
-        const double t783 = covariance_compression6[0] - t782;
-        const double t784 = 9.0 * t781;
-        const double t785 = t784 - t783;
-        const double t786 = t785 * t781;
-        const double t787 = t783 + t786;
-        const double t788 = covariance_compression6[1] * inverse_compression6_3;
-        const double t789 = t788 * covariance_compression6[0];
-        const double t790 = covariance_compression6[1] - t789;
-        const double t791 = 9.0 * t788;
-        const double t792 = t791 - t790;
-        const double t793 = t792 * t781;
-        const double t794 = t790 + t793;
-        const double t795 = t788 * covariance_compression6[1];
-        const double t796 = covariance_compression6[2] - t795;
-        const double t797 = t792 * t788;
-        const double t798 = t796 + t797;
-        mean_compression6[0] = t778;
-        mean_compression6[1] = t780;
-        covariance_compression6[0] = t787;
-        covariance_compression6[1] = t794;
-        covariance_compression6[2] = t798;
-    }
-    const double t799 = mean_compression6[0] - mean_host[0];
-    const double t800 = mean_compression6[1] - mean_host[1];
-    deviation_compression6[0] = t799;
-    deviation_compression6[1] = t800;
 
     /* innovation, row by row */
-    if ((present & 0x2u) != 0u)
+    wheel_drift_innovation(predicted_compression_deviation[4], innovation_1,
+        &innovation_compression13_0, innovation_2, &innovation_compression13_1, innovation_3,
+        &innovation_compression13_2, wheel_drift_innovation_numbers[3], ((present & 0x2u) != 0u),
+        ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
+    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[4],
+        &innovation_compression13_3, innovation_5, &innovation_compression13_4, mean_compression13,
+        &predicted_compression_covariance[3], covariance_compression13, innovation_compression13_0,
+        wheel_drift_row_of_y_2_numbers[13], present, ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t801 = 0.9921619208254787 * self->predicted_compression_deviation[14];
-        const double t802 = innovation_1 - t801;
-        innovation_compression7_0 = t802;
+        return status;
     }
-    if ((present & 0x4u) != 0u)
+    status = wheel_drift_row_of_y_4(covariance_compression13, mean_compression13,
+        predicted_compression_deviation[4], innovation_compression13_1,
+        wheel_drift_row_of_y_4_numbers[3], ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t803 = 0.9903931860948796 * self->predicted_compression_deviation[14];
-        const double t804 = innovation_2 - t803;
-        innovation_compression7_1 = t804;
+        return status;
     }
-    if ((present & 0x10u) != 0u)
+    status = wheel_drift_row_of_y(covariance_compression13, mean_compression13,
+        predicted_compression_deviation[4], innovation_compression13_2, innovation_compression13_3,
+        innovation_compression13_4, mean_host, deviation_compression13,
+        wheel_drift_row_of_y_numbers[9], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t805 = innovation_4 - self->predicted_compression_deviation[14];
-        innovation_compression7_2 = t805;
+        return status;
     }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t806 = innovation_5 - self->predicted_compression_deviation[14];
-        innovation_compression7_3 = t806;
-    }
-    mean_compression7[0] = self->predicted_compression_deviation[14];
-    mean_compression7[1] = self->predicted_compression_deviation[15];
-    covariance_compression7[0] = self->predicted_compression_covariance[21];
-    covariance_compression7[1] = self->predicted_compression_covariance[22];
-    covariance_compression7[2] = self->predicted_compression_covariance[23];
-
-    /* row 1 of y, wheel_fr: compression filter */
-    const double t807 = 0.9921619208254787 * self->predicted_compression_covariance[21];
-    const double t808 = 0.9921619208254787 * self->predicted_compression_covariance[22];
-    cross_compression7_0[0] = t807;
-    cross_compression7_0[1] = t808;
-    const double t809 = 0.9921619208254787 * cross_compression7_0[0];
-    const double t810 = t809 + 0.04;
-    pivot_compression7_0 = t810;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_compression7_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t811 = 1.0 / pivot_compression7_0;
-        inverse_compression7_0 = t811;
-        const double t812 = innovation_compression7_0 * inverse_compression7_0;
-        const double t813 = cross_compression7_0[0] * t812;
-        const double t814 = self->predicted_compression_deviation[14] + t813;
-        const double t815 = cross_compression7_0[1] * t812;
-        const double t816 = self->predicted_compression_deviation[15] + t815;
-        const double t817 = cross_compression7_0[0] * inverse_compression7_0;
-        const double t818 = t817 * cross_compression7_0[0];
-        const double t819 = self->predicted_compression_covariance[21] - t818;
-        const double t820 = 0.04 * t817;
-        const double t821 = 0.9921619208254787 * t819;
-        const double t822 = t820 - t821;
-        const double t823 = t822 * t817;
-        const double t824 = t819 + t823;
-        const double t825 = cross_compression7_0[1] * inverse_compression7_0;
-        const double t826 = t825 * cross_compression7_0[0];
-        const double t827 = self->predicted_compression_covariance[22] - t826;
-        const double t828 = 0.04 * t825;
-        const double t829 = 0.9921619208254787 * t827;
-        const double t830 = t828 - t829;
-        const double t831 = t830 * t817;
-        const double t832 = t827 + t831;
-        const double t833 = t825 * cross_compression7_0[1];
-        const double t834 = self->predicted_compression_covariance[23] - t833;
-        const double t835 = t830 * t825;
-        const double t836 = t834 + t835;
-        mean_compression7[0] = t814;
-        mean_compression7[1] = t816;
-        covariance_compression7[0] = t824;
-        covariance_compression7[1] = t832;
-        covariance_compression7[2] = t836;
-    }
-
-    /* row 2 of y, wheel_rl: compression filter */
-    const double t837 = 0.9903931860948796 * covariance_compression7[0];
-    const double t838 = 0.9903931860948796 * covariance_compression7[1];
-    cross_compression7_1[0] = t837;
-    cross_compression7_1[1] = t838;
-    const double t839 = 0.9903931860948796 * cross_compression7_1[0];
-    const double t840 = t839 + 0.04;
-    pivot_compression7_1 = t840;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_compression7_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t841 = 1.0 / pivot_compression7_1;
-        inverse_compression7_1 = t841;
-        const double t842 = mean_compression7[0] - self->predicted_compression_deviation[14];
-        const double t843 = 0.9903931860948796 * t842;
-        const double t844 = innovation_compression7_1 - t843;
-        const double t845 = t844 * inverse_compression7_1;
-        const double t846 = cross_compression7_1[0] * t845;
-        const double t847 = mean_compression7[0] + t846;
-        const double t848 = cross_compression7_1[1] * t845;
-        const double t849 = mean_compression7[1] + t848;
-        const double t850 = cross_compression7_1[0] * inverse_compression7_1;
-        const double t851 = t850 * cross_compression7_1[0];
-        const double t852 = covariance_compression7[0] - t851;
-        const double t853 = 0.04 * t850;
-        const double t854 = 0.9903931860948796 * t852;
-        const double t855 = t853 - t854;
-        const double t856 = t855 * t850;
-        const double t857 = t852 + t856;
-        const double t858 = cross_compression7_1[1] * inverse_compression7_1;
-        const double t859 = t858 * cross_compression7_1[0];
-        const double t860 = covariance_compression7[1] - t859;
-        const double t861 = 0.04 * t858;
-        const double t862 = 0.9903931860948796 * t860;
-        const double t863 = t861 - t862;
-        const double t864 = t863 * t850;
-        const double t865 = t860 + t864;
-        const double t866 = t858 * cross_compression7_1[1];
-        const double t867 = covariance_compression7[2] - t866;
-        const double t868 = t863 * t858;
-        const double t869 = t867 + t868;
-        mean_compression7[0] = t847;
-        mean_compression7[1] = t849;
-        covariance_compression7[0] = t857;
-        covariance_compression7[1] = t865;
-        covariance_compression7[2] = t869;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t870 = covariance_compression7[0] + 0.25;
-    pivot_compression7_2 = t870;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression7_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t871 = 1.0 / pivot_compression7_2;
-        inverse_compression7_2 = t871;
-        const double t872 = mean_compression7[0] - self->predicted_compression_deviation[14];
-        const double t873 = innovation_compression7_2 - t872;
-        const double t874 = t873 * inverse_compression7_2;
-        const double t875 = covariance_compression7[0] * t874;
-        const double t876 = mean_compression7[0] + t875;
-        const double t877 = covariance_compression7[1] * t874;
-        const double t878 = mean_compression7[1] + t877;
-        const double t879 = covariance_compression7[0] * inverse_compression7_2;
-        const double t880 = t879 * covariance_compression7[0];
-        const double t881 = covariance_compression7[0] - t880;
-        const double t882 = 0.25 * t879;
-        const double t883 = t882 - t881;
-        const double t884 = t883 * t879;
-        const double t885 = t881 + t884;
-        const double t886 = covariance_compression7[1] * inverse_compression7_2;
-        const double t887 = t886 * covariance_compression7[0];
-        const double t888 = covariance_compression7[1] - t887;
-        const double t889 = 0.25 * t886;
-        const double t890 = t889 - t888;
-        const double t891 = t890 * t879;
-        const double t892 = t888 + t891;
-        const double t893 = t886 * covariance_compression7[1];
-        const double t894 = covariance_compression7[2] - t893;
-        const double t895 = t890 * t886;
-        const double t896 = t894 + t895;
-        mean_compression7[0] = t876;
-        mean_compression7[1] = t878;
-        covariance_compression7[0] = t885;
-        covariance_compression7[1] = t892;
-        covariance_compression7[2] = t896;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t897 = covariance_compression7[0] + 9.0;
-    pivot_compression7_3 = t897;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression7_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t898 = 1.0 / pivot_compression7_3;
-        inverse_compression7_3 = t898;
-        const double t899 = mean_compression7[0] - self->predicted_compression_deviation[14];
-        const double t900 = innovation_compression7_3 - t899;
-        const double t901 = t900 * inverse_compression7_3;
-        const double t902 = covariance_compression7[0] * t901;
-        const double t903 = mean_compression7[0] + t902;
-        const double t904 = covariance_compression7[1] * t901;
-        const double t905 = mean_compression7[1] + t904;
-        const double t906 = covariance_compression7[0] * inverse_compression7_3;
-        const double t907 = t906 * covariance_compression7[0];
-        const double t908 = covariance_compression7[0] - t907;
-        const double t909 = 9.0 * t906;
-        const double t910 = t909 - t908;
-        const double t911 = t910 * t906;
-        const double t912 = t908 + t911;
-        const double t913 = covariance_compression7[1] * inverse_compression7_3;
-        const double t914 = t913 * covariance_compression7[0];
-        const double t915 = covariance_compression7[1] - t914;
-        const double t916 = 9.0 * t913;
-        const double t917 = t916 - t915;
-        const double t918 = t917 * t906;
-        const double t919 = t915 + t918;
-        const double t920 = t913 * covariance_compression7[1];
-        const double t921 = covariance_compression7[2] - t920;
-        const double t922 = t917 * t913;
-        const double t923 = t921 + t922;
-        mean_compression7[0] = t903;
-        mean_compression7[1] = t905;
-        covariance_compression7[0] = t912;
-        covariance_compression7[1] = t919;
-        covariance_compression7[2] = t923;
-    }
-    const double t924 = mean_compression7[0] - mean_host[0];
-    const double t925 = mean_compression7[1] - mean_host[1];
-    deviation_compression7[0] = t924;
-    deviation_compression7[1] = t925;
 
     /* innovation, row by row */
-    if ((present & 0x2u) != 0u)
-    {
-        const double t926 = 0.9921619208254787 * self->predicted_compression_deviation[16];
-        const double t927 = innovation_1 - t926;
-        innovation_compression8_0 = t927;
-    }
+    wheel_drift_innovation(predicted_compression_deviation[6], innovation_0,
+        &innovation_compression14_0, innovation_1, &innovation_compression14_1, innovation_2,
+        &innovation_compression14_2, wheel_drift_innovation_numbers[4], ((present & 0x1u) != 0u),
+        ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
     if ((present & 0x8u) != 0u)
     {
-        const double t928 = 0.9903931860948796 * self->predicted_compression_deviation[16];
-        const double t929 = innovation_3 - t928;
-        innovation_compression8_1 = t929;
+        const double t0 = 0.9903931860948796 * predicted_compression_deviation[6];
+        innovation_compression14_3 = innovation_3 - t0;
     }
-    if ((present & 0x10u) != 0u)
+    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[6],
+        &innovation_compression14_4, innovation_5, &innovation_compression14_5, mean_compression14,
+        &predicted_compression_covariance[6], covariance_compression14, innovation_compression14_0,
+        wheel_drift_row_of_y_2_numbers[14], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t930 = innovation_4 - self->predicted_compression_deviation[16];
-        innovation_compression8_2 = t930;
+        return status;
     }
-    if ((present & 0x20u) != 0u)
+    status = wheel_drift_row_of_y_4(covariance_compression14, mean_compression14,
+        predicted_compression_deviation[6], innovation_compression14_1,
+        wheel_drift_row_of_y_4_numbers[4], ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        const double t931 = innovation_5 - self->predicted_compression_deviation[16];
-        innovation_compression8_3 = t931;
+        return status;
     }
-    mean_compression8[0] = self->predicted_compression_deviation[16];
-    mean_compression8[1] = self->predicted_compression_deviation[17];
-    covariance_compression8[0] = self->predicted_compression_covariance[24];
-    covariance_compression8[1] = self->predicted_compression_covariance[25];
-    covariance_compression8[2] = self->predicted_compression_covariance[26];
-
-    /* row 1 of y, wheel_fr: compression filter */
-    const double t932 = 0.9921619208254787 * self->predicted_compression_covariance[24];
-    const double t933 = 0.9921619208254787 * self->predicted_compression_covariance[25];
-    cross_compression8_0[0] = t932;
-    cross_compression8_0[1] = t933;
-    const double t934 = 0.9921619208254787 * cross_compression8_0[0];
-    const double t935 = t934 + 0.04;
-    pivot_compression8_0 = t935;
-    if ((present & 0x2u) != 0u)
+    status = wheel_drift_row_of_y_4(covariance_compression14, mean_compression14,
+        predicted_compression_deviation[6], innovation_compression14_2,
+        wheel_drift_row_of_y_4_numbers[5], ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        if (!(pivot_compression8_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t936 = 1.0 / pivot_compression8_0;
-        inverse_compression8_0 = t936;
-        const double t937 = innovation_compression8_0 * inverse_compression8_0;
-        const double t938 = cross_compression8_0[0] * t937;
-        const double t939 = self->predicted_compression_deviation[16] + t938;
-        const double t940 = cross_compression8_0[1] * t937;
-        const double t941 = self->predicted_compression_deviation[17] + t940;
-        const double t942 = cross_compression8_0[0] * inverse_compression8_0;
-        const double t943 = t942 * cross_compression8_0[0];
-        const double t944 = self->predicted_compression_covariance[24] - t943;
-        const double t945 = 0.04 * t942;
-        const double t946 = 0.9921619208254787 * t944;
-        const double t947 = t945 - t946;
-        const double t948 = t947 * t942;
-        const double t949 = t944 + t948;
-        const double t950 = cross_compression8_0[1] * inverse_compression8_0;
-        const double t951 = t950 * cross_compression8_0[0];
-        const double t952 = self->predicted_compression_covariance[25] - t951;
-        const double t953 = 0.04 * t950;
-        const double t954 = 0.9921619208254787 * t952;
-        const double t955 = t953 - t954;
-        const double t956 = t955 * t942;
-        const double t957 = t952 + t956;
-        const double t958 = t950 * cross_compression8_0[1];
-        const double t959 = self->predicted_compression_covariance[26] - t958;
-        const double t960 = t955 * t950;
-        const double t961 = t959 + t960;
-        mean_compression8[0] = t939;
-        mean_compression8[1] = t941;
-        covariance_compression8[0] = t949;
-        covariance_compression8[1] = t957;
-        covariance_compression8[2] = t961;
+        return status;
     }
-
-    /* row 3 of y, wheel_rr: compression filter */
-    const double t962 = 0.9903931860948796 * covariance_compression8[0];
-    const double t963 = 0.9903931860948796 * covariance_compression8[1];
-    cross_compression8_1[0] = t962;
-    cross_compression8_1[1] = t963;
-    const double t964 = 0.9903931860948796 * cross_compression8_1[0];
-    const double t965 = t964 + 0.04;
-    pivot_compression8_1 = t965;
-    if ((present & 0x8u) != 0u)
+    status = wheel_drift_row_of_y(covariance_compression14, mean_compression14,
+        predicted_compression_deviation[6], innovation_compression14_3, innovation_compression14_4,
+        innovation_compression14_5, mean_host, deviation_compression14,
+        wheel_drift_row_of_y_numbers[10], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
     {
-        if (!(pivot_compression8_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t966 = 1.0 / pivot_compression8_1;
-        inverse_compression8_1 = t966;
-        const double t967 = mean_compression8[0] - self->predicted_compression_deviation[16];
-        const double t968 = 0.9903931860948796 * t967;
-        const double t969 = innovation_compression8_1 - t968;
-        const double t970 = t969 * inverse_compression8_1;
-        const double t971 = cross_compression8_1[0] * t970;
-        const double t972 = mean_compression8[0] + t971;
-        const double t973 = cross_compression8_1[1] * t970;
-        const double t974 = mean_compression8[1] + t973;
-        const double t975 = cross_compression8_1[0] * inverse_compression8_1;
-        const double t976 = t975 * cross_compression8_1[0];
-        const double t977 = covariance_compression8[0] - t976;
-        const double t978 = 0.04 * t975;
-        const double t979 = 0.9903931860948796 * t977;
-        const double t980 = t978 - t979;
-        const double t981 = t980 * t975;
-        const double t982 = t977 + t981;
-        const double t983 = cross_compression8_1[1] * inverse_compression8_1;
-        const double t984 = t983 * cross_compression8_1[0];
-        const double t985 = covariance_compression8[1] - t984;
-        const double t986 = 0.04 * t983;
-        const double t987 = 0.9903931860948796 * t985;
-        const double t988 = t986 - t987;
-        const double t989 = t988 * t975;
-        const double t990 = t985 + t989;
-        const double t991 = t983 * cross_compression8_1[1];
-        const double t992 = covariance_compression8[2] - t991;
-        const double t993 = t988 * t983;
-        const double t994 = t992 + t993;
-        mean_compression8[0] = t972;
-        mean_compression8[1] = t974;
-        covariance_compression8[0] = t982;
-        covariance_compression8[1] = t990;
-        covariance_compression8[2] = t994;
+        return status;
     }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t995 = covariance_compression8[0] + 0.25;
-    pivot_compression8_2 = t995;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression8_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t996 = 1.0 / pivot_compression8_2;
-        inverse_compression8_2 = t996;
-        const double t997 = mean_compression8[0] - self->predicted_compression_deviation[16];
-        const double t998 = innovation_compression8_2 - t997;
-        const double t999 = t998 * inverse_compression8_2;
-        const double t1000 = covariance_compression8[0] * t999;
-        const double t1001 = mean_compression8[0] + t1000;
-        const double t1002 = covariance_compression8[1] * t999;
-        const double t1003 = mean_compression8[1] + t1002;
-        const double t1004 = covariance_compression8[0] * inverse_compression8_2;
-        const double t1005 = t1004 * covariance_compression8[0];
-        const double t1006 = covariance_compression8[0] - t1005;
-        const double t1007 = 0.25 * t1004;
-        const double t1008 = t1007 - t1006;
-        const double t1009 = t1008 * t1004;
-        const double t1010 = t1006 + t1009;
-        const double t1011 = covariance_compression8[1] * inverse_compression8_2;
-        const double t1012 = t1011 * covariance_compression8[0];
-        const double t1013 = covariance_compression8[1] - t1012;
-        const double t1014 = 0.25 * t1011;
-        const double t1015 = t1014 - t1013;
-        const double t1016 = t1015 * t1004;
-        const double t1017 = t1013 + t1016;
-        const double t1018 = t1011 * covariance_compression8[1];
-        const double t1019 = covariance_compression8[2] - t1018;
-        const double t1020 = t1015 * t1011;
-        const double t1021 = t1019 + t1020;
-        mean_compression8[0] = t1001;
-        mean_compression8[1] = t1003;
-        covariance_compression8[0] = t1010;
-        covariance_compression8[1] = t1017;
-        covariance_compression8[2] = t1021;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t1022 = covariance_compression8[0] + 9.0;
-    pivot_compression8_3 = t1022;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression8_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1023 = 1.0 / pivot_compression8_3;
-        inverse_compression8_3 = t1023;
-        const double t1024 = mean_compression8[0] - self->predicted_compression_deviation[16];
-        const double t1025 = innovation_compression8_3 - t1024;
-        const double t1026 = t1025 * inverse_compression8_3;
-        const double t1027 = covariance_compression8[0] * t1026;
-        const double t1028 = mean_compression8[0] + t1027;
-        const double t1029 = covariance_compression8[1] * t1026;
-        const double t1030 = mean_compression8[1] + t1029;
-        const double t1031 = covariance_compression8[0] * inverse_compression8_3;
-        const double t1032 = t1031 * covariance_compression8[0];
-        const double t1033 = covariance_compression8[0] - t1032;
-        const double t1034 = 9.0 * t1031;
-        const double t1035 = t1034 - t1033;
-        const double t1036 = t1035 * t1031;
-        const double t1037 = t1033 + t1036;
-        const double t1038 = covariance_compression8[1] * inverse_compression8_3;
-        const double t1039 = t1038 * covariance_compression8[0];
-        const double t1040 = covariance_compression8[1] - t1039;
-        const double t1041 = 9.0 * t1038;
-        const double t1042 = t1041 - t1040;
-        const double t1043 = t1042 * t1031;
-        const double t1044 = t1040 + t1043;
-        const double t1045 = t1038 * covariance_compression8[1];
-        const double t1046 = covariance_compression8[2] - t1045;
-        const double t1047 = t1042 * t1038;
-        const double t1048 = t1046 + t1047;
-        mean_compression8[0] = t1028;
-        mean_compression8[1] = t1030;
-        covariance_compression8[0] = t1037;
-        covariance_compression8[1] = t1044;
-        covariance_compression8[2] = t1048;
-    }
-    const double t1049 = mean_compression8[0] - mean_host[0];
-    const double t1050 = mean_compression8[1] - mean_host[1];
-    deviation_compression8[0] = t1049;
-    deviation_compression8[1] = t1050;
-
-    /* innovation, row by row */
-    if ((present & 0x4u) != 0u)
-    {
-        const double t1051 = 0.9903931860948796 * self->predicted_compression_deviation[18];
-        const double t1052 = innovation_2 - t1051;
-        innovation_compression9_0 = t1052;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t1053 = 0.9903931860948796 * self->predicted_compression_deviation[18];
-        const double t1054 = innovation_3 - t1053;
-        innovation_compression9_1 = t1054;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t1055 = innovation_4 - self->predicted_compression_deviation[18];
-        innovation_compression9_2 = t1055;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t1056 = innovation_5 - self->predicted_compression_deviation[18];
-        innovation_compression9_3 = t1056;
-    }
-    mean_compression9[0] = self->predicted_compression_deviation[18];
-    mean_compression9[1] = self->predicted_compression_deviation[19];
-    covariance_compression9[0] = self->predicted_compression_covariance[27];
-    covariance_compression9[1] = self->predicted_compression_covariance[28];
-    covariance_compression9[2] = self->predicted_compression_covariance[29];
-
-    /* row 2 of y, wheel_rl: compression filter */
-    const double t1057 = 0.9903931860948796 * self->predicted_compression_covariance[27];
-    const double t1058 = 0.9903931860948796 * self->predicted_compression_covariance[28];
-    cross_compression9_0[0] = t1057;
-    cross_compression9_0[1] = t1058;
-    const double t1059 = 0.9903931860948796 * cross_compression9_0[0];
-    const double t1060 = t1059 + 0.04;
-    pivot_compression9_0 = t1060;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_compression9_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1061 = 1.0 / pivot_compression9_0;
-        inverse_compression9_0 = t1061;
-        const double t1062 = innovation_compression9_0 * inverse_compression9_0;
-        const double t1063 = cross_compression9_0[0] * t1062;
-        const double t1064 = self->predicted_compression_deviation[18] + t1063;
-        const double t1065 = cross_compression9_0[1] * t1062;
-        const double t1066 = self->predicted_compression_deviation[19] + t1065;
-        const double t1067 = cross_compression9_0[0] * inverse_compression9_0;
-        const double t1068 = t1067 * cross_compression9_0[0];
-        const double t1069 = self->predicted_compression_covariance[27] - t1068;
-        const double t1070 = 0.04 * t1067;
-        const double t1071 = 0.9903931860948796 * t1069;
-        const double t1072 = t1070 - t1071;
-        const double t1073 = t1072 * t1067;
-        const double t1074 = t1069 + t1073;
-        const double t1075 = cross_compression9_0[1] * inverse_compression9_0;
-        const double t1076 = t1075 * cross_compression9_0[0];
-        const double t1077 = self->predicted_compression_covariance[28] - t1076;
-        const double t1078 = 0.04 * t1075;
-        const double t1079 = 0.9903931860948796 * t1077;
-        const double t1080 = t1078 - t1079;
-        const double t1081 = t1080 * t1067;
-        const double t1082 = t1077 + t1081;
-        const double t1083 = t1075 * cross_compression9_0[1];
-        const double t1084 = self->predicted_compression_covariance[29] - t1083;
-        const double t1085 = t1080 * t1075;
-        const double t1086 = t1084 + t1085;
-        mean_compression9[0] = t1064;
-        mean_compression9[1] = t1066;
-        covariance_compression9[0] = t1074;
-        covariance_compression9[1] = t1082;
-        covariance_compression9[2] = t1086;
-    }
-
-    /* row 3 of y, wheel_rr: compression filter */
-    const double t1087 = 0.9903931860948796 * covariance_compression9[0];
-    const double t1088 = 0.9903931860948796 * covariance_compression9[1];
-    cross_compression9_1[0] = t1087;
-    cross_compression9_1[1] = t1088;
-    const double t1089 = 0.9903931860948796 * cross_compression9_1[0];
-    const double t1090 = t1089 + 0.04;
-    pivot_compression9_1 = t1090;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_compression9_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1091 = 1.0 / pivot_compression9_1;
-        inverse_compression9_1 = t1091;
-        const double t1092 = mean_compression9[0] - self->predicted_compression_deviation[18];
-        const double t1093 = 0.9903931860948796 * t1092;
-        const double t1094 = innovation_compression9_1 - t1093;
-        const double t1095 = t1094 * inverse_compression9_1;
-        const double t1096 = cross_compression9_1[0] * t1095;
-        const double t1097 = mean_compression9[0] + t1096;
-        const double t1098 = cross_compression9_1[1] * t1095;
-        const double t1099 = mean_compression9[1] + t1098;
-        const double t1100 = cross_compression9_1[0] * inverse_compression9_1;
-        const double t1101 = t1100 * cross_compression9_1[0];
-        const double t1102 = covariance_compression9[0] - t1101;
-        const double t1103 = 0.04 * t1100;
-        const double t1104 = 0.9903931860948796 * t1102;
-        const double t1105 = t1103 - t1104;
-        const double t1106 = t1105 * t1100;
-        const double t1107 = t1102 + t1106;
-        const double t1108 = cross_compression9_1[1] * inverse_compression9_1;
-        const double t1109 = t1108 * cross_compression9_1[0];
-        const double t1110 = covariance_compression9[1] - t1109;
-        const double t1111 = 0.04 * t1108;
-        const double t1112 = 0.9903931860948796 * t1110;
-        const double t1113 = t1111 - t1112;
-        const double t1114 = t1113 * t1100;
-        const double t1115 = t1110 + t1114;
-        const double t1116 = t1108 * cross_compression9_1[1];
-        const double t1117 = covariance_compression9[2] - t1116;
-        const double t1118 = t1113 * t1108;
-        const double t1119 = t1117 + t1118;
-        mean_compression9[0] = t1097;
-        mean_compression9[1] = t1099;
-        covariance_compression9[0] = t1107;
-        covariance_compression9[1] = t1115;
-        covariance_compression9[2] = t1119;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t1120 = covariance_compression9[0] + 0.25;
-    pivot_compression9_2 = t1120;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression9_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1121 = 1.0 / pivot_compression9_2;
-        inverse_compression9_2 = t1121;
-        const double t1122 = mean_compression9[0] - self->predicted_compression_deviation[18];
-        const double t1123 = innovation_compression9_2 - t1122;
-        const double t1124 = t1123 * inverse_compression9_2;
-        const double t1125 = covariance_compression9[0] * t1124;
-        const double t1126 = mean_compression9[0] + t1125;
-        const double t1127 = covariance_compression9[1] * t1124;
-        const double t1128 = mean_compression9[1] + t1127;
-        const double t1129 = covariance_compression9[0] * inverse_compression9_2;
-        const double t1130 = t1129 * covariance_compression9[0];
-        const double t1131 = covariance_compression9[0] - t1130;
-        const double t1132 = 0.25 * t1129;
-        const double t1133 = t1132 - t1131;
-        const double t1134 = t1133 * t1129;
-        const double t1135 = t1131 + t1134;
-        const double t1136 = covariance_compression9[1] * inverse_compression9_2;
-        const double t1137 = t1136 * covariance_compression9[0];
-        const double t1138 = covariance_compression9[1] - t1137;
-        const double t1139 = 0.25 * t1136;
-        const double t1140 = t1139 - t1138;
-        const double t1141 = t1140 * t1129;
-        const double t1142 = t1138 + t1141;
-        const double t1143 = t1136 * covariance_compression9[1];
-        const double t1144 = covariance_compression9[2] - t1143;
-        const double t1145 = t1140 * t1136;
-        const double t1146 = t1144 + t1145;
-        mean_compression9[0] = t1126;
-        mean_compression9[1] = t1128;
-        covariance_compression9[0] = t1135;
-        covariance_compression9[1] = t1142;
-        covariance_compression9[2] = t1146;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t1147 = covariance_compression9[0] + 9.0;
-    pivot_compression9_3 = t1147;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression9_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1148 = 1.0 / pivot_compression9_3;
-        inverse_compression9_3 = t1148;
-        const double t1149 = mean_compression9[0] - self->predicted_compression_deviation[18];
-        const double t1150 = innovation_compression9_3 - t1149;
-        const double t1151 = t1150 * inverse_compression9_3;
-        const double t1152 = covariance_compression9[0] * t1151;
-        const double t1153 = mean_compression9[0] + t1152;
-        const double t1154 = covariance_compression9[1] * t1151;
-        const double t1155 = mean_compression9[1] + t1154;
-        const double t1156 = covariance_compression9[0] * inverse_compression9_3;
-        const double t1157 = t1156 * covariance_compression9[0];
-        const double t1158 = covariance_compression9[0] - t1157;
-        const double t1159 = 9.0 * t1156;
-        const double t1160 = t1159 - t1158;
-        const double t1161 = t1160 * t1156;
-        const double t1162 = t1158 + t1161;
-        const double t1163 = covariance_compression9[1] * inverse_compression9_3;
-        const double t1164 = t1163 * covariance_compression9[0];
-        const double t1165 = covariance_compression9[1] - t1164;
-        const double t1166 = 9.0 * t1163;
-        const double t1167 = t1166 - t1165;
-        const double t1168 = t1167 * t1156;
-        const double t1169 = t1165 + t1168;
-        const double t1170 = t1163 * covariance_compression9[1];
-        const double t1171 = covariance_compression9[2] - t1170;
-        const double t1172 = t1167 * t1163;
-        const double t1173 = t1171 + t1172;
-        mean_compression9[0] = t1153;
-        mean_compression9[1] = t1155;
-        covariance_compression9[0] = t1162;
-        covariance_compression9[1] = t1169;
-        covariance_compression9[2] = t1173;
-    }
-    const double t1174 = mean_compression9[0] - mean_host[0];
-    const double t1175 = mean_compression9[1] - mean_host[1];
-    deviation_compression9[0] = t1174;
-    deviation_compression9[1] = t1175;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t1176 = 0.9921619208254787 * self->predicted_compression_deviation[20];
-        const double t1177 = innovation_0 - t1176;
-        innovation_compression10_0 = t1177;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t1178 = 0.9921619208254787 * self->predicted_compression_deviation[20];
-        const double t1179 = innovation_1 - t1178;
-        innovation_compression10_1 = t1179;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t1180 = 0.9903931860948796 * self->predicted_compression_deviation[20];
-        const double t1181 = innovation_2 - t1180;
-        innovation_compression10_2 = t1181;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t1182 = innovation_4 - self->predicted_compression_deviation[20];
-        innovation_compression10_3 = t1182;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t1183 = innovation_5 - self->predicted_compression_deviation[20];
-        innovation_compression10_4 = t1183;
-    }
-    mean_compression10[0] = self->predicted_compression_deviation[20];
-    mean_compression10[1] = self->predicted_compression_deviation[21];
-    covariance_compression10[0] = self->predicted_compression_covariance[30];
-    covariance_compression10[1] = self->predicted_compression_covariance[31];
-    covariance_compression10[2] = self->predicted_compression_covariance[32];
-
-    /* row 0 of y, wheel_fl: compression filter */
-    const double t1184 = 0.9921619208254787 * self->predicted_compression_covariance[30];
-    const double t1185 = 0.9921619208254787 * self->predicted_compression_covariance[31];
-    cross_compression10_0[0] = t1184;
-    cross_compression10_0[1] = t1185;
-    const double t1186 = 0.9921619208254787 * cross_compression10_0[0];
-    const double t1187 = t1186 + 0.04;
-    pivot_compression10_0 = t1187;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_compression10_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1188 = 1.0 / pivot_compression10_0;
-        inverse_compression10_0 = t1188;
-        const double t1189 = innovation_compression10_0 * inverse_compression10_0;
-        const double t1190 = cross_compression10_0[0] * t1189;
-        const double t1191 = self->predicted_compression_deviation[20] + t1190;
-        const double t1192 = cross_compression10_0[1] * t1189;
-        const double t1193 = self->predicted_compression_deviation[21] + t1192;
-        const double t1194 = cross_compression10_0[0] * inverse_compression10_0;
-        const double t1195 = t1194 * cross_compression10_0[0];
-        const double t1196 = self->predicted_compression_covariance[30] - t1195;
-        const double t1197 = 0.04 * t1194;
-        const double t1198 = 0.9921619208254787 * t1196;
-        const double t1199 = t1197 - t1198;
-        const double t1200 = t1199 * t1194;
-        const double t1201 = t1196 + t1200;
-        const double t1202 = cross_compression10_0[1] * inverse_compression10_0;
-        const double t1203 = t1202 * cross_compression10_0[0];
-        const double t1204 = self->predicted_compression_covariance[31] - t1203;
-        const double t1205 = 0.04 * t1202;
-        const double t1206 = 0.9921619208254787 * t1204;
-        const double t1207 = t1205 - t1206;
-        const double t1208 = t1207 * t1194;
-        const double t1209 = t1204 + t1208;
-        const double t1210 = t1202 * cross_compression10_0[1];
-        const double t1211 = self->predicted_compression_covariance[32] - t1210;
-        const double t1212 = t1207 * t1202;
-        const double t1213 = t1211 + t1212;
-        mean_compression10[0] = t1191;
-        mean_compression10[1] = t1193;
-        covariance_compression10[0] = t1201;
-        covariance_compression10[1] = t1209;
-        covariance_compression10[2] = t1213;
-    }
-
-    /* row 1 of y, wheel_fr: compression filter */
-    const double t1214 = 0.9921619208254787 * covariance_compression10[0];
-    const double t1215 = 0.9921619208254787 * covariance_compression10[1];
-    cross_compression10_1[0] = t1214;
-    cross_compression10_1[1] = t1215;
-    const double t1216 = 0.9921619208254787 * cross_compression10_1[0];
-    const double t1217 = t1216 + 0.04;
-    pivot_compression10_1 = t1217;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_compression10_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1218 = 1.0 / pivot_compression10_1;
-        inverse_compression10_1 = t1218;
-        const double t1219 = mean_compression10[0] - self->predicted_compression_deviation[20];
-        const double t1220 = 0.9921619208254787 * t1219;
-        const double t1221 = innovation_compression10_1 - t1220;
-        const double t1222 = t1221 * inverse_compression10_1;
-        const double t1223 = cross_compression10_1[0] * t1222;
-        const double t1224 = mean_compression10[0] + t1223;
-        const double t1225 = cross_compression10_1[1] * t1222;
-        const double t1226 = mean_compression10[1] + t1225;
-        const double t1227 = cross_compression10_1[0] * inverse_compression10_1;
-        const double t1228 = t1227 * cross_compression10_1[0];
-        const double t1229 = covariance_compression10[0] - t1228;
-        const double t1230 = 0.04 * t1227;
-        const double t1231 = 0.9921619208254787 * t1229;
-        const double t1232 = t1230 - t1231;
-        const double t1233 = t1232 * t1227;
-        const double t1234 = t1229 + t1233;
-        const double t1235 = cross_compression10_1[1] * inverse_compression10_1;
-        const double t1236 = t1235 * cross_compression10_1[0];
-        const double t1237 = covariance_compression10[1] - t1236;
-        const double t1238 = 0.04 * t1235;
-        const double t1239 = 0.9921619208254787 * t1237;
-        const double t1240 = t1238 - t1239;
-        const double t1241 = t1240 * t1227;
-        const double t1242 = t1237 + t1241;
-        const double t1243 = t1235 * cross_compression10_1[1];
-        const double t1244 = covariance_compression10[2] - t1243;
-        const double t1245 = t1240 * t1235;
-        const double t1246 = t1244 + t1245;
-        mean_compression10[0] = t1224;
-        mean_compression10[1] = t1226;
-        covariance_compression10[0] = t1234;
-        covariance_compression10[1] = t1242;
-        covariance_compression10[2] = t1246;
-    }
-
-    /* row 2 of y, wheel_rl: compression filter */
-    const double t1247 = 0.9903931860948796 * covariance_compression10[0];
-    const double t1248 = 0.9903931860948796 * covariance_compression10[1];
-    cross_compression10_2[0] = t1247;
-    cross_compression10_2[1] = t1248;
-    const double t1249 = 0.9903931860948796 * cross_compression10_2[0];
-    const double t1250 = t1249 + 0.04;
-    pivot_compression10_2 = t1250;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_compression10_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1251 = 1.0 / pivot_compression10_2;
-        inverse_compression10_2 = t1251;
-        const double t1252 = mean_compression10[0] - self->predicted_compression_deviation[20];
-        const double t1253 = 0.9903931860948796 * t1252;
-        const double t1254 = innovation_compression10_2 - t1253;
-        const double t1255 = t1254 * inverse_compression10_2;
-        const double t1256 = cross_compression10_2[0] * t1255;
-        const double t1257 = mean_compression10[0] + t1256;
-        const double t1258 = cross_compression10_2[1] * t1255;
-        const double t1259 = mean_compression10[1] + t1258;
-        const double t1260 = cross_compression10_2[0] * inverse_compression10_2;
-        const double t1261 = t1260 * cross_compression10_2[0];
-        const double t1262 = covariance_compression10[0] - t1261;
-        const double t1263 = 0.04 * t1260;
-        const double t1264 = 0.9903931860948796 * t1262;
-        const double t1265 = t1263 - t1264;
-        const double t1266 = t1265 * t1260;
-        const double t1267 = t1262 + t1266;
-        const double t1268 = cross_compression10_2[1] * inverse_compression10_2;
-        const double t1269 = t1268 * cross_compression10_2[0];
-        const double t1270 = covariance_compression10[1] - t1269;
-        const double t1271 = 0.04 * t1268;
-        const double t1272 = 0.9903931860948796 * t1270;
-        const double t1273 = t1271 - t1272;
-        const double t1274 = t1273 * t1260;
-        const double t1275 = t1270 + t1274;
-        const double t1276 = t1268 * cross_compression10_2[1];
-        const double t1277 = covariance_compression10[2] - t1276;
-        const double t1278 = t1273 * t1268;
-        const double t1279 = t1277 + t1278;
-        mean_compression10[0] = t1257;
-        mean_compression10[1] = t1259;
-        covariance_compression10[0] = t1267;
-        covariance_compression10[1] = t1275;
-        covariance_compression10[2] = t1279;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t1280 = covariance_compression10[0] + 0.25;
-    pivot_compression10_3 = t1280;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression10_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1281 = 1.0 / pivot_compression10_3;
-        inverse_compression10_3 = t1281;
-        const double t1282 = mean_compression10[0] - self->predicted_compression_deviation[20];
-        const double t1283 = innovation_compression10_3 - t1282;
-        const double t1284 = t1283 * inverse_compression10_3;
-        const double t1285 = covariance_compression10[0] * t1284;
-        const double t1286 = mean_compression10[0] + t1285;
-        const double t1287 = covariance_compression10[1] * t1284;
-        const double t1288 = mean_compression10[1] + t1287;
-        const double t1289 = covariance_compression10[0] * inverse_compression10_3;
-        const double t1290 = t1289 * covariance_compression10[0];
-        const double t1291 = covariance_compression10[0] - t1290;
-        const double t1292 = 0.25 * t1289;
-        const double t1293 = t1292 - t1291;
-        const double t1294 = t1293 * t1289;
-        const double t1295 = t1291 + t1294;
-        const double t1296 = covariance_compression10[1] * inverse_compression10_3;
-        const double t1297 = t1296 * covariance_compression10[0];
-        const double t1298 = covariance_compression10[1] - t1297;
-        const double t1299 = 0.25 * t1296;
-        const double t1300 = t1299 - t1298;
-        const double t1301 = t1300 * t1289;
-        const double t1302 = t1298 + t1301;
-        const double t1303 = t1296 * covariance_compression10[1];
-        const double t1304 = covariance_compression10[2] - t1303;
-        const double t1305 = t1300 * t1296;
-        const double t1306 = t1304 + t1305;
-        mean_compression10[0] = t1286;
-        mean_compression10[1] = t1288;
-        covariance_compression10[0] = t1295;
-        covariance_compression10[1] = t1302;
-        covariance_compression10[2] = t1306;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t1307 = covariance_compression10[0] + 9.0;
-    pivot_compression10_4 = t1307;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression10_4 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1308 = 1.0 / pivot_compression10_4;
-        inverse_compression10_4 = t1308;
-        const double t1309 = mean_compression10[0] - self->predicted_compression_deviation[20];
-        const double t1310 = innovation_compression10_4 - t1309;
-        const double t1311 = t1310 * inverse_compression10_4;
-        const double t1312 = covariance_compression10[0] * t1311;
-        const double t1313 = mean_compression10[0] + t1312;
-        const double t1314 = covariance_compression10[1] * t1311;
-        const double t1315 = mean_compression10[1] + t1314;
-        const double t1316 = covariance_compression10[0] * inverse_compression10_4;
-        const double t1317 = t1316 * covariance_compression10[0];
-        const double t1318 = covariance_compression10[0] - t1317;
-        const double t1319 = 9.0 * t1316;
-        const double t1320 = t1319 - t1318;
-        const double t1321 = t1320 * t1316;
-        const double t1322 = t1318 + t1321;
-        const double t1323 = covariance_compression10[1] * inverse_compression10_4;
-        const double t1324 = t1323 * covariance_compression10[0];
-        const double t1325 = covariance_compression10[1] - t1324;
-        const double t1326 = 9.0 * t1323;
-        const double t1327 = t1326 - t1325;
-        const double t1328 = t1327 * t1316;
-        const double t1329 = t1325 + t1328;
-        const double t1330 = t1323 * covariance_compression10[1];
-        const double t1331 = covariance_compression10[2] - t1330;
-        const double t1332 = t1327 * t1323;
-        const double t1333 = t1331 + t1332;
-        mean_compression10[0] = t1313;
-        mean_compression10[1] = t1315;
-        covariance_compression10[0] = t1322;
-        covariance_compression10[1] = t1329;
-        covariance_compression10[2] = t1333;
-    }
-    const double t1334 = mean_compression10[0] - mean_host[0];
-    const double t1335 = mean_compression10[1] - mean_host[1];
-    deviation_compression10[0] = t1334;
-    deviation_compression10[1] = t1335;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t1336 = 0.9921619208254787 * self->predicted_compression_deviation[22];
-        const double t1337 = innovation_0 - t1336;
-        innovation_compression11_0 = t1337;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t1338 = 0.9921619208254787 * self->predicted_compression_deviation[22];
-        const double t1339 = innovation_1 - t1338;
-        innovation_compression11_1 = t1339;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t1340 = 0.9903931860948796 * self->predicted_compression_deviation[22];
-        const double t1341 = innovation_3 - t1340;
-        innovation_compression11_2 = t1341;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t1342 = innovation_4 - self->predicted_compression_deviation[22];
-        innovation_compression11_3 = t1342;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t1343 = innovation_5 - self->predicted_compression_deviation[22];
-        innovation_compression11_4 = t1343;
-    }
-    mean_compression11[0] = self->predicted_compression_deviation[22];
-    mean_compression11[1] = self->predicted_compression_deviation[23];
-    covariance_compression11[0] = self->predicted_compression_covariance[33];
-    covariance_compression11[1] = self->predicted_compression_covariance[34];
-    covariance_compression11[2] = self->predicted_compression_covariance[35];
-
-    /* row 0 of y, wheel_fl: compression filter */
-    const double t1344 = 0.9921619208254787 * self->predicted_compression_covariance[33];
-    const double t1345 = 0.9921619208254787 * self->predicted_compression_covariance[34];
-    cross_compression11_0[0] = t1344;
-    cross_compression11_0[1] = t1345;
-    const double t1346 = 0.9921619208254787 * cross_compression11_0[0];
-    const double t1347 = t1346 + 0.04;
-    pivot_compression11_0 = t1347;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_compression11_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1348 = 1.0 / pivot_compression11_0;
-        inverse_compression11_0 = t1348;
-        const double t1349 = innovation_compression11_0 * inverse_compression11_0;
-        const double t1350 = cross_compression11_0[0] * t1349;
-        const double t1351 = self->predicted_compression_deviation[22] + t1350;
-        const double t1352 = cross_compression11_0[1] * t1349;
-        const double t1353 = self->predicted_compression_deviation[23] + t1352;
-        const double t1354 = cross_compression11_0[0] * inverse_compression11_0;
-        const double t1355 = t1354 * cross_compression11_0[0];
-        const double t1356 = self->predicted_compression_covariance[33] - t1355;
-        const double t1357 = 0.04 * t1354;
-        const double t1358 = 0.9921619208254787 * t1356;
-        const double t1359 = t1357 - t1358;
-        const double t1360 = t1359 * t1354;
-        const double t1361 = t1356 + t1360;
-        const double t1362 = cross_compression11_0[1] * inverse_compression11_0;
-        const double t1363 = t1362 * cross_compression11_0[0];
-        const double t1364 = self->predicted_compression_covariance[34] - t1363;
-        const double t1365 = 0.04 * t1362;
-        const double t1366 = 0.9921619208254787 * t1364;
-        const double t1367 = t1365 - t1366;
-        const double t1368 = t1367 * t1354;
-        const double t1369 = t1364 + t1368;
-        const double t1370 = t1362 * cross_compression11_0[1];
-        const double t1371 = self->predicted_compression_covariance[35] - t1370;
-        const double t1372 = t1367 * t1362;
-        const double t1373 = t1371 + t1372;
-        mean_compression11[0] = t1351;
-        mean_compression11[1] = t1353;
-        covariance_compression11[0] = t1361;
-        covariance_compression11[1] = t1369;
-        covariance_compression11[2] = t1373;
-    }
-
-    /* row 1 of y, wheel_fr: compression filter */
-    const double t1374 = 0.9921619208254787 * covariance_compression11[0];
-    const double t1375 = 0.9921619208254787 * covariance_compression11[1];
-    cross_compression11_1[0] = t1374;
-    cross_compression11_1[1] = t1375;
-    const double t1376 = 0.9921619208254787 * cross_compression11_1[0];
-    const double t1377 = t1376 + 0.04;
-    pivot_compression11_1 = t1377;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_compression11_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1378 = 1.0 / pivot_compression11_1;
-        inverse_compression11_1 = t1378;
-        const double t1379 = mean_compression11[0] - self->predicted_compression_deviation[22];
-        const double t1380 = 0.9921619208254787 * t1379;
-        const double t1381 = innovation_compression11_1 - t1380;
-        const double t1382 = t1381 * inverse_compression11_1;
-        const double t1383 = cross_compression11_1[0] * t1382;
-        const double t1384 = mean_compression11[0] + t1383;
-        const double t1385 = cross_compression11_1[1] * t1382;
-        const double t1386 = mean_compression11[1] + t1385;
-        const double t1387 = cross_compression11_1[0] * inverse_compression11_1;
-        const double t1388 = t1387 * cross_compression11_1[0];
-        const double t1389 = covariance_compression11[0] - t1388;
-        const double t1390 = 0.04 * t1387;
-        const double t1391 = 0.9921619208254787 * t1389;
-        const double t1392 = t1390 - t1391;
-        const double t1393 = t1392 * t1387;
-        const double t1394 = t1389 + t1393;
-        const double t1395 = cross_compression11_1[1] * inverse_compression11_1;
-        const double t1396 = t1395 * cross_compression11_1[0];
-        const double t1397 = covariance_compression11[1] - t1396;
-        const double t1398 = 0.04 * t1395;
-        const double t1399 = 0.9921619208254787 * t1397;
-        const double t1400 = t1398 - t1399;
-        const double t1401 = t1400 * t1387;
-        const double t1402 = t1397 + t1401;
-        const double t1403 = t1395 * cross_compression11_1[1];
-        const double t1404 = covariance_compression11[2] - t1403;
-        const double t1405 = t1400 * t1395;
-        const double t1406 = t1404 + t1405;
-        mean_compression11[0] = t1384;
-        mean_compression11[1] = t1386;
-        covariance_compression11[0] = t1394;
-        covariance_compression11[1] = t1402;
-        covariance_compression11[2] = t1406;
-    }
-
-    /* row 3 of y, wheel_rr: compression filter */
-    const double t1407 = 0.9903931860948796 * covariance_compression11[0];
-    const double t1408 = 0.9903931860948796 * covariance_compression11[1];
-    cross_compression11_2[0] = t1407;
-    cross_compression11_2[1] = t1408;
-    const double t1409 = 0.9903931860948796 * cross_compression11_2[0];
-    const double t1410 = t1409 + 0.04;
-    pivot_compression11_2 = t1410;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_compression11_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1411 = 1.0 / pivot_compression11_2;
-        inverse_compression11_2 = t1411;
-        const double t1412 = mean_compression11[0] - self->predicted_compression_deviation[22];
-        const double t1413 = 0.9903931860948796 * t1412;
-        const double t1414 = innovation_compression11_2 - t1413;
-        const double t1415 = t1414 * inverse_compression11_2;
-        const double t1416 = cross_compression11_2[0] * t1415;
-        const double t1417 = mean_compression11[0] + t1416;
-        const double t1418 = cross_compression11_2[1] * t1415;
-        const double t1419 = mean_compression11[1] + t1418;
-        const double t1420 = cross_compression11_2[0] * inverse_compression11_2;
-        const double t1421 = t1420 * cross_compression11_2[0];
-        const double t1422 = covariance_compression11[0] - t1421;
-        const double t1423 = 0.04 * t1420;
-        const double t1424 = 0.9903931860948796 * t1422;
-        const double t1425 = t1423 - t1424;
-        const double t1426 = t1425 * t1420;
-        const double t1427 = t1422 + t1426;
-        const double t1428 = cross_compression11_2[1] * inverse_compression11_2;
-        const double t1429 = t1428 * cross_compression11_2[0];
-        const double t1430 = covariance_compression11[1] - t1429;
-        const double t1431 = 0.04 * t1428;
-        const double t1432 = 0.9903931860948796 * t1430;
-        const double t1433 = t1431 - t1432;
-        const double t1434 = t1433 * t1420;
-        const double t1435 = t1430 + t1434;
-        const double t1436 = t1428 * cross_compression11_2[1];
-        const double t1437 = covariance_compression11[2] - t1436;
-        const double t1438 = t1433 * t1428;
-        const double t1439 = t1437 + t1438;
-        mean_compression11[0] = t1417;
-        mean_compression11[1] = t1419;
-        covariance_compression11[0] = t1427;
-        covariance_compression11[1] = t1435;
-        covariance_compression11[2] = t1439;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t1440 = covariance_compression11[0] + 0.25;
-    pivot_compression11_3 = t1440;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression11_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1441 = 1.0 / pivot_compression11_3;
-        inverse_compression11_3 = t1441;
-        const double t1442 = mean_compression11[0] - self->predicted_compression_deviation[22];
-        const double t1443 = innovation_compression11_3 - t1442;
-        const double t1444 = t1443 * inverse_compression11_3;
-        const double t1445 = covariance_compression11[0] * t1444;
-        const double t1446 = mean_compression11[0] + t1445;
-        const double t1447 = covariance_compression11[1] * t1444;
-        const double t1448 = mean_compression11[1] + t1447;
-        const double t1449 = covariance_compression11[0] * inverse_compression11_3;
-        const double t1450 = t1449 * covariance_compression11[0];
-        const double t1451 = covariance_compression11[0] - t1450;
-        const double t1452 = 0.25 * t1449;
-        const double t1453 = t1452 - t1451;
-        const double t1454 = t1453 * t1449;
-        const double t1455 = t1451 + t1454;
-        const double t1456 = covariance_compression11[1] * inverse_compression11_3;
-        const double t1457 = t1456 * covariance_compression11[0];
-        const double t1458 = covariance_compression11[1] - t1457;
-        const double t1459 = 0.25 * t1456;
-        const double t1460 = t1459 - t1458;
-        const double t1461 = t1460 * t1449;
-        const double t1462 = t1458 + t1461;
-        const double t1463 = t1456 * covariance_compression11[1];
-        const double t1464 = covariance_compression11[2] - t1463;
-        const double t1465 = t1460 * t1456;
-        const double t1466 = t1464 + t1465;
-        mean_compression11[0] = t1446;
-        mean_compression11[1] = t1448;
-        covariance_compression11[0] = t1455;
-        covariance_compression11[1] = t1462;
-        covariance_compression11[2] = t1466;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t1467 = covariance_compression11[0] + 9.0;
-    pivot_compression11_4 = t1467;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression11_4 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1468 = 1.0 / pivot_compression11_4;
-        inverse_compression11_4 = t1468;
-        const double t1469 = mean_compression11[0] - self->predicted_compression_deviation[22];
-        const double t1470 = innovation_compression11_4 - t1469;
-        const double t1471 = t1470 * inverse_compression11_4;
-        const double t1472 = covariance_compression11[0] * t1471;
-        const double t1473 = mean_compression11[0] + t1472;
-        const double t1474 = covariance_compression11[1] * t1471;
-        const double t1475 = mean_compression11[1] + t1474;
-        const double t1476 = covariance_compression11[0] * inverse_compression11_4;
-        const double t1477 = t1476 * covariance_compression11[0];
-        const double t1478 = covariance_compression11[0] - t1477;
-        const double t1479 = 9.0 * t1476;
-        const double t1480 = t1479 - t1478;
-        const double t1481 = t1480 * t1476;
-        const double t1482 = t1478 + t1481;
-        const double t1483 = covariance_compression11[1] * inverse_compression11_4;
-        const double t1484 = t1483 * covariance_compression11[0];
-        const double t1485 = covariance_compression11[1] - t1484;
-        const double t1486 = 9.0 * t1483;
-        const double t1487 = t1486 - t1485;
-        const double t1488 = t1487 * t1476;
-        const double t1489 = t1485 + t1488;
-        const double t1490 = t1483 * covariance_compression11[1];
-        const double t1491 = covariance_compression11[2] - t1490;
-        const double t1492 = t1487 * t1483;
-        const double t1493 = t1491 + t1492;
-        mean_compression11[0] = t1473;
-        mean_compression11[1] = t1475;
-        covariance_compression11[0] = t1482;
-        covariance_compression11[1] = t1489;
-        covariance_compression11[2] = t1493;
-    }
-    const double t1494 = mean_compression11[0] - mean_host[0];
-    const double t1495 = mean_compression11[1] - mean_host[1];
-    deviation_compression11[0] = t1494;
-    deviation_compression11[1] = t1495;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t1496 = 0.9921619208254787 * self->predicted_compression_deviation[24];
-        const double t1497 = innovation_0 - t1496;
-        innovation_compression12_0 = t1497;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t1498 = 0.9903931860948796 * self->predicted_compression_deviation[24];
-        const double t1499 = innovation_2 - t1498;
-        innovation_compression12_1 = t1499;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t1500 = 0.9903931860948796 * self->predicted_compression_deviation[24];
-        const double t1501 = innovation_3 - t1500;
-        innovation_compression12_2 = t1501;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t1502 = innovation_4 - self->predicted_compression_deviation[24];
-        innovation_compression12_3 = t1502;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t1503 = innovation_5 - self->predicted_compression_deviation[24];
-        innovation_compression12_4 = t1503;
-    }
-    mean_compression12[0] = self->predicted_compression_deviation[24];
-    mean_compression12[1] = self->predicted_compression_deviation[25];
-    covariance_compression12[0] = self->predicted_compression_covariance[36];
-    covariance_compression12[1] = self->predicted_compression_covariance[37];
-    covariance_compression12[2] = self->predicted_compression_covariance[38];
-
-    /* row 0 of y, wheel_fl: compression filter */
-    const double t1504 = 0.9921619208254787 * self->predicted_compression_covariance[36];
-    const double t1505 = 0.9921619208254787 * self->predicted_compression_covariance[37];
-    cross_compression12_0[0] = t1504;
-    cross_compression12_0[1] = t1505;
-    const double t1506 = 0.9921619208254787 * cross_compression12_0[0];
-    const double t1507 = t1506 + 0.04;
-    pivot_compression12_0 = t1507;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_compression12_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1508 = 1.0 / pivot_compression12_0;
-        inverse_compression12_0 = t1508;
-        const double t1509 = innovation_compression12_0 * inverse_compression12_0;
-        const double t1510 = cross_compression12_0[0] * t1509;
-        const double t1511 = self->predicted_compression_deviation[24] + t1510;
-        const double t1512 = cross_compression12_0[1] * t1509;
-        const double t1513 = self->predicted_compression_deviation[25] + t1512;
-        const double t1514 = cross_compression12_0[0] * inverse_compression12_0;
-        const double t1515 = t1514 * cross_compression12_0[0];
-        const double t1516 = self->predicted_compression_covariance[36] - t1515;
-        const double t1517 = 0.04 * t1514;
-        const double t1518 = 0.9921619208254787 * t1516;
-        const double t1519 = t1517 - t1518;
-        const double t1520 = t1519 * t1514;
-        const double t1521 = t1516 + t1520;
-        const double t1522 = cross_compression12_0[1] * inverse_compression12_0;
-        const double t1523 = t1522 * cross_compression12_0[0];
-        const double t1524 = self->predicted_compression_covariance[37] - t1523;
-        const double t1525 = 0.04 * t1522;
-        const double t1526 = 0.9921619208254787 * t1524;
-        const double t1527 = t1525 - t1526;
-        const double t1528 = t1527 * t1514;
-        const double t1529 = t1524 + t1528;
-        const double t1530 = t1522 * cross_compression12_0[1];
-        const double t1531 = self->predicted_compression_covariance[38] - t1530;
-        const double t1532 = t1527 * t1522;
-        const double t1533 = t1531 + t1532;
-        mean_compression12[0] = t1511;
-        mean_compression12[1] = t1513;
-        covariance_compression12[0] = t1521;
-        covariance_compression12[1] = t1529;
-        covariance_compression12[2] = t1533;
-    }
-
-    /* row 2 of y, wheel_rl: compression filter */
-    const double t1534 = 0.9903931860948796 * covariance_compression12[0];
-    const double t1535 = 0.9903931860948796 * covariance_compression12[1];
-    cross_compression12_1[0] = t1534;
-    cross_compression12_1[1] = t1535;
-    const double t1536 = 0.9903931860948796 * cross_compression12_1[0];
-    const double t1537 = t1536 + 0.04;
-    pivot_compression12_1 = t1537;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_compression12_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1538 = 1.0 / pivot_compression12_1;
-        inverse_compression12_1 = t1538;
-        const double t1539 = mean_compression12[0] - self->predicted_compression_deviation[24];
-        const double t1540 = 0.9903931860948796 * t1539;
-        const double t1541 = innovation_compression12_1 - t1540;
-        const double t1542 = t1541 * inverse_compression12_1;
-        const double t1543 = cross_compression12_1[0] * t1542;
-        const double t1544 = mean_compression12[0] + t1543;
-        const double t1545 = cross_compression12_1[1] * t1542;
-        const double t1546 = mean_compression12[1] + t1545;
-        const double t1547 = cross_compression12_1[0] * inverse_compression12_1;
-        const double t1548 = t1547 * cross_compression12_1[0];
-        const double t1549 = covariance_compression12[0] - t1548;
-        const double t1550 = 0.04 * t1547;
-        const double t1551 = 0.9903931860948796 * t1549;
-        const double t1552 = t1550 - t1551;
-        const double t1553 = t1552 * t1547;
-        const double t1554 = t1549 + t1553;
-        const double t1555 = cross_compression12_1[1] * inverse_compression12_1;
-        const double t1556 = t1555 * cross_compression12_1[0];
-        const double t1557 = covariance_compression12[1] - t1556;
-        const double t1558 = 0.04 * t1555;
-        const double t1559 = 0.9903931860948796 * t1557;
-        const double t1560 = t1558 - t1559;
-        const double t1561 = t1560 * t1547;
-        const double t1562 = t1557 + t1561;
-        const double t1563 = t1555 * cross_compression12_1[1];
-        const double t1564 = covariance_compression12[2] - t1563;
-        const double t1565 = t1560 * t1555;
-        const double t1566 = t1564 + t1565;
-        mean_compression12[0] = t1544;
-        mean_compression12[1] = t1546;
-        covariance_compression12[0] = t1554;
-        covariance_compression12[1] = t1562;
-        covariance_compression12[2] = t1566;
-    }
-
-    /* row 3 of y, wheel_rr: compression filter */
-    const double t1567 = 0.9903931860948796 * covariance_compression12[0];
-    const double t1568 = 0.9903931860948796 * covariance_compression12[1];
-    cross_compression12_2[0] = t1567;
-    cross_compression12_2[1] = t1568;
-    const double t1569 = 0.9903931860948796 * cross_compression12_2[0];
-    const double t1570 = t1569 + 0.04;
-    pivot_compression12_2 = t1570;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_compression12_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1571 = 1.0 / pivot_compression12_2;
-        inverse_compression12_2 = t1571;
-        const double t1572 = mean_compression12[0] - self->predicted_compression_deviation[24];
-        const double t1573 = 0.9903931860948796 * t1572;
-        const double t1574 = innovation_compression12_2 - t1573;
-        const double t1575 = t1574 * inverse_compression12_2;
-        const double t1576 = cross_compression12_2[0] * t1575;
-        const double t1577 = mean_compression12[0] + t1576;
-        const double t1578 = cross_compression12_2[1] * t1575;
-        const double t1579 = mean_compression12[1] + t1578;
-        const double t1580 = cross_compression12_2[0] * inverse_compression12_2;
-        const double t1581 = t1580 * cross_compression12_2[0];
-        const double t1582 = covariance_compression12[0] - t1581;
-        const double t1583 = 0.04 * t1580;
-        const double t1584 = 0.9903931860948796 * t1582;
-        const double t1585 = t1583 - t1584;
-        const double t1586 = t1585 * t1580;
-        const double t1587 = t1582 + t1586;
-        const double t1588 = cross_compression12_2[1] * inverse_compression12_2;
-        const double t1589 = t1588 * cross_compression12_2[0];
-        const double t1590 = covariance_compression12[1] - t1589;
-        const double t1591 = 0.04 * t1588;
-        const double t1592 = 0.9903931860948796 * t1590;
-        const double t1593 = t1591 - t1592;
-        const double t1594 = t1593 * t1580;
-        const double t1595 = t1590 + t1594;
-        const double t1596 = t1588 * cross_compression12_2[1];
-        const double t1597 = covariance_compression12[2] - t1596;
-        const double t1598 = t1593 * t1588;
-        const double t1599 = t1597 + t1598;
-        mean_compression12[0] = t1577;
-        mean_compression12[1] = t1579;
-        covariance_compression12[0] = t1587;
-        covariance_compression12[1] = t1595;
-        covariance_compression12[2] = t1599;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t1600 = covariance_compression12[0] + 0.25;
-    pivot_compression12_3 = t1600;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression12_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1601 = 1.0 / pivot_compression12_3;
-        inverse_compression12_3 = t1601;
-        const double t1602 = mean_compression12[0] - self->predicted_compression_deviation[24];
-        const double t1603 = innovation_compression12_3 - t1602;
-        const double t1604 = t1603 * inverse_compression12_3;
-        const double t1605 = covariance_compression12[0] * t1604;
-        const double t1606 = mean_compression12[0] + t1605;
-        const double t1607 = covariance_compression12[1] * t1604;
-        const double t1608 = mean_compression12[1] + t1607;
-        const double t1609 = covariance_compression12[0] * inverse_compression12_3;
-        const double t1610 = t1609 * covariance_compression12[0];
-        const double t1611 = covariance_compression12[0] - t1610;
-        const double t1612 = 0.25 * t1609;
-        const double t1613 = t1612 - t1611;
-        const double t1614 = t1613 * t1609;
-        const double t1615 = t1611 + t1614;
-        const double t1616 = covariance_compression12[1] * inverse_compression12_3;
-        const double t1617 = t1616 * covariance_compression12[0];
-        const double t1618 = covariance_compression12[1] - t1617;
-        const double t1619 = 0.25 * t1616;
-        const double t1620 = t1619 - t1618;
-        const double t1621 = t1620 * t1609;
-        const double t1622 = t1618 + t1621;
-        const double t1623 = t1616 * covariance_compression12[1];
-        const double t1624 = covariance_compression12[2] - t1623;
-        const double t1625 = t1620 * t1616;
-        const double t1626 = t1624 + t1625;
-        mean_compression12[0] = t1606;
-        mean_compression12[1] = t1608;
-        covariance_compression12[0] = t1615;
-        covariance_compression12[1] = t1622;
-        covariance_compression12[2] = t1626;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t1627 = covariance_compression12[0] + 9.0;
-    pivot_compression12_4 = t1627;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression12_4 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1628 = 1.0 / pivot_compression12_4;
-        inverse_compression12_4 = t1628;
-        const double t1629 = mean_compression12[0] - self->predicted_compression_deviation[24];
-        const double t1630 = innovation_compression12_4 - t1629;
-        const double t1631 = t1630 * inverse_compression12_4;
-        const double t1632 = covariance_compression12[0] * t1631;
-        const double t1633 = mean_compression12[0] + t1632;
-        const double t1634 = covariance_compression12[1] * t1631;
-        const double t1635 = mean_compression12[1] + t1634;
-        const double t1636 = covariance_compression12[0] * inverse_compression12_4;
-        const double t1637 = t1636 * covariance_compression12[0];
-        const double t1638 = covariance_compression12[0] - t1637;
-        const double t1639 = 9.0 * t1636;
-        const double t1640 = t1639 - t1638;
-        const double t1641 = t1640 * t1636;
-        const double t1642 = t1638 + t1641;
-        const double t1643 = covariance_compression12[1] * inverse_compression12_4;
-        const double t1644 = t1643 * covariance_compression12[0];
-        const double t1645 = covariance_compression12[1] - t1644;
-        const double t1646 = 9.0 * t1643;
-        const double t1647 = t1646 - t1645;
-        const double t1648 = t1647 * t1636;
-        const double t1649 = t1645 + t1648;
-        const double t1650 = t1643 * covariance_compression12[1];
-        const double t1651 = covariance_compression12[2] - t1650;
-        const double t1652 = t1647 * t1643;
-        const double t1653 = t1651 + t1652;
-        mean_compression12[0] = t1633;
-        mean_compression12[1] = t1635;
-        covariance_compression12[0] = t1642;
-        covariance_compression12[1] = t1649;
-        covariance_compression12[2] = t1653;
-    }
-    const double t1654 = mean_compression12[0] - mean_host[0];
-    const double t1655 = mean_compression12[1] - mean_host[1];
-    deviation_compression12[0] = t1654;
-    deviation_compression12[1] = t1655;
-
-    /* innovation, row by row */
-    if ((present & 0x2u) != 0u)
-    {
-        const double t1656 = 0.9921619208254787 * self->predicted_compression_deviation[26];
-        const double t1657 = innovation_1 - t1656;
-        innovation_compression13_0 = t1657;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t1658 = 0.9903931860948796 * self->predicted_compression_deviation[26];
-        const double t1659 = innovation_2 - t1658;
-        innovation_compression13_1 = t1659;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t1660 = 0.9903931860948796 * self->predicted_compression_deviation[26];
-        const double t1661 = innovation_3 - t1660;
-        innovation_compression13_2 = t1661;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t1662 = innovation_4 - self->predicted_compression_deviation[26];
-        innovation_compression13_3 = t1662;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t1663 = innovation_5 - self->predicted_compression_deviation[26];
-        innovation_compression13_4 = t1663;
-    }
-    mean_compression13[0] = self->predicted_compression_deviation[26];
-    mean_compression13[1] = self->predicted_compression_deviation[27];
-    covariance_compression13[0] = self->predicted_compression_covariance[39];
-    covariance_compression13[1] = self->predicted_compression_covariance[40];
-    covariance_compression13[2] = self->predicted_compression_covariance[41];
-
-    /* row 1 of y, wheel_fr: compression filter */
-    const double t1664 = 0.9921619208254787 * self->predicted_compression_covariance[39];
-    const double t1665 = 0.9921619208254787 * self->predicted_compression_covariance[40];
-    cross_compression13_0[0] = t1664;
-    cross_compression13_0[1] = t1665;
-    const double t1666 = 0.9921619208254787 * cross_compression13_0[0];
-    const double t1667 = t1666 + 0.04;
-    pivot_compression13_0 = t1667;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_compression13_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1668 = 1.0 / pivot_compression13_0;
-        inverse_compression13_0 = t1668;
-        const double t1669 = innovation_compression13_0 * inverse_compression13_0;
-        const double t1670 = cross_compression13_0[0] * t1669;
-        const double t1671 = self->predicted_compression_deviation[26] + t1670;
-        const double t1672 = cross_compression13_0[1] * t1669;
-        const double t1673 = self->predicted_compression_deviation[27] + t1672;
-        const double t1674 = cross_compression13_0[0] * inverse_compression13_0;
-        const double t1675 = t1674 * cross_compression13_0[0];
-        const double t1676 = self->predicted_compression_covariance[39] - t1675;
-        const double t1677 = 0.04 * t1674;
-        const double t1678 = 0.9921619208254787 * t1676;
-        const double t1679 = t1677 - t1678;
-        const double t1680 = t1679 * t1674;
-        const double t1681 = t1676 + t1680;
-        const double t1682 = cross_compression13_0[1] * inverse_compression13_0;
-        const double t1683 = t1682 * cross_compression13_0[0];
-        const double t1684 = self->predicted_compression_covariance[40] - t1683;
-        const double t1685 = 0.04 * t1682;
-        const double t1686 = 0.9921619208254787 * t1684;
-        const double t1687 = t1685 - t1686;
-        const double t1688 = t1687 * t1674;
-        const double t1689 = t1684 + t1688;
-        const double t1690 = t1682 * cross_compression13_0[1];
-        const double t1691 = self->predicted_compression_covariance[41] - t1690;
-        const double t1692 = t1687 * t1682;
-        const double t1693 = t1691 + t1692;
-        mean_compression13[0] = t1671;
-        mean_compression13[1] = t1673;
-        covariance_compression13[0] = t1681;
-        covariance_compression13[1] = t1689;
-        covariance_compression13[2] = t1693;
-    }
-
-    /* row 2 of y, wheel_rl: compression filter */
-    const double t1694 = 0.9903931860948796 * covariance_compression13[0];
-    const double t1695 = 0.9903931860948796 * covariance_compression13[1];
-    cross_compression13_1[0] = t1694;
-    cross_compression13_1[1] = t1695;
-    const double t1696 = 0.9903931860948796 * cross_compression13_1[0];
-    const double t1697 = t1696 + 0.04;
-    pivot_compression13_1 = t1697;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_compression13_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1698 = 1.0 / pivot_compression13_1;
-        inverse_compression13_1 = t1698;
-        const double t1699 = mean_compression13[0] - self->predicted_compression_deviation[26];
-        const double t1700 = 0.9903931860948796 * t1699;
-        const double t1701 = innovation_compression13_1 - t1700;
-        const double t1702 = t1701 * inverse_compression13_1;
-        const double t1703 = cross_compression13_1[0] * t1702;
-        const double t1704 = mean_compression13[0] + t1703;
-        const double t1705 = cross_compression13_1[1] * t1702;
-        const double t1706 = mean_compression13[1] + t1705;
-        const double t1707 = cross_compression13_1[0] * inverse_compression13_1;
-        const double t1708 = t1707 * cross_compression13_1[0];
-        const double t1709 = covariance_compression13[0] - t1708;
-        const double t1710 = 0.04 * t1707;
-        const double t1711 = 0.9903931860948796 * t1709;
-        const double t1712 = t1710 - t1711;
-        const double t1713 = t1712 * t1707;
-        const double t1714 = t1709 + t1713;
-        const double t1715 = cross_compression13_1[1] * inverse_compression13_1;
-        const double t1716 = t1715 * cross_compression13_1[0];
-        const double t1717 = covariance_compression13[1] - t1716;
-        const double t1718 = 0.04 * t1715;
-        const double t1719 = 0.9903931860948796 * t1717;
-        const double t1720 = t1718 - t1719;
-        const double t1721 = t1720 * t1707;
-        const double t1722 = t1717 + t1721;
-        const double t1723 = t1715 * cross_compression13_1[1];
-        const double t1724 = covariance_compression13[2] - t1723;
-        const double t1725 = t1720 * t1715;
-        const double t1726 = t1724 + t1725;
-        mean_compression13[0] = t1704;
-        mean_compression13[1] = t1706;
-        covariance_compression13[0] = t1714;
-        covariance_compression13[1] = t1722;
-        covariance_compression13[2] = t1726;
-    }
-
-    /* row 3 of y, wheel_rr: compression filter */
-    const double t1727 = 0.9903931860948796 * covariance_compression13[0];
-    const double t1728 = 0.9903931860948796 * covariance_compression13[1];
-    cross_compression13_2[0] = t1727;
-    cross_compression13_2[1] = t1728;
-    const double t1729 = 0.9903931860948796 * cross_compression13_2[0];
-    const double t1730 = t1729 + 0.04;
-    pivot_compression13_2 = t1730;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_compression13_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1731 = 1.0 / pivot_compression13_2;
-        inverse_compression13_2 = t1731;
-        const double t1732 = mean_compression13[0] - self->predicted_compression_deviation[26];
-        const double t1733 = 0.9903931860948796 * t1732;
-        const double t1734 = innovation_compression13_2 - t1733;
-        const double t1735 = t1734 * inverse_compression13_2;
-        const double t1736 = cross_compression13_2[0] * t1735;
-        const double t1737 = mean_compression13[0] + t1736;
-        const double t1738 = cross_compression13_2[1] * t1735;
-        const double t1739 = mean_compression13[1] + t1738;
-        const double t1740 = cross_compression13_2[0] * inverse_compression13_2;
-        const double t1741 = t1740 * cross_compression13_2[0];
-        const double t1742 = covariance_compression13[0] - t1741;
-        const double t1743 = 0.04 * t1740;
-        const double t1744 = 0.9903931860948796 * t1742;
-        const double t1745 = t1743 - t1744;
-        const double t1746 = t1745 * t1740;
-        const double t1747 = t1742 + t1746;
-        const double t1748 = cross_compression13_2[1] * inverse_compression13_2;
-        const double t1749 = t1748 * cross_compression13_2[0];
-        const double t1750 = covariance_compression13[1] - t1749;
-        const double t1751 = 0.04 * t1748;
-        const double t1752 = 0.9903931860948796 * t1750;
-        const double t1753 = t1751 - t1752;
-        const double t1754 = t1753 * t1740;
-        const double t1755 = t1750 + t1754;
-        const double t1756 = t1748 * cross_compression13_2[1];
-        const double t1757 = covariance_compression13[2] - t1756;
-        const double t1758 = t1753 * t1748;
-        const double t1759 = t1757 + t1758;
-        mean_compression13[0] = t1737;
-        mean_compression13[1] = t1739;
-        covariance_compression13[0] = t1747;
-        covariance_compression13[1] = t1755;
-        covariance_compression13[2] = t1759;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t1760 = covariance_compression13[0] + 0.25;
-    pivot_compression13_3 = t1760;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression13_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1761 = 1.0 / pivot_compression13_3;
-        inverse_compression13_3 = t1761;
-        const double t1762 = mean_compression13[0] - self->predicted_compression_deviation[26];
-        const double t1763 = innovation_compression13_3 - t1762;
-        const double t1764 = t1763 * inverse_compression13_3;
-        const double t1765 = covariance_compression13[0] * t1764;
-        const double t1766 = mean_compression13[0] + t1765;
-        const double t1767 = covariance_compression13[1] * t1764;
-        const double t1768 = mean_compression13[1] + t1767;
-        const double t1769 = covariance_compression13[0] * inverse_compression13_3;
-        const double t1770 = t1769 * covariance_compression13[0];
-        const double t1771 = covariance_compression13[0] - t1770;
-        const double t1772 = 0.25 * t1769;
-        const double t1773 = t1772 - t1771;
-        const double t1774 = t1773 * t1769;
-        const double t1775 = t1771 + t1774;
-        const double t1776 = covariance_compression13[1] * inverse_compression13_3;
-        const double t1777 = t1776 * covariance_compression13[0];
-        const double t1778 = covariance_compression13[1] - t1777;
-        const double t1779 = 0.25 * t1776;
-        const double t1780 = t1779 - t1778;
-        const double t1781 = t1780 * t1769;
-        const double t1782 = t1778 + t1781;
-        const double t1783 = t1776 * covariance_compression13[1];
-        const double t1784 = covariance_compression13[2] - t1783;
-        const double t1785 = t1780 * t1776;
-        const double t1786 = t1784 + t1785;
-        mean_compression13[0] = t1766;
-        mean_compression13[1] = t1768;
-        covariance_compression13[0] = t1775;
-        covariance_compression13[1] = t1782;
-        covariance_compression13[2] = t1786;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t1787 = covariance_compression13[0] + 9.0;
-    pivot_compression13_4 = t1787;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression13_4 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1788 = 1.0 / pivot_compression13_4;
-        inverse_compression13_4 = t1788;
-        const double t1789 = mean_compression13[0] - self->predicted_compression_deviation[26];
-        const double t1790 = innovation_compression13_4 - t1789;
-        const double t1791 = t1790 * inverse_compression13_4;
-        const double t1792 = covariance_compression13[0] * t1791;
-        const double t1793 = mean_compression13[0] + t1792;
-        const double t1794 = covariance_compression13[1] * t1791;
-        const double t1795 = mean_compression13[1] + t1794;
-        const double t1796 = covariance_compression13[0] * inverse_compression13_4;
-        const double t1797 = t1796 * covariance_compression13[0];
-        const double t1798 = covariance_compression13[0] - t1797;
-        const double t1799 = 9.0 * t1796;
-        const double t1800 = t1799 - t1798;
-        const double t1801 = t1800 * t1796;
-        const double t1802 = t1798 + t1801;
-        const double t1803 = covariance_compression13[1] * inverse_compression13_4;
-        const double t1804 = t1803 * covariance_compression13[0];
-        const double t1805 = covariance_compression13[1] - t1804;
-        const double t1806 = 9.0 * t1803;
-        const double t1807 = t1806 - t1805;
-        const double t1808 = t1807 * t1796;
-        const double t1809 = t1805 + t1808;
-        const double t1810 = t1803 * covariance_compression13[1];
-        const double t1811 = covariance_compression13[2] - t1810;
-        const double t1812 = t1807 * t1803;
-        const double t1813 = t1811 + t1812;
-        mean_compression13[0] = t1793;
-        mean_compression13[1] = t1795;
-        covariance_compression13[0] = t1802;
-        covariance_compression13[1] = t1809;
-        covariance_compression13[2] = t1813;
-    }
-    const double t1814 = mean_compression13[0] - mean_host[0];
-    const double t1815 = mean_compression13[1] - mean_host[1];
-    deviation_compression13[0] = t1814;
-    deviation_compression13[1] = t1815;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t1816 = 0.9921619208254787 * self->predicted_compression_deviation[28];
-        const double t1817 = innovation_0 - t1816;
-        innovation_compression14_0 = t1817;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t1818 = 0.9921619208254787 * self->predicted_compression_deviation[28];
-        const double t1819 = innovation_1 - t1818;
-        innovation_compression14_1 = t1819;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t1820 = 0.9903931860948796 * self->predicted_compression_deviation[28];
-        const double t1821 = innovation_2 - t1820;
-        innovation_compression14_2 = t1821;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t1822 = 0.9903931860948796 * self->predicted_compression_deviation[28];
-        const double t1823 = innovation_3 - t1822;
-        innovation_compression14_3 = t1823;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        const double t1824 = innovation_4 - self->predicted_compression_deviation[28];
-        innovation_compression14_4 = t1824;
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        const double t1825 = innovation_5 - self->predicted_compression_deviation[28];
-        innovation_compression14_5 = t1825;
-    }
-    mean_compression14[0] = self->predicted_compression_deviation[28];
-    mean_compression14[1] = self->predicted_compression_deviation[29];
-    covariance_compression14[0] = self->predicted_compression_covariance[42];
-    covariance_compression14[1] = self->predicted_compression_covariance[43];
-    covariance_compression14[2] = self->predicted_compression_covariance[44];
-
-    /* row 0 of y, wheel_fl: compression filter */
-    const double t1826 = 0.9921619208254787 * self->predicted_compression_covariance[42];
-    const double t1827 = 0.9921619208254787 * self->predicted_compression_covariance[43];
-    cross_compression14_0[0] = t1826;
-    cross_compression14_0[1] = t1827;
-    const double t1828 = 0.9921619208254787 * cross_compression14_0[0];
-    const double t1829 = t1828 + 0.04;
-    pivot_compression14_0 = t1829;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_compression14_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1830 = 1.0 / pivot_compression14_0;
-        inverse_compression14_0 = t1830;
-        const double t1831 = innovation_compression14_0 * inverse_compression14_0;
-        const double t1832 = cross_compression14_0[0] * t1831;
-        const double t1833 = self->predicted_compression_deviation[28] + t1832;
-        const double t1834 = cross_compression14_0[1] * t1831;
-        const double t1835 = self->predicted_compression_deviation[29] + t1834;
-        const double t1836 = cross_compression14_0[0] * inverse_compression14_0;
-        const double t1837 = t1836 * cross_compression14_0[0];
-        const double t1838 = self->predicted_compression_covariance[42] - t1837;
-        const double t1839 = 0.04 * t1836;
-        const double t1840 = 0.9921619208254787 * t1838;
-        const double t1841 = t1839 - t1840;
-        const double t1842 = t1841 * t1836;
-        const double t1843 = t1838 + t1842;
-        const double t1844 = cross_compression14_0[1] * inverse_compression14_0;
-        const double t1845 = t1844 * cross_compression14_0[0];
-        const double t1846 = self->predicted_compression_covariance[43] - t1845;
-        const double t1847 = 0.04 * t1844;
-        const double t1848 = 0.9921619208254787 * t1846;
-        const double t1849 = t1847 - t1848;
-        const double t1850 = t1849 * t1836;
-        const double t1851 = t1846 + t1850;
-        const double t1852 = t1844 * cross_compression14_0[1];
-        const double t1853 = self->predicted_compression_covariance[44] - t1852;
-        const double t1854 = t1849 * t1844;
-        const double t1855 = t1853 + t1854;
-        mean_compression14[0] = t1833;
-        mean_compression14[1] = t1835;
-        covariance_compression14[0] = t1843;
-        covariance_compression14[1] = t1851;
-        covariance_compression14[2] = t1855;
-    }
-
-    /* row 1 of y, wheel_fr: compression filter */
-    const double t1856 = 0.9921619208254787 * covariance_compression14[0];
-    const double t1857 = 0.9921619208254787 * covariance_compression14[1];
-    cross_compression14_1[0] = t1856;
-    cross_compression14_1[1] = t1857;
-    const double t1858 = 0.9921619208254787 * cross_compression14_1[0];
-    const double t1859 = t1858 + 0.04;
-    pivot_compression14_1 = t1859;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_compression14_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1860 = 1.0 / pivot_compression14_1;
-        inverse_compression14_1 = t1860;
-        const double t1861 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1862 = 0.9921619208254787 * t1861;
-        const double t1863 = innovation_compression14_1 - t1862;
-        const double t1864 = t1863 * inverse_compression14_1;
-        const double t1865 = cross_compression14_1[0] * t1864;
-        const double t1866 = mean_compression14[0] + t1865;
-        const double t1867 = cross_compression14_1[1] * t1864;
-        const double t1868 = mean_compression14[1] + t1867;
-        const double t1869 = cross_compression14_1[0] * inverse_compression14_1;
-        const double t1870 = t1869 * cross_compression14_1[0];
-        const double t1871 = covariance_compression14[0] - t1870;
-        const double t1872 = 0.04 * t1869;
-        const double t1873 = 0.9921619208254787 * t1871;
-        const double t1874 = t1872 - t1873;
-        const double t1875 = t1874 * t1869;
-        const double t1876 = t1871 + t1875;
-        const double t1877 = cross_compression14_1[1] * inverse_compression14_1;
-        const double t1878 = t1877 * cross_compression14_1[0];
-        const double t1879 = covariance_compression14[1] - t1878;
-        const double t1880 = 0.04 * t1877;
-        const double t1881 = 0.9921619208254787 * t1879;
-        const double t1882 = t1880 - t1881;
-        const double t1883 = t1882 * t1869;
-        const double t1884 = t1879 + t1883;
-        const double t1885 = t1877 * cross_compression14_1[1];
-        const double t1886 = covariance_compression14[2] - t1885;
-        const double t1887 = t1882 * t1877;
-        const double t1888 = t1886 + t1887;
-        mean_compression14[0] = t1866;
-        mean_compression14[1] = t1868;
-        covariance_compression14[0] = t1876;
-        covariance_compression14[1] = t1884;
-        covariance_compression14[2] = t1888;
-    }
-
-    /* row 2 of y, wheel_rl: compression filter */
-    const double t1889 = 0.9903931860948796 * covariance_compression14[0];
-    const double t1890 = 0.9903931860948796 * covariance_compression14[1];
-    cross_compression14_2[0] = t1889;
-    cross_compression14_2[1] = t1890;
-    const double t1891 = 0.9903931860948796 * cross_compression14_2[0];
-    const double t1892 = t1891 + 0.04;
-    pivot_compression14_2 = t1892;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(pivot_compression14_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1893 = 1.0 / pivot_compression14_2;
-        inverse_compression14_2 = t1893;
-        const double t1894 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1895 = 0.9903931860948796 * t1894;
-        const double t1896 = innovation_compression14_2 - t1895;
-        const double t1897 = t1896 * inverse_compression14_2;
-        const double t1898 = cross_compression14_2[0] * t1897;
-        const double t1899 = mean_compression14[0] + t1898;
-        const double t1900 = cross_compression14_2[1] * t1897;
-        const double t1901 = mean_compression14[1] + t1900;
-        const double t1902 = cross_compression14_2[0] * inverse_compression14_2;
-        const double t1903 = t1902 * cross_compression14_2[0];
-        const double t1904 = covariance_compression14[0] - t1903;
-        const double t1905 = 0.04 * t1902;
-        const double t1906 = 0.9903931860948796 * t1904;
-        const double t1907 = t1905 - t1906;
-        const double t1908 = t1907 * t1902;
-        const double t1909 = t1904 + t1908;
-        const double t1910 = cross_compression14_2[1] * inverse_compression14_2;
-        const double t1911 = t1910 * cross_compression14_2[0];
-        const double t1912 = covariance_compression14[1] - t1911;
-        const double t1913 = 0.04 * t1910;
-        const double t1914 = 0.9903931860948796 * t1912;
-        const double t1915 = t1913 - t1914;
-        const double t1916 = t1915 * t1902;
-        const double t1917 = t1912 + t1916;
-        const double t1918 = t1910 * cross_compression14_2[1];
-        const double t1919 = covariance_compression14[2] - t1918;
-        const double t1920 = t1915 * t1910;
-        const double t1921 = t1919 + t1920;
-        mean_compression14[0] = t1899;
-        mean_compression14[1] = t1901;
-        covariance_compression14[0] = t1909;
-        covariance_compression14[1] = t1917;
-        covariance_compression14[2] = t1921;
-    }
-
-    /* row 3 of y, wheel_rr: compression filter */
-    const double t1922 = 0.9903931860948796 * covariance_compression14[0];
-    const double t1923 = 0.9903931860948796 * covariance_compression14[1];
-    cross_compression14_3[0] = t1922;
-    cross_compression14_3[1] = t1923;
-    const double t1924 = 0.9903931860948796 * cross_compression14_3[0];
-    const double t1925 = t1924 + 0.04;
-    pivot_compression14_3 = t1925;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_compression14_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1926 = 1.0 / pivot_compression14_3;
-        inverse_compression14_3 = t1926;
-        const double t1927 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1928 = 0.9903931860948796 * t1927;
-        const double t1929 = innovation_compression14_3 - t1928;
-        const double t1930 = t1929 * inverse_compression14_3;
-        const double t1931 = cross_compression14_3[0] * t1930;
-        const double t1932 = mean_compression14[0] + t1931;
-        const double t1933 = cross_compression14_3[1] * t1930;
-        const double t1934 = mean_compression14[1] + t1933;
-        const double t1935 = cross_compression14_3[0] * inverse_compression14_3;
-        const double t1936 = t1935 * cross_compression14_3[0];
-        const double t1937 = covariance_compression14[0] - t1936;
-        const double t1938 = 0.04 * t1935;
-        const double t1939 = 0.9903931860948796 * t1937;
-        const double t1940 = t1938 - t1939;
-        const double t1941 = t1940 * t1935;
-        const double t1942 = t1937 + t1941;
-        const double t1943 = cross_compression14_3[1] * inverse_compression14_3;
-        const double t1944 = t1943 * cross_compression14_3[0];
-        const double t1945 = covariance_compression14[1] - t1944;
-        const double t1946 = 0.04 * t1943;
-        const double t1947 = 0.9903931860948796 * t1945;
-        const double t1948 = t1946 - t1947;
-        const double t1949 = t1948 * t1935;
-        const double t1950 = t1945 + t1949;
-        const double t1951 = t1943 * cross_compression14_3[1];
-        const double t1952 = covariance_compression14[2] - t1951;
-        const double t1953 = t1948 * t1943;
-        const double t1954 = t1952 + t1953;
-        mean_compression14[0] = t1932;
-        mean_compression14[1] = t1934;
-        covariance_compression14[0] = t1942;
-        covariance_compression14[1] = t1950;
-        covariance_compression14[2] = t1954;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    const double t1955 = covariance_compression14[0] + 0.25;
-    pivot_compression14_4 = t1955;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_compression14_4 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1956 = 1.0 / pivot_compression14_4;
-        inverse_compression14_4 = t1956;
-        const double t1957 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1958 = innovation_compression14_4 - t1957;
-        const double t1959 = t1958 * inverse_compression14_4;
-        const double t1960 = covariance_compression14[0] * t1959;
-        const double t1961 = mean_compression14[0] + t1960;
-        const double t1962 = covariance_compression14[1] * t1959;
-        const double t1963 = mean_compression14[1] + t1962;
-        const double t1964 = covariance_compression14[0] * inverse_compression14_4;
-        const double t1965 = t1964 * covariance_compression14[0];
-        const double t1966 = covariance_compression14[0] - t1965;
-        const double t1967 = 0.25 * t1964;
-        const double t1968 = t1967 - t1966;
-        const double t1969 = t1968 * t1964;
-        const double t1970 = t1966 + t1969;
-        const double t1971 = covariance_compression14[1] * inverse_compression14_4;
-        const double t1972 = t1971 * covariance_compression14[0];
-        const double t1973 = covariance_compression14[1] - t1972;
-        const double t1974 = 0.25 * t1971;
-        const double t1975 = t1974 - t1973;
-        const double t1976 = t1975 * t1964;
-        const double t1977 = t1973 + t1976;
-        const double t1978 = t1971 * covariance_compression14[1];
-        const double t1979 = covariance_compression14[2] - t1978;
-        const double t1980 = t1975 * t1971;
-        const double t1981 = t1979 + t1980;
-        mean_compression14[0] = t1961;
-        mean_compression14[1] = t1963;
-        covariance_compression14[0] = t1970;
-        covariance_compression14[1] = t1977;
-        covariance_compression14[2] = t1981;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    const double t1982 = covariance_compression14[0] + 9.0;
-    pivot_compression14_5 = t1982;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_compression14_5 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        const double t1983 = 1.0 / pivot_compression14_5;
-        inverse_compression14_5 = t1983;
-        const double t1984 = mean_compression14[0] - self->predicted_compression_deviation[28];
-        const double t1985 = innovation_compression14_5 - t1984;
-        const double t1986 = t1985 * inverse_compression14_5;
-        const double t1987 = covariance_compression14[0] * t1986;
-        const double t1988 = mean_compression14[0] + t1987;
-        const double t1989 = covariance_compression14[1] * t1986;
-        const double t1990 = mean_compression14[1] + t1989;
-        const double t1991 = covariance_compression14[0] * inverse_compression14_5;
-        const double t1992 = t1991 * covariance_compression14[0];
-        const double t1993 = covariance_compression14[0] - t1992;
-        const double t1994 = 9.0 * t1991;
-        const double t1995 = t1994 - t1993;
-        const double t1996 = t1995 * t1991;
-        const double t1997 = t1993 + t1996;
-        const double t1998 = covariance_compression14[1] * inverse_compression14_5;
-        const double t1999 = t1998 * covariance_compression14[0];
-        const double t2000 = covariance_compression14[1] - t1999;
-        const double t2001 = 9.0 * t1998;
-        const double t2002 = t2001 - t2000;
-        const double t2003 = t2002 * t1991;
-        const double t2004 = t2000 + t2003;
-        const double t2005 = t1998 * covariance_compression14[1];
-        const double t2006 = covariance_compression14[2] - t2005;
-        const double t2007 = t2002 * t1998;
-        const double t2008 = t2006 + t2007;
-        mean_compression14[0] = t1988;
-        mean_compression14[1] = t1990;
-        covariance_compression14[0] = t1997;
-        covariance_compression14[1] = t2004;
-        covariance_compression14[2] = t2008;
-    }
-    const double t2009 = mean_compression14[0] - mean_host[0];
-    const double t2010 = mean_compression14[1] - mean_host[1];
-    deviation_compression14[0] = t2009;
-    deviation_compression14[1] = t2010;
     if (!wheel_drift_finite(wheel_drift_defect(host_state[0]) + wheel_drift_defect(host_state[1]) +
         wheel_drift_defect(deviation_compression[0]) +
         wheel_drift_defect(deviation_compression[1]) +
@@ -4080,182 +1177,1066 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     }
 
     /* which compression filters hold a measurement */
-    collecting_0 = self->predicted_collecting[0];
+    collecting_0 = predicted_collecting[0];
     if ((present & 0x1u) != 0u)
     {
         collecting_0 = 1.0;
     }
-    collecting_1 = self->predicted_collecting[1];
+    collecting_1 = predicted_collecting[1];
     if ((present & 0x2u) != 0u)
     {
         collecting_1 = 1.0;
     }
-    collecting_2 = self->predicted_collecting[2];
+    collecting_2 = predicted_collecting[2];
     if ((present & 0x4u) != 0u)
     {
         collecting_2 = 1.0;
     }
-    collecting_3 = self->predicted_collecting[3];
+    collecting_3 = predicted_collecting[3];
     if ((present & 0x8u) != 0u)
     {
         collecting_3 = 1.0;
     }
 
     /* results of the update */
-    const double t2011 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t2012 = t2011 + 0.04;
-    const double t2013 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t2014 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t2015 = t2014 + 0.04;
-    const double t2016 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t2017 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t2018 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t2019 = t2018 + 0.04;
-    const double t2020 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t2021 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t2022 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t2023 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t2024 = t2023 + 0.04;
-    const double t2025 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t2026 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t2027 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t2028 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t2029 = self->predicted_covariance[0] + 0.25;
-    const double t2030 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t2031 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t2032 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t2033 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t2034 = self->predicted_covariance[0] + 9.0;
-    const double t2035 = wheel_drift_log(determinant_host_0);
-    const double t2036 = log_constant_host + t2035;
-    const double t2037 = quadratic_host + t2036;
-    const double t2038 = -0.5 * t2037;
-    next->filtered_state[0] = host_state[0];
-    next->filtered_state[1] = host_state[1];
-    next->filtered_covariance[0] = covariance_host[0];
-    next->filtered_covariance[1] = covariance_host[1];
-    next->filtered_covariance[2] = covariance_host[2];
-    next->compression_deviation[0] = deviation_compression[0];
-    next->compression_deviation[1] = deviation_compression[1];
-    next->compression_deviation[2] = deviation_compression1[0];
-    next->compression_deviation[3] = deviation_compression1[1];
-    next->compression_deviation[4] = deviation_compression2[0];
-    next->compression_deviation[5] = deviation_compression2[1];
-    next->compression_deviation[6] = deviation_compression3[0];
-    next->compression_deviation[7] = deviation_compression3[1];
-    next->compression_deviation[8] = deviation_compression4[0];
-    next->compression_deviation[9] = deviation_compression4[1];
-    next->compression_deviation[10] = deviation_compression5[0];
-    next->compression_deviation[11] = deviation_compression5[1];
-    next->compression_deviation[12] = deviation_compression6[0];
-    next->compression_deviation[13] = deviation_compression6[1];
-    next->compression_deviation[14] = deviation_compression7[0];
-    next->compression_deviation[15] = deviation_compression7[1];
-    next->compression_deviation[16] = deviation_compression8[0];
-    next->compression_deviation[17] = deviation_compression8[1];
-    next->compression_deviation[18] = deviation_compression9[0];
-    next->compression_deviation[19] = deviation_compression9[1];
-    next->compression_deviation[20] = deviation_compression10[0];
-    next->compression_deviation[21] = deviation_compression10[1];
-    next->compression_deviation[22] = deviation_compression11[0];
-    next->compression_deviation[23] = deviation_compression11[1];
-    next->compression_deviation[24] = deviation_compression12[0];
-    next->compression_deviation[25] = deviation_compression12[1];
-    next->compression_deviation[26] = deviation_compression13[0];
-    next->compression_deviation[27] = deviation_compression13[1];
-    next->compression_deviation[28] = deviation_compression14[0];
-    next->compression_deviation[29] = deviation_compression14[1];
-    next->compression_covariance[0] = covariance_compression[0];
-    next->compression_covariance[1] = covariance_compression[1];
-    next->compression_covariance[2] = covariance_compression[2];
-    next->compression_covariance[3] = covariance_compression1[0];
-    next->compression_covariance[4] = covariance_compression1[1];
-    next->compression_covariance[5] = covariance_compression1[2];
-    next->compression_covariance[6] = covariance_compression2[0];
-    next->compression_covariance[7] = covariance_compression2[1];
-    next->compression_covariance[8] = covariance_compression2[2];
-    next->compression_covariance[9] = covariance_compression3[0];
-    next->compression_covariance[10] = covariance_compression3[1];
-    next->compression_covariance[11] = covariance_compression3[2];
-    next->compression_covariance[12] = covariance_compression4[0];
-    next->compression_covariance[13] = covariance_compression4[1];
-    next->compression_covariance[14] = covariance_compression4[2];
-    next->compression_covariance[15] = covariance_compression5[0];
-    next->compression_covariance[16] = covariance_compression5[1];
-    next->compression_covariance[17] = covariance_compression5[2];
-    next->compression_covariance[18] = covariance_compression6[0];
-    next->compression_covariance[19] = covariance_compression6[1];
-    next->compression_covariance[20] = covariance_compression6[2];
-    next->compression_covariance[21] = covariance_compression7[0];
-    next->compression_covariance[22] = covariance_compression7[1];
-    next->compression_covariance[23] = covariance_compression7[2];
-    next->compression_covariance[24] = covariance_compression8[0];
-    next->compression_covariance[25] = covariance_compression8[1];
-    next->compression_covariance[26] = covariance_compression8[2];
-    next->compression_covariance[27] = covariance_compression9[0];
-    next->compression_covariance[28] = covariance_compression9[1];
-    next->compression_covariance[29] = covariance_compression9[2];
-    next->compression_covariance[30] = covariance_compression10[0];
-    next->compression_covariance[31] = covariance_compression10[1];
-    next->compression_covariance[32] = covariance_compression10[2];
-    next->compression_covariance[33] = covariance_compression11[0];
-    next->compression_covariance[34] = covariance_compression11[1];
-    next->compression_covariance[35] = covariance_compression11[2];
-    next->compression_covariance[36] = covariance_compression12[0];
-    next->compression_covariance[37] = covariance_compression12[1];
-    next->compression_covariance[38] = covariance_compression12[2];
-    next->compression_covariance[39] = covariance_compression13[0];
-    next->compression_covariance[40] = covariance_compression13[1];
-    next->compression_covariance[41] = covariance_compression13[2];
-    next->compression_covariance[42] = covariance_compression14[0];
-    next->compression_covariance[43] = covariance_compression14[1];
-    next->compression_covariance[44] = covariance_compression14[2];
-    next->innovation[0] = innovation_0;
-    next->innovation[1] = innovation_1;
-    next->innovation[2] = innovation_2;
-    next->innovation[3] = innovation_3;
-    next->innovation[4] = innovation_4;
-    next->innovation[5] = innovation_5;
-    next->innovation_covariance[0] = t2012;
-    next->innovation_covariance[1] = t2013;
-    next->innovation_covariance[2] = t2015;
-    next->innovation_covariance[3] = t2016;
-    next->innovation_covariance[4] = t2017;
-    next->innovation_covariance[5] = t2019;
-    next->innovation_covariance[6] = t2020;
-    next->innovation_covariance[7] = t2021;
-    next->innovation_covariance[8] = t2022;
-    next->innovation_covariance[9] = t2024;
-    next->innovation_covariance[10] = t2025;
-    next->innovation_covariance[11] = t2026;
-    next->innovation_covariance[12] = t2027;
-    next->innovation_covariance[13] = t2028;
-    next->innovation_covariance[14] = t2029;
-    next->innovation_covariance[15] = t2030;
-    next->innovation_covariance[16] = t2031;
-    next->innovation_covariance[17] = t2032;
-    next->innovation_covariance[18] = t2033;
-    next->innovation_covariance[19] = self->predicted_covariance[0];
-    next->innovation_covariance[20] = t2034;
-    next->nis = quadratic_host;
-    next->log_likelihood = t2038;
-    next->window_left = self->predicted_window_left;
-    next->collecting[0] = collecting_0;
-    next->collecting[1] = collecting_1;
-    next->collecting[2] = collecting_2;
-    next->collecting[3] = collecting_3;
-    next->test_statistic[0] = 0.0;
-    next->test_statistic[1] = 0.0;
-    next->test_statistic[2] = 0.0;
-    next->test_statistic[3] = 0.0;
-    next->test_dof[0] = 0.0;
-    next->test_dof[1] = 0.0;
-    next->test_dof[2] = 0.0;
-    next->test_dof[3] = 0.0;
-    next->fault_declared[0] = 0.0;
-    next->fault_declared[1] = 0.0;
-    next->fault_declared[2] = 0.0;
-    next->fault_declared[3] = 0.0;
+    const double t2 = 0.9843852771361035 * predicted_covariance;
+    innovation_covariance[0] = t2 + 0.04;
+    innovation_covariance[1] = 0.9843852771361035 * predicted_covariance;
+    const double t5 = 0.9843852771361035 * predicted_covariance;
+    innovation_covariance[2] = t5 + 0.04;
+    innovation_covariance[3] = 0.9826304058883615 * predicted_covariance;
+    innovation_covariance[4] = 0.9826304058883615 * predicted_covariance;
+    const double t9 = 0.9808786630631667 * predicted_covariance;
+    innovation_covariance[5] = t9 + 0.04;
+    innovation_covariance[6] = 0.9826304058883615 * predicted_covariance;
+    innovation_covariance[7] = 0.9826304058883615 * predicted_covariance;
+    innovation_covariance[8] = 0.9808786630631667 * predicted_covariance;
+    const double t14 = 0.9808786630631667 * predicted_covariance;
+    innovation_covariance[9] = t14 + 0.04;
+    innovation_covariance[10] = 0.9921619208254787 * predicted_covariance;
+    innovation_covariance[11] = 0.9921619208254787 * predicted_covariance;
+    innovation_covariance[12] = 0.9903931860948796 * predicted_covariance;
+    innovation_covariance[13] = 0.9903931860948796 * predicted_covariance;
+    innovation_covariance[14] = predicted_covariance + 0.25;
+    innovation_covariance[15] = 0.9921619208254787 * predicted_covariance;
+    innovation_covariance[16] = 0.9921619208254787 * predicted_covariance;
+    innovation_covariance[17] = 0.9903931860948796 * predicted_covariance;
+    innovation_covariance[18] = 0.9903931860948796 * predicted_covariance;
+    innovation_covariance[20] = predicted_covariance + 9.0;
+    const double t26 = wheel_drift_log(determinant_host_0);
+    const double t27 = log_constant_host + t26;
+    const double t28 = quadratic_host + t27;
+    log_likelihood[0] = -0.5 * t28;
+    filtered_state[0] = host_state[0];
+    filtered_state[1] = host_state[1];
+    filtered_covariance[0] = covariance_host[0];
+    filtered_covariance[1] = covariance_host[1];
+    filtered_covariance[2] = covariance_host[2];
+    compression_deviation[0] = deviation_compression[0];
+    compression_deviation[1] = deviation_compression[1];
+    compression_deviation[2] = deviation_compression1[0];
+    compression_deviation[3] = deviation_compression1[1];
+    compression_deviation[4] = deviation_compression2[0];
+    compression_deviation[5] = deviation_compression2[1];
+    compression_deviation[6] = deviation_compression3[0];
+    compression_deviation[7] = deviation_compression3[1];
+    compression_deviation[8] = deviation_compression4[0];
+    compression_deviation[9] = deviation_compression4[1];
+    compression_deviation[10] = deviation_compression5[0];
+    compression_deviation[11] = deviation_compression5[1];
+    compression_deviation[12] = deviation_compression6[0];
+    compression_deviation[13] = deviation_compression6[1];
+    compression_deviation[14] = deviation_compression7[0];
+    compression_deviation[15] = deviation_compression7[1];
+    compression_deviation[16] = deviation_compression8[0];
+    compression_deviation[17] = deviation_compression8[1];
+    compression_deviation[18] = deviation_compression9[0];
+    compression_deviation[19] = deviation_compression9[1];
+    compression_deviation[20] = deviation_compression10[0];
+    compression_deviation[21] = deviation_compression10[1];
+    compression_deviation[22] = deviation_compression11[0];
+    compression_deviation[23] = deviation_compression11[1];
+    compression_deviation[24] = deviation_compression12[0];
+    compression_deviation[25] = deviation_compression12[1];
+    compression_deviation[26] = deviation_compression13[0];
+    compression_deviation[27] = deviation_compression13[1];
+    compression_deviation[28] = deviation_compression14[0];
+    compression_deviation[29] = deviation_compression14[1];
+    compression_covariance[0] = covariance_compression[0];
+    compression_covariance[1] = covariance_compression[1];
+    compression_covariance[2] = covariance_compression[2];
+    compression_covariance[3] = covariance_compression1[0];
+    compression_covariance[4] = covariance_compression1[1];
+    compression_covariance[5] = covariance_compression1[2];
+    compression_covariance[6] = covariance_compression2[0];
+    compression_covariance[7] = covariance_compression2[1];
+    compression_covariance[8] = covariance_compression2[2];
+    compression_covariance[9] = covariance_compression3[0];
+    compression_covariance[10] = covariance_compression3[1];
+    compression_covariance[11] = covariance_compression3[2];
+    compression_covariance[12] = covariance_compression4[0];
+    compression_covariance[13] = covariance_compression4[1];
+    compression_covariance[14] = covariance_compression4[2];
+    compression_covariance[15] = covariance_compression5[0];
+    compression_covariance[16] = covariance_compression5[1];
+    compression_covariance[17] = covariance_compression5[2];
+    compression_covariance[18] = covariance_compression6[0];
+    compression_covariance[19] = covariance_compression6[1];
+    compression_covariance[20] = covariance_compression6[2];
+    compression_covariance[21] = covariance_compression7[0];
+    compression_covariance[22] = covariance_compression7[1];
+    compression_covariance[23] = covariance_compression7[2];
+    compression_covariance[24] = covariance_compression8[0];
+    compression_covariance[25] = covariance_compression8[1];
+    compression_covariance[26] = covariance_compression8[2];
+    compression_covariance[27] = covariance_compression9[0];
+    compression_covariance[28] = covariance_compression9[1];
+    compression_covariance[29] = covariance_compression9[2];
+    compression_covariance[30] = covariance_compression10[0];
+    compression_covariance[31] = covariance_compression10[1];
+    compression_covariance[32] = covariance_compression10[2];
+    compression_covariance[33] = covariance_compression11[0];
+    compression_covariance[34] = covariance_compression11[1];
+    compression_covariance[35] = covariance_compression11[2];
+    compression_covariance[36] = covariance_compression12[0];
+    compression_covariance[37] = covariance_compression12[1];
+    compression_covariance[38] = covariance_compression12[2];
+    compression_covariance[39] = covariance_compression13[0];
+    compression_covariance[40] = covariance_compression13[1];
+    compression_covariance[41] = covariance_compression13[2];
+    compression_covariance[42] = covariance_compression14[0];
+    compression_covariance[43] = covariance_compression14[1];
+    compression_covariance[44] = covariance_compression14[2];
+    innovation[0] = innovation_0;
+    innovation[1] = innovation_1;
+    innovation[2] = innovation_2;
+    innovation[3] = innovation_3;
+    innovation[4] = innovation_4;
+    innovation[5] = innovation_5;
+    innovation_covariance[19] = predicted_covariance;
+    nis[0] = quadratic_host;
+    window_left[0] = predicted_window_left;
+    collecting[0] = collecting_0;
+    collecting[1] = collecting_1;
+    collecting[2] = collecting_2;
+    collecting[3] = collecting_3;
+    test_statistic[0] = 0.0;
+    test_statistic[1] = 0.0;
+    test_statistic[2] = 0.0;
+    test_statistic[3] = 0.0;
+    test_dof[0] = 0.0;
+    test_dof[1] = 0.0;
+    test_dof[2] = 0.0;
+    test_dof[3] = 0.0;
+    fault_declared[0] = 0.0;
+    fault_declared[1] = 0.0;
+    fault_declared[2] = 0.0;
+    fault_declared[3] = 0.0;
+    return WHEEL_DRIFT_OK;
+}
+
+/* test of group 2. */
+static void wheel_drift_test_of_group_2(const double *collecting, const double *filtered_covariance,
+    const double *compression_covariance, const double *compression_deviation, double *statistic_2,
+    double *dof_2, double *statistic_3, double *dof_3, double *accepted_0, double *rejected_0,
+    const double statistic_0, const double threshold_0, double *accepted_1, double *rejected_1,
+    const double statistic_1, const double threshold_1, double *accepted_2, double *rejected_2,
+    double *accepted_3, double *rejected_3, const double *filtered_state, double *closed_state,
+    double *closed_covariance)
+{
+    double difference_2[3] = { 0.0 };
+    double shift_2[2] = { 0.0 };
+    double scale_2[2] = { 0.0 };
+    double threshold_2 = 0.0;
+    double inverse_2_1 = 0.0;
+    double difference_3[3] = { 0.0 };
+    double shift_3[2] = { 0.0 };
+    double scale_3[2] = { 0.0 };
+    double threshold_3 = 0.0;
+    double inverse_3_1 = 0.0;
+
+    /* test of group 2 */
+    wheel_drift_test_of_group(collecting[2], filtered_covariance, &compression_covariance[6],
+        difference_2, &compression_deviation[4], shift_2, scale_2, statistic_2, dof_2,
+        &threshold_2);
+    const double t0 = 1.0e-11 * scale_2[1];
+    const double t1 = difference_2[2] - t0;
+    if (t1 > 0.0)
+    {
+        inverse_2_1 = 1.0 / difference_2[2];
+        const double t3 = shift_2[1] * inverse_2_1;
+        const double t4 = shift_2[1] * t3;
+        statistic_2[0] = statistic_2[0] + t4;
+        dof_2[0] = 2.0;
+        threshold_2 = 13.815510557964274;
+    }
+
+    /* test of group 3 */
+    wheel_drift_test_of_group(collecting[3], filtered_covariance, &compression_covariance[9],
+        difference_3, &compression_deviation[6], shift_3, scale_3, statistic_3, dof_3,
+        &threshold_3);
+    const double t6 = 1.0e-11 * scale_3[1];
+    const double t7 = difference_3[2] - t6;
+    if (t7 > 0.0)
+    {
+        inverse_3_1 = 1.0 / difference_3[2];
+        const double t9 = shift_3[1] * inverse_3_1;
+        const double t10 = shift_3[1] * t9;
+        statistic_3[0] = statistic_3[0] + t10;
+        dof_3[0] = 2.0;
+        threshold_3 = 13.815510557964274;
+    }
+
+    /* verdict on group 0 */
+    accepted_0[0] = collecting[0];
+    rejected_0[0] = 0.0;
+    const double t12 = statistic_0 - threshold_0;
+    if (t12 > 0.0)
+    {
+        accepted_0[0] = 0.0;
+        rejected_0[0] = 1.0;
+    }
+
+    /* verdict on group 1 */
+    accepted_1[0] = collecting[1];
+    rejected_1[0] = 0.0;
+    const double t13 = statistic_1 - threshold_1;
+    if (t13 > 0.0)
+    {
+        accepted_1[0] = 0.0;
+        rejected_1[0] = 1.0;
+    }
+
+    /* verdict on group 2 */
+    accepted_2[0] = collecting[2];
+    rejected_2[0] = 0.0;
+    const double t14 = statistic_2[0] - threshold_2;
+    if (t14 > 0.0)
+    {
+        accepted_2[0] = 0.0;
+        rejected_2[0] = 1.0;
+    }
+
+    /* verdict on group 3 */
+    accepted_3[0] = collecting[3];
+    rejected_3[0] = 0.0;
+    const double t15 = statistic_3[0] - threshold_3;
+    if (t15 > 0.0)
+    {
+        accepted_3[0] = 0.0;
+        rejected_3[0] = 1.0;
+    }
+    closed_state[0] = filtered_state[0];
+    closed_state[1] = filtered_state[1];
+    closed_covariance[0] = filtered_covariance[0];
+    closed_covariance[1] = filtered_covariance[1];
+    closed_covariance[2] = filtered_covariance[2];
+
+    /* the host takes over: group 0 */
+    const double t16 = -0.5 + accepted_0[0];
+    const double t17 = t16 - accepted_1[0];
+    const double t18 = t17 - accepted_2[0];
+    const double t19 = t18 - accepted_3[0];
+    if (t19 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[0];
+        closed_state[1] = filtered_state[1] + compression_deviation[1];
+        closed_covariance[0] = compression_covariance[0];
+        closed_covariance[1] = compression_covariance[1];
+        closed_covariance[2] = compression_covariance[2];
+    }
+
+    /* the host takes over: group 1 */
+    const double t22 = -0.5 - accepted_0[0];
+    const double t23 = t22 + accepted_1[0];
+    const double t24 = t23 - accepted_2[0];
+    const double t25 = t24 - accepted_3[0];
+    if (t25 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[2];
+        closed_state[1] = filtered_state[1] + compression_deviation[3];
+        closed_covariance[0] = compression_covariance[3];
+        closed_covariance[1] = compression_covariance[4];
+        closed_covariance[2] = compression_covariance[5];
+    }
+
+    /* the host takes over: group 2 */
+    const double t28 = -0.5 - accepted_0[0];
+    const double t29 = t28 - accepted_1[0];
+    const double t30 = t29 + accepted_2[0];
+    const double t31 = t30 - accepted_3[0];
+    if (t31 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[4];
+        closed_state[1] = filtered_state[1] + compression_deviation[5];
+        closed_covariance[0] = compression_covariance[6];
+        closed_covariance[1] = compression_covariance[7];
+        closed_covariance[2] = compression_covariance[8];
+    }
+
+    /* the host takes over: group 3 */
+    const double t34 = -0.5 - accepted_0[0];
+    const double t35 = t34 - accepted_1[0];
+    const double t36 = t35 - accepted_2[0];
+    const double t37 = t36 + accepted_3[0];
+    if (t37 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[6];
+        closed_state[1] = filtered_state[1] + compression_deviation[7];
+        closed_covariance[0] = compression_covariance[9];
+        closed_covariance[1] = compression_covariance[10];
+        closed_covariance[2] = compression_covariance[11];
+    }
+
+    /* the host takes over: group 0, 1 */
+    const double t40 = -1.5 + accepted_0[0];
+    const double t41 = t40 + accepted_1[0];
+    const double t42 = t41 - accepted_2[0];
+    const double t43 = t42 - accepted_3[0];
+    if (t43 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[8];
+        closed_state[1] = filtered_state[1] + compression_deviation[9];
+        closed_covariance[0] = compression_covariance[12];
+        closed_covariance[1] = compression_covariance[13];
+        closed_covariance[2] = compression_covariance[14];
+    }
+
+    /* the host takes over: group 0, 2 */
+    const double t46 = -1.5 + accepted_0[0];
+    const double t47 = t46 - accepted_1[0];
+    const double t48 = t47 + accepted_2[0];
+    const double t49 = t48 - accepted_3[0];
+    if (t49 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[10];
+        closed_state[1] = filtered_state[1] + compression_deviation[11];
+        closed_covariance[0] = compression_covariance[15];
+        closed_covariance[1] = compression_covariance[16];
+        closed_covariance[2] = compression_covariance[17];
+    }
+
+    /* the host takes over: group 0, 3 */
+    const double t52 = -1.5 + accepted_0[0];
+    const double t53 = t52 - accepted_1[0];
+    const double t54 = t53 - accepted_2[0];
+    const double t55 = t54 + accepted_3[0];
+    if (t55 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[12];
+        closed_state[1] = filtered_state[1] + compression_deviation[13];
+        closed_covariance[0] = compression_covariance[18];
+        closed_covariance[1] = compression_covariance[19];
+        closed_covariance[2] = compression_covariance[20];
+    }
+
+    /* the host takes over: group 1, 2 */
+    const double t58 = -1.5 - accepted_0[0];
+    const double t59 = t58 + accepted_1[0];
+    const double t60 = t59 + accepted_2[0];
+    const double t61 = t60 - accepted_3[0];
+    if (t61 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[14];
+        closed_state[1] = filtered_state[1] + compression_deviation[15];
+        closed_covariance[0] = compression_covariance[21];
+        closed_covariance[1] = compression_covariance[22];
+        closed_covariance[2] = compression_covariance[23];
+    }
+
+    /* the host takes over: group 1, 3 */
+    const double t64 = -1.5 - accepted_0[0];
+    const double t65 = t64 + accepted_1[0];
+    const double t66 = t65 - accepted_2[0];
+    const double t67 = t66 + accepted_3[0];
+    if (t67 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[16];
+        closed_state[1] = filtered_state[1] + compression_deviation[17];
+        closed_covariance[0] = compression_covariance[24];
+        closed_covariance[1] = compression_covariance[25];
+        closed_covariance[2] = compression_covariance[26];
+    }
+
+    /* the host takes over: group 2, 3 */
+    const double t70 = -1.5 - accepted_0[0];
+    const double t71 = t70 - accepted_1[0];
+    const double t72 = t71 + accepted_2[0];
+    const double t73 = t72 + accepted_3[0];
+    if (t73 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[18];
+        closed_state[1] = filtered_state[1] + compression_deviation[19];
+        closed_covariance[0] = compression_covariance[27];
+        closed_covariance[1] = compression_covariance[28];
+        closed_covariance[2] = compression_covariance[29];
+    }
+
+    /* the host takes over: group 0, 1, 2 */
+    const double t76 = -2.5 + accepted_0[0];
+    const double t77 = t76 + accepted_1[0];
+    const double t78 = t77 + accepted_2[0];
+    const double t79 = t78 - accepted_3[0];
+    if (t79 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[20];
+        closed_state[1] = filtered_state[1] + compression_deviation[21];
+        closed_covariance[0] = compression_covariance[30];
+        closed_covariance[1] = compression_covariance[31];
+        closed_covariance[2] = compression_covariance[32];
+    }
+
+    /* the host takes over: group 0, 1, 3 */
+    const double t82 = -2.5 + accepted_0[0];
+    const double t83 = t82 + accepted_1[0];
+    const double t84 = t83 - accepted_2[0];
+    const double t85 = t84 + accepted_3[0];
+    if (t85 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[22];
+        closed_state[1] = filtered_state[1] + compression_deviation[23];
+        closed_covariance[0] = compression_covariance[33];
+        closed_covariance[1] = compression_covariance[34];
+        closed_covariance[2] = compression_covariance[35];
+    }
+
+    /* the host takes over: group 0, 2, 3 */
+    const double t88 = -2.5 + accepted_0[0];
+    const double t89 = t88 - accepted_1[0];
+    const double t90 = t89 + accepted_2[0];
+    const double t91 = t90 + accepted_3[0];
+    if (t91 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[24];
+        closed_state[1] = filtered_state[1] + compression_deviation[25];
+        closed_covariance[0] = compression_covariance[36];
+        closed_covariance[1] = compression_covariance[37];
+        closed_covariance[2] = compression_covariance[38];
+    }
+
+    /* the host takes over: group 1, 2, 3 */
+}
+
+/* prediction of the next sample. */
+static wheel_drift_status_t wheel_drift_prediction_of_the_next(const double A,
+    const double *filtered_state, const double u, const double *filtered_covariance,
+    const double *Q, const double *compression_deviation, const double *compression_covariance,
+    double *predicted_state, double *predicted_covariance, double *predicted_compression_deviation,
+    double *predicted_compression_covariance, const double left, double *predicted_window_left,
+    const double *collecting, double *predicted_collecting, const wheel_drift_params_t *params)
+{
+    const double t0 = A * filtered_state[1];
+    const double t1 = filtered_state[0] + t0;
+    const double t2 = params->dt * u;
+    const double t3 = t1 + t2;
+    const double t4 = A * filtered_covariance[1];
+    const double t5 = filtered_covariance[0] + t4;
+    const double t6 = A * filtered_covariance[2];
+    const double t7 = filtered_covariance[1] + t6;
+    const double t8 = t7 * A;
+    const double t9 = t5 + t8;
+    const double t10 = t9 + Q[0];
+    const double t11 = filtered_covariance[2] * A;
+    predicted_covariance[1] = filtered_covariance[1] + t11;
+    const double t13 = filtered_covariance[2] + Q[1];
+    const double t14 = A * compression_deviation[1];
+    const double t15 = compression_deviation[0] + t14;
+    const double t16 = A * compression_deviation[3];
+    const double t17 = compression_deviation[2] + t16;
+    const double t18 = A * compression_deviation[5];
+    const double t19 = compression_deviation[4] + t18;
+    const double t20 = A * compression_deviation[7];
+    const double t21 = compression_deviation[6] + t20;
+    const double t22 = A * compression_deviation[9];
+    const double t23 = compression_deviation[8] + t22;
+    const double t24 = A * compression_deviation[11];
+    const double t25 = compression_deviation[10] + t24;
+    const double t26 = A * compression_deviation[13];
+    const double t27 = compression_deviation[12] + t26;
+    const double t28 = A * compression_deviation[15];
+    const double t29 = compression_deviation[14] + t28;
+    const double t30 = A * compression_deviation[17];
+    const double t31 = compression_deviation[16] + t30;
+    const double t32 = A * compression_deviation[19];
+    const double t33 = compression_deviation[18] + t32;
+    const double t34 = A * compression_deviation[21];
+    const double t35 = compression_deviation[20] + t34;
+    const double t36 = A * compression_deviation[23];
+    const double t37 = compression_deviation[22] + t36;
+    const double t38 = A * compression_deviation[25];
+    const double t39 = compression_deviation[24] + t38;
+    const double t40 = A * compression_deviation[27];
+    const double t41 = compression_deviation[26] + t40;
+    const double t42 = A * compression_deviation[29];
+    const double t43 = compression_deviation[28] + t42;
+    const double t44 = A * compression_covariance[1];
+    const double t45 = compression_covariance[0] + t44;
+    const double t46 = A * compression_covariance[2];
+    const double t47 = compression_covariance[1] + t46;
+    const double t48 = t47 * A;
+    const double t49 = t45 + t48;
+    const double t50 = t49 + Q[0];
+    const double t51 = compression_covariance[2] * A;
+    predicted_compression_covariance[1] = compression_covariance[1] + t51;
+    const double t53 = compression_covariance[2] + Q[1];
+    const double t54 = A * compression_covariance[4];
+    const double t55 = compression_covariance[3] + t54;
+    const double t56 = A * compression_covariance[5];
+    const double t57 = compression_covariance[4] + t56;
+    const double t58 = t57 * A;
+    const double t59 = t55 + t58;
+    const double t60 = t59 + Q[0];
+    const double t61 = compression_covariance[5] * A;
+    predicted_compression_covariance[4] = compression_covariance[4] + t61;
+    const double t63 = compression_covariance[5] + Q[1];
+    const double t64 = A * compression_covariance[7];
+    const double t65 = compression_covariance[6] + t64;
+    const double t66 = A * compression_covariance[8];
+    const double t67 = compression_covariance[7] + t66;
+    const double t68 = t67 * A;
+    const double t69 = t65 + t68;
+    const double t70 = t69 + Q[0];
+    const double t71 = compression_covariance[8] * A;
+    predicted_compression_covariance[7] = compression_covariance[7] + t71;
+    const double t73 = compression_covariance[8] + Q[1];
+    const double t74 = A * compression_covariance[10];
+    const double t75 = compression_covariance[9] + t74;
+    const double t76 = A * compression_covariance[11];
+    const double t77 = compression_covariance[10] + t76;
+    const double t78 = t77 * A;
+    const double t79 = t75 + t78;
+    const double t80 = t79 + Q[0];
+    const double t81 = compression_covariance[11] * A;
+    predicted_compression_covariance[10] = compression_covariance[10] + t81;
+    const double t83 = compression_covariance[11] + Q[1];
+    const double t84 = A * compression_covariance[13];
+    const double t85 = compression_covariance[12] + t84;
+    const double t86 = A * compression_covariance[14];
+    const double t87 = compression_covariance[13] + t86;
+    const double t88 = t87 * A;
+    const double t89 = t85 + t88;
+    const double t90 = t89 + Q[0];
+    const double t91 = compression_covariance[14] * A;
+    predicted_compression_covariance[13] = compression_covariance[13] + t91;
+    const double t93 = compression_covariance[14] + Q[1];
+    const double t94 = A * compression_covariance[16];
+    const double t95 = compression_covariance[15] + t94;
+    const double t96 = A * compression_covariance[17];
+    const double t97 = compression_covariance[16] + t96;
+    const double t98 = t97 * A;
+    const double t99 = t95 + t98;
+    const double t100 = t99 + Q[0];
+    const double t101 = compression_covariance[17] * A;
+    predicted_compression_covariance[16] = compression_covariance[16] + t101;
+    const double t103 = compression_covariance[17] + Q[1];
+    const double t104 = A * compression_covariance[19];
+    const double t105 = compression_covariance[18] + t104;
+    const double t106 = A * compression_covariance[20];
+    const double t107 = compression_covariance[19] + t106;
+    const double t108 = t107 * A;
+    const double t109 = t105 + t108;
+    const double t110 = t109 + Q[0];
+    const double t111 = compression_covariance[20] * A;
+    predicted_compression_covariance[19] = compression_covariance[19] + t111;
+    const double t113 = compression_covariance[20] + Q[1];
+    const double t114 = A * compression_covariance[22];
+    const double t115 = compression_covariance[21] + t114;
+    const double t116 = A * compression_covariance[23];
+    const double t117 = compression_covariance[22] + t116;
+    const double t118 = t117 * A;
+    const double t119 = t115 + t118;
+    const double t120 = t119 + Q[0];
+    const double t121 = compression_covariance[23] * A;
+    predicted_compression_covariance[22] = compression_covariance[22] + t121;
+    const double t123 = compression_covariance[23] + Q[1];
+    const double t124 = A * compression_covariance[25];
+    const double t125 = compression_covariance[24] + t124;
+    const double t126 = A * compression_covariance[26];
+    const double t127 = compression_covariance[25] + t126;
+    const double t128 = t127 * A;
+    const double t129 = t125 + t128;
+    const double t130 = t129 + Q[0];
+    const double t131 = compression_covariance[26] * A;
+    predicted_compression_covariance[25] = compression_covariance[25] + t131;
+    const double t133 = compression_covariance[26] + Q[1];
+    const double t134 = A * compression_covariance[28];
+    const double t135 = compression_covariance[27] + t134;
+    const double t136 = A * compression_covariance[29];
+    const double t137 = compression_covariance[28] + t136;
+    const double t138 = t137 * A;
+    const double t139 = t135 + t138;
+    const double t140 = t139 + Q[0];
+    const double t141 = compression_covariance[29] * A;
+    predicted_compression_covariance[28] = compression_covariance[28] + t141;
+    const double t143 = compression_covariance[29] + Q[1];
+    const double t144 = A * compression_covariance[31];
+    const double t145 = compression_covariance[30] + t144;
+    const double t146 = A * compression_covariance[32];
+    const double t147 = compression_covariance[31] + t146;
+    const double t148 = t147 * A;
+    const double t149 = t145 + t148;
+    const double t150 = t149 + Q[0];
+    const double t151 = compression_covariance[32] * A;
+    predicted_compression_covariance[31] = compression_covariance[31] + t151;
+    const double t153 = compression_covariance[32] + Q[1];
+    const double t154 = A * compression_covariance[34];
+    const double t155 = compression_covariance[33] + t154;
+    const double t156 = A * compression_covariance[35];
+    const double t157 = compression_covariance[34] + t156;
+    const double t158 = t157 * A;
+    const double t159 = t155 + t158;
+    const double t160 = t159 + Q[0];
+    const double t161 = compression_covariance[35] * A;
+    predicted_compression_covariance[34] = compression_covariance[34] + t161;
+    const double t163 = compression_covariance[35] + Q[1];
+    const double t164 = A * compression_covariance[37];
+    const double t165 = compression_covariance[36] + t164;
+    const double t166 = A * compression_covariance[38];
+    const double t167 = compression_covariance[37] + t166;
+    const double t168 = t167 * A;
+    const double t169 = t165 + t168;
+    const double t170 = t169 + Q[0];
+    const double t171 = compression_covariance[38] * A;
+    predicted_compression_covariance[37] = compression_covariance[37] + t171;
+    const double t173 = compression_covariance[38] + Q[1];
+    const double t174 = A * compression_covariance[40];
+    const double t175 = compression_covariance[39] + t174;
+    const double t176 = A * compression_covariance[41];
+    const double t177 = compression_covariance[40] + t176;
+    const double t178 = t177 * A;
+    const double t179 = t175 + t178;
+    const double t180 = t179 + Q[0];
+    const double t181 = compression_covariance[41] * A;
+    predicted_compression_covariance[40] = compression_covariance[40] + t181;
+    const double t183 = compression_covariance[41] + Q[1];
+    const double t184 = A * compression_covariance[43];
+    const double t185 = compression_covariance[42] + t184;
+    const double t186 = A * compression_covariance[44];
+    const double t187 = compression_covariance[43] + t186;
+    const double t188 = t187 * A;
+    const double t189 = t185 + t188;
+    const double t190 = t189 + Q[0];
+    const double t191 = compression_covariance[44] * A;
+    predicted_compression_covariance[43] = compression_covariance[43] + t191;
+    const double t193 = compression_covariance[44] + Q[1];
+    if (!wheel_drift_finite(wheel_drift_defect(t3) + wheel_drift_defect(filtered_state[1]) +
+        wheel_drift_defect(t10) + wheel_drift_defect(t13)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t15) + wheel_drift_defect(compression_deviation[1]) +
+        wheel_drift_defect(t50) + wheel_drift_defect(t53)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t17) + wheel_drift_defect(compression_deviation[3]) +
+        wheel_drift_defect(t60) + wheel_drift_defect(t63)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t19) + wheel_drift_defect(compression_deviation[5]) +
+        wheel_drift_defect(t70) + wheel_drift_defect(t73)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t21) + wheel_drift_defect(compression_deviation[7]) +
+        wheel_drift_defect(t80) + wheel_drift_defect(t83)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t23) + wheel_drift_defect(compression_deviation[9]) +
+        wheel_drift_defect(t90) + wheel_drift_defect(t93)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t25) +
+        wheel_drift_defect(compression_deviation[11]) + wheel_drift_defect(t100) +
+        wheel_drift_defect(t103)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t27) +
+        wheel_drift_defect(compression_deviation[13]) + wheel_drift_defect(t110) +
+        wheel_drift_defect(t113)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t29) +
+        wheel_drift_defect(compression_deviation[15]) + wheel_drift_defect(t120) +
+        wheel_drift_defect(t123)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t31) +
+        wheel_drift_defect(compression_deviation[17]) + wheel_drift_defect(t130) +
+        wheel_drift_defect(t133)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t33) +
+        wheel_drift_defect(compression_deviation[19]) + wheel_drift_defect(t140) +
+        wheel_drift_defect(t143)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t35) +
+        wheel_drift_defect(compression_deviation[21]) + wheel_drift_defect(t150) +
+        wheel_drift_defect(t153)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t37) +
+        wheel_drift_defect(compression_deviation[23]) + wheel_drift_defect(t160) +
+        wheel_drift_defect(t163)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t39) +
+        wheel_drift_defect(compression_deviation[25]) + wheel_drift_defect(t170) +
+        wheel_drift_defect(t173)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t41) +
+        wheel_drift_defect(compression_deviation[27]) + wheel_drift_defect(t180) +
+        wheel_drift_defect(t183)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t43) +
+        wheel_drift_defect(compression_deviation[29]) + wheel_drift_defect(t190) +
+        wheel_drift_defect(t193)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    predicted_state[0] = t3;
+    predicted_state[1] = filtered_state[1];
+    predicted_covariance[0] = t10;
+    predicted_covariance[2] = t13;
+    predicted_compression_deviation[0] = t15;
+    predicted_compression_deviation[1] = compression_deviation[1];
+    predicted_compression_deviation[2] = t17;
+    predicted_compression_deviation[3] = compression_deviation[3];
+    predicted_compression_deviation[4] = t19;
+    predicted_compression_deviation[5] = compression_deviation[5];
+    predicted_compression_deviation[6] = t21;
+    predicted_compression_deviation[7] = compression_deviation[7];
+    predicted_compression_deviation[8] = t23;
+    predicted_compression_deviation[9] = compression_deviation[9];
+    predicted_compression_deviation[10] = t25;
+    predicted_compression_deviation[11] = compression_deviation[11];
+    predicted_compression_deviation[12] = t27;
+    predicted_compression_deviation[13] = compression_deviation[13];
+    predicted_compression_deviation[14] = t29;
+    predicted_compression_deviation[15] = compression_deviation[15];
+    predicted_compression_deviation[16] = t31;
+    predicted_compression_deviation[17] = compression_deviation[17];
+    predicted_compression_deviation[18] = t33;
+    predicted_compression_deviation[19] = compression_deviation[19];
+    predicted_compression_deviation[20] = t35;
+    predicted_compression_deviation[21] = compression_deviation[21];
+    predicted_compression_deviation[22] = t37;
+    predicted_compression_deviation[23] = compression_deviation[23];
+    predicted_compression_deviation[24] = t39;
+    predicted_compression_deviation[25] = compression_deviation[25];
+    predicted_compression_deviation[26] = t41;
+    predicted_compression_deviation[27] = compression_deviation[27];
+    predicted_compression_deviation[28] = t43;
+    predicted_compression_deviation[29] = compression_deviation[29];
+    predicted_compression_covariance[0] = t50;
+    predicted_compression_covariance[2] = t53;
+    predicted_compression_covariance[3] = t60;
+    predicted_compression_covariance[5] = t63;
+    predicted_compression_covariance[6] = t70;
+    predicted_compression_covariance[8] = t73;
+    predicted_compression_covariance[9] = t80;
+    predicted_compression_covariance[11] = t83;
+    predicted_compression_covariance[12] = t90;
+    predicted_compression_covariance[14] = t93;
+    predicted_compression_covariance[15] = t100;
+    predicted_compression_covariance[17] = t103;
+    predicted_compression_covariance[18] = t110;
+    predicted_compression_covariance[20] = t113;
+    predicted_compression_covariance[21] = t120;
+    predicted_compression_covariance[23] = t123;
+    predicted_compression_covariance[24] = t130;
+    predicted_compression_covariance[26] = t133;
+    predicted_compression_covariance[27] = t140;
+    predicted_compression_covariance[29] = t143;
+    predicted_compression_covariance[30] = t150;
+    predicted_compression_covariance[32] = t153;
+    predicted_compression_covariance[33] = t160;
+    predicted_compression_covariance[35] = t163;
+    predicted_compression_covariance[36] = t170;
+    predicted_compression_covariance[38] = t173;
+    predicted_compression_covariance[39] = t180;
+    predicted_compression_covariance[41] = t183;
+    predicted_compression_covariance[42] = t190;
+    predicted_compression_covariance[44] = t193;
+    predicted_window_left[0] = left;
+    predicted_collecting[0] = collecting[0];
+    predicted_collecting[1] = collecting[1];
+    predicted_collecting[2] = collecting[2];
+    predicted_collecting[3] = collecting[3];
+    return WHEEL_DRIFT_OK;
+}
+
+/* Condition on y[k]: reads *self, writes the results to *next. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t *self,
+    const double *y, uint32_t present, wheel_drift_t *next)
+{
+    double innovation_0 = 0.0;
+    double innovation_1 = 0.0;
+    double innovation_2 = 0.0;
+    double innovation_3 = 0.0;
+    double innovation_4 = 0.0;
+    double innovation_5 = 0.0;
+    double mean_host[2];
+    double covariance_host[3];
+    double quadratic_host = 0.0;
+    double log_constant_host = 0.0;
+    double determinant_host_0 = 1.0;
+    double host_state[2];
+    double covariance_compression[3];
+    double deviation_compression[2];
+    double covariance_compression1[3];
+    double deviation_compression1[2];
+    double covariance_compression2[3];
+    double deviation_compression2[2];
+    double covariance_compression3[3];
+    double deviation_compression3[2];
+    double covariance_compression4[3];
+    double deviation_compression4[2];
+    double covariance_compression5[3];
+    double deviation_compression5[2];
+    double innovation_compression6_0 = 0.0;
+    double innovation_compression6_1 = 0.0;
+    double innovation_compression6_2 = 0.0;
+    double innovation_compression6_3 = 0.0;
+    double mean_compression6[2];
+    double covariance_compression6[3];
+    double deviation_compression6[2];
+    double innovation_compression7_0 = 0.0;
+    double innovation_compression7_1 = 0.0;
+    double innovation_compression7_2 = 0.0;
+    double innovation_compression7_3 = 0.0;
+    double mean_compression7[2];
+    double covariance_compression7[3];
+    double deviation_compression7[2];
+    double innovation_compression8_0 = 0.0;
+    double innovation_compression8_1 = 0.0;
+    double innovation_compression8_2 = 0.0;
+    double innovation_compression8_3 = 0.0;
+    double mean_compression8[2];
+    double covariance_compression8[3];
+    double deviation_compression8[2];
+    double innovation_compression9_0 = 0.0;
+    double innovation_compression9_1 = 0.0;
+    double innovation_compression9_2 = 0.0;
+    double innovation_compression9_3 = 0.0;
+    double mean_compression9[2];
+    double covariance_compression9[3];
+    double deviation_compression9[2];
+    double innovation_compression10_0 = 0.0;
+    double innovation_compression10_1 = 0.0;
+    double innovation_compression10_2 = 0.0;
+    double innovation_compression10_3 = 0.0;
+    double innovation_compression10_4 = 0.0;
+    double mean_compression10[2];
+    double covariance_compression10[3];
+    double deviation_compression10[2];
+    double innovation_compression11_0 = 0.0;
+    double innovation_compression11_1 = 0.0;
+    double innovation_compression11_2 = 0.0;
+    double innovation_compression11_3 = 0.0;
+    double innovation_compression11_4 = 0.0;
+    double mean_compression11[2];
+    double covariance_compression11[3];
+    wheel_drift_status_t status;
+    status = wheel_drift_innovation_2(self->predicted_covariance,
+        self->predicted_compression_covariance, self->predicted_state, y, &innovation_0,
+        &innovation_1, &innovation_2, &innovation_3, &innovation_4, &innovation_5, mean_host,
+        covariance_host, &quadratic_host, &log_constant_host, &determinant_host_0, host_state,
+        self->predicted_compression_deviation, covariance_compression, deviation_compression,
+        covariance_compression1, deviation_compression1, covariance_compression2,
+        deviation_compression2, covariance_compression3, deviation_compression3,
+        covariance_compression4, deviation_compression4, covariance_compression5,
+        deviation_compression5, &innovation_compression6_0, &innovation_compression6_1, present);
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[12],
+        &innovation_compression6_2, innovation_5, &innovation_compression6_3, mean_compression6,
+        &self->predicted_compression_covariance[18], covariance_compression6,
+        innovation_compression6_0, wheel_drift_row_of_y_2_numbers[6], present, ((present & 0x1u) !=
+        0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y(covariance_compression6, mean_compression6,
+        self->predicted_compression_deviation[12], innovation_compression6_1,
+        innovation_compression6_2, innovation_compression6_3, mean_host, deviation_compression6,
+        wheel_drift_row_of_y_numbers[2], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+
+    /* innovation, row by row */
+    if ((present & 0x2u) != 0u)
+    {
+        const double t801 = 0.9921619208254787 * self->predicted_compression_deviation[14];
+        innovation_compression7_0 = innovation_1 - t801;
+    }
+    if ((present & 0x4u) != 0u)
+    {
+        const double t803 = 0.9903931860948796 * self->predicted_compression_deviation[14];
+        innovation_compression7_1 = innovation_2 - t803;
+    }
+    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[14],
+        &innovation_compression7_2, innovation_5, &innovation_compression7_3, mean_compression7,
+        &self->predicted_compression_covariance[21], covariance_compression7,
+        innovation_compression7_0, wheel_drift_row_of_y_2_numbers[7], present, ((present & 0x2u) !=
+        0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y(covariance_compression7, mean_compression7,
+        self->predicted_compression_deviation[14], innovation_compression7_1,
+        innovation_compression7_2, innovation_compression7_3, mean_host, deviation_compression7,
+        wheel_drift_row_of_y_numbers[3], present, ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+
+    /* innovation, row by row */
+    if ((present & 0x2u) != 0u)
+    {
+        const double t926 = 0.9921619208254787 * self->predicted_compression_deviation[16];
+        innovation_compression8_0 = innovation_1 - t926;
+    }
+    if ((present & 0x8u) != 0u)
+    {
+        const double t928 = 0.9903931860948796 * self->predicted_compression_deviation[16];
+        innovation_compression8_1 = innovation_3 - t928;
+    }
+    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[16],
+        &innovation_compression8_2, innovation_5, &innovation_compression8_3, mean_compression8,
+        &self->predicted_compression_covariance[24], covariance_compression8,
+        innovation_compression8_0, wheel_drift_row_of_y_2_numbers[8], present, ((present & 0x2u) !=
+        0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y(covariance_compression8, mean_compression8,
+        self->predicted_compression_deviation[16], innovation_compression8_1,
+        innovation_compression8_2, innovation_compression8_3, mean_host, deviation_compression8,
+        wheel_drift_row_of_y_numbers[4], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+
+    /* innovation, row by row */
+    if ((present & 0x4u) != 0u)
+    {
+        const double t1051 = 0.9903931860948796 * self->predicted_compression_deviation[18];
+        innovation_compression9_0 = innovation_2 - t1051;
+    }
+    if ((present & 0x8u) != 0u)
+    {
+        const double t1053 = 0.9903931860948796 * self->predicted_compression_deviation[18];
+        innovation_compression9_1 = innovation_3 - t1053;
+    }
+    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[18],
+        &innovation_compression9_2, innovation_5, &innovation_compression9_3, mean_compression9,
+        &self->predicted_compression_covariance[27], covariance_compression9,
+        innovation_compression9_0, wheel_drift_row_of_y_2_numbers[9], present, ((present & 0x4u) !=
+        0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y(covariance_compression9, mean_compression9,
+        self->predicted_compression_deviation[18], innovation_compression9_1,
+        innovation_compression9_2, innovation_compression9_3, mean_host, deviation_compression9,
+        wheel_drift_row_of_y_numbers[5], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+
+    /* innovation, row by row */
+    wheel_drift_innovation(self->predicted_compression_deviation[20], innovation_0,
+        &innovation_compression10_0, innovation_1, &innovation_compression10_1, innovation_2,
+        &innovation_compression10_2, wheel_drift_innovation_numbers[0], ((present & 0x1u) != 0u),
+        ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
+    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[20],
+        &innovation_compression10_3, innovation_5, &innovation_compression10_4, mean_compression10,
+        &self->predicted_compression_covariance[30], covariance_compression10,
+        innovation_compression10_0, wheel_drift_row_of_y_2_numbers[10], present,
+        ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y_4(covariance_compression10, mean_compression10,
+        self->predicted_compression_deviation[20], innovation_compression10_1,
+        wheel_drift_row_of_y_4_numbers[0], ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y(covariance_compression10, mean_compression10,
+        self->predicted_compression_deviation[20], innovation_compression10_2,
+        innovation_compression10_3, innovation_compression10_4, mean_host, deviation_compression10,
+        wheel_drift_row_of_y_numbers[6], present, ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+
+    /* innovation, row by row */
+    wheel_drift_innovation(self->predicted_compression_deviation[22], innovation_0,
+        &innovation_compression11_0, innovation_1, &innovation_compression11_1, innovation_3,
+        &innovation_compression11_2, wheel_drift_innovation_numbers[1], ((present & 0x1u) != 0u),
+        ((present & 0x2u) != 0u), ((present & 0x8u) != 0u));
+    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[22],
+        &innovation_compression11_3, innovation_5, &innovation_compression11_4, mean_compression11,
+        &self->predicted_compression_covariance[33], covariance_compression11,
+        innovation_compression11_0, wheel_drift_row_of_y_2_numbers[11], present,
+        ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_innovation_3(covariance_compression11, mean_compression11,
+        &self->predicted_compression_deviation[22], innovation_compression11_1,
+        innovation_compression11_2, innovation_compression11_3, innovation_compression11_4,
+        mean_host, innovation_0, innovation_2, innovation_3, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[36], innovation_1, host_state,
+        deviation_compression, deviation_compression1, deviation_compression2,
+        deviation_compression3, deviation_compression4, deviation_compression5,
+        deviation_compression6, deviation_compression7, deviation_compression8,
+        deviation_compression9, deviation_compression10, self->predicted_collecting,
+        self->predicted_covariance[0], determinant_host_0, log_constant_host, quadratic_host,
+        next->filtered_state, covariance_host, next->filtered_covariance,
+        next->compression_deviation, covariance_compression, next->compression_covariance,
+        covariance_compression1, covariance_compression2, covariance_compression3,
+        covariance_compression4, covariance_compression5, covariance_compression6,
+        covariance_compression7, covariance_compression8, covariance_compression9,
+        covariance_compression10, next->innovation, next->innovation_covariance, &next->nis,
+        &next->log_likelihood, self->predicted_window_left, &next->window_left, next->collecting,
+        next->test_statistic, next->test_dof, next->fault_declared, present);
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
     return WHEEL_DRIFT_OK;
 }
 
@@ -4268,8 +2249,6 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     double statistic_0 = 0.0;
     double dof_0 = 0.0;
     double threshold_0 = 0.0;
-    double inverse_0_0 = 0.0;
-    double share_0_0_1 = 0.0;
     double inverse_0_1 = 0.0;
     double difference_1[3] = { 0.0 };
     double shift_1[2] = { 0.0 };
@@ -4277,27 +2256,11 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     double statistic_1 = 0.0;
     double dof_1 = 0.0;
     double threshold_1 = 0.0;
-    double inverse_1_0 = 0.0;
-    double share_1_0_1 = 0.0;
     double inverse_1_1 = 0.0;
-    double difference_2[3] = { 0.0 };
-    double shift_2[2] = { 0.0 };
-    double scale_2[2] = { 0.0 };
     double statistic_2 = 0.0;
     double dof_2 = 0.0;
-    double threshold_2 = 0.0;
-    double inverse_2_0 = 0.0;
-    double share_2_0_1 = 0.0;
-    double inverse_2_1 = 0.0;
-    double difference_3[3] = { 0.0 };
-    double shift_3[2] = { 0.0 };
-    double scale_3[2] = { 0.0 };
     double statistic_3 = 0.0;
     double dof_3 = 0.0;
-    double threshold_3 = 0.0;
-    double inverse_3_0 = 0.0;
-    double share_3_0_1 = 0.0;
-    double inverse_3_1 = 0.0;
     double accepted_0;
     double rejected_0;
     double accepted_1;
@@ -4310,541 +2273,51 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     double closed_covariance[3];
 
     /* test of group 0 */
-    const double t0 = self->collecting[0] - 0.5;
-    if (t0 > 0.0)
-    {
-        const double t1 = self->filtered_covariance[0] - self->compression_covariance[0];
-        const double t2 = self->filtered_covariance[1] - self->compression_covariance[1];
-        const double t3 = self->filtered_covariance[2] - self->compression_covariance[2];
-        difference_0[0] = t1;
-        difference_0[1] = t2;
-        difference_0[2] = t3;
-        shift_0[0] = self->compression_deviation[0];
-        shift_0[1] = self->compression_deviation[1];
-        scale_0[0] = self->filtered_covariance[0];
-        scale_0[1] = self->filtered_covariance[2];
-    }
-    const double t4 = difference_0[2] * scale_0[0];
-    const double t5 = difference_0[0] * scale_0[1];
-    const double t6 = t4 - t5;
-    if (t6 > 0.0)
-    {
-        const double t7 = difference_0[2];
-        const double t8 = difference_0[0];
-        const double t9 = shift_0[1];
-        const double t10 = shift_0[0];
-        const double t11 = scale_0[1];
-        const double t12 = scale_0[0];
-        difference_0[0] = t7;
-        difference_0[2] = t8;
-        shift_0[0] = t9;
-        shift_0[1] = t10;
-        scale_0[0] = t11;
-        scale_0[1] = t12;
-    }
-    const double t13 = 1.0e-11 * scale_0[0];
-    const double t14 = difference_0[0] - t13;
-    if (t14 > 0.0)
-    {
-        const double t15 = 1.0 / difference_0[0];
-        inverse_0_0 = t15;
-        const double t16 = difference_0[1] * inverse_0_0;
-        share_0_0_1 = t16;
-        const double t17 = shift_0[0] * inverse_0_0;
-        const double t18 = shift_0[0] * t17;
-        const double t19 = statistic_0 + t18;
-        const double t20 = share_0_0_1 * difference_0[1];
-        const double t21 = difference_0[2] - t20;
-        const double t22 = share_0_0_1 * shift_0[0];
-        const double t23 = shift_0[1] - t22;
-        statistic_0 = t19;
-        dof_0 = 1.0;
-        threshold_0 = 10.827566170662733;
-        difference_0[2] = t21;
-        shift_0[1] = t23;
-    }
+    wheel_drift_test_of_group(self->collecting[0], self->filtered_covariance,
+        self->compression_covariance, difference_0, self->compression_deviation, shift_0, scale_0,
+        &statistic_0, &dof_0, &threshold_0);
     const double t24 = 1.0e-11 * scale_0[1];
     const double t25 = difference_0[2] - t24;
     if (t25 > 0.0)
     {
-        const double t26 = 1.0 / difference_0[2];
-        inverse_0_1 = t26;
+        inverse_0_1 = 1.0 / difference_0[2];
         const double t27 = shift_0[1] * inverse_0_1;
         const double t28 = shift_0[1] * t27;
-        const double t29 = statistic_0 + t28;
-        statistic_0 = t29;
+        statistic_0 = statistic_0 + t28;
         dof_0 = 2.0;
         threshold_0 = 13.815510557964274;
     }
 
     /* test of group 1 */
-    const double t30 = self->collecting[1] - 0.5;
-    if (t30 > 0.0)
-    {
-        const double t31 = self->filtered_covariance[0] - self->compression_covariance[3];
-        const double t32 = self->filtered_covariance[1] - self->compression_covariance[4];
-        const double t33 = self->filtered_covariance[2] - self->compression_covariance[5];
-        difference_1[0] = t31;
-        difference_1[1] = t32;
-        difference_1[2] = t33;
-        shift_1[0] = self->compression_deviation[2];
-        shift_1[1] = self->compression_deviation[3];
-        scale_1[0] = self->filtered_covariance[0];
-        scale_1[1] = self->filtered_covariance[2];
-    }
-    const double t34 = difference_1[2] * scale_1[0];
-    const double t35 = difference_1[0] * scale_1[1];
-    const double t36 = t34 - t35;
-    if (t36 > 0.0)
-    {
-        const double t37 = difference_1[2];
-        const double t38 = difference_1[0];
-        const double t39 = shift_1[1];
-        const double t40 = shift_1[0];
-        const double t41 = scale_1[1];
-        const double t42 = scale_1[0];
-        difference_1[0] = t37;
-        difference_1[2] = t38;
-        shift_1[0] = t39;
-        shift_1[1] = t40;
-        scale_1[0] = t41;
-        scale_1[1] = t42;
-    }
-    const double t43 = 1.0e-11 * scale_1[0];
-    const double t44 = difference_1[0] - t43;
-    if (t44 > 0.0)
-    {
-        const double t45 = 1.0 / difference_1[0];
-        inverse_1_0 = t45;
-        const double t46 = difference_1[1] * inverse_1_0;
-        share_1_0_1 = t46;
-        const double t47 = shift_1[0] * inverse_1_0;
-        const double t48 = shift_1[0] * t47;
-        const double t49 = statistic_1 + t48;
-        const double t50 = share_1_0_1 * difference_1[1];
-        const double t51 = difference_1[2] - t50;
-        const double t52 = share_1_0_1 * shift_1[0];
-        const double t53 = shift_1[1] - t52;
-        statistic_1 = t49;
-        dof_1 = 1.0;
-        threshold_1 = 10.827566170662733;
-        difference_1[2] = t51;
-        shift_1[1] = t53;
-    }
+    wheel_drift_test_of_group(self->collecting[1], self->filtered_covariance,
+        &self->compression_covariance[3], difference_1, &self->compression_deviation[2], shift_1,
+        scale_1, &statistic_1, &dof_1, &threshold_1);
     const double t54 = 1.0e-11 * scale_1[1];
     const double t55 = difference_1[2] - t54;
     if (t55 > 0.0)
     {
-        const double t56 = 1.0 / difference_1[2];
-        inverse_1_1 = t56;
+        inverse_1_1 = 1.0 / difference_1[2];
         const double t57 = shift_1[1] * inverse_1_1;
         const double t58 = shift_1[1] * t57;
-        const double t59 = statistic_1 + t58;
-        statistic_1 = t59;
+        statistic_1 = statistic_1 + t58;
         dof_1 = 2.0;
         threshold_1 = 13.815510557964274;
     }
 
     /* test of group 2 */
-    const double t60 = self->collecting[2] - 0.5;
-    if (t60 > 0.0)
-    {
-        const double t61 = self->filtered_covariance[0] - self->compression_covariance[6];
-        const double t62 = self->filtered_covariance[1] - self->compression_covariance[7];
-        const double t63 = self->filtered_covariance[2] - self->compression_covariance[8];
-        difference_2[0] = t61;
-        difference_2[1] = t62;
-        difference_2[2] = t63;
-        shift_2[0] = self->compression_deviation[4];
-        shift_2[1] = self->compression_deviation[5];
-        scale_2[0] = self->filtered_covariance[0];
-        scale_2[1] = self->filtered_covariance[2];
-    }
-    const double t64 = difference_2[2] * scale_2[0];
-    const double t65 = difference_2[0] * scale_2[1];
-    const double t66 = t64 - t65;
-    if (t66 > 0.0)
-    {
-        const double t67 = difference_2[2];
-        const double t68 = difference_2[0];
-        const double t69 = shift_2[1];
-        const double t70 = shift_2[0];
-        const double t71 = scale_2[1];
-        const double t72 = scale_2[0];
-        difference_2[0] = t67;
-        difference_2[2] = t68;
-        shift_2[0] = t69;
-        shift_2[1] = t70;
-        scale_2[0] = t71;
-        scale_2[1] = t72;
-    }
-    const double t73 = 1.0e-11 * scale_2[0];
-    const double t74 = difference_2[0] - t73;
-    if (t74 > 0.0)
-    {
-        const double t75 = 1.0 / difference_2[0];
-        inverse_2_0 = t75;
-        const double t76 = difference_2[1] * inverse_2_0;
-        share_2_0_1 = t76;
-        const double t77 = shift_2[0] * inverse_2_0;
-        const double t78 = shift_2[0] * t77;
-        const double t79 = statistic_2 + t78;
-        const double t80 = share_2_0_1 * difference_2[1];
-        const double t81 = difference_2[2] - t80;
-        const double t82 = share_2_0_1 * shift_2[0];
-        const double t83 = shift_2[1] - t82;
-        statistic_2 = t79;
-        dof_2 = 1.0;
-        threshold_2 = 10.827566170662733;
-        difference_2[2] = t81;
-        shift_2[1] = t83;
-    }
-    const double t84 = 1.0e-11 * scale_2[1];
-    const double t85 = difference_2[2] - t84;
-    if (t85 > 0.0)
-    {
-        const double t86 = 1.0 / difference_2[2];
-        inverse_2_1 = t86;
-        const double t87 = shift_2[1] * inverse_2_1;
-        const double t88 = shift_2[1] * t87;
-        const double t89 = statistic_2 + t88;
-        statistic_2 = t89;
-        dof_2 = 2.0;
-        threshold_2 = 13.815510557964274;
-    }
-
-    /* test of group 3 */
-    const double t90 = self->collecting[3] - 0.5;
-    if (t90 > 0.0)
-    {
-        const double t91 = self->filtered_covariance[0] - self->compression_covariance[9];
-        const double t92 = self->filtered_covariance[1] - self->compression_covariance[10];
-        const double t93 = self->filtered_covariance[2] - self->compression_covariance[11];
-        difference_3[0] = t91;
-        difference_3[1] = t92;
-        difference_3[2] = t93;
-        shift_3[0] = self->compression_deviation[6];
-        shift_3[1] = self->compression_deviation[7];
-        scale_3[0] = self->filtered_covariance[0];
-        scale_3[1] = self->filtered_covariance[2];
-    }
-    const double t94 = difference_3[2] * scale_3[0];
-    const double t95 = difference_3[0] * scale_3[1];
-    const double t96 = t94 - t95;
-    if (t96 > 0.0)
-    {
-        const double t97 = difference_3[2];
-        const double t98 = difference_3[0];
-        const double t99 = shift_3[1];
-        const double t100 = shift_3[0];
-        const double t101 = scale_3[1];
-        const double t102 = scale_3[0];
-        difference_3[0] = t97;
-        difference_3[2] = t98;
-        shift_3[0] = t99;
-        shift_3[1] = t100;
-        scale_3[0] = t101;
-        scale_3[1] = t102;
-    }
-    const double t103 = 1.0e-11 * scale_3[0];
-    const double t104 = difference_3[0] - t103;
-    if (t104 > 0.0)
-    {
-        const double t105 = 1.0 / difference_3[0];
-        inverse_3_0 = t105;
-        const double t106 = difference_3[1] * inverse_3_0;
-        share_3_0_1 = t106;
-        const double t107 = shift_3[0] * inverse_3_0;
-        const double t108 = shift_3[0] * t107;
-        const double t109 = statistic_3 + t108;
-        const double t110 = share_3_0_1 * difference_3[1];
-        const double t111 = difference_3[2] - t110;
-        const double t112 = share_3_0_1 * shift_3[0];
-        const double t113 = shift_3[1] - t112;
-        statistic_3 = t109;
-        dof_3 = 1.0;
-        threshold_3 = 10.827566170662733;
-        difference_3[2] = t111;
-        shift_3[1] = t113;
-    }
-    const double t114 = 1.0e-11 * scale_3[1];
-    const double t115 = difference_3[2] - t114;
-    if (t115 > 0.0)
-    {
-        const double t116 = 1.0 / difference_3[2];
-        inverse_3_1 = t116;
-        const double t117 = shift_3[1] * inverse_3_1;
-        const double t118 = shift_3[1] * t117;
-        const double t119 = statistic_3 + t118;
-        statistic_3 = t119;
-        dof_3 = 2.0;
-        threshold_3 = 13.815510557964274;
-    }
-
-    /* verdict on group 0 */
-    accepted_0 = self->collecting[0];
-    rejected_0 = 0.0;
-    const double t120 = statistic_0 - threshold_0;
-    if (t120 > 0.0)
-    {
-        accepted_0 = 0.0;
-        rejected_0 = 1.0;
-    }
-
-    /* verdict on group 1 */
-    accepted_1 = self->collecting[1];
-    rejected_1 = 0.0;
-    const double t121 = statistic_1 - threshold_1;
-    if (t121 > 0.0)
-    {
-        accepted_1 = 0.0;
-        rejected_1 = 1.0;
-    }
-
-    /* verdict on group 2 */
-    accepted_2 = self->collecting[2];
-    rejected_2 = 0.0;
-    const double t122 = statistic_2 - threshold_2;
-    if (t122 > 0.0)
-    {
-        accepted_2 = 0.0;
-        rejected_2 = 1.0;
-    }
-
-    /* verdict on group 3 */
-    accepted_3 = self->collecting[3];
-    rejected_3 = 0.0;
-    const double t123 = statistic_3 - threshold_3;
-    if (t123 > 0.0)
-    {
-        accepted_3 = 0.0;
-        rejected_3 = 1.0;
-    }
-    closed_state[0] = self->filtered_state[0];
-    closed_state[1] = self->filtered_state[1];
-    closed_covariance[0] = self->filtered_covariance[0];
-    closed_covariance[1] = self->filtered_covariance[1];
-    closed_covariance[2] = self->filtered_covariance[2];
-
-    /* the host takes over: group 0 */
-    const double t124 = -0.5 + accepted_0;
-    const double t125 = t124 - accepted_1;
-    const double t126 = t125 - accepted_2;
-    const double t127 = t126 - accepted_3;
-    if (t127 > 0.0)
-    {
-        const double t128 = self->filtered_state[0] + self->compression_deviation[0];
-        const double t129 = self->filtered_state[1] + self->compression_deviation[1];
-        closed_state[0] = t128;
-        closed_state[1] = t129;
-        closed_covariance[0] = self->compression_covariance[0];
-        closed_covariance[1] = self->compression_covariance[1];
-        closed_covariance[2] = self->compression_covariance[2];
-    }
-
-    /* the host takes over: group 1 */
-    const double t130 = -0.5 - accepted_0;
-    const double t131 = t130 + accepted_1;
-    const double t132 = t131 - accepted_2;
-    const double t133 = t132 - accepted_3;
-    if (t133 > 0.0)
-    {
-        const double t134 = self->filtered_state[0] + self->compression_deviation[2];
-        const double t135 = self->filtered_state[1] + self->compression_deviation[3];
-        closed_state[0] = t134;
-        closed_state[1] = t135;
-        closed_covariance[0] = self->compression_covariance[3];
-        closed_covariance[1] = self->compression_covariance[4];
-        closed_covariance[2] = self->compression_covariance[5];
-    }
-
-    /* the host takes over: group 2 */
-    const double t136 = -0.5 - accepted_0;
-    const double t137 = t136 - accepted_1;
-    const double t138 = t137 + accepted_2;
-    const double t139 = t138 - accepted_3;
-    if (t139 > 0.0)
-    {
-        const double t140 = self->filtered_state[0] + self->compression_deviation[4];
-        const double t141 = self->filtered_state[1] + self->compression_deviation[5];
-        closed_state[0] = t140;
-        closed_state[1] = t141;
-        closed_covariance[0] = self->compression_covariance[6];
-        closed_covariance[1] = self->compression_covariance[7];
-        closed_covariance[2] = self->compression_covariance[8];
-    }
-
-    /* the host takes over: group 3 */
-    const double t142 = -0.5 - accepted_0;
-    const double t143 = t142 - accepted_1;
-    const double t144 = t143 - accepted_2;
-    const double t145 = t144 + accepted_3;
-    if (t145 > 0.0)
-    {
-        const double t146 = self->filtered_state[0] + self->compression_deviation[6];
-        const double t147 = self->filtered_state[1] + self->compression_deviation[7];
-        closed_state[0] = t146;
-        closed_state[1] = t147;
-        closed_covariance[0] = self->compression_covariance[9];
-        closed_covariance[1] = self->compression_covariance[10];
-        closed_covariance[2] = self->compression_covariance[11];
-    }
-
-    /* the host takes over: group 0, 1 */
-    const double t148 = -1.5 + accepted_0;
-    const double t149 = t148 + accepted_1;
-    const double t150 = t149 - accepted_2;
-    const double t151 = t150 - accepted_3;
-    if (t151 > 0.0)
-    {
-        const double t152 = self->filtered_state[0] + self->compression_deviation[8];
-        const double t153 = self->filtered_state[1] + self->compression_deviation[9];
-        closed_state[0] = t152;
-        closed_state[1] = t153;
-        closed_covariance[0] = self->compression_covariance[12];
-        closed_covariance[1] = self->compression_covariance[13];
-        closed_covariance[2] = self->compression_covariance[14];
-    }
-
-    /* the host takes over: group 0, 2 */
-    const double t154 = -1.5 + accepted_0;
-    const double t155 = t154 - accepted_1;
-    const double t156 = t155 + accepted_2;
-    const double t157 = t156 - accepted_3;
-    if (t157 > 0.0)
-    {
-        const double t158 = self->filtered_state[0] + self->compression_deviation[10];
-        const double t159 = self->filtered_state[1] + self->compression_deviation[11];
-        closed_state[0] = t158;
-        closed_state[1] = t159;
-        closed_covariance[0] = self->compression_covariance[15];
-        closed_covariance[1] = self->compression_covariance[16];
-        closed_covariance[2] = self->compression_covariance[17];
-    }
-
-    /* the host takes over: group 0, 3 */
-    const double t160 = -1.5 + accepted_0;
-    const double t161 = t160 - accepted_1;
-    const double t162 = t161 - accepted_2;
-    const double t163 = t162 + accepted_3;
-    if (t163 > 0.0)
-    {
-        const double t164 = self->filtered_state[0] + self->compression_deviation[12];
-        const double t165 = self->filtered_state[1] + self->compression_deviation[13];
-        closed_state[0] = t164;
-        closed_state[1] = t165;
-        closed_covariance[0] = self->compression_covariance[18];
-        closed_covariance[1] = self->compression_covariance[19];
-        closed_covariance[2] = self->compression_covariance[20];
-    }
-
-    /* the host takes over: group 1, 2 */
-    const double t166 = -1.5 - accepted_0;
-    const double t167 = t166 + accepted_1;
-    const double t168 = t167 + accepted_2;
-    const double t169 = t168 - accepted_3;
-    if (t169 > 0.0)
-    {
-        const double t170 = self->filtered_state[0] + self->compression_deviation[14];
-        const double t171 = self->filtered_state[1] + self->compression_deviation[15];
-        closed_state[0] = t170;
-        closed_state[1] = t171;
-        closed_covariance[0] = self->compression_covariance[21];
-        closed_covariance[1] = self->compression_covariance[22];
-        closed_covariance[2] = self->compression_covariance[23];
-    }
-
-    /* the host takes over: group 1, 3 */
-    const double t172 = -1.5 - accepted_0;
-    const double t173 = t172 + accepted_1;
-    const double t174 = t173 - accepted_2;
-    const double t175 = t174 + accepted_3;
-    if (t175 > 0.0)
-    {
-        const double t176 = self->filtered_state[0] + self->compression_deviation[16];
-        const double t177 = self->filtered_state[1] + self->compression_deviation[17];
-        closed_state[0] = t176;
-        closed_state[1] = t177;
-        closed_covariance[0] = self->compression_covariance[24];
-        closed_covariance[1] = self->compression_covariance[25];
-        closed_covariance[2] = self->compression_covariance[26];
-    }
-
-    /* the host takes over: group 2, 3 */
-    const double t178 = -1.5 - accepted_0;
-    const double t179 = t178 - accepted_1;
-    const double t180 = t179 + accepted_2;
-    const double t181 = t180 + accepted_3;
-    if (t181 > 0.0)
-    {
-        const double t182 = self->filtered_state[0] + self->compression_deviation[18];
-        const double t183 = self->filtered_state[1] + self->compression_deviation[19];
-        closed_state[0] = t182;
-        closed_state[1] = t183;
-        closed_covariance[0] = self->compression_covariance[27];
-        closed_covariance[1] = self->compression_covariance[28];
-        closed_covariance[2] = self->compression_covariance[29];
-    }
-
-    /* the host takes over: group 0, 1, 2 */
-    const double t184 = -2.5 + accepted_0;
-    const double t185 = t184 + accepted_1;
-    const double t186 = t185 + accepted_2;
-    const double t187 = t186 - accepted_3;
-    if (t187 > 0.0)
-    {
-        const double t188 = self->filtered_state[0] + self->compression_deviation[20];
-        const double t189 = self->filtered_state[1] + self->compression_deviation[21];
-        closed_state[0] = t188;
-        closed_state[1] = t189;
-        closed_covariance[0] = self->compression_covariance[30];
-        closed_covariance[1] = self->compression_covariance[31];
-        closed_covariance[2] = self->compression_covariance[32];
-    }
-
-    /* the host takes over: group 0, 1, 3 */
-    const double t190 = -2.5 + accepted_0;
-    const double t191 = t190 + accepted_1;
-    const double t192 = t191 - accepted_2;
-    const double t193 = t192 + accepted_3;
-    if (t193 > 0.0)
-    {
-        const double t194 = self->filtered_state[0] + self->compression_deviation[22];
-        const double t195 = self->filtered_state[1] + self->compression_deviation[23];
-        closed_state[0] = t194;
-        closed_state[1] = t195;
-        closed_covariance[0] = self->compression_covariance[33];
-        closed_covariance[1] = self->compression_covariance[34];
-        closed_covariance[2] = self->compression_covariance[35];
-    }
-
-    /* the host takes over: group 0, 2, 3 */
-    const double t196 = -2.5 + accepted_0;
-    const double t197 = t196 - accepted_1;
-    const double t198 = t197 + accepted_2;
-    const double t199 = t198 + accepted_3;
-    if (t199 > 0.0)
-    {
-        const double t200 = self->filtered_state[0] + self->compression_deviation[24];
-        const double t201 = self->filtered_state[1] + self->compression_deviation[25];
-        closed_state[0] = t200;
-        closed_state[1] = t201;
-        closed_covariance[0] = self->compression_covariance[36];
-        closed_covariance[1] = self->compression_covariance[37];
-        closed_covariance[2] = self->compression_covariance[38];
-    }
-
-    /* the host takes over: group 1, 2, 3 */
+    wheel_drift_test_of_group_2(self->collecting, self->filtered_covariance,
+        self->compression_covariance, self->compression_deviation, &statistic_2, &dof_2,
+        &statistic_3, &dof_3, &accepted_0, &rejected_0, statistic_0, threshold_0, &accepted_1,
+        &rejected_1, statistic_1, threshold_1, &accepted_2, &rejected_2, &accepted_3, &rejected_3,
+        self->filtered_state, closed_state, closed_covariance);
     const double t202 = -2.5 - accepted_0;
     const double t203 = t202 + accepted_1;
     const double t204 = t203 + accepted_2;
     const double t205 = t204 + accepted_3;
     if (t205 > 0.0)
     {
-        const double t206 = self->filtered_state[0] + self->compression_deviation[26];
-        const double t207 = self->filtered_state[1] + self->compression_deviation[27];
-        closed_state[0] = t206;
-        closed_state[1] = t207;
+        closed_state[0] = self->filtered_state[0] + self->compression_deviation[26];
+        closed_state[1] = self->filtered_state[1] + self->compression_deviation[27];
         closed_covariance[0] = self->compression_covariance[39];
         closed_covariance[1] = self->compression_covariance[40];
         closed_covariance[2] = self->compression_covariance[41];
@@ -4857,10 +2330,8 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     const double t211 = t210 + accepted_3;
     if (t211 > 0.0)
     {
-        const double t212 = self->filtered_state[0] + self->compression_deviation[28];
-        const double t213 = self->filtered_state[1] + self->compression_deviation[29];
-        closed_state[0] = t212;
-        closed_state[1] = t213;
+        closed_state[0] = self->filtered_state[0] + self->compression_deviation[28];
+        closed_state[1] = self->filtered_state[1] + self->compression_deviation[29];
         closed_covariance[0] = self->compression_covariance[42];
         closed_covariance[1] = self->compression_covariance[43];
         closed_covariance[2] = self->compression_covariance[44];
@@ -4979,20 +2450,17 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     double A;
     double Q[2];
     double left;
-    const double t0 = -params->dt;
-    A = t0;
-    const double t1 = 0.0225 * params->dt;
-    const double t2 = 0.010000000000000002 * params->dt;
-    Q[0] = t1;
-    Q[1] = t2;
+    wheel_drift_status_t status;
+    A = -params->dt;
+    Q[0] = 0.0225 * params->dt;
+    Q[1] = 0.010000000000000002 * params->dt;
     if (!((Q[0] >= 0.0) && (Q[1] >= 0.0)))
     {
         return WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE;
     }
 
     /* samples left in the window */
-    const double t3 = self->window_left - 1.0;
-    left = t3;
+    left = self->window_left - 1.0;
     const double t4 = 0.5 - self->window_left;
     if (t4 > 0.0)
     {
@@ -5000,380 +2468,15 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     }
 
     /* prediction of the next sample */
-    const double t5 = A * self->filtered_state[1];
-    const double t6 = self->filtered_state[0] + t5;
-    const double t7 = params->dt * u[0];
-    const double t8 = t6 + t7;
-    const double t9 = A * self->filtered_covariance[1];
-    const double t10 = self->filtered_covariance[0] + t9;
-    const double t11 = A * self->filtered_covariance[2];
-    const double t12 = self->filtered_covariance[1] + t11;
-    const double t13 = t12 * A;
-    const double t14 = t10 + t13;
-    const double t15 = t14 + Q[0];
-    const double t16 = self->filtered_covariance[2] * A;
-    const double t17 = self->filtered_covariance[1] + t16;
-    const double t18 = self->filtered_covariance[2] + Q[1];
-    const double t19 = A * self->compression_deviation[1];
-    const double t20 = self->compression_deviation[0] + t19;
-    const double t21 = A * self->compression_deviation[3];
-    const double t22 = self->compression_deviation[2] + t21;
-    const double t23 = A * self->compression_deviation[5];
-    const double t24 = self->compression_deviation[4] + t23;
-    const double t25 = A * self->compression_deviation[7];
-    const double t26 = self->compression_deviation[6] + t25;
-    const double t27 = A * self->compression_deviation[9];
-    const double t28 = self->compression_deviation[8] + t27;
-    const double t29 = A * self->compression_deviation[11];
-    const double t30 = self->compression_deviation[10] + t29;
-    const double t31 = A * self->compression_deviation[13];
-    const double t32 = self->compression_deviation[12] + t31;
-    const double t33 = A * self->compression_deviation[15];
-    const double t34 = self->compression_deviation[14] + t33;
-    const double t35 = A * self->compression_deviation[17];
-    const double t36 = self->compression_deviation[16] + t35;
-    const double t37 = A * self->compression_deviation[19];
-    const double t38 = self->compression_deviation[18] + t37;
-    const double t39 = A * self->compression_deviation[21];
-    const double t40 = self->compression_deviation[20] + t39;
-    const double t41 = A * self->compression_deviation[23];
-    const double t42 = self->compression_deviation[22] + t41;
-    const double t43 = A * self->compression_deviation[25];
-    const double t44 = self->compression_deviation[24] + t43;
-    const double t45 = A * self->compression_deviation[27];
-    const double t46 = self->compression_deviation[26] + t45;
-    const double t47 = A * self->compression_deviation[29];
-    const double t48 = self->compression_deviation[28] + t47;
-    const double t49 = A * self->compression_covariance[1];
-    const double t50 = self->compression_covariance[0] + t49;
-    const double t51 = A * self->compression_covariance[2];
-    const double t52 = self->compression_covariance[1] + t51;
-    const double t53 = t52 * A;
-    const double t54 = t50 + t53;
-    const double t55 = t54 + Q[0];
-    const double t56 = self->compression_covariance[2] * A;
-    const double t57 = self->compression_covariance[1] + t56;
-    const double t58 = self->compression_covariance[2] + Q[1];
-    const double t59 = A * self->compression_covariance[4];
-    const double t60 = self->compression_covariance[3] + t59;
-    const double t61 = A * self->compression_covariance[5];
-    const double t62 = self->compression_covariance[4] + t61;
-    const double t63 = t62 * A;
-    const double t64 = t60 + t63;
-    const double t65 = t64 + Q[0];
-    const double t66 = self->compression_covariance[5] * A;
-    const double t67 = self->compression_covariance[4] + t66;
-    const double t68 = self->compression_covariance[5] + Q[1];
-    const double t69 = A * self->compression_covariance[7];
-    const double t70 = self->compression_covariance[6] + t69;
-    const double t71 = A * self->compression_covariance[8];
-    const double t72 = self->compression_covariance[7] + t71;
-    const double t73 = t72 * A;
-    const double t74 = t70 + t73;
-    const double t75 = t74 + Q[0];
-    const double t76 = self->compression_covariance[8] * A;
-    const double t77 = self->compression_covariance[7] + t76;
-    const double t78 = self->compression_covariance[8] + Q[1];
-    const double t79 = A * self->compression_covariance[10];
-    const double t80 = self->compression_covariance[9] + t79;
-    const double t81 = A * self->compression_covariance[11];
-    const double t82 = self->compression_covariance[10] + t81;
-    const double t83 = t82 * A;
-    const double t84 = t80 + t83;
-    const double t85 = t84 + Q[0];
-    const double t86 = self->compression_covariance[11] * A;
-    const double t87 = self->compression_covariance[10] + t86;
-    const double t88 = self->compression_covariance[11] + Q[1];
-    const double t89 = A * self->compression_covariance[13];
-    const double t90 = self->compression_covariance[12] + t89;
-    const double t91 = A * self->compression_covariance[14];
-    const double t92 = self->compression_covariance[13] + t91;
-    const double t93 = t92 * A;
-    const double t94 = t90 + t93;
-    const double t95 = t94 + Q[0];
-    const double t96 = self->compression_covariance[14] * A;
-    const double t97 = self->compression_covariance[13] + t96;
-    const double t98 = self->compression_covariance[14] + Q[1];
-    const double t99 = A * self->compression_covariance[16];
-    const double t100 = self->compression_covariance[15] + t99;
-    const double t101 = A * self->compression_covariance[17];
-    const double t102 = self->compression_covariance[16] + t101;
-    const double t103 = t102 * A;
-    const double t104 = t100 + t103;
-    const double t105 = t104 + Q[0];
-    const double t106 = self->compression_covariance[17] * A;
-    const double t107 = self->compression_covariance[16] + t106;
-    const double t108 = self->compression_covariance[17] + Q[1];
-    const double t109 = A * self->compression_covariance[19];
-    const double t110 = self->compression_covariance[18] + t109;
-    const double t111 = A * self->compression_covariance[20];
-    const double t112 = self->compression_covariance[19] + t111;
-    const double t113 = t112 * A;
-    const double t114 = t110 + t113;
-    const double t115 = t114 + Q[0];
-    const double t116 = self->compression_covariance[20] * A;
-    const double t117 = self->compression_covariance[19] + t116;
-    const double t118 = self->compression_covariance[20] + Q[1];
-    const double t119 = A * self->compression_covariance[22];
-    const double t120 = self->compression_covariance[21] + t119;
-    const double t121 = A * self->compression_covariance[23];
-    const double t122 = self->compression_covariance[22] + t121;
-    const double t123 = t122 * A;
-    const double t124 = t120 + t123;
-    const double t125 = t124 + Q[0];
-    const double t126 = self->compression_covariance[23] * A;
-    const double t127 = self->compression_covariance[22] + t126;
-    const double t128 = self->compression_covariance[23] + Q[1];
-    const double t129 = A * self->compression_covariance[25];
-    const double t130 = self->compression_covariance[24] + t129;
-    const double t131 = A * self->compression_covariance[26];
-    const double t132 = self->compression_covariance[25] + t131;
-    const double t133 = t132 * A;
-    const double t134 = t130 + t133;
-    const double t135 = t134 + Q[0];
-    const double t136 = self->compression_covariance[26] * A;
-    const double t137 = self->compression_covariance[25] + t136;
-    const double t138 = self->compression_covariance[26] + Q[1];
-    const double t139 = A * self->compression_covariance[28];
-    const double t140 = self->compression_covariance[27] + t139;
-    const double t141 = A * self->compression_covariance[29];
-    const double t142 = self->compression_covariance[28] + t141;
-    const double t143 = t142 * A;
-    const double t144 = t140 + t143;
-    const double t145 = t144 + Q[0];
-    const double t146 = self->compression_covariance[29] * A;
-    const double t147 = self->compression_covariance[28] + t146;
-    const double t148 = self->compression_covariance[29] + Q[1];
-    const double t149 = A * self->compression_covariance[31];
-    const double t150 = self->compression_covariance[30] + t149;
-    const double t151 = A * self->compression_covariance[32];
-    const double t152 = self->compression_covariance[31] + t151;
-    const double t153 = t152 * A;
-    const double t154 = t150 + t153;
-    const double t155 = t154 + Q[0];
-    const double t156 = self->compression_covariance[32] * A;
-    const double t157 = self->compression_covariance[31] + t156;
-    const double t158 = self->compression_covariance[32] + Q[1];
-    const double t159 = A * self->compression_covariance[34];
-    const double t160 = self->compression_covariance[33] + t159;
-    const double t161 = A * self->compression_covariance[35];
-    const double t162 = self->compression_covariance[34] + t161;
-    const double t163 = t162 * A;
-    const double t164 = t160 + t163;
-    const double t165 = t164 + Q[0];
-    const double t166 = self->compression_covariance[35] * A;
-    const double t167 = self->compression_covariance[34] + t166;
-    const double t168 = self->compression_covariance[35] + Q[1];
-    const double t169 = A * self->compression_covariance[37];
-    const double t170 = self->compression_covariance[36] + t169;
-    const double t171 = A * self->compression_covariance[38];
-    const double t172 = self->compression_covariance[37] + t171;
-    const double t173 = t172 * A;
-    const double t174 = t170 + t173;
-    const double t175 = t174 + Q[0];
-    const double t176 = self->compression_covariance[38] * A;
-    const double t177 = self->compression_covariance[37] + t176;
-    const double t178 = self->compression_covariance[38] + Q[1];
-    const double t179 = A * self->compression_covariance[40];
-    const double t180 = self->compression_covariance[39] + t179;
-    const double t181 = A * self->compression_covariance[41];
-    const double t182 = self->compression_covariance[40] + t181;
-    const double t183 = t182 * A;
-    const double t184 = t180 + t183;
-    const double t185 = t184 + Q[0];
-    const double t186 = self->compression_covariance[41] * A;
-    const double t187 = self->compression_covariance[40] + t186;
-    const double t188 = self->compression_covariance[41] + Q[1];
-    const double t189 = A * self->compression_covariance[43];
-    const double t190 = self->compression_covariance[42] + t189;
-    const double t191 = A * self->compression_covariance[44];
-    const double t192 = self->compression_covariance[43] + t191;
-    const double t193 = t192 * A;
-    const double t194 = t190 + t193;
-    const double t195 = t194 + Q[0];
-    const double t196 = self->compression_covariance[44] * A;
-    const double t197 = self->compression_covariance[43] + t196;
-    const double t198 = self->compression_covariance[44] + Q[1];
-    if (!wheel_drift_finite(wheel_drift_defect(t8) + wheel_drift_defect(self->filtered_state[1]) +
-        wheel_drift_defect(t15) + wheel_drift_defect(t18)))
+    status = wheel_drift_prediction_of_the_next(A, self->filtered_state, u[0],
+        self->filtered_covariance, Q, self->compression_deviation, self->compression_covariance,
+        next->predicted_state, next->predicted_covariance, next->predicted_compression_deviation,
+        next->predicted_compression_covariance, left, &next->predicted_window_left,
+        self->collecting, next->predicted_collecting, params);
+    if (status != WHEEL_DRIFT_OK)
     {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+        return status;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t20) +
-        wheel_drift_defect(self->compression_deviation[1]) + wheel_drift_defect(t55) +
-        wheel_drift_defect(t58)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t22) +
-        wheel_drift_defect(self->compression_deviation[3]) + wheel_drift_defect(t65) +
-        wheel_drift_defect(t68)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t24) +
-        wheel_drift_defect(self->compression_deviation[5]) + wheel_drift_defect(t75) +
-        wheel_drift_defect(t78)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t26) +
-        wheel_drift_defect(self->compression_deviation[7]) + wheel_drift_defect(t85) +
-        wheel_drift_defect(t88)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t28) +
-        wheel_drift_defect(self->compression_deviation[9]) + wheel_drift_defect(t95) +
-        wheel_drift_defect(t98)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t30) +
-        wheel_drift_defect(self->compression_deviation[11]) + wheel_drift_defect(t105) +
-        wheel_drift_defect(t108)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t32) +
-        wheel_drift_defect(self->compression_deviation[13]) + wheel_drift_defect(t115) +
-        wheel_drift_defect(t118)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t34) +
-        wheel_drift_defect(self->compression_deviation[15]) + wheel_drift_defect(t125) +
-        wheel_drift_defect(t128)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t36) +
-        wheel_drift_defect(self->compression_deviation[17]) + wheel_drift_defect(t135) +
-        wheel_drift_defect(t138)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t38) +
-        wheel_drift_defect(self->compression_deviation[19]) + wheel_drift_defect(t145) +
-        wheel_drift_defect(t148)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t40) +
-        wheel_drift_defect(self->compression_deviation[21]) + wheel_drift_defect(t155) +
-        wheel_drift_defect(t158)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t42) +
-        wheel_drift_defect(self->compression_deviation[23]) + wheel_drift_defect(t165) +
-        wheel_drift_defect(t168)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t44) +
-        wheel_drift_defect(self->compression_deviation[25]) + wheel_drift_defect(t175) +
-        wheel_drift_defect(t178)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t46) +
-        wheel_drift_defect(self->compression_deviation[27]) + wheel_drift_defect(t185) +
-        wheel_drift_defect(t188)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t48) +
-        wheel_drift_defect(self->compression_deviation[29]) + wheel_drift_defect(t195) +
-        wheel_drift_defect(t198)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    next->predicted_state[0] = t8;
-    next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_covariance[0] = t15;
-    next->predicted_covariance[1] = t17;
-    next->predicted_covariance[2] = t18;
-    next->predicted_compression_deviation[0] = t20;
-    next->predicted_compression_deviation[1] = self->compression_deviation[1];
-    next->predicted_compression_deviation[2] = t22;
-    next->predicted_compression_deviation[3] = self->compression_deviation[3];
-    next->predicted_compression_deviation[4] = t24;
-    next->predicted_compression_deviation[5] = self->compression_deviation[5];
-    next->predicted_compression_deviation[6] = t26;
-    next->predicted_compression_deviation[7] = self->compression_deviation[7];
-    next->predicted_compression_deviation[8] = t28;
-    next->predicted_compression_deviation[9] = self->compression_deviation[9];
-    next->predicted_compression_deviation[10] = t30;
-    next->predicted_compression_deviation[11] = self->compression_deviation[11];
-    next->predicted_compression_deviation[12] = t32;
-    next->predicted_compression_deviation[13] = self->compression_deviation[13];
-    next->predicted_compression_deviation[14] = t34;
-    next->predicted_compression_deviation[15] = self->compression_deviation[15];
-    next->predicted_compression_deviation[16] = t36;
-    next->predicted_compression_deviation[17] = self->compression_deviation[17];
-    next->predicted_compression_deviation[18] = t38;
-    next->predicted_compression_deviation[19] = self->compression_deviation[19];
-    next->predicted_compression_deviation[20] = t40;
-    next->predicted_compression_deviation[21] = self->compression_deviation[21];
-    next->predicted_compression_deviation[22] = t42;
-    next->predicted_compression_deviation[23] = self->compression_deviation[23];
-    next->predicted_compression_deviation[24] = t44;
-    next->predicted_compression_deviation[25] = self->compression_deviation[25];
-    next->predicted_compression_deviation[26] = t46;
-    next->predicted_compression_deviation[27] = self->compression_deviation[27];
-    next->predicted_compression_deviation[28] = t48;
-    next->predicted_compression_deviation[29] = self->compression_deviation[29];
-    next->predicted_compression_covariance[0] = t55;
-    next->predicted_compression_covariance[1] = t57;
-    next->predicted_compression_covariance[2] = t58;
-    next->predicted_compression_covariance[3] = t65;
-    next->predicted_compression_covariance[4] = t67;
-    next->predicted_compression_covariance[5] = t68;
-    next->predicted_compression_covariance[6] = t75;
-    next->predicted_compression_covariance[7] = t77;
-    next->predicted_compression_covariance[8] = t78;
-    next->predicted_compression_covariance[9] = t85;
-    next->predicted_compression_covariance[10] = t87;
-    next->predicted_compression_covariance[11] = t88;
-    next->predicted_compression_covariance[12] = t95;
-    next->predicted_compression_covariance[13] = t97;
-    next->predicted_compression_covariance[14] = t98;
-    next->predicted_compression_covariance[15] = t105;
-    next->predicted_compression_covariance[16] = t107;
-    next->predicted_compression_covariance[17] = t108;
-    next->predicted_compression_covariance[18] = t115;
-    next->predicted_compression_covariance[19] = t117;
-    next->predicted_compression_covariance[20] = t118;
-    next->predicted_compression_covariance[21] = t125;
-    next->predicted_compression_covariance[22] = t127;
-    next->predicted_compression_covariance[23] = t128;
-    next->predicted_compression_covariance[24] = t135;
-    next->predicted_compression_covariance[25] = t137;
-    next->predicted_compression_covariance[26] = t138;
-    next->predicted_compression_covariance[27] = t145;
-    next->predicted_compression_covariance[28] = t147;
-    next->predicted_compression_covariance[29] = t148;
-    next->predicted_compression_covariance[30] = t155;
-    next->predicted_compression_covariance[31] = t157;
-    next->predicted_compression_covariance[32] = t158;
-    next->predicted_compression_covariance[33] = t165;
-    next->predicted_compression_covariance[34] = t167;
-    next->predicted_compression_covariance[35] = t168;
-    next->predicted_compression_covariance[36] = t175;
-    next->predicted_compression_covariance[37] = t177;
-    next->predicted_compression_covariance[38] = t178;
-    next->predicted_compression_covariance[39] = t185;
-    next->predicted_compression_covariance[40] = t187;
-    next->predicted_compression_covariance[41] = t188;
-    next->predicted_compression_covariance[42] = t195;
-    next->predicted_compression_covariance[43] = t197;
-    next->predicted_compression_covariance[44] = t198;
-    next->predicted_window_left = left;
-    next->predicted_collecting[0] = self->collecting[0];
-    next->predicted_collecting[1] = self->collecting[1];
-    next->predicted_collecting[2] = self->collecting[2];
-    next->predicted_collecting[3] = self->collecting[3];
     return WHEEL_DRIFT_OK;
 }
 

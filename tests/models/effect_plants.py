@@ -8,6 +8,10 @@ from plants import covariance
 import fkgen
 from fkgen.oracle import LinearSystem, draw_record
 
+T = 40
+CLOSE = 1e-12
+"""Relative to the largest number in sight: some hundred roundings of double arithmetic."""
+
 CHAIN = [[0.99, 0.1, 0.0], [0.0, 0.99, -0.1], [0.0, 0.0, 0.99]]
 BOTH = [[0.9, 0.0, -0.9], [0.0, 0.05, 0.0]]
 SECOND = [[0.0, 0.0, 0.0], [0.0, 0.05, 0.0]]
@@ -38,7 +42,7 @@ def paper(name, P0=None):
 
 def varying(seed, n=3, p=2, q=2, *, direct=False, family="kf", **sections):
     """A plant in which every entry is a parameter; (spec, params) over 40 random samples."""
-    rng, T = np.random.default_rng(seed), 40
+    rng = np.random.default_rng(seed)
     A = rng.standard_normal((T, n, n))
     A *= 0.9 / np.abs(np.linalg.eigvals(A)).max(axis=1)[:, None, None]
     arrays = {
@@ -94,3 +98,22 @@ def difference(spec, faults, mode, params, u, missing):
         plant[k + 1] = system.A[k] @ plant[k] + system.B[k] @ (reached - u)[k]
     change = after.filtered_state - before.filtered_state
     return change, plant - change, after.innovation - before.innovation
+
+
+def close(found, expected, *sizes):
+    """Equal within `CLOSE` of the largest of 1, what is expected, and the sizes; NaN = NaN."""
+    scale = max(1.0, *(float(np.nanmax(np.abs(each))) for each in (expected, *sizes)))
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=CLOSE * scale)
+
+
+def profiles(spec, seed=3):
+    """Random faults in y and in u."""
+    rng = np.random.default_rng(seed)
+    sensor = rng.standard_normal((T, spec.model.ny))
+    return sensor, rng.standard_normal((T, spec.model.nu))
+
+
+def missing_some(spec, seed=4):
+    missing = np.random.default_rng(seed).random((T, spec.model.ny)) < 0.25
+    missing[0], missing[9] = False, True
+    return missing

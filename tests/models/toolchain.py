@@ -61,7 +61,8 @@ def each(compilers):
 
 def thorough(cases, few):
     """Cases to parametrise by; all but a few are for test-all."""
-    return [case if case in few else pytest.param(*case, marks=exhaustive) for case in cases]
+    others = [case if isinstance(case, tuple) else (case,) for case in cases if case not in few]
+    return [*few, *(pytest.param(*case, marks=exhaustive) for case in others)]
 
 
 def check_only(compiler):

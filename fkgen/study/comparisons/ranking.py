@@ -240,29 +240,25 @@ class Comparison:
 
 def ranked(truth: Spec, entries: Sequence[Entry], experiment: Experiment) -> Comparison:
     """Compare entries, of which the first is the genie-aided filter."""
-    genie, *others = entries
-    of_all = [_score(entry, genie) for entry in entries]
-    lost = [one.label for one in of_all[1:] if not np.isfinite(one.value)]
-    pairs = [(s, e) for s, e in zip(of_all[1:], others, strict=True) if s.label not in lost]
-    if not pairs:
-        raise DataError(
-            "comparison",
-            given="errors that are zero for the genie, or beyond all numbers for every filter",
-            expected="a plant with noise, and a horizon over which a filter follows it",
-        )
-    pairs.sort(key=lambda pair: pair[0].value)
-    scores = [pair[0] for pair in pairs]
+    genie, *scores = (_score(entry, entries[0]) for entry in entries)
+    of_label = {entry.label: entry for entry in entries[1:]}
+    lost = [one.label for one in scores if not np.isfinite(one.value)]
+    scores = sorted((s for s in scores if s.label not in lost), key=lambda one: one.value)
+    if not scores:
+        given = "errors that are zero for the genie, or beyond all numbers for every filter"
+        expected = "a plant with noise, and a horizon over which a filter follows it"
+        raise DataError("comparison", given=given, expected=expected)
     states = [signal.name for signal in truth.model.states]
-    nees = {entry.label: mean(entry.scores.nees) for _, entry in pairs}
+    nees = {one.label: mean(of_label[one.label].scores.nees) for one in scores}
     chosen, sentence = recommended(scores, nees)
-    rows = [_row(one, entry, states, pareto=not beaten(one, scores)) for one, entry in pairs]
+    rows = [_row(s, of_label[s.label], states, pareto=not beaten(s, scores)) for s in scores]
     return Comparison(
         name=truth.name,
         runs=experiment.runs,
         steps=experiment.steps,
         skip=experiment.skip,
         seed=experiment.seed,
-        genie=_row(of_all[0], genie, states, pareto=False),
+        genie=_row(genie, entries[0], states, pareto=False),
         rows=tuple(rows),
         recommended=chosen,
         recommendation=sentence,

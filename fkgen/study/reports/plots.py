@@ -218,11 +218,10 @@ def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
 
 def _mode_names(spec: Spec, count: int) -> list[str]:
     """What a mode stands for: success rates of the inputs, or a condition of the sensors."""
-    if spec.faults.jump is not None:
-        return [f"mode {i}" for i in range(count)]
     if spec.faults.sensor is None:
-        rates = [", ".join(f"{rate:g}" for rate in each) for each in spec.filter.options.hypotheses]
-        return [f"rate {each}" for each in rates]
+        tried = spec.filter.option("hypotheses", ())
+        rates = [", ".join(f"{rate:g}" for rate in each) for each in tried]
+        return [f"rate {each}" for each in rates] or [f"mode {i}" for i in range(count)]
     noisy = f"noise x {spec.faults.sensor.noise_factor:g}"
     silent = ["no signal"] if count == 3 else ["no signal", f"no signal, {noisy}"]
     return ["signal", f"signal, {noisy}", *silent]
