@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal, Self
 
 from fkgen.families.family import Family, Proof, demand_noise
 from fkgen.faults import Faults, JumpFaults
+from fkgen.faults.chain import MARGIN, is_ergodic, mean_square_radius
 from fkgen.faults.jump import read_jump_faults
-from fkgen.faults.jump_filter import MARGIN, is_ergodic, mean_square_radius
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.table.place import Place

@@ -12,11 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.problem.probability import Distribution, stationary_law, visited
+from fkgen.problem.probability import Distribution, period, stationary_law, visited
 from fkgen.problem.text.matrix import Matrix
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
 LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
+
+#: Mean-square radii closer to one than this are not told from one.
+MARGIN = 1e-9
 
 Array = NDArray[np.float64]
 Groups = tuple[tuple[int, ...], ...]
@@ -156,3 +159,19 @@ def _shares(laws: Sequence[Array], members: list[int]) -> tuple[float, ...]:
 
 def _rows(matrix: Array) -> tuple[Distribution, ...]:
     return tuple(tuple(row) for row in matrix.tolist())
+
+
+def mean_square_radius(transition: Sequence[Sequence[float]], dynamics: Sequence[Array]) -> float:
+    """Spectral radius of the operator that moves second moments; below 1: mean-square stable.
+
+    Costa, Fragoso & Marques 2005, Theorem 3.9: block (j, i) is p_ij A_i (x) A_i.
+    """
+    P = np.asarray(transition, float)
+    moved = [np.kron(A, A) for A in dynamics]
+    blocks = [[P[i, j] * moved[i] for i in range(len(P))] for j in range(len(P))]
+    return float(np.abs(np.linalg.eigvals(np.block(blocks))).max())
+
+
+def is_ergodic(transition: Sequence[Sequence[float]]) -> bool:
+    """Whether the law of the mode converges to one limit, wherever the chain starts."""
+    return stationary_law(transition) is not None and period(transition) == 1

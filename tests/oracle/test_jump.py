@@ -22,7 +22,7 @@ from jump_plants import (
 )
 from plants import distance, run
 
-from fkgen.faults.jump_filter import mean_square_radius
+from fkgen.faults.chain import mean_square_radius
 from fkgen.oracle import (
     JumpSystem,
     composite,

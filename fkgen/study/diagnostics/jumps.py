@@ -9,7 +9,7 @@ from scipy.special import chdtrc, ndtr
 
 from fkgen.families.mjls_lmmse import DEFAULT_ALPHA
 from fkgen.faults import JumpFaults
-from fkgen.faults.jump_filter import MARGIN, is_ergodic, mean_square_radius
+from fkgen.faults.chain import MARGIN, is_ergodic, mean_square_radius
 from fkgen.oracle import JumpSystem, SteadyState, composite, stationary_jumps
 from fkgen.oracle.claims.jump import unobserved_chain
 from fkgen.problem import Spec

@@ -10,7 +10,7 @@ import pytest
 from refusals import KF, NAN, REMOVED, Case, changed, check, refusal
 
 from fkgen.faults import JumpFaults
-from fkgen.faults.jump_filter import is_ergodic, mean_square_radius
+from fkgen.faults.chain import is_ergodic, mean_square_radius
 from fkgen.problem import Spec
 from fkgen.problem.probability import period
 
