@@ -20,6 +20,11 @@ def pack(matrix: ca.SX) -> ca.SX:
     return column([matrix[i, j] for i, j in triangle(matrix.shape[0])])
 
 
+def split_packed(packed: ca.SX, n: int) -> list[ca.SX]:
+    """Symmetric (n, n) matrices that are stacked, each packed."""
+    return list(ca.vertsplit(packed, n * (n + 1) // 2))
+
+
 def diagonal(packed: ca.SX, n: int) -> list[ca.SX]:
     """The variances of a packed (n, n) covariance."""
     return [packed[i * (i + 3) // 2] for i in range(n)]

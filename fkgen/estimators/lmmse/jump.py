@@ -44,6 +44,7 @@ from fkgen.symbolic.linalg import (
     pack,
     row_congruence,
     sparse,
+    split_packed,
     total,
     unpack,
 )
@@ -286,7 +287,7 @@ class Moments:
 def moments_of(z: AugmentedState, symbols: dict[str, ca.SX], prefix: str) -> Moments:
     """The moments that are carried along, as matrices and columns."""
     n = z.base.nx
-    second = ca.vertsplit(symbols[f"{prefix}mode_second_moment"], n * (n + 1) // 2)
+    second = split_packed(symbols[f"{prefix}mode_second_moment"], n)
     first: tuple[ca.SX, ...] = ()
     if z.means:
         first = tuple(ca.vertsplit(symbols[f"{prefix}mode_first_moment"], n))

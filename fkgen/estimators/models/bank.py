@@ -34,7 +34,7 @@ from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import congruence, pack, spread, unpack, weighted_sum
+from fkgen.symbolic.linalg import congruence, pack, split_packed, spread, unpack, weighted_sum
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,
@@ -289,9 +289,8 @@ def _predict(bank: Bank) -> Phase:
     with script.titled("prediction of every hypothesis"):
         states = script.let("moved_state", ca.vertcat(*(state for state, _, _ in moved)))
         covariances = script.let("moved_covariance", ca.vertcat(*(P for _, P, _ in moved)))
-    n, size = plant.nx, plant.nx * (plant.nx + 1) // 2
-    each = [states[i * n : (i + 1) * n] for i in range(bank.size)]
-    packed = [covariances[i * size : (i + 1) * size] for i in range(bank.size)]
+    each = list(ca.vertsplit(states, plant.nx))
+    packed = split_packed(covariances, plant.nx)
     w = bank.symbols["mode_probability"]
     with script.titled("combined prediction"):
         state = script.let("combined_state", weighted_sum(w, each))

@@ -27,7 +27,7 @@ from fkgen.estimators.models.weights import TINY
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import column
+from fkgen.symbolic.linalg import column, split_packed
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import estimate_ports, prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -74,7 +74,7 @@ def _parts(filtering: Switching, prefix: str, count: int) -> list[tuple[ca.SX, c
     """(state, packed covariance) of every mode."""
     n, symbols = filtering.spec.model.nx, filtering.symbols
     states = ca.vertsplit(symbols[f"{prefix}state"], n)
-    covariances = ca.vertsplit(symbols[f"{prefix}covariance"], n * (n + 1) // 2)
+    covariances = split_packed(symbols[f"{prefix}covariance"], n)
     return list(zip(states[:count], covariances[:count], strict=True))
 
 

@@ -23,7 +23,7 @@ from fkgen.estimators.models.switching import ModeUpdate, Switching
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import spread, weighted_sum
+from fkgen.symbolic.linalg import split_packed, spread, weighted_sum
 from fkgen.symbolic.ports import carried, prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
@@ -68,8 +68,7 @@ def _riccati_ports(n: int, count: int) -> tuple[Port, ...]:
 
 
 def _parts(filtering: Switching, port: str) -> list[ca.SX]:
-    n = filtering.spec.model.nx
-    return list(ca.vertsplit(filtering.symbols[port], n * (n + 1) // 2))
+    return split_packed(filtering.symbols[port], filtering.spec.model.nx)
 
 
 def _update(filtering: Switching) -> Phase:

@@ -18,7 +18,7 @@ from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Outcome, Port, Status
-from fkgen.symbolic.linalg import column, diagonal, outer_lower
+from fkgen.symbolic.linalg import column, diagonal, outer_lower, split_packed
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.ports import carried, shown
 from fkgen.symbolic.recursion import Phase
@@ -46,7 +46,7 @@ class Pair:
         n = self.plant.nx
         deviation = ca.vertsplit(self.symbols[f"{prefix}compression_deviation"], n)
         covariance = self.symbols[f"{prefix}compression_covariance"]
-        return list(zip(deviation, ca.vertsplit(covariance, n * (n + 1) // 2), strict=True))
+        return list(zip(deviation, split_packed(covariance, n), strict=True))
 
 
 #: Positive while no window ends; the closing phase runs at zero.
@@ -167,7 +167,7 @@ def window_end(design: Pair) -> Phase:
     accepted, rejected = ([v[i] for v in verdicts] for i in (0, 1))
     host = {"state": symbols["filtered_state"], "covariance": symbols["filtered_covariance"]}
     state = script.local("closed_state", n)
-    covariance = script.local("closed_covariance", n * (n + 1) // 2)
+    covariance = script.local("closed_covariance", host["covariance"].numel())
     script.put({"closed_state": host["state"], "closed_covariance": host["covariance"]})
     for subset, (d, P) in zip(design.subsets, design.filters(), strict=True):
         groups = ", ".join(str(g) for g in subset)
@@ -204,7 +204,7 @@ def _test(design: Pair, script: Script, group: int) -> QuadraticForm:
     host = design.symbols["filtered_covariance"]
     d, P = design.filters()[group]
     names = f"difference_{group}", f"shift_{group}", f"scale_{group}"
-    packed = n * (n + 1) // 2
+    packed = host.numel()
     for name, size in zip(names, (packed, n, n), strict=True):
         script.local(name, size, initial=0.0)
     with script.titled(f"test of group {group}"):
