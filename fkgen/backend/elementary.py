@@ -22,27 +22,18 @@ Number = Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """Constants of one scalar type: IEEE 754 binary64 or binary32, and polynomial coefficients.
+    """Constants of one scalar type: IEEE 754 binary64 or binary32, and polynomial coefficients."""
 
-    Attributes
-    ----------
-    mantissa, bias : int
-        Bits of the fraction, and of the exponent's offset.
-    log : tuple of float
-        p(z) with log((1 + s)/(1 - s)) = 2 s + s z p(z), z = s s.
-    exp, sin, cos, atan : tuple of float
-        Taylor coefficients, lowest first: of r, and of z = r r.
-    ln2, half_pi : tuple of float
-        The constant as a sum, leading parts with trailing zeros, so that multiples are exact.
-    """
-
-    mantissa: int
+    mantissa: int  # mantissa, bias: Bits of the fraction, and of the exponent's offset
     bias: int
-    log: tuple[float, ...]
+    log: tuple[float, ...]  # p(z) with log((1 + s)/(1 - s)) = 2 s + s z p(z), z = s s
+    #: exp, sin, cos, atan: Taylor coefficients, lowest first: of r, and of z = r r
     exp: tuple[float, ...]
     sin: tuple[float, ...]
     cos: tuple[float, ...]
     atan: tuple[float, ...]
+    #: ln2, half_pi: The constant as a sum, leading parts with trailing zeros, so that multiples
+    #: are exact
     ln2: tuple[float, float]
     half_pi: tuple[float, float, float]
     overflow: float

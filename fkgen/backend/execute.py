@@ -52,12 +52,7 @@ Key = tuple[Space, str, int | None]
 
 
 class Machine:
-    """One instance of a program, stepped without a compiler.
-
-    Parameters
-    ----------
-    program : CProgram
-    """
+    """One instance of a program, stepped without a compiler."""
 
     def __init__(self, program: CProgram) -> None:
         self.program = program

@@ -247,23 +247,12 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """A matrix or vector as the spec states it: texts of its entries, row by row.
+    """A matrix or vector as the spec states it: texts of its entries, row by row."""
 
-    Attributes
-    ----------
-    name : str
-        Such as ``A``.
-    rows : tuple of tuple of str
-    form : str
-        ``"matrix"``, ``"diagonal"`` (one row: its entries), ``"zeros"`` or ``"vector"``.
-    unit : str
-        In the units of the signals, as of a `Port`: ``"x/u"``.
-    """
-
-    name: str
+    name: str  # Such as A
     rows: tuple[tuple[str, ...], ...]
-    form: str = "matrix"
-    unit: str = ""
+    form: str = "matrix"  # "matrix", "diagonal" (one row: its entries), "zeros" or "vector"
+    unit: str = ""  # In the units of the signals, as of a `Port`: "x/u"
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,42 +265,24 @@ class Statements:
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """The spec as far as a reader of the code has to know it.
+    """The spec as far as a reader of the code has to know it."""
 
-    Attributes
-    ----------
-    parts : tuple of Statements
-        The model, what differs from it in each mode, the law of the faults.
-    ranges : tuple of (str, str)
-        What is known about each parameter.
-    folded : tuple of (float, str)
-        Constants of the code that are products of entries, and which.
-    """
-
+    #: The model, what differs from it in each mode, the law of the faults
     parts: tuple[Statements, ...] = ()
-    ranges: tuple[tuple[str, str], ...] = ()
+    ranges: tuple[tuple[str, str], ...] = ()  # What is known about each parameter
+    #: Constants of the code that are products of entries, and which
     folded: tuple[tuple[float, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vectors:
-    """Inputs and expected outputs of the self-test, bit for bit.
+    """Inputs and expected outputs of the self-test, bit for bit."""
 
-    Attributes
-    ----------
-    u, y : tuple of tuple of float
-        One row per sample; NaN in y where a row is missing.
-    expected : mapping as tuple of (port name, values)
-        Values of every stored scalar after the last sample, and of ``filtered_state`` after each.
-    start : mapping as tuple of (port name, value)
-        Scalars that are set before the first sample.
-    """
-
-    u: tuple[tuple[float, ...], ...]
+    u: tuple[tuple[float, ...], ...]  # u, y: One row per sample; NaN in y where a row is missing
     y: tuple[tuple[float, ...], ...]
     trace: tuple[tuple[float, ...], ...]
     final: tuple[tuple[str, tuple[float, ...]], ...]
-    start: tuple[tuple[str, float], ...] = ()
+    start: tuple[tuple[str, float], ...] = ()  # Scalars that are set before the first sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -41,17 +41,7 @@ _WORD_BITS = 32
 
 
 class StatementPrinter:
-    """Print statements.
-
-    Parameters
-    ----------
-    name : str
-        Prefix of the names of functions and statuses.
-    scalar : str
-        Type of literals and temporaries.
-    rows : int
-        Number of rows of y.
-    """
+    """Print statements."""
 
     def __init__(self, name: str, scalar: Scalar, rows: int) -> None:
         self.name = name
@@ -239,13 +229,7 @@ class StatementPrinter:
 
 
 class Printer(StatementPrinter):
-    """Print the nodes of one program.
-
-    Parameters
-    ----------
-    program : CProgram
-        Gives names their prefix and literals their type.
-    """
+    """Print the nodes of one program."""
 
     def __init__(self, program: CProgram) -> None:
         super().__init__(program.name, program.scalar, len(program.outputs))

@@ -178,17 +178,10 @@ MOST_REJECTIONS = 10_000_000
 
 @dataclass(frozen=True, slots=True)
 class CompressionOptions(Options):
-    """What a compression filter does with its test.
+    """What a compression filter does with its test."""
 
-    Parameters
-    ----------
-    test : bool
-        False reports the statistic and rejects nothing.
-    reacquire : int or None
-        Rejections in a row from which on the host is inflated; None: never.
-    """
-
-    test: bool = True
+    test: bool = True  # False reports the statistic and rejects nothing
+    #: Rejections in a row from which on the host is inflated; None: never
     reacquire: int | None = None
 
     @classmethod

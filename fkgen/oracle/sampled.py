@@ -23,22 +23,7 @@ def draw_record(
 ) -> tuple[Array, dict[str, Array]]:
     """Draw the measurements of one record.
 
-    Parameters
-    ----------
-    spec : Spec
-        Plant and faults; of hypotheses about a rate the first is taken for true.
-    parameters : mapping of str to (T,) ndarray
-        Run-time parameters of the plant.
-    u : (T, q) ndarray
-        Inputs as commanded.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    y : (T, p) ndarray
-    parameters : dict of str to (T,) ndarray
-        Those given, with the indicators of the faults for a family that is told them.
+    Shapes: parameters (T,); u (T, q).
     """
     T, faults = len(u), spec.faults.sensor
     if spec.faults.jump is not None:
@@ -68,14 +53,7 @@ def informed(
 ) -> LinearSystem:
     """The plant of one who knows gamma and delta of every sample.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples.
-    faults : SensorFaults
-        Gives the rows.
-    gamma, delta : (T,) ndarray
-        Indicators.
+    Shapes: gamma, delta (T,).
     """
     rows = list(faults.rows)
     signal, noise = np.ones((2, system.length, system.ny))

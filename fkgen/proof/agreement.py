@@ -121,13 +121,7 @@ def _difference(found: Array, expected: Array) -> float:
 
 
 def with_interpreter(design: Validated) -> tuple[Claim, ...]:
-    """The compiled double code against CasADi: bit for bit, but for what goes through exp or log.
-
-    Parameters
-    ----------
-    design : Validated
-        Of a float filter, its twin in double is compared: CasADi knows no other arithmetic.
-    """
+    """The compiled double code against CasADi: bit for bit, but for exp, log and the like."""
     twin = _in_double(design)
     spec, record = twin.spec, trial(twin.spec)
     source = generate(twin)

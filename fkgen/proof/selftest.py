@@ -25,28 +25,14 @@ _WAIT = 600
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A compiler to try.
+    """A compiler to try."""
 
-    Attributes
-    ----------
-    name : str
-        For the reader.
-    command : tuple of str
-        Program and leading arguments.
-    """
-
-    name: str
-    command: tuple[str, ...]
+    name: str  # For the reader
+    command: tuple[str, ...]  # Program and leading arguments
 
 
 def compilers() -> tuple[Chosen, ...]:
-    """The compiler that fkgen uses, and gcc and clang if they are there.
-
-    Raises
-    ------
-    CompilerError
-        If there is none.
-    """
+    """The compiler that fkgen uses, and gcc and clang if they are there."""
     used = find_compiler().command
     found = {shutil.which(name) or "": name for name in ("gcc", "clang")}
     others = [Chosen(name, (path,)) for path, name in found.items() if path]
@@ -57,13 +43,7 @@ def compilers() -> tuple[Chosen, ...]:
 
 
 def claims(source: Source, compiler: Chosen) -> tuple[Claim, ...]:
-    """Compile without a warning, and give the recorded bits.
-
-    Raises
-    ------
-    CompilerError
-        If the compiler cannot be run at all.
-    """
+    """Compile without a warning, and give the recorded bits."""
     name = source.program.name
     try:
         with tempfile.TemporaryDirectory(prefix="fkgen-") as place:

@@ -30,15 +30,7 @@ _SOURCE = "Anderson & Moore 1979, sec. 4.4; python-control dare"
 
 
 def claims(recursion: Recursion) -> tuple[Claim, ...]:
-    """One claim per filter in the recursion that has a stabilising solution.
-
-    Parameters
-    ----------
-    recursion : Recursion
-        Stepped with every input at 1, default parameters and all rows present, from the prior of
-        the spec made positive definite. A filter that needs too many samples is left out, and so
-        are families whose covariance depends on the data, on unconditional moments or on windows.
-    """
+    """One claim per filter in the recursion that has a stabilising solution."""
     spec = recursion.spec
     traits = spec.filter.traits
     if not (traits.linear or traits.models == "bank"):

@@ -24,18 +24,10 @@ __all__ = ["Claim", "Step", "steps", "verify"]
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One stretch of work.
+    """One stretch of work."""
 
-    Attributes
-    ----------
-    title : str
-        What is done, for whoever waits.
-    run : callable
-        Does it; returns the claims that were tried.
-    """
-
-    title: str
-    run: Callable[[], tuple[Claim, ...]]
+    title: str  # What is done, for whoever waits
+    run: Callable[[], tuple[Claim, ...]]  # Does it; returns the claims that were tried
 
 
 def verify(spec: Spec) -> tuple[Claim, ...]:

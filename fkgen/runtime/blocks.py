@@ -19,16 +19,7 @@ def cores() -> int:
 def in_blocks(
     work: Callable[[int, int], object], total: int, size: int, advance: Advance | None = None
 ) -> None:
-    """Call ``work(start, stop)`` for blocks of ``size`` pieces out of ``total``, in threads.
-
-    Parameters
-    ----------
-    work : callable
-        Must not depend on the order of blocks.
-    total, size : int
-    advance : callable, optional
-        Told how many pieces are done; always from the calling thread.
-    """
+    """Call ``work(start, stop)`` for blocks of ``size`` pieces out of ``total``, in threads."""
     blocks = [(start, min(start + size, total)) for start in range(0, total, size)]
     with ThreadPoolExecutor(max(1, min(cores(), len(blocks)))) as pool:
         waiting = {pool.submit(work, *block): block for block in blocks}

@@ -58,13 +58,7 @@ def find(key: str) -> Path | None:
 
 
 def store(key: str, fill: Callable[[Path], None]) -> Path:
-    """Let ``fill`` make the entry in a folder of its own, then move it into place in one step.
-
-    Raises
-    ------
-    OutputError
-        If the cache folder cannot be written (no permission, disk full).
-    """
+    """Let ``fill`` make the entry in a folder of its own, then move it into place in one step."""
     target = folder() / key
     try:
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -21,32 +21,17 @@ _WAIT = 600
 
 @dataclass(frozen=True, slots=True)
 class Compiler:
-    """A command that compiles C.
+    """A command that compiles C."""
 
-    Attributes
-    ----------
-    command : tuple of str
-        Program and leading arguments.
-    identity : str
-        Changes when the compiler is replaced; part of the cache key.
-    flags : tuple of str
-        Those of ``FKGEN_CFLAGS``, which come after fkgen's own.
-    """
-
-    command: tuple[str, ...]
-    identity: str
-    flags: tuple[str, ...] = ()
+    command: tuple[str, ...]  # Program and leading arguments
+    identity: str  # Changes when the compiler is replaced; part of the cache key
+    flags: tuple[str, ...] = ()  # Those of FKGEN_CFLAGS, which come after fkgen's own
 
 
 def find_compiler() -> Compiler:
     """The compiler of ``FKGEN_CC`` or ``CC``, else cc, gcc or clang, else PyPI's ziglang.
 
     Flags of ``FKGEN_CFLAGS`` come after fkgen's own.
-
-    Raises
-    ------
-    CompilerError
-        If there is none.
     """
     for variable in ("FKGEN_CC", "CC"):
         words = os.environ.get(variable, "").split()
@@ -78,13 +63,7 @@ def _compiler(path: str, command: tuple[str, ...]) -> Compiler:
 
 
 def compile_shared(compiler: Compiler, source: Path, library: Path, *, flops: int) -> None:
-    """Compile one file into a shared library.
-
-    Raises
-    ------
-    CompilerError
-        If the compiler cannot be run or refuses the code; its first error is in the message.
-    """
+    """Compile one file into a shared library."""
     optimisation = "-O2" if flops <= LARGE else "-O1"
     flags = (*_FLAGS, optimisation, *compiler.flags)
     command = [*compiler.command, *flags, str(source), "-o", str(library)]

@@ -13,33 +13,18 @@ from fkgen.symbolic.interface import Port, Role
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Names, sizes and ports of a compiled filter.
-
-    Attributes
-    ----------
-    name, family, scalar : str
-    states, inputs, outputs : tuple of str
-        Names of the signals.
-    parameters : tuple of (str, float)
-        Run-time parameters with their defaults.
-    ports : tuple of Port
-        Members of the C instance, in order.
-    flops : int
-        Operations per step.
-    claims : tuple of str
-        What was proved before the code was generated.
-    """
+    """Names, sizes and ports of a compiled filter."""
 
     name: str
     family: str
     scalar: str
-    states: tuple[str, ...]
+    states: tuple[str, ...]  # states, inputs, outputs: Names of the signals
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    parameters: tuple[tuple[str, float], ...]
-    ports: tuple[Port, ...]
-    flops: int
-    claims: tuple[str, ...]
+    parameters: tuple[tuple[str, float], ...]  # Run-time parameters with their defaults
+    ports: tuple[Port, ...]  # Members of the C instance, in order
+    flops: int  # Operations per step
+    claims: tuple[str, ...]  # What was proved before the code was generated
 
     @property
     def real(self) -> type[ctypes.c_double | ctypes.c_float]:

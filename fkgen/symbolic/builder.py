@@ -15,13 +15,7 @@ from fkgen.symbolic.recursion import Block, Condition, Guard, Phase, Variable
 
 
 class Script:
-    """Write a phase line by line; `phase` freezes it.
-
-    Parameters
-    ----------
-    ports : mapping of str to SX
-        Symbols of inputs, parameters and members of the instance: what every phase can read.
-    """
+    """Write a phase line by line; `phase` freezes it."""
 
     def __init__(self, ports: Mapping[str, ca.SX]) -> None:
         self._symbols = dict(ports)

@@ -64,35 +64,19 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Port:
-    """A member of the C instance and a column of a run.
+    """A member of the C instance and a column of a run."""
 
-    Attributes
-    ----------
-    name : str
-        Name in C and in Python.
-    shape : tuple of int
-        Shape of one sample as Python shows it.
-    symmetric : bool
-        The last two axes are one symmetric matrix, of which the lower triangle is stored by rows.
-    role : Role
-    meaning : str
-        For the header.
-    unit : str
-        For the header, in the units of the signals: ``"x"``, ``"y"``, ``"xx"`` and ``"yy"`` for
-        products of two of them, ``"x/y"``; empty for numbers without a unit, and mixtures.
-    per_row : bool
-        One entry per row of y, NaN in Python where the row is missing.
-    given : str
-        A port of the same shape: where it is 0, this one says nothing and is NaN in Python.
-    """
-
-    name: str
-    shape: tuple[int, ...]
+    name: str  # Name in C and in Python
+    shape: tuple[int, ...]  # Shape of one sample as Python shows it
     role: Role
-    meaning: str
+    meaning: str  # For the header
+    #: For the header, in the units of the signals: "x", "y", "xx" and "yy" for products of two
+    #: of them, "x/y"; empty for numbers without a unit, and mixtures
     unit: str = ""
+    #: The last two axes are one symmetric matrix, of which the lower triangle is stored by rows
     symmetric: bool = False
-    per_row: bool = False
+    per_row: bool = False  # One entry per row of y, NaN in Python where the row is missing
+    #: A port of the same shape: where it is 0, this one says nothing and is NaN in Python
     given: str = ""
 
     @property

@@ -21,12 +21,6 @@ Array = NDArray[np.float64]
 class Interpreter:
     """One instance of a filter, stepped sample by sample.
 
-    Parameters
-    ----------
-    recursion : Recursion
-
-    Notes
-    -----
     Every block is the same CasADi function that the back end lowers, evaluated in double.
     """
 

@@ -37,31 +37,18 @@ _FUNCTIONS: dict[str, Callable[..., ca.SX]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """x[k+1] = A x + B g u + c + v, y = C x + D g u + w, with Cov(v) = Q and Cov(w) = R.
+    """x[k+1] = A x + B g u + c + v, y = C x + D g u + w, with Cov(v) = Q and Cov(w) = R."""
 
-    Attributes
-    ----------
-    parameters : mapping of str to SX
-        Symbols of the run-time parameters.
-    A, B, C, D, Q, R : SX
-        (n, n), (n, q), (p, n), (p, q), (n, n), (p, p).
-    c : SX
-        (n, 1), a known offset: nothing but in modes of jump faults.
-    rows : tuple of str
-        Names of the rows of y, for headings in the C code.
-    noise_free : bool
-        R is singular: rows of y may be exact, so a rank decision is needed when conditioning.
-    """
-
-    parameters: Mapping[str, ca.SX]
-    A: ca.SX
+    parameters: Mapping[str, ca.SX]  # Symbols of the run-time parameters
+    A: ca.SX  # A, B, C, D, Q, R: (n, n), (n, q), (p, n), (p, q), (n, n), (p, p)
     B: ca.SX
     C: ca.SX
     D: ca.SX
     Q: ca.SX
     R: ca.SX
-    c: ca.SX
-    rows: tuple[str, ...]
+    c: ca.SX  # (n, 1), a known offset: nothing but in modes of jump faults
+    rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
+    #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
 
     @property

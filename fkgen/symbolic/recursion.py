@@ -86,39 +86,21 @@ class Phase:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recursion:
-    """One filter for one spec, as phases over named ports.
+    """One filter for one spec, as phases over named ports."""
 
-    Attributes
-    ----------
-    spec : Spec
-        What was asked for.
-    source : str
-        Where the equations come from.
-    ports : tuple of Port
-        Members of the instance, in order.
-    initial : mapping of str to tuple of float
-        Stored (packed) start values of ports; the others start at zero.
-    update, predict : Phase
-        ``step`` is update, then predict.
-    closing : Phase or None
-        The last part of an update, for the samples at which something comes to an end.
-    form : str or None
-        Of the covariance update, ``"short"`` or ``"joseph"``; None where nothing is updated.
-    notes : tuple of str
-        Other decisions that the header repeats.
-    outcomes : tuple of Outcome
-        Statuses in place of ``OK``, the first that applies.
-    """
-
-    spec: Spec
-    source: str
-    ports: tuple[Port, ...]
+    spec: Spec  # What was asked for
+    source: str  # Where the equations come from
+    ports: tuple[Port, ...]  # Members of the instance, in order
+    #: Stored (packed) start values of ports; the others start at zero
     initial: Mapping[str, tuple[float, ...]]
-    update: Phase
+    update: Phase  # update, predict: step is update, then predict
     predict: Phase
+    #: The last part of an update, for the samples at which something comes to an end
     closing: Phase | None = None
+    #: Of the covariance update, "short" or "joseph"; None where nothing is updated
     form: Literal["short", "joseph"] | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = field(default=())  # Other decisions that the header repeats
+    #: Statuses in place of OK, the first that applies
     outcomes: tuple[Outcome, ...] = field(default=())
 
     @property

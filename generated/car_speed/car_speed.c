@@ -173,8 +173,8 @@ static car_speed_status_t car_speed_row_of_y(double *covariance, double *mean,
     double inverse = 0.0;
     cross[0] = numbers[0] * covariance[0];
     cross[1] = numbers[0] * covariance[1];
-    const double t2 = numbers[0] * cross[0];
-    pivot = t2 + 0.04;
+    const double t0 = numbers[0] * cross[0];
+    pivot = t0 + 0.04;
     if (row_0 != 0)
     {
         if (!(pivot > 0.0))
@@ -182,38 +182,68 @@ static car_speed_status_t car_speed_row_of_y(double *covariance, double *mean,
             return CAR_SPEED_NOT_POSITIVE_DEFINITE;
         }
         inverse = 1.0 / pivot;
-        const double t5 = mean[0] - predicted_state;
-        const double t6 = numbers[0] * t5;
-        const double t7 = innovation - t6;
-        const double t8 = t7 * inverse;
-        const double t9 = t7 * t8;
-        quadratic[0] = quadratic[0] + t9;
+        const double t1 = mean[0] - predicted_state;
+        const double t2 = numbers[0] * t1;
+        const double t3 = innovation - t2;
+        const double t4 = t3 * inverse;
+        const double t5 = t3 * t4;
+        quadratic[0] = quadratic[0] + t5;
         log_constant[0] = log_constant[0] + CAR_SPEED_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot;
-        const double t13 = cross[0] * t8;
-        mean[0] = mean[0] + t13;
-        const double t15 = cross[1] * t8;
-        mean[1] = mean[1] + t15;
-        const double t17 = cross[0] * inverse;
-        const double t18 = t17 * cross[0];
-        covariance[0] = covariance[0] - t18;
-        const double t20 = cross[1] * inverse;
-        const double t21 = t20 * cross[0];
-        covariance[1] = covariance[1] - t21;
-        const double t23 = t20 * cross[1];
-        covariance[2] = covariance[2] - t23;
+        const double t6 = cross[0] * t4;
+        mean[0] = mean[0] + t6;
+        const double t7 = cross[1] * t4;
+        mean[1] = mean[1] + t7;
+        const double t8 = cross[0] * inverse;
+        const double t9 = t8 * cross[0];
+        covariance[0] = covariance[0] - t9;
+        const double t10 = cross[1] * inverse;
+        const double t11 = t10 * cross[0];
+        covariance[1] = covariance[1] - t11;
+        const double t12 = t10 * cross[1];
+        covariance[2] = covariance[2] - t12;
     }
 
     /* row 2 of y, wheel_rl */
     return CAR_SPEED_OK;
 }
 
-/* row 0 of y, wheel_fl. */
-static car_speed_status_t car_speed_row_of_y_2(const double *predicted_state, const double *y,
-    const double *predicted_covariance, const double innovation_0, const double innovation_1,
-    double *filtered_state, double *filtered_covariance, double *innovation,
-    double *innovation_covariance, double *nis, double *log_likelihood, uint32_t present)
+/* innovation, row by row. */
+static void car_speed_innovation(const double predicted_covariance, double *variance)
 {
+    const double t0 = 0.9843852771361035 * predicted_covariance;
+    variance[0] = t0 + 0.04;
+    variance[1] = 0.9843852771361035 * predicted_covariance;
+    const double t1 = 0.9843852771361035 * predicted_covariance;
+    variance[2] = t1 + 0.04;
+    variance[3] = 0.9826304058883615 * predicted_covariance;
+    variance[4] = 0.9826304058883615 * predicted_covariance;
+    const double t2 = 0.9808786630631667 * predicted_covariance;
+    variance[5] = t2 + 0.04;
+    variance[6] = 0.9826304058883615 * predicted_covariance;
+    variance[7] = 0.9826304058883615 * predicted_covariance;
+    variance[8] = 0.9808786630631667 * predicted_covariance;
+    const double t3 = 0.9808786630631667 * predicted_covariance;
+    variance[9] = t3 + 0.04;
+    variance[10] = 0.9921619208254787 * predicted_covariance;
+    variance[11] = 0.9921619208254787 * predicted_covariance;
+    variance[12] = 0.9903931860948796 * predicted_covariance;
+    variance[13] = 0.9903931860948796 * predicted_covariance;
+    variance[14] = predicted_covariance + 0.25;
+    variance[15] = 0.9921619208254787 * predicted_covariance;
+    variance[16] = 0.9921619208254787 * predicted_covariance;
+    variance[17] = 0.9903931860948796 * predicted_covariance;
+    variance[18] = 0.9903931860948796 * predicted_covariance;
+    variance[20] = predicted_covariance + 9.0;
+    variance[19] = predicted_covariance;
+}
+
+/* Condition on y[k]: reads *self, writes the results to *next. */
+CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, const double *y,
+    uint32_t present, car_speed_t *next)
+{
+    double innovation_0 = 0.0;
+    double innovation_1 = 0.0;
     double innovation_2 = 0.0;
     double innovation_3 = 0.0;
     double innovation_4 = 0.0;
@@ -236,249 +266,6 @@ static car_speed_status_t car_speed_row_of_y_2(const double *predicted_state, co
     double pivot_5;
     double inverse_5 = 0.0;
     car_speed_status_t status;
-    if ((present & 0x4u) != 0u)
-    {
-        const double t0 = 0.9903931860948796 * predicted_state[0];
-        innovation_2 = y[0] - t0;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t2 = 0.9903931860948796 * predicted_state[0];
-        innovation_3 = y[1] - t2;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        innovation_4 = y[2] - predicted_state[0];
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        innovation_5 = y[3] - predicted_state[0];
-    }
-    const double t6 = 0.9843852771361035 * predicted_covariance[0];
-    variance[0] = t6 + 0.04;
-    variance[1] = 0.9843852771361035 * predicted_covariance[0];
-    const double t9 = 0.9843852771361035 * predicted_covariance[0];
-    variance[2] = t9 + 0.04;
-    variance[3] = 0.9826304058883615 * predicted_covariance[0];
-    variance[4] = 0.9826304058883615 * predicted_covariance[0];
-    const double t13 = 0.9808786630631667 * predicted_covariance[0];
-    variance[5] = t13 + 0.04;
-    variance[6] = 0.9826304058883615 * predicted_covariance[0];
-    variance[7] = 0.9826304058883615 * predicted_covariance[0];
-    variance[8] = 0.9808786630631667 * predicted_covariance[0];
-    const double t18 = 0.9808786630631667 * predicted_covariance[0];
-    variance[9] = t18 + 0.04;
-    variance[10] = 0.9921619208254787 * predicted_covariance[0];
-    variance[11] = 0.9921619208254787 * predicted_covariance[0];
-    variance[12] = 0.9903931860948796 * predicted_covariance[0];
-    variance[13] = 0.9903931860948796 * predicted_covariance[0];
-    variance[14] = predicted_covariance[0] + 0.25;
-    variance[15] = 0.9921619208254787 * predicted_covariance[0];
-    variance[16] = 0.9921619208254787 * predicted_covariance[0];
-    variance[17] = 0.9903931860948796 * predicted_covariance[0];
-    variance[18] = 0.9903931860948796 * predicted_covariance[0];
-    variance[20] = predicted_covariance[0] + 9.0;
-    variance[19] = predicted_covariance[0];
-    mean[0] = predicted_state[0];
-    mean[1] = predicted_state[1];
-    covariance[0] = predicted_covariance[0];
-    covariance[1] = predicted_covariance[1];
-    covariance[2] = predicted_covariance[2];
-
-    /* row 0 of y, wheel_fl */
-    cross_0[0] = 0.9921619208254787 * predicted_covariance[0];
-    cross_0[1] = 0.9921619208254787 * predicted_covariance[1];
-    const double t32 = 0.9921619208254787 * cross_0[0];
-    pivot_0 = t32 + 0.04;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_0 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_0 = 1.0 / pivot_0;
-        const double t35 = innovation_0 * inverse_0;
-        quadratic = innovation_0 * t35;
-        const double t37 = cross_0[0] * t35;
-        mean[0] = predicted_state[0] + t37;
-        const double t39 = cross_0[1] * t35;
-        mean[1] = predicted_state[1] + t39;
-        const double t41 = cross_0[0] * inverse_0;
-        const double t42 = t41 * cross_0[0];
-        covariance[0] = predicted_covariance[0] - t42;
-        const double t44 = cross_0[1] * inverse_0;
-        const double t45 = t44 * cross_0[0];
-        covariance[1] = predicted_covariance[1] - t45;
-        const double t47 = t44 * cross_0[1];
-        covariance[2] = predicted_covariance[2] - t47;
-        log_constant = CAR_SPEED_LOG_2_PI;
-        determinant_0 = pivot_0;
-    }
-
-    /* row 1 of y, wheel_fr */
-    status = car_speed_row_of_y(covariance, mean, predicted_state[0], innovation_1, &quadratic,
-        &log_constant, &determinant_0, car_speed_row_of_y_numbers[0], ((present & 0x2u) != 0u));
-    if (status != CAR_SPEED_OK)
-    {
-        return status;
-    }
-    status = car_speed_row_of_y(covariance, mean, predicted_state[0], innovation_2, &quadratic,
-        &log_constant, &determinant_0, car_speed_row_of_y_numbers[1], ((present & 0x4u) != 0u));
-    if (status != CAR_SPEED_OK)
-    {
-        return status;
-    }
-    cross_3[0] = 0.9903931860948796 * covariance[0];
-    cross_3[1] = 0.9903931860948796 * covariance[1];
-    const double t51 = 0.9903931860948796 * cross_3[0];
-    pivot_3 = t51 + 0.04;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(pivot_3 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_3 = 1.0 / pivot_3;
-        const double t54 = mean[0] - predicted_state[0];
-        const double t55 = 0.9903931860948796 * t54;
-        const double t56 = innovation_3 - t55;
-        const double t57 = t56 * inverse_3;
-        const double t58 = t56 * t57;
-        quadratic = quadratic + t58;
-        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
-        const double t61 = cross_3[0] * t57;
-        mean[0] = mean[0] + t61;
-        const double t63 = cross_3[1] * t57;
-        mean[1] = mean[1] + t63;
-        const double t65 = cross_3[0] * inverse_3;
-        const double t66 = t65 * cross_3[0];
-        covariance[0] = covariance[0] - t66;
-        const double t68 = cross_3[1] * inverse_3;
-        const double t69 = t68 * cross_3[0];
-        covariance[1] = covariance[1] - t69;
-        const double t71 = t68 * cross_3[1];
-        covariance[2] = covariance[2] - t71;
-        determinant_1 = pivot_3;
-    }
-
-    /* row 4 of y, ublox */
-    pivot_4 = covariance[0] + 0.25;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_4 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_4 = 1.0 / pivot_4;
-        const double t75 = mean[0] - predicted_state[0];
-        const double t76 = innovation_4 - t75;
-        const double t77 = t76 * inverse_4;
-        const double t78 = t76 * t77;
-        quadratic = quadratic + t78;
-        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
-        determinant_1 = determinant_1 * pivot_4;
-        const double t82 = covariance[0] * t77;
-        mean[0] = mean[0] + t82;
-        const double t84 = covariance[1] * t77;
-        mean[1] = mean[1] + t84;
-        const double t86 = covariance[0] * inverse_4;
-        const double t87 = t86 * covariance[0];
-        const double t88 = covariance[0] - t87;
-        const double t89 = covariance[1] * inverse_4;
-        const double t90 = t89 * covariance[0];
-        const double t91 = covariance[1] - t90;
-        const double t92 = t89 * covariance[1];
-        covariance[2] = covariance[2] - t92;
-        covariance[0] = t88;
-        covariance[1] = t91;
-    }
-
-    /* row 5 of y, qcom */
-    pivot_5 = covariance[0] + 9.0;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_5 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_5 = 1.0 / pivot_5;
-        const double t96 = mean[0] - predicted_state[0];
-        const double t97 = innovation_5 - t96;
-        const double t98 = t97 * inverse_5;
-        const double t99 = t97 * t98;
-        quadratic = quadratic + t99;
-        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
-        determinant_1 = determinant_1 * pivot_5;
-        const double t103 = covariance[0] * t98;
-        mean[0] = mean[0] + t103;
-        const double t105 = covariance[1] * t98;
-        mean[1] = mean[1] + t105;
-        const double t107 = covariance[0] * inverse_5;
-        const double t108 = t107 * covariance[0];
-        const double t109 = covariance[0] - t108;
-        const double t110 = covariance[1] * inverse_5;
-        const double t111 = t110 * covariance[0];
-        const double t112 = covariance[1] - t111;
-        const double t113 = t110 * covariance[1];
-        covariance[2] = covariance[2] - t113;
-        covariance[0] = t109;
-        covariance[1] = t112;
-    }
-    if (!car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1])))
-    {
-        return CAR_SPEED_RESULT_NOT_FINITE;
-    }
-
-    /* results of the update */
-    const double t115 = car_speed_log(determinant_0);
-    const double t116 = log_constant + t115;
-    const double t117 = car_speed_log(determinant_1);
-    const double t118 = t116 + t117;
-    const double t119 = quadratic + t118;
-    log_likelihood[0] = -0.5 * t119;
-    filtered_state[0] = mean[0];
-    filtered_state[1] = mean[1];
-    filtered_covariance[0] = covariance[0];
-    filtered_covariance[1] = covariance[1];
-    filtered_covariance[2] = covariance[2];
-    innovation[0] = innovation_0;
-    innovation[1] = innovation_1;
-    innovation[2] = innovation_2;
-    innovation[3] = innovation_3;
-    innovation[4] = innovation_4;
-    innovation[5] = innovation_5;
-    innovation_covariance[0] = variance[0];
-    innovation_covariance[1] = variance[1];
-    innovation_covariance[2] = variance[2];
-    innovation_covariance[3] = variance[3];
-    innovation_covariance[4] = variance[4];
-    innovation_covariance[5] = variance[5];
-    innovation_covariance[6] = variance[6];
-    innovation_covariance[7] = variance[7];
-    innovation_covariance[8] = variance[8];
-    innovation_covariance[9] = variance[9];
-    innovation_covariance[10] = variance[10];
-    innovation_covariance[11] = variance[11];
-    innovation_covariance[12] = variance[12];
-    innovation_covariance[13] = variance[13];
-    innovation_covariance[14] = variance[14];
-    innovation_covariance[15] = variance[15];
-    innovation_covariance[16] = variance[16];
-    innovation_covariance[17] = variance[17];
-    innovation_covariance[18] = variance[18];
-    innovation_covariance[19] = variance[19];
-    innovation_covariance[20] = variance[20];
-    nis[0] = quadratic;
-    return CAR_SPEED_OK;
-}
-
-/* Condition on y[k]: reads *self, writes the results to *next. */
-CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, const double *y,
-    uint32_t present, car_speed_t *next)
-{
-    double innovation_0 = 0.0;
-    double innovation_1 = 0.0;
-    car_speed_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
     {
         return CAR_SPEED_NOT_POSITIVE_DEFINITE;
@@ -492,16 +279,220 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t2 = 0.9921619208254787 * self->predicted_state[0];
-        innovation_1 = y[1] - t2;
+        const double t1 = 0.9921619208254787 * self->predicted_state[0];
+        innovation_1 = y[1] - t1;
     }
-    status = car_speed_row_of_y_2(self->predicted_state, &y[2], self->predicted_covariance,
-        innovation_0, innovation_1, next->filtered_state, next->filtered_covariance,
-        next->innovation, next->innovation_covariance, &next->nis, &next->log_likelihood, present);
+    if ((present & 0x4u) != 0u)
+    {
+        const double t2 = 0.9903931860948796 * self->predicted_state[0];
+        innovation_2 = y[2] - t2;
+    }
+    if ((present & 0x8u) != 0u)
+    {
+        const double t3 = 0.9903931860948796 * self->predicted_state[0];
+        innovation_3 = y[3] - t3;
+    }
+    if ((present & 0x10u) != 0u)
+    {
+        innovation_4 = y[4] - self->predicted_state[0];
+    }
+    if ((present & 0x20u) != 0u)
+    {
+        innovation_5 = y[5] - self->predicted_state[0];
+    }
+    car_speed_innovation(self->predicted_covariance[0], variance);
+    mean[0] = self->predicted_state[0];
+    mean[1] = self->predicted_state[1];
+    covariance[0] = self->predicted_covariance[0];
+    covariance[1] = self->predicted_covariance[1];
+    covariance[2] = self->predicted_covariance[2];
+
+    /* row 0 of y, wheel_fl */
+    cross_0[0] = 0.9921619208254787 * self->predicted_covariance[0];
+    cross_0[1] = 0.9921619208254787 * self->predicted_covariance[1];
+    const double t4 = 0.9921619208254787 * cross_0[0];
+    pivot_0 = t4 + 0.04;
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(pivot_0 > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_0 = 1.0 / pivot_0;
+        const double t5 = innovation_0 * inverse_0;
+        quadratic = innovation_0 * t5;
+        const double t6 = cross_0[0] * t5;
+        mean[0] = self->predicted_state[0] + t6;
+        const double t7 = cross_0[1] * t5;
+        mean[1] = self->predicted_state[1] + t7;
+        const double t8 = cross_0[0] * inverse_0;
+        const double t9 = t8 * cross_0[0];
+        covariance[0] = self->predicted_covariance[0] - t9;
+        const double t10 = cross_0[1] * inverse_0;
+        const double t11 = t10 * cross_0[0];
+        covariance[1] = self->predicted_covariance[1] - t11;
+        const double t12 = t10 * cross_0[1];
+        covariance[2] = self->predicted_covariance[2] - t12;
+        log_constant = CAR_SPEED_LOG_2_PI;
+        determinant_0 = pivot_0;
+    }
+
+    /* row 1 of y, wheel_fr */
+    status = car_speed_row_of_y(covariance, mean, self->predicted_state[0], innovation_1,
+        &quadratic, &log_constant, &determinant_0, car_speed_row_of_y_numbers[0],
+        ((present & 0x2u) != 0u));
     if (status != CAR_SPEED_OK)
     {
         return status;
     }
+    status = car_speed_row_of_y(covariance, mean, self->predicted_state[0], innovation_2,
+        &quadratic, &log_constant, &determinant_0, car_speed_row_of_y_numbers[1],
+        ((present & 0x4u) != 0u));
+    if (status != CAR_SPEED_OK)
+    {
+        return status;
+    }
+    cross_3[0] = 0.9903931860948796 * covariance[0];
+    cross_3[1] = 0.9903931860948796 * covariance[1];
+    const double t13 = 0.9903931860948796 * cross_3[0];
+    pivot_3 = t13 + 0.04;
+    if ((present & 0x8u) != 0u)
+    {
+        if (!(pivot_3 > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_3 = 1.0 / pivot_3;
+        const double t14 = mean[0] - self->predicted_state[0];
+        const double t15 = 0.9903931860948796 * t14;
+        const double t16 = innovation_3 - t15;
+        const double t17 = t16 * inverse_3;
+        const double t18 = t16 * t17;
+        quadratic = quadratic + t18;
+        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
+        const double t19 = cross_3[0] * t17;
+        mean[0] = mean[0] + t19;
+        const double t20 = cross_3[1] * t17;
+        mean[1] = mean[1] + t20;
+        const double t21 = cross_3[0] * inverse_3;
+        const double t22 = t21 * cross_3[0];
+        covariance[0] = covariance[0] - t22;
+        const double t23 = cross_3[1] * inverse_3;
+        const double t24 = t23 * cross_3[0];
+        covariance[1] = covariance[1] - t24;
+        const double t25 = t23 * cross_3[1];
+        covariance[2] = covariance[2] - t25;
+        determinant_1 = pivot_3;
+    }
+
+    /* row 4 of y, ublox */
+    pivot_4 = covariance[0] + 0.25;
+    if ((present & 0x10u) != 0u)
+    {
+        if (!(pivot_4 > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_4 = 1.0 / pivot_4;
+        const double t26 = mean[0] - self->predicted_state[0];
+        const double t27 = innovation_4 - t26;
+        const double t28 = t27 * inverse_4;
+        const double t29 = t27 * t28;
+        quadratic = quadratic + t29;
+        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
+        determinant_1 = determinant_1 * pivot_4;
+        const double t30 = covariance[0] * t28;
+        mean[0] = mean[0] + t30;
+        const double t31 = covariance[1] * t28;
+        mean[1] = mean[1] + t31;
+        const double t32 = covariance[0] * inverse_4;
+        const double t33 = t32 * covariance[0];
+        const double t34 = covariance[0] - t33;
+        const double t35 = covariance[1] * inverse_4;
+        const double t36 = t35 * covariance[0];
+        const double t37 = covariance[1] - t36;
+        const double t38 = t35 * covariance[1];
+        covariance[2] = covariance[2] - t38;
+        covariance[0] = t34;
+        covariance[1] = t37;
+    }
+
+    /* row 5 of y, qcom */
+    pivot_5 = covariance[0] + 9.0;
+    if ((present & 0x20u) != 0u)
+    {
+        if (!(pivot_5 > 0.0))
+        {
+            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_5 = 1.0 / pivot_5;
+        const double t39 = mean[0] - self->predicted_state[0];
+        const double t40 = innovation_5 - t39;
+        const double t41 = t40 * inverse_5;
+        const double t42 = t40 * t41;
+        quadratic = quadratic + t42;
+        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
+        determinant_1 = determinant_1 * pivot_5;
+        const double t43 = covariance[0] * t41;
+        mean[0] = mean[0] + t43;
+        const double t44 = covariance[1] * t41;
+        mean[1] = mean[1] + t44;
+        const double t45 = covariance[0] * inverse_5;
+        const double t46 = t45 * covariance[0];
+        const double t47 = covariance[0] - t46;
+        const double t48 = covariance[1] * inverse_5;
+        const double t49 = t48 * covariance[0];
+        const double t50 = covariance[1] - t49;
+        const double t51 = t48 * covariance[1];
+        covariance[2] = covariance[2] - t51;
+        covariance[0] = t47;
+        covariance[1] = t50;
+    }
+    if (!car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1])))
+    {
+        return CAR_SPEED_RESULT_NOT_FINITE;
+    }
+
+    /* results of the update */
+    const double t52 = car_speed_log(determinant_0);
+    const double t53 = log_constant + t52;
+    const double t54 = car_speed_log(determinant_1);
+    const double t55 = t53 + t54;
+    const double t56 = quadratic + t55;
+    next->log_likelihood = -0.5 * t56;
+    next->filtered_state[0] = mean[0];
+    next->filtered_state[1] = mean[1];
+    next->filtered_covariance[0] = covariance[0];
+    next->filtered_covariance[1] = covariance[1];
+    next->filtered_covariance[2] = covariance[2];
+    next->innovation[0] = innovation_0;
+    next->innovation[1] = innovation_1;
+    next->innovation[2] = innovation_2;
+    next->innovation[3] = innovation_3;
+    next->innovation[4] = innovation_4;
+    next->innovation[5] = innovation_5;
+    next->innovation_covariance[0] = variance[0];
+    next->innovation_covariance[1] = variance[1];
+    next->innovation_covariance[2] = variance[2];
+    next->innovation_covariance[3] = variance[3];
+    next->innovation_covariance[4] = variance[4];
+    next->innovation_covariance[5] = variance[5];
+    next->innovation_covariance[6] = variance[6];
+    next->innovation_covariance[7] = variance[7];
+    next->innovation_covariance[8] = variance[8];
+    next->innovation_covariance[9] = variance[9];
+    next->innovation_covariance[10] = variance[10];
+    next->innovation_covariance[11] = variance[11];
+    next->innovation_covariance[12] = variance[12];
+    next->innovation_covariance[13] = variance[13];
+    next->innovation_covariance[14] = variance[14];
+    next->innovation_covariance[15] = variance[15];
+    next->innovation_covariance[16] = variance[16];
+    next->innovation_covariance[17] = variance[17];
+    next->innovation_covariance[18] = variance[18];
+    next->innovation_covariance[19] = variance[19];
+    next->innovation_covariance[20] = variance[20];
+    next->nis = quadratic;
     return CAR_SPEED_OK;
 }
 
@@ -520,29 +511,29 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     }
 
     /* prediction of the next sample */
-    const double t3 = A * self->filtered_state[1];
-    const double t4 = self->filtered_state[0] + t3;
-    const double t5 = params->dt * u[0];
-    const double t6 = t4 + t5;
-    const double t7 = A * self->filtered_covariance[1];
-    const double t8 = self->filtered_covariance[0] + t7;
-    const double t9 = A * self->filtered_covariance[2];
-    const double t10 = self->filtered_covariance[1] + t9;
-    const double t11 = t10 * A;
-    const double t12 = t8 + t11;
-    const double t13 = t12 + Q[0];
-    const double t14 = self->filtered_covariance[2] * A;
-    next->predicted_covariance[1] = self->filtered_covariance[1] + t14;
-    const double t16 = self->filtered_covariance[2] + Q[1];
-    if (!car_speed_finite(car_speed_defect(t6) + car_speed_defect(self->filtered_state[1]) +
-        car_speed_defect(t13) + car_speed_defect(t16)))
+    const double t0 = A * self->filtered_state[1];
+    const double t1 = self->filtered_state[0] + t0;
+    const double t2 = params->dt * u[0];
+    const double t3 = t1 + t2;
+    const double t4 = A * self->filtered_covariance[1];
+    const double t5 = self->filtered_covariance[0] + t4;
+    const double t6 = A * self->filtered_covariance[2];
+    const double t7 = self->filtered_covariance[1] + t6;
+    const double t8 = t7 * A;
+    const double t9 = t5 + t8;
+    const double t10 = t9 + Q[0];
+    const double t11 = self->filtered_covariance[2] * A;
+    next->predicted_covariance[1] = self->filtered_covariance[1] + t11;
+    const double t12 = self->filtered_covariance[2] + Q[1];
+    if (!car_speed_finite(car_speed_defect(t3) + car_speed_defect(self->filtered_state[1]) +
+        car_speed_defect(t10) + car_speed_defect(t12)))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
-    next->predicted_state[0] = t6;
+    next->predicted_state[0] = t3;
     next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_covariance[0] = t13;
-    next->predicted_covariance[2] = t16;
+    next->predicted_covariance[0] = t10;
+    next->predicted_covariance[2] = t12;
     return CAR_SPEED_OK;
 }
 

@@ -207,24 +207,24 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
             return DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0;
-        const double t4 = innovation_0 * inverse_0;
-        quadratic = innovation_0 * t4;
-        const double t6 = self->predicted_covariance[1] * t4;
-        mean[0] = self->predicted_state[0] + t6;
-        const double t8 = self->predicted_covariance[2] * t4;
-        mean[1] = self->predicted_state[1] + t8;
-        const double t10 = self->predicted_covariance[1] * inverse_0;
-        const double t11 = t10 * self->predicted_covariance[1];
-        covariance[0] = self->predicted_covariance[0] - t11;
-        const double t13 = self->predicted_covariance[2] * inverse_0;
-        const double t14 = t13 * self->predicted_covariance[1];
-        covariance[1] = self->predicted_covariance[1] - t14;
-        const double t16 = t13 * self->predicted_covariance[2];
-        covariance[2] = self->predicted_covariance[2] - t16;
+        const double t1 = innovation_0 * inverse_0;
+        quadratic = innovation_0 * t1;
+        const double t2 = self->predicted_covariance[1] * t1;
+        mean[0] = self->predicted_state[0] + t2;
+        const double t3 = self->predicted_covariance[2] * t1;
+        mean[1] = self->predicted_state[1] + t3;
+        const double t4 = self->predicted_covariance[1] * inverse_0;
+        const double t5 = t4 * self->predicted_covariance[1];
+        covariance[0] = self->predicted_covariance[0] - t5;
+        const double t6 = self->predicted_covariance[2] * inverse_0;
+        const double t7 = t6 * self->predicted_covariance[1];
+        covariance[1] = self->predicted_covariance[1] - t7;
+        const double t8 = t6 * self->predicted_covariance[2];
+        covariance[2] = self->predicted_covariance[2] - t8;
         log_constant = DC_MOTOR_KNOWN_LOG_2_PI;
         determinant_0 = pivot_0;
-        update_gain[0] = t10;
-        update_gain[1] = t13;
+        update_gain[0] = t4;
+        update_gain[1] = t6;
     }
     if (!dc_motor_known_finite(dc_motor_known_defect(mean[0]) + dc_motor_known_defect(mean[1])))
     {
@@ -232,10 +232,10 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     }
 
     /* results of the update */
-    const double t18 = dc_motor_known_log(determinant_0);
-    const double t19 = log_constant + t18;
-    const double t20 = quadratic + t19;
-    next->log_likelihood = -0.5 * t20;
+    const double t9 = dc_motor_known_log(determinant_0);
+    const double t10 = log_constant + t9;
+    const double t11 = quadratic + t10;
+    next->log_likelihood = -0.5 * t11;
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_covariance[0] = covariance[0];
@@ -292,29 +292,29 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t30 = t29 * t20;
     const double t31 = t30 * t18;
     next->predicted_covariance[1] = t28 + t31;
-    const double t33 = 8.836e-05 * self->filtered_covariance[0];
-    const double t34 = 0.017010240000000003 * self->filtered_covariance[1];
-    const double t35 = t33 + t34;
-    const double t36 = 0.8186630400000001 * self->filtered_covariance[2];
-    const double t37 = t35 + t36;
-    const double t38 = t37 + 0.0001;
-    const double t39 = t30 * t29;
-    const double t40 = t38 + t39;
-    const double t41 = 0.9802 * self->filtered_gain[0];
-    const double t42 = -0.0002 * self->filtered_gain[1];
-    next->gain[0] = t41 + t42;
-    const double t44 = 0.0094 * self->filtered_gain[0];
-    const double t45 = 0.9048 * self->filtered_gain[1];
-    next->gain[1] = t44 + t45;
+    const double t32 = 8.836e-05 * self->filtered_covariance[0];
+    const double t33 = 0.017010240000000003 * self->filtered_covariance[1];
+    const double t34 = t32 + t33;
+    const double t35 = 0.8186630400000001 * self->filtered_covariance[2];
+    const double t36 = t34 + t35;
+    const double t37 = t36 + 0.0001;
+    const double t38 = t30 * t29;
+    const double t39 = t37 + t38;
+    const double t40 = 0.9802 * self->filtered_gain[0];
+    const double t41 = -0.0002 * self->filtered_gain[1];
+    next->gain[0] = t40 + t41;
+    const double t42 = 0.0094 * self->filtered_gain[0];
+    const double t43 = 0.9048 * self->filtered_gain[1];
+    next->gain[1] = t42 + t43;
     if (!dc_motor_known_finite(dc_motor_known_defect(t6) + dc_motor_known_defect(t11) +
-        dc_motor_known_defect(t23) + dc_motor_known_defect(t40)))
+        dc_motor_known_defect(t23) + dc_motor_known_defect(t39)))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
     next->predicted_state[0] = t6;
     next->predicted_state[1] = t11;
     next->predicted_covariance[0] = t23;
-    next->predicted_covariance[2] = t40;
+    next->predicted_covariance[2] = t39;
     return DC_MOTOR_KNOWN_OK;
 }
 

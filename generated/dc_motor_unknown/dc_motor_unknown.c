@@ -255,8 +255,8 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t1 = numbers[0] * u;
-        innovation_1[0] = y[1] - t1;
+        const double t0 = numbers[0] * u;
+        innovation_1[0] = y[1] - t0;
     }
 
     /* hypothesis 0 */
@@ -279,30 +279,30 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
             return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0[0];
-        const double t5 = innovation_0[0] * inverse_0;
-        quadratic[0] = innovation_0[0] * t5;
-        const double t7 = mode_covariance[1] * t5;
-        mean[0] = mode_state[0] + t7;
-        const double t9 = mode_covariance[2] * t5;
-        mean[1] = mode_state[1] + t9;
-        const double t11 = mode_covariance[1] * inverse_0;
-        const double t12 = t11 * mode_covariance[1];
-        const double t13 = mode_covariance[0] - t12;
-        const double t14 = 5.0e-06 * t11;
-        const double t15 = mode_covariance[2] * inverse_0;
-        const double t16 = t15 * mode_covariance[1];
-        const double t17 = mode_covariance[1] - t16;
-        const double t18 = t14 - t17;
-        const double t19 = t18 * t11;
-        covariance[0] = t13 + t19;
-        const double t21 = 5.0e-06 * t15;
-        const double t22 = t15 * mode_covariance[2];
-        const double t23 = mode_covariance[2] - t22;
-        const double t24 = t21 - t23;
-        const double t25 = t24 * t11;
-        covariance[1] = t17 + t25;
-        const double t27 = t24 * t15;
-        covariance[2] = t23 + t27;
+        const double t1 = innovation_0[0] * inverse_0;
+        quadratic[0] = innovation_0[0] * t1;
+        const double t2 = mode_covariance[1] * t1;
+        mean[0] = mode_state[0] + t2;
+        const double t3 = mode_covariance[2] * t1;
+        mean[1] = mode_state[1] + t3;
+        const double t4 = mode_covariance[1] * inverse_0;
+        const double t5 = t4 * mode_covariance[1];
+        const double t6 = mode_covariance[0] - t5;
+        const double t7 = 5.0e-06 * t4;
+        const double t8 = mode_covariance[2] * inverse_0;
+        const double t9 = t8 * mode_covariance[1];
+        const double t10 = mode_covariance[1] - t9;
+        const double t11 = t7 - t10;
+        const double t12 = t11 * t4;
+        covariance[0] = t6 + t12;
+        const double t13 = 5.0e-06 * t8;
+        const double t14 = t8 * mode_covariance[2];
+        const double t15 = mode_covariance[2] - t14;
+        const double t16 = t13 - t15;
+        const double t17 = t16 * t4;
+        covariance[1] = t10 + t17;
+        const double t18 = t16 * t8;
+        covariance[2] = t15 + t18;
         log_constant[0] = DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_0[0] = pivot_0[0];
         mean[2] = 0.0;
@@ -315,8 +315,8 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
     cross_1[0] = covariance[3] * u;
     cross_1[1] = covariance[4] * u;
     cross_1[2] = covariance[5] * u;
-    const double t32 = u * cross_1[2];
-    pivot_1[0] = t32 + 0.01;
+    const double t19 = u * cross_1[2];
+    pivot_1[0] = t19 + 0.01;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_1[0] > 0.0))
@@ -324,91 +324,290 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
             return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
         }
         inverse_1 = 1.0 / pivot_1[0];
-        const double t35 = innovation_1[0] * inverse_1;
-        const double t36 = innovation_1[0] * t35;
-        quadratic[0] = quadratic[0] + t36;
+        const double t20 = innovation_1[0] * inverse_1;
+        const double t21 = innovation_1[0] * t20;
+        quadratic[0] = quadratic[0] + t21;
         log_constant[0] = log_constant[0] + DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_1[0];
-        const double t40 = cross_1[0] * t35;
-        mean[0] = mean[0] + t40;
-        const double t42 = cross_1[1] * t35;
-        mean[1] = mean[1] + t42;
-        const double t44 = cross_1[2] * t35;
-        mean[2] = mean[2] + t44;
-        const double t46 = cross_1[0] * inverse_1;
-        const double t47 = t46 * cross_1[0];
-        const double t48 = covariance[0] - t47;
-        const double t49 = 0.01 * t46;
-        const double t50 = cross_1[2] * inverse_1;
-        const double t51 = t50 * cross_1[0];
-        const double t52 = covariance[3] - t51;
-        const double t53 = t52 * u;
-        const double t54 = t49 - t53;
-        const double t55 = t54 * t46;
-        covariance[0] = t48 + t55;
-        const double t57 = cross_1[1] * inverse_1;
-        const double t58 = t57 * cross_1[0];
-        const double t59 = covariance[1] - t58;
-        const double t60 = 0.01 * t57;
-        const double t61 = t50 * cross_1[1];
-        const double t62 = covariance[4] - t61;
-        const double t63 = t62 * u;
-        const double t64 = t60 - t63;
-        const double t65 = t64 * t46;
-        covariance[1] = t59 + t65;
-        const double t67 = t57 * cross_1[1];
-        const double t68 = covariance[2] - t67;
-        const double t69 = t64 * t57;
-        covariance[2] = t68 + t69;
-        const double t71 = 0.01 * t50;
-        const double t72 = t50 * cross_1[2];
-        const double t73 = covariance[5] - t72;
-        const double t74 = t73 * u;
-        const double t75 = t71 - t74;
-        const double t76 = t75 * t46;
-        covariance[3] = t52 + t76;
-        const double t78 = t75 * t57;
-        covariance[4] = t62 + t78;
-        const double t80 = t75 * t50;
-        covariance[5] = t73 + t80;
+        const double t22 = cross_1[0] * t20;
+        mean[0] = mean[0] + t22;
+        const double t23 = cross_1[1] * t20;
+        mean[1] = mean[1] + t23;
+        const double t24 = cross_1[2] * t20;
+        mean[2] = mean[2] + t24;
+        const double t25 = cross_1[0] * inverse_1;
+        const double t26 = t25 * cross_1[0];
+        const double t27 = covariance[0] - t26;
+        const double t28 = 0.01 * t25;
+        const double t29 = cross_1[2] * inverse_1;
+        const double t30 = t29 * cross_1[0];
+        const double t31 = covariance[3] - t30;
+        const double t32 = t31 * u;
+        const double t33 = t28 - t32;
+        const double t34 = t33 * t25;
+        covariance[0] = t27 + t34;
+        const double t35 = cross_1[1] * inverse_1;
+        const double t36 = t35 * cross_1[0];
+        const double t37 = covariance[1] - t36;
+        const double t38 = 0.01 * t35;
+        const double t39 = t29 * cross_1[1];
+        const double t40 = covariance[4] - t39;
+        const double t41 = t40 * u;
+        const double t42 = t38 - t41;
+        const double t43 = t42 * t25;
+        covariance[1] = t37 + t43;
+        const double t44 = t35 * cross_1[1];
+        const double t45 = covariance[2] - t44;
+        const double t46 = t42 * t35;
+        covariance[2] = t45 + t46;
+        const double t47 = 0.01 * t29;
+        const double t48 = t29 * cross_1[2];
+        const double t49 = covariance[5] - t48;
+        const double t50 = t49 * u;
+        const double t51 = t47 - t50;
+        const double t52 = t51 * t25;
+        covariance[3] = t31 + t52;
+        const double t53 = t51 * t35;
+        covariance[4] = t40 + t53;
+        const double t54 = t51 * t29;
+        covariance[5] = t49 + t54;
     }
     return DC_MOTOR_UNKNOWN_OK;
 }
 
-/* hypothesis 1. */
-static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
-    const double *mode_state, const double u, double *mean_h1, const double *mode_covariance,
-    double *covariance_h1, double *mean_h2, double *covariance_h2, double *mean_h3,
-    double *covariance_h3, double *mean_h4, double *covariance_h4, const double determinant_h0_0,
-    const double log_constant_h0, const double quadratic_h0, const double *mode_probability,
-    double *weight, const double *log_weight, double *log_weight_now, double *log_evidence,
-    const double pivot_h0_0, const double pivot_h0_1, double *combined_variance,
-    const double innovation_h0_0, const double innovation_h0_1, double *combined_innovation,
-    uint32_t present)
+/* combination. */
+static void dc_motor_unknown_combination(const double *combined_innovation,
+    const double whitening_inverse_combined_0, const double whitening_combined_0_1,
+    const double whitening_inverse_combined_1, const double *weight, const double *mean_h0,
+    const double *mean_h1, const double *mean_h2, const double *mean_h3, const double *mean_h4,
+    const double *covariance_h0, const double *covariance_h1, const double *covariance_h2,
+    const double *covariance_h3, const double *covariance_h4, const double *mode_state,
+    double *innovation, const double *combined_variance, double *innovation_covariance, double *nis,
+    double *filtered_state, double *filtered_covariance, double *paper_state,
+    double *success_rate_estimate, double *mode_filtered_state, double *mode_filtered_covariance,
+    double *mode_deviation, double *mode_deviation_covariance, double *mode_deviation_cross,
+    double *mode_probability, const double *log_weight_now, double *log_weight,
+    const double log_evidence, double *log_likelihood)
 {
-    double innovation_h1_0 = 0.0;
-    double innovation_h1_1 = 0.0;
-    double pivot_h1_0;
-    double quadratic_h1 = 0.0;
-    double log_constant_h1 = 0.0;
-    double determinant_h1_0 = 1.0;
-    double pivot_h1_1;
-    double innovation_h2_0 = 0.0;
-    double innovation_h2_1 = 0.0;
-    double pivot_h2_0;
-    double quadratic_h2 = 0.0;
-    double log_constant_h2 = 0.0;
-    double determinant_h2_0 = 1.0;
-    double pivot_h2_1;
-    double innovation_h3_0 = 0.0;
-    double innovation_h3_1 = 0.0;
-    double pivot_h3_0;
-    double quadratic_h3 = 0.0;
-    double log_constant_h3 = 0.0;
-    double determinant_h3_0 = 1.0;
-    double pivot_h3_1;
+    const double t0 = combined_innovation[0] * combined_innovation[0];
+    const double t1 = t0 * whitening_inverse_combined_0;
+    const double t2 = whitening_combined_0_1 * combined_innovation[0];
+    const double t3 = combined_innovation[1] - t2;
+    const double t4 = t3 * t3;
+    const double t5 = t4 * whitening_inverse_combined_1;
+    nis[0] = t1 + t5;
+    const double t6 = weight[0] * mean_h0[0];
+    const double t7 = weight[1] * mean_h1[0];
+    const double t8 = t6 + t7;
+    const double t9 = weight[2] * mean_h2[0];
+    const double t10 = t8 + t9;
+    const double t11 = weight[3] * mean_h3[0];
+    const double t12 = t10 + t11;
+    const double t13 = weight[4] * mean_h4[0];
+    const double t14 = t12 + t13;
+    const double t15 = weight[0] * mean_h0[1];
+    const double t16 = weight[1] * mean_h1[1];
+    const double t17 = t15 + t16;
+    const double t18 = weight[2] * mean_h2[1];
+    const double t19 = t17 + t18;
+    const double t20 = weight[3] * mean_h3[1];
+    const double t21 = t19 + t20;
+    const double t22 = weight[4] * mean_h4[1];
+    const double t23 = t21 + t22;
+    const double t24 = weight[0] * covariance_h0[0];
+    const double t25 = weight[1] * covariance_h1[0];
+    const double t26 = t24 + t25;
+    const double t27 = weight[2] * covariance_h2[0];
+    const double t28 = t26 + t27;
+    const double t29 = weight[3] * covariance_h3[0];
+    const double t30 = t28 + t29;
+    const double t31 = weight[4] * covariance_h4[0];
+    const double t32 = t30 + t31;
+    const double t33 = mean_h0[0] - t14;
+    const double t34 = weight[0] * t33;
+    const double t35 = t34 * t33;
+    const double t36 = mean_h1[0] - t14;
+    const double t37 = weight[1] * t36;
+    const double t38 = t37 * t36;
+    const double t39 = t35 + t38;
+    const double t40 = mean_h2[0] - t14;
+    const double t41 = weight[2] * t40;
+    const double t42 = t41 * t40;
+    const double t43 = t39 + t42;
+    const double t44 = mean_h3[0] - t14;
+    const double t45 = weight[3] * t44;
+    const double t46 = t45 * t44;
+    const double t47 = t43 + t46;
+    const double t48 = mean_h4[0] - t14;
+    const double t49 = weight[4] * t48;
+    const double t50 = t49 * t48;
+    const double t51 = t47 + t50;
+    filtered_covariance[0] = t32 + t51;
+    const double t52 = weight[0] * covariance_h0[1];
+    const double t53 = weight[1] * covariance_h1[1];
+    const double t54 = t52 + t53;
+    const double t55 = weight[2] * covariance_h2[1];
+    const double t56 = t54 + t55;
+    const double t57 = weight[3] * covariance_h3[1];
+    const double t58 = t56 + t57;
+    const double t59 = weight[4] * covariance_h4[1];
+    const double t60 = t58 + t59;
+    const double t61 = mean_h0[1] - t23;
+    const double t62 = weight[0] * t61;
+    const double t63 = t62 * t33;
+    const double t64 = mean_h1[1] - t23;
+    const double t65 = weight[1] * t64;
+    const double t66 = t65 * t36;
+    const double t67 = t63 + t66;
+    const double t68 = mean_h2[1] - t23;
+    const double t69 = weight[2] * t68;
+    const double t70 = t69 * t40;
+    const double t71 = t67 + t70;
+    const double t72 = mean_h3[1] - t23;
+    const double t73 = weight[3] * t72;
+    const double t74 = t73 * t44;
+    const double t75 = t71 + t74;
+    const double t76 = mean_h4[1] - t23;
+    const double t77 = weight[4] * t76;
+    const double t78 = t77 * t48;
+    const double t79 = t75 + t78;
+    filtered_covariance[1] = t60 + t79;
+    const double t80 = weight[0] * covariance_h0[2];
+    const double t81 = weight[1] * covariance_h1[2];
+    const double t82 = t80 + t81;
+    const double t83 = weight[2] * covariance_h2[2];
+    const double t84 = t82 + t83;
+    const double t85 = weight[3] * covariance_h3[2];
+    const double t86 = t84 + t85;
+    const double t87 = weight[4] * covariance_h4[2];
+    const double t88 = t86 + t87;
+    const double t89 = t62 * t61;
+    const double t90 = t65 * t64;
+    const double t91 = t89 + t90;
+    const double t92 = t69 * t68;
+    const double t93 = t91 + t92;
+    const double t94 = t73 * t72;
+    const double t95 = t93 + t94;
+    const double t96 = t77 * t76;
+    const double t97 = t95 + t96;
+    filtered_covariance[2] = t88 + t97;
+    const double t98 = weight[0] * mode_state[0];
+    const double t99 = weight[1] * mode_state[2];
+    const double t100 = t98 + t99;
+    const double t101 = weight[2] * mode_state[4];
+    const double t102 = t100 + t101;
+    const double t103 = weight[3] * mode_state[6];
+    const double t104 = t102 + t103;
+    const double t105 = weight[4] * mode_state[8];
+    paper_state[0] = t104 + t105;
+    const double t106 = weight[0] * mode_state[1];
+    const double t107 = weight[1] * mode_state[3];
+    const double t108 = t106 + t107;
+    const double t109 = weight[2] * mode_state[5];
+    const double t110 = t108 + t109;
+    const double t111 = weight[3] * mode_state[7];
+    const double t112 = t110 + t111;
+    const double t113 = weight[4] * mode_state[9];
+    paper_state[1] = t112 + t113;
+    const double t114 = 0.1 * weight[0];
+    const double t115 = 0.3 * weight[1];
+    const double t116 = t114 + t115;
+    const double t117 = 0.5 * weight[2];
+    const double t118 = t116 + t117;
+    const double t119 = 0.7 * weight[3];
+    const double t120 = t118 + t119;
+    const double t121 = 0.9 * weight[4];
+    success_rate_estimate[0] = t120 + t121;
+    innovation[0] = combined_innovation[0];
+    innovation[1] = combined_innovation[1];
+    innovation_covariance[0] = combined_variance[0];
+    innovation_covariance[1] = combined_variance[1];
+    innovation_covariance[2] = combined_variance[2];
+    filtered_state[0] = t14;
+    filtered_state[1] = t23;
+    mode_filtered_state[0] = mean_h0[0];
+    mode_filtered_state[1] = mean_h0[1];
+    mode_filtered_state[2] = mean_h1[0];
+    mode_filtered_state[3] = mean_h1[1];
+    mode_filtered_state[4] = mean_h2[0];
+    mode_filtered_state[5] = mean_h2[1];
+    mode_filtered_state[6] = mean_h3[0];
+    mode_filtered_state[7] = mean_h3[1];
+    mode_filtered_state[8] = mean_h4[0];
+    mode_filtered_state[9] = mean_h4[1];
+    mode_filtered_covariance[0] = covariance_h0[0];
+    mode_filtered_covariance[1] = covariance_h0[1];
+    mode_filtered_covariance[2] = covariance_h0[2];
+    mode_filtered_covariance[3] = covariance_h1[0];
+    mode_filtered_covariance[4] = covariance_h1[1];
+    mode_filtered_covariance[5] = covariance_h1[2];
+    mode_filtered_covariance[6] = covariance_h2[0];
+    mode_filtered_covariance[7] = covariance_h2[1];
+    mode_filtered_covariance[8] = covariance_h2[2];
+    mode_filtered_covariance[9] = covariance_h3[0];
+    mode_filtered_covariance[10] = covariance_h3[1];
+    mode_filtered_covariance[11] = covariance_h3[2];
+    mode_filtered_covariance[12] = covariance_h4[0];
+    mode_filtered_covariance[13] = covariance_h4[1];
+    mode_filtered_covariance[14] = covariance_h4[2];
+    mode_deviation[0] = mean_h0[2];
+    mode_deviation[1] = mean_h1[2];
+    mode_deviation[2] = mean_h2[2];
+    mode_deviation[3] = mean_h3[2];
+    mode_deviation[4] = mean_h4[2];
+    mode_deviation_covariance[0] = covariance_h0[5];
+    mode_deviation_covariance[1] = covariance_h1[5];
+    mode_deviation_covariance[2] = covariance_h2[5];
+    mode_deviation_covariance[3] = covariance_h3[5];
+    mode_deviation_covariance[4] = covariance_h4[5];
+    mode_deviation_cross[0] = covariance_h0[3];
+    mode_deviation_cross[1] = covariance_h0[4];
+    mode_deviation_cross[2] = covariance_h1[3];
+    mode_deviation_cross[3] = covariance_h1[4];
+    mode_deviation_cross[4] = covariance_h2[3];
+    mode_deviation_cross[5] = covariance_h2[4];
+    mode_deviation_cross[6] = covariance_h3[3];
+    mode_deviation_cross[7] = covariance_h3[4];
+    mode_deviation_cross[8] = covariance_h4[3];
+    mode_deviation_cross[9] = covariance_h4[4];
+    mode_probability[0] = weight[0];
+    mode_probability[1] = weight[1];
+    mode_probability[2] = weight[2];
+    mode_probability[3] = weight[3];
+    mode_probability[4] = weight[4];
+    log_weight[0] = log_weight_now[0];
+    log_weight[1] = log_weight_now[1];
+    log_weight[2] = log_weight_now[2];
+    log_weight[3] = log_weight_now[3];
+    log_weight[4] = log_weight_now[4];
+    log_likelihood[0] = log_evidence;
+}
+
+/* hypothesis 4. */
+static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
+    const double *mode_state, const double u, const double *mode_covariance,
+    const double determinant_h0_0, const double log_constant_h0, const double quadratic_h0,
+    const double determinant_h1_0, const double log_constant_h1, const double quadratic_h1,
+    const double determinant_h2_0, const double log_constant_h2, const double quadratic_h2,
+    const double determinant_h3_0, const double log_constant_h3, const double quadratic_h3,
+    const double *mode_probability, const double *log_weight, const double pivot_h0_0,
+    const double pivot_h1_0, const double pivot_h2_0, const double pivot_h3_0,
+    const double pivot_h0_1, const double pivot_h1_1, const double pivot_h2_1,
+    const double pivot_h3_1, const double innovation_h0_0, const double innovation_h1_0,
+    const double innovation_h2_0, const double innovation_h3_0, const double innovation_h0_1,
+    const double innovation_h1_1, const double innovation_h2_1, const double innovation_h3_1,
+    const double *mean_h0, const double *mean_h1, const double *mean_h2, const double *mean_h3,
+    const double *covariance_h0, const double *covariance_h1, const double *covariance_h2,
+    const double *covariance_h3, double *innovation, double *innovation_covariance, double *nis,
+    double *filtered_state, double *filtered_covariance, double *paper_state,
+    double *success_rate_estimate, double *mode_filtered_state, double *mode_filtered_covariance,
+    double *mode_deviation, double *mode_deviation_covariance, double *mode_deviation_cross,
+    double *mode_probability_2, double *log_weight_2, double *log_likelihood, uint32_t present)
+{
     double innovation_h4_0 = 0.0;
     double innovation_h4_1 = 0.0;
+    double mean_h4[3];
+    double covariance_h4[6];
     double pivot_h4_0;
     double quadratic_h4 = 0.0;
     double log_constant_h4 = 0.0;
@@ -419,64 +618,32 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
     double log_likelihood_h2;
     double log_likelihood_h3;
     double log_likelihood_h4;
+    double weight[5];
+    double log_weight_now[5];
     double log_joint[5] = { 0.0 };
     double log_largest = 0.0;
     double share_of_largest[5] = { 0.0 };
     double share_total = 0.0;
     double share_total_inverse = 0.0;
     double log_share_total = 0.0;
+    double log_evidence = 0.0;
     double predicted_y_h0[2];
     double predicted_y_h1[2];
     double predicted_y_h2[2];
     double predicted_y_h3[2];
     double predicted_y_h4[2];
+    double combined_variance[3];
+    double combined_innovation[2];
+    double whitening_pivot_combined_0;
+    double whitening_inverse_combined_0 = 0.0;
+    double whitening_combined_0_1;
+    double whitening_pivot_combined_1;
+    double whitening_inverse_combined_1 = 0.0;
     dc_motor_unknown_status_t status;
 
-    /* hypothesis 1 */
-    status = dc_motor_unknown_hypothesis(y, &mode_state[1], &innovation_h1_0, u, &innovation_h1_1,
-        mean_h1, mode_covariance, covariance_h1, &pivot_h1_0, &quadratic_h1, &log_constant_h1,
-        &determinant_h1_0, &pivot_h1_1, dc_motor_unknown_hypothesis_numbers[1], present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h1[0]) +
-        dc_motor_unknown_defect(mean_h1[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
-    /* hypothesis 2 */
-    status = dc_motor_unknown_hypothesis(y, &mode_state[3], &innovation_h2_0, u, &innovation_h2_1,
-        mean_h2, &mode_covariance[3], covariance_h2, &pivot_h2_0, &quadratic_h2, &log_constant_h2,
-        &determinant_h2_0, &pivot_h2_1, dc_motor_unknown_hypothesis_numbers[2], present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h2[0]) +
-        dc_motor_unknown_defect(mean_h2[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
-    /* hypothesis 3 */
-    status = dc_motor_unknown_hypothesis(y, &mode_state[5], &innovation_h3_0, u, &innovation_h3_1,
-        mean_h3, &mode_covariance[6], covariance_h3, &pivot_h3_0, &quadratic_h3, &log_constant_h3,
-        &determinant_h3_0, &pivot_h3_1, dc_motor_unknown_hypothesis_numbers[3], present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h3[0]) +
-        dc_motor_unknown_defect(mean_h3[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
     /* hypothesis 4 */
-    status = dc_motor_unknown_hypothesis(y, &mode_state[7], &innovation_h4_0, u, &innovation_h4_1,
-        mean_h4, &mode_covariance[9], covariance_h4, &pivot_h4_0, &quadratic_h4, &log_constant_h4,
+    status = dc_motor_unknown_hypothesis(y, &mode_state[8], &innovation_h4_0, u, &innovation_h4_1,
+        mean_h4, mode_covariance, covariance_h4, &pivot_h4_0, &quadratic_h4, &log_constant_h4,
         &determinant_h4_0, &pivot_h4_1, dc_motor_unknown_hypothesis_numbers[4], present);
     if (status != DC_MOTOR_UNKNOWN_OK)
     {
@@ -493,22 +660,22 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
     const double t1 = log_constant_h0 + t0;
     const double t2 = quadratic_h0 + t1;
     log_likelihood_h0 = -0.5 * t2;
-    const double t4 = dc_motor_unknown_log(determinant_h1_0);
-    const double t5 = log_constant_h1 + t4;
-    const double t6 = quadratic_h1 + t5;
-    log_likelihood_h1 = -0.5 * t6;
-    const double t8 = dc_motor_unknown_log(determinant_h2_0);
-    const double t9 = log_constant_h2 + t8;
-    const double t10 = quadratic_h2 + t9;
-    log_likelihood_h2 = -0.5 * t10;
-    const double t12 = dc_motor_unknown_log(determinant_h3_0);
-    const double t13 = log_constant_h3 + t12;
-    const double t14 = quadratic_h3 + t13;
-    log_likelihood_h3 = -0.5 * t14;
-    const double t16 = dc_motor_unknown_log(determinant_h4_0);
-    const double t17 = log_constant_h4 + t16;
-    const double t18 = quadratic_h4 + t17;
-    log_likelihood_h4 = -0.5 * t18;
+    const double t3 = dc_motor_unknown_log(determinant_h1_0);
+    const double t4 = log_constant_h1 + t3;
+    const double t5 = quadratic_h1 + t4;
+    log_likelihood_h1 = -0.5 * t5;
+    const double t6 = dc_motor_unknown_log(determinant_h2_0);
+    const double t7 = log_constant_h2 + t6;
+    const double t8 = quadratic_h2 + t7;
+    log_likelihood_h2 = -0.5 * t8;
+    const double t9 = dc_motor_unknown_log(determinant_h3_0);
+    const double t10 = log_constant_h3 + t9;
+    const double t11 = quadratic_h3 + t10;
+    log_likelihood_h3 = -0.5 * t11;
+    const double t12 = dc_motor_unknown_log(determinant_h4_0);
+    const double t13 = log_constant_h4 + t12;
+    const double t14 = quadratic_h4 + t13;
+    log_likelihood_h4 = -0.5 * t14;
     weight[0] = mode_probability[0];
     weight[1] = mode_probability[1];
     weight[2] = mode_probability[2];
@@ -526,26 +693,26 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
         log_joint[2] = log_weight[2] + log_likelihood_h2;
         log_joint[3] = log_weight[3] + log_likelihood_h3;
         log_joint[4] = log_weight[4] + log_likelihood_h4;
-        const double t25 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t26 = (t25 > log_joint[2]) ? t25 : log_joint[2];
-        const double t27 = (t26 > log_joint[3]) ? t26 : log_joint[3];
-        log_largest = (t27 > log_joint[4]) ? t27 : log_joint[4];
-        const double t29 = log_joint[0] - log_largest;
-        share_of_largest[0] = dc_motor_unknown_exp(t29);
-        const double t31 = log_joint[1] - log_largest;
-        share_of_largest[1] = dc_motor_unknown_exp(t31);
-        const double t33 = log_joint[2] - log_largest;
-        share_of_largest[2] = dc_motor_unknown_exp(t33);
-        const double t35 = log_joint[3] - log_largest;
-        share_of_largest[3] = dc_motor_unknown_exp(t35);
-        const double t37 = log_joint[4] - log_largest;
-        share_of_largest[4] = dc_motor_unknown_exp(t37);
-        const double t39 = share_of_largest[0] + share_of_largest[1];
-        const double t40 = t39 + share_of_largest[2];
-        const double t41 = t40 + share_of_largest[3];
-        share_total = t41 + share_of_largest[4];
-        const double t43 = log_largest - DC_MOTOR_UNKNOWN_LEAST_LOG_DENSITY;
-        if (!(t43 > 0.0))
+        const double t15 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t16 = (t15 > log_joint[2]) ? t15 : log_joint[2];
+        const double t17 = (t16 > log_joint[3]) ? t16 : log_joint[3];
+        log_largest = (t17 > log_joint[4]) ? t17 : log_joint[4];
+        const double t18 = log_joint[0] - log_largest;
+        share_of_largest[0] = dc_motor_unknown_exp(t18);
+        const double t19 = log_joint[1] - log_largest;
+        share_of_largest[1] = dc_motor_unknown_exp(t19);
+        const double t20 = log_joint[2] - log_largest;
+        share_of_largest[2] = dc_motor_unknown_exp(t20);
+        const double t21 = log_joint[3] - log_largest;
+        share_of_largest[3] = dc_motor_unknown_exp(t21);
+        const double t22 = log_joint[4] - log_largest;
+        share_of_largest[4] = dc_motor_unknown_exp(t22);
+        const double t23 = share_of_largest[0] + share_of_largest[1];
+        const double t24 = t23 + share_of_largest[2];
+        const double t25 = t24 + share_of_largest[3];
+        share_total = t25 + share_of_largest[4];
+        const double t26 = log_largest - DC_MOTOR_UNKNOWN_LEAST_LOG_DENSITY;
+        if (!(t26 > 0.0))
         {
             return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
         }
@@ -560,138 +727,165 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
         weight[2] = share_of_largest[2] * share_total_inverse;
         weight[3] = share_of_largest[3] * share_total_inverse;
         weight[4] = share_of_largest[4] * share_total_inverse;
-        const double t51 = log_joint[0] - log_largest;
-        const double t52 = t51 - log_share_total;
-        log_weight_now[0] = (t52 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t52 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t54 = log_joint[1] - log_largest;
-        const double t55 = t54 - log_share_total;
-        log_weight_now[1] = (t55 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t55 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t57 = log_joint[2] - log_largest;
-        const double t58 = t57 - log_share_total;
-        log_weight_now[2] = (t58 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t58 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t60 = log_joint[3] - log_largest;
-        const double t61 = t60 - log_share_total;
-        log_weight_now[3] = (t61 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t61 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t63 = log_joint[4] - log_largest;
-        const double t64 = t63 - log_share_total;
-        log_weight_now[4] = (t64 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t64 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        log_evidence[0] = log_largest + log_share_total;
+        const double t27 = log_joint[0] - log_largest;
+        const double t28 = t27 - log_share_total;
+        log_weight_now[0] = (t28 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t28 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t29 = log_joint[1] - log_largest;
+        const double t30 = t29 - log_share_total;
+        log_weight_now[1] = (t30 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t30 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t31 = log_joint[2] - log_largest;
+        const double t32 = t31 - log_share_total;
+        log_weight_now[2] = (t32 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t32 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t33 = log_joint[3] - log_largest;
+        const double t34 = t33 - log_share_total;
+        log_weight_now[3] = (t34 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t34 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t35 = log_joint[4] - log_largest;
+        const double t36 = t35 - log_share_total;
+        log_weight_now[4] = (t36 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t36 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        log_evidence = log_largest + log_share_total;
     }
 
     /* combination */
     predicted_y_h0[1] = 0.1 * u;
-    predicted_y_h0[0] = mode_state[0];
+    predicted_y_h0[0] = mode_state[1];
     predicted_y_h1[1] = 0.3 * u;
-    predicted_y_h1[0] = mode_state[2];
+    predicted_y_h1[0] = mode_state[3];
     predicted_y_h2[1] = 0.5 * u;
-    predicted_y_h2[0] = mode_state[4];
+    predicted_y_h2[0] = mode_state[5];
     predicted_y_h3[1] = 0.7 * u;
-    predicted_y_h3[0] = mode_state[6];
+    predicted_y_h3[0] = mode_state[7];
     predicted_y_h4[1] = 0.9 * u;
-    predicted_y_h4[0] = mode_state[8];
-    const double t72 = mode_probability[0] * pivot_h0_0;
-    const double t73 = mode_probability[1] * pivot_h1_0;
-    const double t74 = t72 + t73;
-    const double t75 = mode_probability[2] * pivot_h2_0;
+    predicted_y_h4[0] = mode_state[9];
+    const double t37 = mode_probability[0] * pivot_h0_0;
+    const double t38 = mode_probability[1] * pivot_h1_0;
+    const double t39 = t37 + t38;
+    const double t40 = mode_probability[2] * pivot_h2_0;
+    const double t41 = t39 + t40;
+    const double t42 = mode_probability[3] * pivot_h3_0;
+    const double t43 = t41 + t42;
+    const double t44 = mode_probability[4] * pivot_h4_0;
+    const double t45 = t43 + t44;
+    const double t46 = mode_probability[0] * predicted_y_h0[0];
+    const double t47 = mode_probability[1] * predicted_y_h1[0];
+    const double t48 = t46 + t47;
+    const double t49 = mode_probability[2] * predicted_y_h2[0];
+    const double t50 = t48 + t49;
+    const double t51 = mode_probability[3] * predicted_y_h3[0];
+    const double t52 = t50 + t51;
+    const double t53 = mode_probability[4] * predicted_y_h4[0];
+    const double t54 = t52 + t53;
+    const double t55 = predicted_y_h0[0] - t54;
+    const double t56 = mode_probability[0] * t55;
+    const double t57 = t56 * t55;
+    const double t58 = predicted_y_h1[0] - t54;
+    const double t59 = mode_probability[1] * t58;
+    const double t60 = t59 * t58;
+    const double t61 = t57 + t60;
+    const double t62 = predicted_y_h2[0] - t54;
+    const double t63 = mode_probability[2] * t62;
+    const double t64 = t63 * t62;
+    const double t65 = t61 + t64;
+    const double t66 = predicted_y_h3[0] - t54;
+    const double t67 = mode_probability[3] * t66;
+    const double t68 = t67 * t66;
+    const double t69 = t65 + t68;
+    const double t70 = predicted_y_h4[0] - t54;
+    const double t71 = mode_probability[4] * t70;
+    const double t72 = t71 * t70;
+    const double t73 = t69 + t72;
+    combined_variance[0] = t45 + t73;
+    const double t74 = mode_probability[0] * predicted_y_h0[1];
+    const double t75 = mode_probability[1] * predicted_y_h1[1];
     const double t76 = t74 + t75;
-    const double t77 = mode_probability[3] * pivot_h3_0;
+    const double t77 = mode_probability[2] * predicted_y_h2[1];
     const double t78 = t76 + t77;
-    const double t79 = mode_probability[4] * pivot_h4_0;
+    const double t79 = mode_probability[3] * predicted_y_h3[1];
     const double t80 = t78 + t79;
-    const double t81 = mode_probability[0] * predicted_y_h0[0];
-    const double t82 = mode_probability[1] * predicted_y_h1[0];
-    const double t83 = t81 + t82;
-    const double t84 = mode_probability[2] * predicted_y_h2[0];
-    const double t85 = t83 + t84;
-    const double t86 = mode_probability[3] * predicted_y_h3[0];
-    const double t87 = t85 + t86;
-    const double t88 = mode_probability[4] * predicted_y_h4[0];
-    const double t89 = t87 + t88;
-    const double t90 = predicted_y_h0[0] - t89;
-    const double t91 = mode_probability[0] * t90;
-    const double t92 = t91 * t90;
-    const double t93 = predicted_y_h1[0] - t89;
-    const double t94 = mode_probability[1] * t93;
-    const double t95 = t94 * t93;
-    const double t96 = t92 + t95;
-    const double t97 = predicted_y_h2[0] - t89;
-    const double t98 = mode_probability[2] * t97;
-    const double t99 = t98 * t97;
-    const double t100 = t96 + t99;
-    const double t101 = predicted_y_h3[0] - t89;
-    const double t102 = mode_probability[3] * t101;
-    const double t103 = t102 * t101;
-    const double t104 = t100 + t103;
-    const double t105 = predicted_y_h4[0] - t89;
-    const double t106 = mode_probability[4] * t105;
-    const double t107 = t106 * t105;
-    const double t108 = t104 + t107;
-    combined_variance[0] = t80 + t108;
-    const double t110 = mode_probability[0] * predicted_y_h0[1];
-    const double t111 = mode_probability[1] * predicted_y_h1[1];
+    const double t81 = mode_probability[4] * predicted_y_h4[1];
+    const double t82 = t80 + t81;
+    const double t83 = predicted_y_h0[1] - t82;
+    const double t84 = mode_probability[0] * t83;
+    const double t85 = t84 * t55;
+    const double t86 = predicted_y_h1[1] - t82;
+    const double t87 = mode_probability[1] * t86;
+    const double t88 = t87 * t58;
+    const double t89 = t85 + t88;
+    const double t90 = predicted_y_h2[1] - t82;
+    const double t91 = mode_probability[2] * t90;
+    const double t92 = t91 * t62;
+    const double t93 = t89 + t92;
+    const double t94 = predicted_y_h3[1] - t82;
+    const double t95 = mode_probability[3] * t94;
+    const double t96 = t95 * t66;
+    const double t97 = t93 + t96;
+    const double t98 = predicted_y_h4[1] - t82;
+    const double t99 = mode_probability[4] * t98;
+    const double t100 = t99 * t70;
+    combined_variance[1] = t97 + t100;
+    const double t101 = mode_probability[0] * pivot_h0_1;
+    const double t102 = mode_probability[1] * pivot_h1_1;
+    const double t103 = t101 + t102;
+    const double t104 = mode_probability[2] * pivot_h2_1;
+    const double t105 = t103 + t104;
+    const double t106 = mode_probability[3] * pivot_h3_1;
+    const double t107 = t105 + t106;
+    const double t108 = mode_probability[4] * pivot_h4_1;
+    const double t109 = t107 + t108;
+    const double t110 = t84 * t83;
+    const double t111 = t87 * t86;
     const double t112 = t110 + t111;
-    const double t113 = mode_probability[2] * predicted_y_h2[1];
+    const double t113 = t91 * t90;
     const double t114 = t112 + t113;
-    const double t115 = mode_probability[3] * predicted_y_h3[1];
+    const double t115 = t95 * t94;
     const double t116 = t114 + t115;
-    const double t117 = mode_probability[4] * predicted_y_h4[1];
+    const double t117 = t99 * t98;
     const double t118 = t116 + t117;
-    const double t119 = predicted_y_h0[1] - t118;
-    const double t120 = mode_probability[0] * t119;
-    const double t121 = t120 * t90;
-    const double t122 = predicted_y_h1[1] - t118;
-    const double t123 = mode_probability[1] * t122;
-    const double t124 = t123 * t93;
-    const double t125 = t121 + t124;
-    const double t126 = predicted_y_h2[1] - t118;
-    const double t127 = mode_probability[2] * t126;
-    const double t128 = t127 * t97;
-    const double t129 = t125 + t128;
-    const double t130 = predicted_y_h3[1] - t118;
-    const double t131 = mode_probability[3] * t130;
-    const double t132 = t131 * t101;
-    const double t133 = t129 + t132;
-    const double t134 = predicted_y_h4[1] - t118;
-    const double t135 = mode_probability[4] * t134;
-    const double t136 = t135 * t105;
-    combined_variance[1] = t133 + t136;
-    const double t138 = mode_probability[0] * pivot_h0_1;
-    const double t139 = mode_probability[1] * pivot_h1_1;
-    const double t140 = t138 + t139;
-    const double t141 = mode_probability[2] * pivot_h2_1;
-    const double t142 = t140 + t141;
-    const double t143 = mode_probability[3] * pivot_h3_1;
-    const double t144 = t142 + t143;
-    const double t145 = mode_probability[4] * pivot_h4_1;
-    const double t146 = t144 + t145;
-    const double t147 = t120 * t119;
-    const double t148 = t123 * t122;
-    const double t149 = t147 + t148;
-    const double t150 = t127 * t126;
-    const double t151 = t149 + t150;
-    const double t152 = t131 * t130;
-    const double t153 = t151 + t152;
-    const double t154 = t135 * t134;
-    const double t155 = t153 + t154;
-    combined_variance[2] = t146 + t155;
-    const double t157 = mode_probability[0] * innovation_h0_0;
-    const double t158 = mode_probability[1] * innovation_h1_0;
-    const double t159 = t157 + t158;
-    const double t160 = mode_probability[2] * innovation_h2_0;
-    const double t161 = t159 + t160;
-    const double t162 = mode_probability[3] * innovation_h3_0;
-    const double t163 = t161 + t162;
-    const double t164 = mode_probability[4] * innovation_h4_0;
-    combined_innovation[0] = t163 + t164;
-    const double t166 = mode_probability[0] * innovation_h0_1;
-    const double t167 = mode_probability[1] * innovation_h1_1;
-    const double t168 = t166 + t167;
-    const double t169 = mode_probability[2] * innovation_h2_1;
-    const double t170 = t168 + t169;
-    const double t171 = mode_probability[3] * innovation_h3_1;
-    const double t172 = t170 + t171;
-    const double t173 = mode_probability[4] * innovation_h4_1;
-    combined_innovation[1] = t172 + t173;
+    combined_variance[2] = t109 + t118;
+    const double t119 = mode_probability[0] * innovation_h0_0;
+    const double t120 = mode_probability[1] * innovation_h1_0;
+    const double t121 = t119 + t120;
+    const double t122 = mode_probability[2] * innovation_h2_0;
+    const double t123 = t121 + t122;
+    const double t124 = mode_probability[3] * innovation_h3_0;
+    const double t125 = t123 + t124;
+    const double t126 = mode_probability[4] * innovation_h4_0;
+    combined_innovation[0] = t125 + t126;
+    const double t127 = mode_probability[0] * innovation_h0_1;
+    const double t128 = mode_probability[1] * innovation_h1_1;
+    const double t129 = t127 + t128;
+    const double t130 = mode_probability[2] * innovation_h2_1;
+    const double t131 = t129 + t130;
+    const double t132 = mode_probability[3] * innovation_h3_1;
+    const double t133 = t131 + t132;
+    const double t134 = mode_probability[4] * innovation_h4_1;
+    combined_innovation[1] = t133 + t134;
+    whitening_pivot_combined_0 = combined_variance[0];
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(whitening_pivot_combined_0 > 0.0))
+        {
+            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
+    }
+    whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
+    const double t135 = whitening_combined_0_1 * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t135;
+    if ((present & 0x2u) != 0u)
+    {
+        if (!(whitening_pivot_combined_1 > 0.0))
+        {
+            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
+    }
+    dc_motor_unknown_combination(combined_innovation, whitening_inverse_combined_0,
+        whitening_combined_0_1, whitening_inverse_combined_1, weight, mean_h0, mean_h1, mean_h2,
+        mean_h3, mean_h4, covariance_h0, covariance_h1, covariance_h2, covariance_h3, covariance_h4,
+        mode_state, innovation, combined_variance, innovation_covariance, nis, filtered_state,
+        filtered_covariance, paper_state, success_rate_estimate, mode_filtered_state,
+        mode_filtered_covariance, mode_deviation, mode_deviation_covariance, mode_deviation_cross,
+        mode_probability_2, log_weight_now, log_weight_2, log_evidence, log_likelihood);
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -723,249 +917,249 @@ static void dc_motor_unknown_combined_prediction(const double *mode_filtered_cov
     const double t19 = t18 * t3;
     const double t20 = t13 + t19;
     moved_covariance[0] = t20 + 0.0001;
-    const double t22 = 0.0094 * mode_filtered_covariance[0];
-    const double t23 = 0.9048 * mode_filtered_covariance[1];
-    const double t24 = t22 + t23;
-    const double t25 = 0.0001 * u;
-    const double t26 = t25 * mode_deviation_cross[0];
-    const double t27 = t24 + t26;
-    const double t28 = 0.9802 * t27;
-    const double t29 = 0.0094 * mode_filtered_covariance[1];
-    const double t30 = 0.9048 * mode_filtered_covariance[2];
-    const double t31 = t29 + t30;
-    const double t32 = t25 * mode_deviation_cross[1];
-    const double t33 = t31 + t32;
-    const double t34 = -0.0002 * t33;
-    const double t35 = t28 + t34;
-    const double t36 = 0.0094 * mode_deviation_cross[0];
-    const double t37 = 0.9048 * mode_deviation_cross[1];
-    const double t38 = t36 + t37;
-    const double t39 = t25 * mode_deviation_covariance[0];
-    const double t40 = t38 + t39;
-    const double t41 = t40 * t3;
-    moved_covariance[1] = t35 + t41;
-    const double t43 = 0.0094 * t27;
-    const double t44 = 0.9048 * t33;
+    const double t21 = 0.0094 * mode_filtered_covariance[0];
+    const double t22 = 0.9048 * mode_filtered_covariance[1];
+    const double t23 = t21 + t22;
+    const double t24 = 0.0001 * u;
+    const double t25 = t24 * mode_deviation_cross[0];
+    const double t26 = t23 + t25;
+    const double t27 = 0.9802 * t26;
+    const double t28 = 0.0094 * mode_filtered_covariance[1];
+    const double t29 = 0.9048 * mode_filtered_covariance[2];
+    const double t30 = t28 + t29;
+    const double t31 = t24 * mode_deviation_cross[1];
+    const double t32 = t30 + t31;
+    const double t33 = -0.0002 * t32;
+    const double t34 = t27 + t33;
+    const double t35 = 0.0094 * mode_deviation_cross[0];
+    const double t36 = 0.9048 * mode_deviation_cross[1];
+    const double t37 = t35 + t36;
+    const double t38 = t24 * mode_deviation_covariance[0];
+    const double t39 = t37 + t38;
+    const double t40 = t39 * t3;
+    moved_covariance[1] = t34 + t40;
+    const double t41 = 0.0094 * t26;
+    const double t42 = 0.9048 * t32;
+    const double t43 = t41 + t42;
+    const double t44 = t39 * t24;
     const double t45 = t43 + t44;
-    const double t46 = t40 * t25;
-    const double t47 = t45 + t46;
-    moved_covariance[2] = t47 + 0.0001;
-    const double t49 = 0.9802 * mode_filtered_covariance[3];
-    const double t50 = -0.0002 * mode_filtered_covariance[4];
-    const double t51 = t49 + t50;
-    const double t52 = 0.0198 * u;
-    const double t53 = t52 * mode_deviation_cross[2];
-    const double t54 = t51 + t53;
-    const double t55 = 0.9802 * t54;
-    const double t56 = 0.9802 * mode_filtered_covariance[4];
-    const double t57 = -0.0002 * mode_filtered_covariance[5];
-    const double t58 = t56 + t57;
-    const double t59 = t52 * mode_deviation_cross[3];
-    const double t60 = t58 + t59;
-    const double t61 = -0.0002 * t60;
-    const double t62 = t55 + t61;
-    const double t63 = 0.9802 * mode_deviation_cross[2];
-    const double t64 = -0.0002 * mode_deviation_cross[3];
-    const double t65 = t63 + t64;
-    const double t66 = t52 * mode_deviation_covariance[1];
-    const double t67 = t65 + t66;
-    const double t68 = t67 * t52;
-    const double t69 = t62 + t68;
-    moved_covariance[3] = t69 + 0.0001;
-    const double t71 = 0.0094 * mode_filtered_covariance[3];
-    const double t72 = 0.9048 * mode_filtered_covariance[4];
-    const double t73 = t71 + t72;
-    const double t74 = 0.0001 * u;
-    const double t75 = t74 * mode_deviation_cross[2];
-    const double t76 = t73 + t75;
-    const double t77 = 0.9802 * t76;
-    const double t78 = 0.0094 * mode_filtered_covariance[4];
-    const double t79 = 0.9048 * mode_filtered_covariance[5];
-    const double t80 = t78 + t79;
-    const double t81 = t74 * mode_deviation_cross[3];
-    const double t82 = t80 + t81;
-    const double t83 = -0.0002 * t82;
-    const double t84 = t77 + t83;
-    const double t85 = 0.0094 * mode_deviation_cross[2];
-    const double t86 = 0.9048 * mode_deviation_cross[3];
-    const double t87 = t85 + t86;
-    const double t88 = t74 * mode_deviation_covariance[1];
+    moved_covariance[2] = t45 + 0.0001;
+    const double t46 = 0.9802 * mode_filtered_covariance[3];
+    const double t47 = -0.0002 * mode_filtered_covariance[4];
+    const double t48 = t46 + t47;
+    const double t49 = 0.0198 * u;
+    const double t50 = t49 * mode_deviation_cross[2];
+    const double t51 = t48 + t50;
+    const double t52 = 0.9802 * t51;
+    const double t53 = 0.9802 * mode_filtered_covariance[4];
+    const double t54 = -0.0002 * mode_filtered_covariance[5];
+    const double t55 = t53 + t54;
+    const double t56 = t49 * mode_deviation_cross[3];
+    const double t57 = t55 + t56;
+    const double t58 = -0.0002 * t57;
+    const double t59 = t52 + t58;
+    const double t60 = 0.9802 * mode_deviation_cross[2];
+    const double t61 = -0.0002 * mode_deviation_cross[3];
+    const double t62 = t60 + t61;
+    const double t63 = t49 * mode_deviation_covariance[1];
+    const double t64 = t62 + t63;
+    const double t65 = t64 * t49;
+    const double t66 = t59 + t65;
+    moved_covariance[3] = t66 + 0.0001;
+    const double t67 = 0.0094 * mode_filtered_covariance[3];
+    const double t68 = 0.9048 * mode_filtered_covariance[4];
+    const double t69 = t67 + t68;
+    const double t70 = 0.0001 * u;
+    const double t71 = t70 * mode_deviation_cross[2];
+    const double t72 = t69 + t71;
+    const double t73 = 0.9802 * t72;
+    const double t74 = 0.0094 * mode_filtered_covariance[4];
+    const double t75 = 0.9048 * mode_filtered_covariance[5];
+    const double t76 = t74 + t75;
+    const double t77 = t70 * mode_deviation_cross[3];
+    const double t78 = t76 + t77;
+    const double t79 = -0.0002 * t78;
+    const double t80 = t73 + t79;
+    const double t81 = 0.0094 * mode_deviation_cross[2];
+    const double t82 = 0.9048 * mode_deviation_cross[3];
+    const double t83 = t81 + t82;
+    const double t84 = t70 * mode_deviation_covariance[1];
+    const double t85 = t83 + t84;
+    const double t86 = t85 * t49;
+    moved_covariance[4] = t80 + t86;
+    const double t87 = 0.0094 * t72;
+    const double t88 = 0.9048 * t78;
     const double t89 = t87 + t88;
-    const double t90 = t89 * t52;
-    moved_covariance[4] = t84 + t90;
-    const double t92 = 0.0094 * t76;
-    const double t93 = 0.9048 * t82;
+    const double t90 = t85 * t70;
+    const double t91 = t89 + t90;
+    moved_covariance[5] = t91 + 0.0001;
+    const double t92 = 0.9802 * mode_filtered_covariance[6];
+    const double t93 = -0.0002 * mode_filtered_covariance[7];
     const double t94 = t92 + t93;
-    const double t95 = t89 * t74;
-    const double t96 = t94 + t95;
-    moved_covariance[5] = t96 + 0.0001;
-    const double t98 = 0.9802 * mode_filtered_covariance[6];
-    const double t99 = -0.0002 * mode_filtered_covariance[7];
-    const double t100 = t98 + t99;
-    const double t101 = 0.0198 * u;
-    const double t102 = t101 * mode_deviation_cross[4];
-    const double t103 = t100 + t102;
-    const double t104 = 0.9802 * t103;
-    const double t105 = 0.9802 * mode_filtered_covariance[7];
-    const double t106 = -0.0002 * mode_filtered_covariance[8];
-    const double t107 = t105 + t106;
-    const double t108 = t101 * mode_deviation_cross[5];
-    const double t109 = t107 + t108;
-    const double t110 = -0.0002 * t109;
-    const double t111 = t104 + t110;
-    const double t112 = 0.9802 * mode_deviation_cross[4];
-    const double t113 = -0.0002 * mode_deviation_cross[5];
-    const double t114 = t112 + t113;
-    const double t115 = t101 * mode_deviation_covariance[2];
-    const double t116 = t114 + t115;
-    const double t117 = t116 * t101;
-    const double t118 = t111 + t117;
-    moved_covariance[6] = t118 + 0.0001;
-    const double t120 = 0.0094 * mode_filtered_covariance[6];
-    const double t121 = 0.9048 * mode_filtered_covariance[7];
+    const double t95 = 0.0198 * u;
+    const double t96 = t95 * mode_deviation_cross[4];
+    const double t97 = t94 + t96;
+    const double t98 = 0.9802 * t97;
+    const double t99 = 0.9802 * mode_filtered_covariance[7];
+    const double t100 = -0.0002 * mode_filtered_covariance[8];
+    const double t101 = t99 + t100;
+    const double t102 = t95 * mode_deviation_cross[5];
+    const double t103 = t101 + t102;
+    const double t104 = -0.0002 * t103;
+    const double t105 = t98 + t104;
+    const double t106 = 0.9802 * mode_deviation_cross[4];
+    const double t107 = -0.0002 * mode_deviation_cross[5];
+    const double t108 = t106 + t107;
+    const double t109 = t95 * mode_deviation_covariance[2];
+    const double t110 = t108 + t109;
+    const double t111 = t110 * t95;
+    const double t112 = t105 + t111;
+    moved_covariance[6] = t112 + 0.0001;
+    const double t113 = 0.0094 * mode_filtered_covariance[6];
+    const double t114 = 0.9048 * mode_filtered_covariance[7];
+    const double t115 = t113 + t114;
+    const double t116 = 0.0001 * u;
+    const double t117 = t116 * mode_deviation_cross[4];
+    const double t118 = t115 + t117;
+    const double t119 = 0.9802 * t118;
+    const double t120 = 0.0094 * mode_filtered_covariance[7];
+    const double t121 = 0.9048 * mode_filtered_covariance[8];
     const double t122 = t120 + t121;
-    const double t123 = 0.0001 * u;
-    const double t124 = t123 * mode_deviation_cross[4];
-    const double t125 = t122 + t124;
-    const double t126 = 0.9802 * t125;
-    const double t127 = 0.0094 * mode_filtered_covariance[7];
-    const double t128 = 0.9048 * mode_filtered_covariance[8];
+    const double t123 = t116 * mode_deviation_cross[5];
+    const double t124 = t122 + t123;
+    const double t125 = -0.0002 * t124;
+    const double t126 = t119 + t125;
+    const double t127 = 0.0094 * mode_deviation_cross[4];
+    const double t128 = 0.9048 * mode_deviation_cross[5];
     const double t129 = t127 + t128;
-    const double t130 = t123 * mode_deviation_cross[5];
+    const double t130 = t116 * mode_deviation_covariance[2];
     const double t131 = t129 + t130;
-    const double t132 = -0.0002 * t131;
-    const double t133 = t126 + t132;
-    const double t134 = 0.0094 * mode_deviation_cross[4];
-    const double t135 = 0.9048 * mode_deviation_cross[5];
-    const double t136 = t134 + t135;
-    const double t137 = t123 * mode_deviation_covariance[2];
-    const double t138 = t136 + t137;
-    const double t139 = t138 * t101;
-    moved_covariance[7] = t133 + t139;
-    const double t141 = 0.0094 * t125;
-    const double t142 = 0.9048 * t131;
-    const double t143 = t141 + t142;
-    const double t144 = t138 * t123;
-    const double t145 = t143 + t144;
-    moved_covariance[8] = t145 + 0.0001;
-    const double t147 = 0.9802 * mode_filtered_covariance[9];
-    const double t148 = -0.0002 * mode_filtered_covariance[10];
+    const double t132 = t131 * t95;
+    moved_covariance[7] = t126 + t132;
+    const double t133 = 0.0094 * t118;
+    const double t134 = 0.9048 * t124;
+    const double t135 = t133 + t134;
+    const double t136 = t131 * t116;
+    const double t137 = t135 + t136;
+    moved_covariance[8] = t137 + 0.0001;
+    const double t138 = 0.9802 * mode_filtered_covariance[9];
+    const double t139 = -0.0002 * mode_filtered_covariance[10];
+    const double t140 = t138 + t139;
+    const double t141 = 0.0198 * u;
+    const double t142 = t141 * mode_deviation_cross[6];
+    const double t143 = t140 + t142;
+    const double t144 = 0.9802 * t143;
+    const double t145 = 0.9802 * mode_filtered_covariance[10];
+    const double t146 = -0.0002 * mode_filtered_covariance[11];
+    const double t147 = t145 + t146;
+    const double t148 = t141 * mode_deviation_cross[7];
     const double t149 = t147 + t148;
-    const double t150 = 0.0198 * u;
-    const double t151 = t150 * mode_deviation_cross[6];
-    const double t152 = t149 + t151;
-    const double t153 = 0.9802 * t152;
-    const double t154 = 0.9802 * mode_filtered_covariance[10];
-    const double t155 = -0.0002 * mode_filtered_covariance[11];
+    const double t150 = -0.0002 * t149;
+    const double t151 = t144 + t150;
+    const double t152 = 0.9802 * mode_deviation_cross[6];
+    const double t153 = -0.0002 * mode_deviation_cross[7];
+    const double t154 = t152 + t153;
+    const double t155 = t141 * mode_deviation_covariance[3];
     const double t156 = t154 + t155;
-    const double t157 = t150 * mode_deviation_cross[7];
-    const double t158 = t156 + t157;
-    const double t159 = -0.0002 * t158;
-    const double t160 = t153 + t159;
-    const double t161 = 0.9802 * mode_deviation_cross[6];
-    const double t162 = -0.0002 * mode_deviation_cross[7];
-    const double t163 = t161 + t162;
-    const double t164 = t150 * mode_deviation_covariance[3];
-    const double t165 = t163 + t164;
-    const double t166 = t165 * t150;
-    const double t167 = t160 + t166;
-    moved_covariance[9] = t167 + 0.0001;
-    const double t169 = 0.0094 * mode_filtered_covariance[9];
-    const double t170 = 0.9048 * mode_filtered_covariance[10];
-    const double t171 = t169 + t170;
-    const double t172 = 0.0001 * u;
-    const double t173 = t172 * mode_deviation_cross[6];
-    const double t174 = t171 + t173;
-    const double t175 = 0.9802 * t174;
-    const double t176 = 0.0094 * mode_filtered_covariance[10];
-    const double t177 = 0.9048 * mode_filtered_covariance[11];
-    const double t178 = t176 + t177;
-    const double t179 = t172 * mode_deviation_cross[7];
-    const double t180 = t178 + t179;
-    const double t181 = -0.0002 * t180;
-    const double t182 = t175 + t181;
-    const double t183 = 0.0094 * mode_deviation_cross[6];
-    const double t184 = 0.9048 * mode_deviation_cross[7];
-    const double t185 = t183 + t184;
-    const double t186 = t172 * mode_deviation_covariance[3];
-    const double t187 = t185 + t186;
-    const double t188 = t187 * t150;
-    moved_covariance[10] = t182 + t188;
-    const double t190 = 0.0094 * t174;
-    const double t191 = 0.9048 * t180;
-    const double t192 = t190 + t191;
-    const double t193 = t187 * t172;
-    const double t194 = t192 + t193;
-    moved_covariance[11] = t194 + 0.0001;
-    const double t196 = 0.9802 * mode_filtered_covariance[12];
-    const double t197 = -0.0002 * mode_filtered_covariance[13];
-    const double t198 = t196 + t197;
-    const double t199 = 0.0198 * u;
-    const double t200 = t199 * mode_deviation_cross[8];
-    const double t201 = t198 + t200;
-    const double t202 = 0.9802 * t201;
-    const double t203 = 0.9802 * mode_filtered_covariance[13];
-    const double t204 = -0.0002 * mode_filtered_covariance[14];
-    const double t205 = t203 + t204;
-    const double t206 = t199 * mode_deviation_cross[9];
+    const double t157 = t156 * t141;
+    const double t158 = t151 + t157;
+    moved_covariance[9] = t158 + 0.0001;
+    const double t159 = 0.0094 * mode_filtered_covariance[9];
+    const double t160 = 0.9048 * mode_filtered_covariance[10];
+    const double t161 = t159 + t160;
+    const double t162 = 0.0001 * u;
+    const double t163 = t162 * mode_deviation_cross[6];
+    const double t164 = t161 + t163;
+    const double t165 = 0.9802 * t164;
+    const double t166 = 0.0094 * mode_filtered_covariance[10];
+    const double t167 = 0.9048 * mode_filtered_covariance[11];
+    const double t168 = t166 + t167;
+    const double t169 = t162 * mode_deviation_cross[7];
+    const double t170 = t168 + t169;
+    const double t171 = -0.0002 * t170;
+    const double t172 = t165 + t171;
+    const double t173 = 0.0094 * mode_deviation_cross[6];
+    const double t174 = 0.9048 * mode_deviation_cross[7];
+    const double t175 = t173 + t174;
+    const double t176 = t162 * mode_deviation_covariance[3];
+    const double t177 = t175 + t176;
+    const double t178 = t177 * t141;
+    moved_covariance[10] = t172 + t178;
+    const double t179 = 0.0094 * t164;
+    const double t180 = 0.9048 * t170;
+    const double t181 = t179 + t180;
+    const double t182 = t177 * t162;
+    const double t183 = t181 + t182;
+    moved_covariance[11] = t183 + 0.0001;
+    const double t184 = 0.9802 * mode_filtered_covariance[12];
+    const double t185 = -0.0002 * mode_filtered_covariance[13];
+    const double t186 = t184 + t185;
+    const double t187 = 0.0198 * u;
+    const double t188 = t187 * mode_deviation_cross[8];
+    const double t189 = t186 + t188;
+    const double t190 = 0.9802 * t189;
+    const double t191 = 0.9802 * mode_filtered_covariance[13];
+    const double t192 = -0.0002 * mode_filtered_covariance[14];
+    const double t193 = t191 + t192;
+    const double t194 = t187 * mode_deviation_cross[9];
+    const double t195 = t193 + t194;
+    const double t196 = -0.0002 * t195;
+    const double t197 = t190 + t196;
+    const double t198 = 0.9802 * mode_deviation_cross[8];
+    const double t199 = -0.0002 * mode_deviation_cross[9];
+    const double t200 = t198 + t199;
+    const double t201 = t187 * mode_deviation_covariance[4];
+    const double t202 = t200 + t201;
+    const double t203 = t202 * t187;
+    const double t204 = t197 + t203;
+    moved_covariance[12] = t204 + 0.0001;
+    const double t205 = 0.0094 * mode_filtered_covariance[12];
+    const double t206 = 0.9048 * mode_filtered_covariance[13];
     const double t207 = t205 + t206;
-    const double t208 = -0.0002 * t207;
-    const double t209 = t202 + t208;
-    const double t210 = 0.9802 * mode_deviation_cross[8];
-    const double t211 = -0.0002 * mode_deviation_cross[9];
-    const double t212 = t210 + t211;
-    const double t213 = t199 * mode_deviation_covariance[4];
+    const double t208 = 0.0001 * u;
+    const double t209 = t208 * mode_deviation_cross[8];
+    const double t210 = t207 + t209;
+    const double t211 = 0.9802 * t210;
+    const double t212 = 0.0094 * mode_filtered_covariance[13];
+    const double t213 = 0.9048 * mode_filtered_covariance[14];
     const double t214 = t212 + t213;
-    const double t215 = t214 * t199;
-    const double t216 = t209 + t215;
-    moved_covariance[12] = t216 + 0.0001;
-    const double t218 = 0.0094 * mode_filtered_covariance[12];
-    const double t219 = 0.9048 * mode_filtered_covariance[13];
-    const double t220 = t218 + t219;
-    const double t221 = 0.0001 * u;
-    const double t222 = t221 * mode_deviation_cross[8];
-    const double t223 = t220 + t222;
-    const double t224 = 0.9802 * t223;
-    const double t225 = 0.0094 * mode_filtered_covariance[13];
-    const double t226 = 0.9048 * mode_filtered_covariance[14];
+    const double t215 = t208 * mode_deviation_cross[9];
+    const double t216 = t214 + t215;
+    const double t217 = -0.0002 * t216;
+    const double t218 = t211 + t217;
+    const double t219 = 0.0094 * mode_deviation_cross[8];
+    const double t220 = 0.9048 * mode_deviation_cross[9];
+    const double t221 = t219 + t220;
+    const double t222 = t208 * mode_deviation_covariance[4];
+    const double t223 = t221 + t222;
+    const double t224 = t223 * t187;
+    moved_covariance[13] = t218 + t224;
+    const double t225 = 0.0094 * t210;
+    const double t226 = 0.9048 * t216;
     const double t227 = t225 + t226;
-    const double t228 = t221 * mode_deviation_cross[9];
+    const double t228 = t223 * t208;
     const double t229 = t227 + t228;
-    const double t230 = -0.0002 * t229;
-    const double t231 = t224 + t230;
-    const double t232 = 0.0094 * mode_deviation_cross[8];
-    const double t233 = 0.9048 * mode_deviation_cross[9];
-    const double t234 = t232 + t233;
-    const double t235 = t221 * mode_deviation_covariance[4];
-    const double t236 = t234 + t235;
-    const double t237 = t236 * t199;
-    moved_covariance[13] = t231 + t237;
-    const double t239 = 0.0094 * t223;
-    const double t240 = 0.9048 * t229;
-    const double t241 = t239 + t240;
-    const double t242 = t236 * t221;
-    const double t243 = t241 + t242;
-    moved_covariance[14] = t243 + 0.0001;
+    moved_covariance[14] = t229 + 0.0001;
 
     /* combined prediction */
-    const double t245 = mode_probability[0] * moved_state[0];
-    const double t246 = mode_probability[1] * moved_state[2];
-    const double t247 = t245 + t246;
-    const double t248 = mode_probability[2] * moved_state[4];
-    const double t249 = t247 + t248;
-    const double t250 = mode_probability[3] * moved_state[6];
-    const double t251 = t249 + t250;
-    const double t252 = mode_probability[4] * moved_state[8];
-    combined_state[0] = t251 + t252;
-    const double t254 = mode_probability[0] * moved_state[1];
-    const double t255 = mode_probability[1] * moved_state[3];
-    const double t256 = t254 + t255;
-    const double t257 = mode_probability[2] * moved_state[5];
-    const double t258 = t256 + t257;
-    const double t259 = mode_probability[3] * moved_state[7];
-    const double t260 = t258 + t259;
-    const double t261 = mode_probability[4] * moved_state[9];
-    combined_state[1] = t260 + t261;
+    const double t230 = mode_probability[0] * moved_state[0];
+    const double t231 = mode_probability[1] * moved_state[2];
+    const double t232 = t230 + t231;
+    const double t233 = mode_probability[2] * moved_state[4];
+    const double t234 = t232 + t233;
+    const double t235 = mode_probability[3] * moved_state[6];
+    const double t236 = t234 + t235;
+    const double t237 = mode_probability[4] * moved_state[8];
+    combined_state[0] = t236 + t237;
+    const double t238 = mode_probability[0] * moved_state[1];
+    const double t239 = mode_probability[1] * moved_state[3];
+    const double t240 = t238 + t239;
+    const double t241 = mode_probability[2] * moved_state[5];
+    const double t242 = t240 + t241;
+    const double t243 = mode_probability[3] * moved_state[7];
+    const double t244 = t242 + t243;
+    const double t245 = mode_probability[4] * moved_state[9];
+    combined_state[1] = t244 + t245;
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -981,24 +1175,33 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     double log_constant_h0 = 0.0;
     double determinant_h0_0 = 1.0;
     double pivot_h0_1;
+    double innovation_h1_0 = 0.0;
+    double innovation_h1_1 = 0.0;
     double mean_h1[3];
     double covariance_h1[6];
+    double pivot_h1_0;
+    double quadratic_h1 = 0.0;
+    double log_constant_h1 = 0.0;
+    double determinant_h1_0 = 1.0;
+    double pivot_h1_1;
+    double innovation_h2_0 = 0.0;
+    double innovation_h2_1 = 0.0;
     double mean_h2[3];
     double covariance_h2[6];
+    double pivot_h2_0;
+    double quadratic_h2 = 0.0;
+    double log_constant_h2 = 0.0;
+    double determinant_h2_0 = 1.0;
+    double pivot_h2_1;
+    double innovation_h3_0 = 0.0;
+    double innovation_h3_1 = 0.0;
     double mean_h3[3];
     double covariance_h3[6];
-    double mean_h4[3];
-    double covariance_h4[6];
-    double weight[5];
-    double log_weight_now[5];
-    double log_evidence = 0.0;
-    double combined_variance[3];
-    double combined_innovation[2];
-    double whitening_pivot_combined_0;
-    double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1;
-    double whitening_pivot_combined_1;
-    double whitening_inverse_combined_1 = 0.0;
+    double pivot_h3_0;
+    double quadratic_h3 = 0.0;
+    double log_constant_h3 = 0.0;
+    double determinant_h3_0 = 1.0;
+    double pivot_h3_1;
     dc_motor_unknown_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0)))
     {
@@ -1037,228 +1240,68 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     }
 
     /* hypothesis 1 */
-    status = dc_motor_unknown_hypothesis_2(y, &self->mode_state[1], u[0], mean_h1,
-        &self->mode_covariance[3], covariance_h1, mean_h2, covariance_h2, mean_h3, covariance_h3,
-        mean_h4, covariance_h4, determinant_h0_0, log_constant_h0, quadratic_h0,
-        self->mode_probability, weight, self->log_weight, log_weight_now, &log_evidence, pivot_h0_0,
-        pivot_h0_1, combined_variance, innovation_h0_0, innovation_h0_1, combined_innovation,
+    status = dc_motor_unknown_hypothesis(y, &self->mode_state[2], &innovation_h1_0, u[0],
+        &innovation_h1_1, mean_h1, &self->mode_covariance[3], covariance_h1, &pivot_h1_0,
+        &quadratic_h1, &log_constant_h1, &determinant_h1_0, &pivot_h1_1,
+        dc_motor_unknown_hypothesis_numbers[1], present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
+    {
+        return status;
+    }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h1[0]) +
+        dc_motor_unknown_defect(mean_h1[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* hypothesis 2 */
+    status = dc_motor_unknown_hypothesis(y, &self->mode_state[4], &innovation_h2_0, u[0],
+        &innovation_h2_1, mean_h2, &self->mode_covariance[6], covariance_h2, &pivot_h2_0,
+        &quadratic_h2, &log_constant_h2, &determinant_h2_0, &pivot_h2_1,
+        dc_motor_unknown_hypothesis_numbers[2], present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
+    {
+        return status;
+    }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h2[0]) +
+        dc_motor_unknown_defect(mean_h2[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* hypothesis 3 */
+    status = dc_motor_unknown_hypothesis(y, &self->mode_state[6], &innovation_h3_0, u[0],
+        &innovation_h3_1, mean_h3, &self->mode_covariance[9], covariance_h3, &pivot_h3_0,
+        &quadratic_h3, &log_constant_h3, &determinant_h3_0, &pivot_h3_1,
+        dc_motor_unknown_hypothesis_numbers[3], present);
+    if (status != DC_MOTOR_UNKNOWN_OK)
+    {
+        return status;
+    }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h3[0]) +
+        dc_motor_unknown_defect(mean_h3[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* hypothesis 4 */
+    status = dc_motor_unknown_hypothesis_2(y, self->mode_state, u[0], &self->mode_covariance[12],
+        determinant_h0_0, log_constant_h0, quadratic_h0, determinant_h1_0, log_constant_h1,
+        quadratic_h1, determinant_h2_0, log_constant_h2, quadratic_h2, determinant_h3_0,
+        log_constant_h3, quadratic_h3, self->mode_probability, self->log_weight, pivot_h0_0,
+        pivot_h1_0, pivot_h2_0, pivot_h3_0, pivot_h0_1, pivot_h1_1, pivot_h2_1, pivot_h3_1,
+        innovation_h0_0, innovation_h1_0, innovation_h2_0, innovation_h3_0, innovation_h0_1,
+        innovation_h1_1, innovation_h2_1, innovation_h3_1, mean_h0, mean_h1, mean_h2, mean_h3,
+        covariance_h0, covariance_h1, covariance_h2, covariance_h3, next->innovation,
+        next->innovation_covariance, &next->nis, next->filtered_state, next->filtered_covariance,
+        next->paper_state, &next->success_rate_estimate, next->mode_filtered_state,
+        next->mode_filtered_covariance, next->mode_deviation, next->mode_deviation_covariance,
+        next->mode_deviation_cross, next->mode_probability, next->log_weight, &next->log_likelihood,
         present);
     if (status != DC_MOTOR_UNKNOWN_OK)
     {
         return status;
     }
-    whitening_pivot_combined_0 = combined_variance[0];
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
-    }
-    whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
-    const double t587 = whitening_combined_0_1 * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t587;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(whitening_pivot_combined_1 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
-        whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
-    }
-    const double t590 = combined_innovation[0] * combined_innovation[0];
-    const double t591 = t590 * whitening_inverse_combined_0;
-    const double t592 = whitening_combined_0_1 * combined_innovation[0];
-    const double t593 = combined_innovation[1] - t592;
-    const double t594 = t593 * t593;
-    const double t595 = t594 * whitening_inverse_combined_1;
-    next->nis = t591 + t595;
-    const double t597 = weight[0] * mean_h0[0];
-    const double t598 = weight[1] * mean_h1[0];
-    const double t599 = t597 + t598;
-    const double t600 = weight[2] * mean_h2[0];
-    const double t601 = t599 + t600;
-    const double t602 = weight[3] * mean_h3[0];
-    const double t603 = t601 + t602;
-    const double t604 = weight[4] * mean_h4[0];
-    const double t605 = t603 + t604;
-    const double t606 = weight[0] * mean_h0[1];
-    const double t607 = weight[1] * mean_h1[1];
-    const double t608 = t606 + t607;
-    const double t609 = weight[2] * mean_h2[1];
-    const double t610 = t608 + t609;
-    const double t611 = weight[3] * mean_h3[1];
-    const double t612 = t610 + t611;
-    const double t613 = weight[4] * mean_h4[1];
-    const double t614 = t612 + t613;
-    const double t615 = weight[0] * covariance_h0[0];
-    const double t616 = weight[1] * covariance_h1[0];
-    const double t617 = t615 + t616;
-    const double t618 = weight[2] * covariance_h2[0];
-    const double t619 = t617 + t618;
-    const double t620 = weight[3] * covariance_h3[0];
-    const double t621 = t619 + t620;
-    const double t622 = weight[4] * covariance_h4[0];
-    const double t623 = t621 + t622;
-    const double t624 = mean_h0[0] - t605;
-    const double t625 = weight[0] * t624;
-    const double t626 = t625 * t624;
-    const double t627 = mean_h1[0] - t605;
-    const double t628 = weight[1] * t627;
-    const double t629 = t628 * t627;
-    const double t630 = t626 + t629;
-    const double t631 = mean_h2[0] - t605;
-    const double t632 = weight[2] * t631;
-    const double t633 = t632 * t631;
-    const double t634 = t630 + t633;
-    const double t635 = mean_h3[0] - t605;
-    const double t636 = weight[3] * t635;
-    const double t637 = t636 * t635;
-    const double t638 = t634 + t637;
-    const double t639 = mean_h4[0] - t605;
-    const double t640 = weight[4] * t639;
-    const double t641 = t640 * t639;
-    const double t642 = t638 + t641;
-    next->filtered_covariance[0] = t623 + t642;
-    const double t644 = weight[0] * covariance_h0[1];
-    const double t645 = weight[1] * covariance_h1[1];
-    const double t646 = t644 + t645;
-    const double t647 = weight[2] * covariance_h2[1];
-    const double t648 = t646 + t647;
-    const double t649 = weight[3] * covariance_h3[1];
-    const double t650 = t648 + t649;
-    const double t651 = weight[4] * covariance_h4[1];
-    const double t652 = t650 + t651;
-    const double t653 = mean_h0[1] - t614;
-    const double t654 = weight[0] * t653;
-    const double t655 = t654 * t624;
-    const double t656 = mean_h1[1] - t614;
-    const double t657 = weight[1] * t656;
-    const double t658 = t657 * t627;
-    const double t659 = t655 + t658;
-    const double t660 = mean_h2[1] - t614;
-    const double t661 = weight[2] * t660;
-    const double t662 = t661 * t631;
-    const double t663 = t659 + t662;
-    const double t664 = mean_h3[1] - t614;
-    const double t665 = weight[3] * t664;
-    const double t666 = t665 * t635;
-    const double t667 = t663 + t666;
-    const double t668 = mean_h4[1] - t614;
-    const double t669 = weight[4] * t668;
-    const double t670 = t669 * t639;
-    const double t671 = t667 + t670;
-    next->filtered_covariance[1] = t652 + t671;
-    const double t673 = weight[0] * covariance_h0[2];
-    const double t674 = weight[1] * covariance_h1[2];
-    const double t675 = t673 + t674;
-    const double t676 = weight[2] * covariance_h2[2];
-    const double t677 = t675 + t676;
-    const double t678 = weight[3] * covariance_h3[2];
-    const double t679 = t677 + t678;
-    const double t680 = weight[4] * covariance_h4[2];
-    const double t681 = t679 + t680;
-    const double t682 = t654 * t653;
-    const double t683 = t657 * t656;
-    const double t684 = t682 + t683;
-    const double t685 = t661 * t660;
-    const double t686 = t684 + t685;
-    const double t687 = t665 * t664;
-    const double t688 = t686 + t687;
-    const double t689 = t669 * t668;
-    const double t690 = t688 + t689;
-    next->filtered_covariance[2] = t681 + t690;
-    const double t692 = weight[0] * self->mode_state[0];
-    const double t693 = weight[1] * self->mode_state[2];
-    const double t694 = t692 + t693;
-    const double t695 = weight[2] * self->mode_state[4];
-    const double t696 = t694 + t695;
-    const double t697 = weight[3] * self->mode_state[6];
-    const double t698 = t696 + t697;
-    const double t699 = weight[4] * self->mode_state[8];
-    next->paper_state[0] = t698 + t699;
-    const double t701 = weight[0] * self->mode_state[1];
-    const double t702 = weight[1] * self->mode_state[3];
-    const double t703 = t701 + t702;
-    const double t704 = weight[2] * self->mode_state[5];
-    const double t705 = t703 + t704;
-    const double t706 = weight[3] * self->mode_state[7];
-    const double t707 = t705 + t706;
-    const double t708 = weight[4] * self->mode_state[9];
-    next->paper_state[1] = t707 + t708;
-    const double t710 = 0.1 * weight[0];
-    const double t711 = 0.3 * weight[1];
-    const double t712 = t710 + t711;
-    const double t713 = 0.5 * weight[2];
-    const double t714 = t712 + t713;
-    const double t715 = 0.7 * weight[3];
-    const double t716 = t714 + t715;
-    const double t717 = 0.9 * weight[4];
-    next->success_rate_estimate = t716 + t717;
-    next->innovation[0] = combined_innovation[0];
-    next->innovation[1] = combined_innovation[1];
-    next->innovation_covariance[0] = combined_variance[0];
-    next->innovation_covariance[1] = combined_variance[1];
-    next->innovation_covariance[2] = combined_variance[2];
-    next->filtered_state[0] = t605;
-    next->filtered_state[1] = t614;
-    next->mode_filtered_state[0] = mean_h0[0];
-    next->mode_filtered_state[1] = mean_h0[1];
-    next->mode_filtered_state[2] = mean_h1[0];
-    next->mode_filtered_state[3] = mean_h1[1];
-    next->mode_filtered_state[4] = mean_h2[0];
-    next->mode_filtered_state[5] = mean_h2[1];
-    next->mode_filtered_state[6] = mean_h3[0];
-    next->mode_filtered_state[7] = mean_h3[1];
-    next->mode_filtered_state[8] = mean_h4[0];
-    next->mode_filtered_state[9] = mean_h4[1];
-    next->mode_filtered_covariance[0] = covariance_h0[0];
-    next->mode_filtered_covariance[1] = covariance_h0[1];
-    next->mode_filtered_covariance[2] = covariance_h0[2];
-    next->mode_filtered_covariance[3] = covariance_h1[0];
-    next->mode_filtered_covariance[4] = covariance_h1[1];
-    next->mode_filtered_covariance[5] = covariance_h1[2];
-    next->mode_filtered_covariance[6] = covariance_h2[0];
-    next->mode_filtered_covariance[7] = covariance_h2[1];
-    next->mode_filtered_covariance[8] = covariance_h2[2];
-    next->mode_filtered_covariance[9] = covariance_h3[0];
-    next->mode_filtered_covariance[10] = covariance_h3[1];
-    next->mode_filtered_covariance[11] = covariance_h3[2];
-    next->mode_filtered_covariance[12] = covariance_h4[0];
-    next->mode_filtered_covariance[13] = covariance_h4[1];
-    next->mode_filtered_covariance[14] = covariance_h4[2];
-    next->mode_deviation[0] = mean_h0[2];
-    next->mode_deviation[1] = mean_h1[2];
-    next->mode_deviation[2] = mean_h2[2];
-    next->mode_deviation[3] = mean_h3[2];
-    next->mode_deviation[4] = mean_h4[2];
-    next->mode_deviation_covariance[0] = covariance_h0[5];
-    next->mode_deviation_covariance[1] = covariance_h1[5];
-    next->mode_deviation_covariance[2] = covariance_h2[5];
-    next->mode_deviation_covariance[3] = covariance_h3[5];
-    next->mode_deviation_covariance[4] = covariance_h4[5];
-    next->mode_deviation_cross[0] = covariance_h0[3];
-    next->mode_deviation_cross[1] = covariance_h0[4];
-    next->mode_deviation_cross[2] = covariance_h1[3];
-    next->mode_deviation_cross[3] = covariance_h1[4];
-    next->mode_deviation_cross[4] = covariance_h2[3];
-    next->mode_deviation_cross[5] = covariance_h2[4];
-    next->mode_deviation_cross[6] = covariance_h3[3];
-    next->mode_deviation_cross[7] = covariance_h3[4];
-    next->mode_deviation_cross[8] = covariance_h4[3];
-    next->mode_deviation_cross[9] = covariance_h4[4];
-    next->mode_probability[0] = weight[0];
-    next->mode_probability[1] = weight[1];
-    next->mode_probability[2] = weight[2];
-    next->mode_probability[3] = weight[3];
-    next->mode_probability[4] = weight[4];
-    next->log_weight[0] = log_weight_now[0];
-    next->log_weight[1] = log_weight_now[1];
-    next->log_weight[2] = log_weight_now[2];
-    next->log_weight[3] = log_weight_now[3];
-    next->log_weight[4] = log_weight_now[4];
-    next->log_likelihood = log_evidence;
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -1277,161 +1320,161 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t5 = 0.0198 * u[0];
     const double t6 = t5 * self->mode_deviation[0];
     moved_state[0] = t4 + t6;
-    const double t8 = 0.0094 * self->mode_filtered_state[0];
-    const double t9 = 0.9048 * self->mode_filtered_state[1];
-    const double t10 = t8 + t9;
-    const double t11 = 1.0e-05 * u[0];
-    const double t12 = t10 + t11;
-    const double t13 = 0.0001 * u[0];
-    const double t14 = t13 * self->mode_deviation[0];
-    moved_state[1] = t12 + t14;
-    const double t16 = 0.9802 * self->mode_filtered_state[2];
-    const double t17 = -0.0002 * self->mode_filtered_state[3];
+    const double t7 = 0.0094 * self->mode_filtered_state[0];
+    const double t8 = 0.9048 * self->mode_filtered_state[1];
+    const double t9 = t7 + t8;
+    const double t10 = 1.0e-05 * u[0];
+    const double t11 = t9 + t10;
+    const double t12 = 0.0001 * u[0];
+    const double t13 = t12 * self->mode_deviation[0];
+    moved_state[1] = t11 + t13;
+    const double t14 = 0.9802 * self->mode_filtered_state[2];
+    const double t15 = -0.0002 * self->mode_filtered_state[3];
+    const double t16 = t14 + t15;
+    const double t17 = 0.00594 * u[0];
     const double t18 = t16 + t17;
-    const double t19 = 0.00594 * u[0];
-    const double t20 = t18 + t19;
-    const double t21 = 0.0198 * u[0];
-    const double t22 = t21 * self->mode_deviation[1];
-    moved_state[2] = t20 + t22;
-    const double t24 = 0.0094 * self->mode_filtered_state[2];
-    const double t25 = 0.9048 * self->mode_filtered_state[3];
-    const double t26 = t24 + t25;
-    const double t27 = 3.0e-05 * u[0];
-    const double t28 = t26 + t27;
-    const double t29 = 0.0001 * u[0];
-    const double t30 = t29 * self->mode_deviation[1];
-    moved_state[3] = t28 + t30;
-    const double t32 = 0.9802 * self->mode_filtered_state[4];
-    const double t33 = -0.0002 * self->mode_filtered_state[5];
-    const double t34 = t32 + t33;
-    const double t35 = 0.0099 * u[0];
-    const double t36 = t34 + t35;
-    const double t37 = 0.0198 * u[0];
-    const double t38 = t37 * self->mode_deviation[2];
-    moved_state[4] = t36 + t38;
-    const double t40 = 0.0094 * self->mode_filtered_state[4];
-    const double t41 = 0.9048 * self->mode_filtered_state[5];
-    const double t42 = t40 + t41;
-    const double t43 = 5.0e-05 * u[0];
+    const double t19 = 0.0198 * u[0];
+    const double t20 = t19 * self->mode_deviation[1];
+    moved_state[2] = t18 + t20;
+    const double t21 = 0.0094 * self->mode_filtered_state[2];
+    const double t22 = 0.9048 * self->mode_filtered_state[3];
+    const double t23 = t21 + t22;
+    const double t24 = 3.0e-05 * u[0];
+    const double t25 = t23 + t24;
+    const double t26 = 0.0001 * u[0];
+    const double t27 = t26 * self->mode_deviation[1];
+    moved_state[3] = t25 + t27;
+    const double t28 = 0.9802 * self->mode_filtered_state[4];
+    const double t29 = -0.0002 * self->mode_filtered_state[5];
+    const double t30 = t28 + t29;
+    const double t31 = 0.0099 * u[0];
+    const double t32 = t30 + t31;
+    const double t33 = 0.0198 * u[0];
+    const double t34 = t33 * self->mode_deviation[2];
+    moved_state[4] = t32 + t34;
+    const double t35 = 0.0094 * self->mode_filtered_state[4];
+    const double t36 = 0.9048 * self->mode_filtered_state[5];
+    const double t37 = t35 + t36;
+    const double t38 = 5.0e-05 * u[0];
+    const double t39 = t37 + t38;
+    const double t40 = 0.0001 * u[0];
+    const double t41 = t40 * self->mode_deviation[2];
+    moved_state[5] = t39 + t41;
+    const double t42 = 0.9802 * self->mode_filtered_state[6];
+    const double t43 = -0.0002 * self->mode_filtered_state[7];
     const double t44 = t42 + t43;
-    const double t45 = 0.0001 * u[0];
-    const double t46 = t45 * self->mode_deviation[2];
-    moved_state[5] = t44 + t46;
-    const double t48 = 0.9802 * self->mode_filtered_state[6];
-    const double t49 = -0.0002 * self->mode_filtered_state[7];
-    const double t50 = t48 + t49;
-    const double t51 = 0.01386 * u[0];
-    const double t52 = t50 + t51;
-    const double t53 = 0.0198 * u[0];
-    const double t54 = t53 * self->mode_deviation[3];
-    moved_state[6] = t52 + t54;
-    const double t56 = 0.0094 * self->mode_filtered_state[6];
-    const double t57 = 0.9048 * self->mode_filtered_state[7];
+    const double t45 = 0.01386 * u[0];
+    const double t46 = t44 + t45;
+    const double t47 = 0.0198 * u[0];
+    const double t48 = t47 * self->mode_deviation[3];
+    moved_state[6] = t46 + t48;
+    const double t49 = 0.0094 * self->mode_filtered_state[6];
+    const double t50 = 0.9048 * self->mode_filtered_state[7];
+    const double t51 = t49 + t50;
+    const double t52 = 7.0e-05 * u[0];
+    const double t53 = t51 + t52;
+    const double t54 = 0.0001 * u[0];
+    const double t55 = t54 * self->mode_deviation[3];
+    moved_state[7] = t53 + t55;
+    const double t56 = 0.9802 * self->mode_filtered_state[8];
+    const double t57 = -0.0002 * self->mode_filtered_state[9];
     const double t58 = t56 + t57;
-    const double t59 = 7.0e-05 * u[0];
+    const double t59 = 0.017820000000000003 * u[0];
     const double t60 = t58 + t59;
-    const double t61 = 0.0001 * u[0];
-    const double t62 = t61 * self->mode_deviation[3];
-    moved_state[7] = t60 + t62;
-    const double t64 = 0.9802 * self->mode_filtered_state[8];
-    const double t65 = -0.0002 * self->mode_filtered_state[9];
-    const double t66 = t64 + t65;
-    const double t67 = 0.017820000000000003 * u[0];
-    const double t68 = t66 + t67;
-    const double t69 = 0.0198 * u[0];
-    const double t70 = t69 * self->mode_deviation[4];
-    moved_state[8] = t68 + t70;
-    const double t72 = 0.0094 * self->mode_filtered_state[8];
-    const double t73 = 0.9048 * self->mode_filtered_state[9];
-    const double t74 = t72 + t73;
-    const double t75 = 9.0e-05 * u[0];
-    const double t76 = t74 + t75;
-    const double t77 = 0.0001 * u[0];
-    const double t78 = t77 * self->mode_deviation[4];
-    moved_state[9] = t76 + t78;
+    const double t61 = 0.0198 * u[0];
+    const double t62 = t61 * self->mode_deviation[4];
+    moved_state[8] = t60 + t62;
+    const double t63 = 0.0094 * self->mode_filtered_state[8];
+    const double t64 = 0.9048 * self->mode_filtered_state[9];
+    const double t65 = t63 + t64;
+    const double t66 = 9.0e-05 * u[0];
+    const double t67 = t65 + t66;
+    const double t68 = 0.0001 * u[0];
+    const double t69 = t68 * self->mode_deviation[4];
+    moved_state[9] = t67 + t69;
     dc_motor_unknown_combined_prediction(self->mode_filtered_covariance, u[0],
         self->mode_deviation_cross, self->mode_deviation_covariance, moved_covariance,
         self->mode_probability, moved_state, combined_state);
-    const double t343 = self->mode_probability[0] * moved_covariance[0];
-    const double t344 = self->mode_probability[1] * moved_covariance[3];
-    const double t345 = t343 + t344;
-    const double t346 = self->mode_probability[2] * moved_covariance[6];
-    const double t347 = t345 + t346;
-    const double t348 = self->mode_probability[3] * moved_covariance[9];
-    const double t349 = t347 + t348;
-    const double t350 = self->mode_probability[4] * moved_covariance[12];
-    const double t351 = t349 + t350;
-    const double t352 = moved_state[0] - combined_state[0];
-    const double t353 = self->mode_probability[0] * t352;
-    const double t354 = t353 * t352;
-    const double t355 = moved_state[2] - combined_state[0];
-    const double t356 = self->mode_probability[1] * t355;
-    const double t357 = t356 * t355;
-    const double t358 = t354 + t357;
-    const double t359 = moved_state[4] - combined_state[0];
-    const double t360 = self->mode_probability[2] * t359;
-    const double t361 = t360 * t359;
-    const double t362 = t358 + t361;
-    const double t363 = moved_state[6] - combined_state[0];
-    const double t364 = self->mode_probability[3] * t363;
-    const double t365 = t364 * t363;
-    const double t366 = t362 + t365;
-    const double t367 = moved_state[8] - combined_state[0];
-    const double t368 = self->mode_probability[4] * t367;
-    const double t369 = t368 * t367;
-    const double t370 = t366 + t369;
-    const double t371 = t351 + t370;
-    const double t372 = self->mode_probability[0] * moved_covariance[1];
-    const double t373 = self->mode_probability[1] * moved_covariance[4];
-    const double t374 = t372 + t373;
-    const double t375 = self->mode_probability[2] * moved_covariance[7];
-    const double t376 = t374 + t375;
-    const double t377 = self->mode_probability[3] * moved_covariance[10];
-    const double t378 = t376 + t377;
-    const double t379 = self->mode_probability[4] * moved_covariance[13];
-    const double t380 = t378 + t379;
-    const double t381 = moved_state[1] - combined_state[1];
-    const double t382 = self->mode_probability[0] * t381;
-    const double t383 = t382 * t352;
-    const double t384 = moved_state[3] - combined_state[1];
-    const double t385 = self->mode_probability[1] * t384;
-    const double t386 = t385 * t355;
-    const double t387 = t383 + t386;
-    const double t388 = moved_state[5] - combined_state[1];
-    const double t389 = self->mode_probability[2] * t388;
-    const double t390 = t389 * t359;
-    const double t391 = t387 + t390;
-    const double t392 = moved_state[7] - combined_state[1];
-    const double t393 = self->mode_probability[3] * t392;
-    const double t394 = t393 * t363;
-    const double t395 = t391 + t394;
-    const double t396 = moved_state[9] - combined_state[1];
-    const double t397 = self->mode_probability[4] * t396;
-    const double t398 = t397 * t367;
-    const double t399 = t395 + t398;
-    next->predicted_covariance[1] = t380 + t399;
-    const double t401 = self->mode_probability[0] * moved_covariance[2];
-    const double t402 = self->mode_probability[1] * moved_covariance[5];
-    const double t403 = t401 + t402;
-    const double t404 = self->mode_probability[2] * moved_covariance[8];
-    const double t405 = t403 + t404;
-    const double t406 = self->mode_probability[3] * moved_covariance[11];
-    const double t407 = t405 + t406;
-    const double t408 = self->mode_probability[4] * moved_covariance[14];
-    const double t409 = t407 + t408;
-    const double t410 = t382 * t381;
-    const double t411 = t385 * t384;
-    const double t412 = t410 + t411;
-    const double t413 = t389 * t388;
-    const double t414 = t412 + t413;
-    const double t415 = t393 * t392;
-    const double t416 = t414 + t415;
-    const double t417 = t397 * t396;
-    const double t418 = t416 + t417;
-    const double t419 = t409 + t418;
+    const double t70 = self->mode_probability[0] * moved_covariance[0];
+    const double t71 = self->mode_probability[1] * moved_covariance[3];
+    const double t72 = t70 + t71;
+    const double t73 = self->mode_probability[2] * moved_covariance[6];
+    const double t74 = t72 + t73;
+    const double t75 = self->mode_probability[3] * moved_covariance[9];
+    const double t76 = t74 + t75;
+    const double t77 = self->mode_probability[4] * moved_covariance[12];
+    const double t78 = t76 + t77;
+    const double t79 = moved_state[0] - combined_state[0];
+    const double t80 = self->mode_probability[0] * t79;
+    const double t81 = t80 * t79;
+    const double t82 = moved_state[2] - combined_state[0];
+    const double t83 = self->mode_probability[1] * t82;
+    const double t84 = t83 * t82;
+    const double t85 = t81 + t84;
+    const double t86 = moved_state[4] - combined_state[0];
+    const double t87 = self->mode_probability[2] * t86;
+    const double t88 = t87 * t86;
+    const double t89 = t85 + t88;
+    const double t90 = moved_state[6] - combined_state[0];
+    const double t91 = self->mode_probability[3] * t90;
+    const double t92 = t91 * t90;
+    const double t93 = t89 + t92;
+    const double t94 = moved_state[8] - combined_state[0];
+    const double t95 = self->mode_probability[4] * t94;
+    const double t96 = t95 * t94;
+    const double t97 = t93 + t96;
+    const double t98 = t78 + t97;
+    const double t99 = self->mode_probability[0] * moved_covariance[1];
+    const double t100 = self->mode_probability[1] * moved_covariance[4];
+    const double t101 = t99 + t100;
+    const double t102 = self->mode_probability[2] * moved_covariance[7];
+    const double t103 = t101 + t102;
+    const double t104 = self->mode_probability[3] * moved_covariance[10];
+    const double t105 = t103 + t104;
+    const double t106 = self->mode_probability[4] * moved_covariance[13];
+    const double t107 = t105 + t106;
+    const double t108 = moved_state[1] - combined_state[1];
+    const double t109 = self->mode_probability[0] * t108;
+    const double t110 = t109 * t79;
+    const double t111 = moved_state[3] - combined_state[1];
+    const double t112 = self->mode_probability[1] * t111;
+    const double t113 = t112 * t82;
+    const double t114 = t110 + t113;
+    const double t115 = moved_state[5] - combined_state[1];
+    const double t116 = self->mode_probability[2] * t115;
+    const double t117 = t116 * t86;
+    const double t118 = t114 + t117;
+    const double t119 = moved_state[7] - combined_state[1];
+    const double t120 = self->mode_probability[3] * t119;
+    const double t121 = t120 * t90;
+    const double t122 = t118 + t121;
+    const double t123 = moved_state[9] - combined_state[1];
+    const double t124 = self->mode_probability[4] * t123;
+    const double t125 = t124 * t94;
+    const double t126 = t122 + t125;
+    next->predicted_covariance[1] = t107 + t126;
+    const double t127 = self->mode_probability[0] * moved_covariance[2];
+    const double t128 = self->mode_probability[1] * moved_covariance[5];
+    const double t129 = t127 + t128;
+    const double t130 = self->mode_probability[2] * moved_covariance[8];
+    const double t131 = t129 + t130;
+    const double t132 = self->mode_probability[3] * moved_covariance[11];
+    const double t133 = t131 + t132;
+    const double t134 = self->mode_probability[4] * moved_covariance[14];
+    const double t135 = t133 + t134;
+    const double t136 = t109 * t108;
+    const double t137 = t112 * t111;
+    const double t138 = t136 + t137;
+    const double t139 = t116 * t115;
+    const double t140 = t138 + t139;
+    const double t141 = t120 * t119;
+    const double t142 = t140 + t141;
+    const double t143 = t124 * t123;
+    const double t144 = t142 + t143;
+    const double t145 = t135 + t144;
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(combined_state[0]) +
-        dc_motor_unknown_defect(combined_state[1]) + dc_motor_unknown_defect(t371) +
-        dc_motor_unknown_defect(t419)))
+        dc_motor_unknown_defect(combined_state[1]) + dc_motor_unknown_defect(t98) +
+        dc_motor_unknown_defect(t145)))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -1492,8 +1535,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     next->mode_covariance[14] = moved_covariance[14];
     next->predicted_state[0] = combined_state[0];
     next->predicted_state[1] = combined_state[1];
-    next->predicted_covariance[0] = t371;
-    next->predicted_covariance[2] = t419;
+    next->predicted_covariance[0] = t98;
+    next->predicted_covariance[2] = t145;
     return DC_MOTOR_UNKNOWN_OK;
 }
 

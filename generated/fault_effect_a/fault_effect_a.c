@@ -193,8 +193,8 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t4 = 0.05 * self->predicted_state[1];
-        innovation_1 = y[1] - t4;
+        const double t3 = 0.05 * self->predicted_state[1];
+        innovation_1 = y[1] - t3;
     }
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
@@ -207,20 +207,20 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     covariance[5] = self->predicted_covariance[5];
 
     /* row 0 of y, Y1 */
-    const double t6 = 0.9 * self->predicted_covariance[0];
-    const double t7 = -0.9 * self->predicted_covariance[3];
-    cross_0[0] = t6 + t7;
-    const double t9 = 0.9 * self->predicted_covariance[1];
-    const double t10 = -0.9 * self->predicted_covariance[4];
-    cross_0[1] = t9 + t10;
-    const double t12 = 0.9 * self->predicted_covariance[3];
-    const double t13 = -0.9 * self->predicted_covariance[5];
-    cross_0[2] = t12 + t13;
+    const double t4 = 0.9 * self->predicted_covariance[0];
+    const double t5 = -0.9 * self->predicted_covariance[3];
+    cross_0[0] = t4 + t5;
+    const double t6 = 0.9 * self->predicted_covariance[1];
+    const double t7 = -0.9 * self->predicted_covariance[4];
+    cross_0[1] = t6 + t7;
+    const double t8 = 0.9 * self->predicted_covariance[3];
+    const double t9 = -0.9 * self->predicted_covariance[5];
+    cross_0[2] = t8 + t9;
     coupling_0 = 0.05 * cross_0[1];
-    const double t16 = 0.9 * cross_0[0];
-    const double t17 = -0.9 * cross_0[2];
-    const double t18 = t16 + t17;
-    pivot_0 = t18 + 0.0001;
+    const double t10 = 0.9 * cross_0[0];
+    const double t11 = -0.9 * cross_0[2];
+    const double t12 = t10 + t11;
+    pivot_0 = t12 + 0.0001;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_0 > 0.0))
@@ -228,31 +228,31 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
             return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0;
-        const double t21 = innovation_0 * inverse_0;
+        const double t13 = innovation_0 * inverse_0;
         factor_0 = coupling_0 * inverse_0;
-        quadratic = innovation_0 * t21;
-        const double t24 = cross_0[0] * t21;
-        mean[0] = self->predicted_state[0] + t24;
-        const double t26 = cross_0[1] * t21;
-        mean[1] = self->predicted_state[1] + t26;
-        const double t28 = cross_0[2] * t21;
-        mean[2] = self->predicted_state[2] + t28;
-        const double t30 = cross_0[0] * inverse_0;
-        const double t31 = t30 * cross_0[0];
-        covariance[0] = self->predicted_covariance[0] - t31;
-        const double t33 = cross_0[1] * inverse_0;
-        const double t34 = t33 * cross_0[0];
-        covariance[1] = self->predicted_covariance[1] - t34;
-        const double t36 = t33 * cross_0[1];
-        covariance[2] = self->predicted_covariance[2] - t36;
-        const double t38 = cross_0[2] * inverse_0;
-        const double t39 = t38 * cross_0[0];
-        covariance[3] = self->predicted_covariance[3] - t39;
-        const double t41 = t38 * cross_0[1];
-        covariance[4] = self->predicted_covariance[4] - t41;
-        const double t43 = t38 * cross_0[2];
-        covariance[5] = self->predicted_covariance[5] - t43;
-        weight_0 = t21;
+        quadratic = innovation_0 * t13;
+        const double t14 = cross_0[0] * t13;
+        mean[0] = self->predicted_state[0] + t14;
+        const double t15 = cross_0[1] * t13;
+        mean[1] = self->predicted_state[1] + t15;
+        const double t16 = cross_0[2] * t13;
+        mean[2] = self->predicted_state[2] + t16;
+        const double t17 = cross_0[0] * inverse_0;
+        const double t18 = t17 * cross_0[0];
+        covariance[0] = self->predicted_covariance[0] - t18;
+        const double t19 = cross_0[1] * inverse_0;
+        const double t20 = t19 * cross_0[0];
+        covariance[1] = self->predicted_covariance[1] - t20;
+        const double t21 = t19 * cross_0[1];
+        covariance[2] = self->predicted_covariance[2] - t21;
+        const double t22 = cross_0[2] * inverse_0;
+        const double t23 = t22 * cross_0[0];
+        covariance[3] = self->predicted_covariance[3] - t23;
+        const double t24 = t22 * cross_0[1];
+        covariance[4] = self->predicted_covariance[4] - t24;
+        const double t25 = t22 * cross_0[2];
+        covariance[5] = self->predicted_covariance[5] - t25;
+        weight_0 = t13;
         log_constant = FAULT_EFFECT_A_LOG_2_PI;
         determinant_0 = pivot_0;
     }
@@ -261,8 +261,8 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     cross_1[0] = 0.05 * covariance[1];
     cross_1[1] = 0.05 * covariance[2];
     cross_1[2] = 0.05 * covariance[4];
-    const double t48 = 0.05 * cross_1[1];
-    pivot_1 = t48 + 0.01;
+    const double t26 = 0.05 * cross_1[1];
+    pivot_1 = t26 + 0.01;
     if ((present & 0x2u) != 0u)
     {
         if (!(pivot_1 > 0.0))
@@ -270,34 +270,34 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
             return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE;
         }
         inverse_1 = 1.0 / pivot_1;
-        const double t51 = coupling_0 * weight_0;
-        const double t52 = innovation_1 - t51;
-        const double t53 = t52 * inverse_1;
-        const double t54 = t52 * t53;
-        quadratic = quadratic + t54;
+        const double t27 = coupling_0 * weight_0;
+        const double t28 = innovation_1 - t27;
+        const double t29 = t28 * inverse_1;
+        const double t30 = t28 * t29;
+        quadratic = quadratic + t30;
         log_constant = log_constant + FAULT_EFFECT_A_LOG_2_PI;
         determinant_0 = determinant_0 * pivot_1;
-        const double t58 = cross_1[0] * t53;
-        mean[0] = mean[0] + t58;
-        const double t60 = cross_1[1] * t53;
-        mean[1] = mean[1] + t60;
-        const double t62 = cross_1[2] * t53;
-        mean[2] = mean[2] + t62;
-        const double t64 = cross_1[0] * inverse_1;
-        const double t65 = t64 * cross_1[0];
-        covariance[0] = covariance[0] - t65;
-        const double t67 = cross_1[1] * inverse_1;
-        const double t68 = t67 * cross_1[0];
-        covariance[1] = covariance[1] - t68;
-        const double t70 = t67 * cross_1[1];
-        covariance[2] = covariance[2] - t70;
-        const double t72 = cross_1[2] * inverse_1;
-        const double t73 = t72 * cross_1[0];
-        covariance[3] = covariance[3] - t73;
-        const double t75 = t72 * cross_1[1];
-        covariance[4] = covariance[4] - t75;
-        const double t77 = t72 * cross_1[2];
-        covariance[5] = covariance[5] - t77;
+        const double t31 = cross_1[0] * t29;
+        mean[0] = mean[0] + t31;
+        const double t32 = cross_1[1] * t29;
+        mean[1] = mean[1] + t32;
+        const double t33 = cross_1[2] * t29;
+        mean[2] = mean[2] + t33;
+        const double t34 = cross_1[0] * inverse_1;
+        const double t35 = t34 * cross_1[0];
+        covariance[0] = covariance[0] - t35;
+        const double t36 = cross_1[1] * inverse_1;
+        const double t37 = t36 * cross_1[0];
+        covariance[1] = covariance[1] - t37;
+        const double t38 = t36 * cross_1[1];
+        covariance[2] = covariance[2] - t38;
+        const double t39 = cross_1[2] * inverse_1;
+        const double t40 = t39 * cross_1[0];
+        covariance[3] = covariance[3] - t40;
+        const double t41 = t39 * cross_1[1];
+        covariance[4] = covariance[4] - t41;
+        const double t42 = t39 * cross_1[2];
+        covariance[5] = covariance[5] - t42;
     }
     if (!fault_effect_a_finite(fault_effect_a_defect(mean[0]) + fault_effect_a_defect(mean[1]) +
         fault_effect_a_defect(mean[2])))
@@ -306,12 +306,12 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     }
 
     /* results of the update */
-    const double t79 = coupling_0 * factor_0;
-    next->innovation_covariance[2] = pivot_1 + t79;
-    const double t81 = fault_effect_a_log(determinant_0);
-    const double t82 = log_constant + t81;
-    const double t83 = quadratic + t82;
-    next->log_likelihood = -0.5 * t83;
+    const double t43 = coupling_0 * factor_0;
+    next->innovation_covariance[2] = pivot_1 + t43;
+    const double t44 = fault_effect_a_log(determinant_0);
+    const double t45 = log_constant + t44;
+    const double t46 = quadratic + t45;
+    next->log_likelihood = -0.5 * t46;
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_state[2] = mean[2];
@@ -354,23 +354,23 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     const double t18 = t16 + t17;
     const double t19 = -0.010000000000000002 * self->filtered_covariance[4];
     next->predicted_covariance[1] = t18 + t19;
-    const double t21 = 0.9801 * self->filtered_covariance[2];
-    const double t22 = -0.198 * self->filtered_covariance[4];
-    const double t23 = t21 + t22;
-    const double t24 = 0.010000000000000002 * self->filtered_covariance[5];
-    const double t25 = t23 + t24;
-    const double t26 = t25 + 0.01;
-    const double t27 = 0.9801 * self->filtered_covariance[3];
-    const double t28 = 0.099 * self->filtered_covariance[4];
-    next->predicted_covariance[3] = t27 + t28;
-    const double t30 = 0.9801 * self->filtered_covariance[4];
-    const double t31 = -0.099 * self->filtered_covariance[5];
-    next->predicted_covariance[4] = t30 + t31;
-    const double t33 = 0.9801 * self->filtered_covariance[5];
-    const double t34 = t33 + 0.36;
+    const double t20 = 0.9801 * self->filtered_covariance[2];
+    const double t21 = -0.198 * self->filtered_covariance[4];
+    const double t22 = t20 + t21;
+    const double t23 = 0.010000000000000002 * self->filtered_covariance[5];
+    const double t24 = t22 + t23;
+    const double t25 = t24 + 0.01;
+    const double t26 = 0.9801 * self->filtered_covariance[3];
+    const double t27 = 0.099 * self->filtered_covariance[4];
+    next->predicted_covariance[3] = t26 + t27;
+    const double t28 = 0.9801 * self->filtered_covariance[4];
+    const double t29 = -0.099 * self->filtered_covariance[5];
+    next->predicted_covariance[4] = t28 + t29;
+    const double t30 = 0.9801 * self->filtered_covariance[5];
+    const double t31 = t30 + 0.36;
     if (!fault_effect_a_finite(fault_effect_a_defect(t2) + fault_effect_a_defect(t5) +
-        fault_effect_a_defect(t7) + fault_effect_a_defect(t13) + fault_effect_a_defect(t26) +
-        fault_effect_a_defect(t34)))
+        fault_effect_a_defect(t7) + fault_effect_a_defect(t13) + fault_effect_a_defect(t25) +
+        fault_effect_a_defect(t31)))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }
@@ -378,8 +378,8 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     next->predicted_state[1] = t5;
     next->predicted_state[2] = t7;
     next->predicted_covariance[0] = t13;
-    next->predicted_covariance[2] = t26;
-    next->predicted_covariance[5] = t34;
+    next->predicted_covariance[2] = t25;
+    next->predicted_covariance[5] = t31;
     return FAULT_EFFECT_A_OK;
 }
 

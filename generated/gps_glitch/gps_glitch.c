@@ -228,43 +228,43 @@ static void gps_glitch_mixing_and_prediction(const double *mixed_share,
     const double t0 = mixed_share[0] * mode_filtered_state[0];
     const double t1 = mixed_share[1] * mode_filtered_state[3];
     mixed_mean[0] = t0 + t1;
-    const double t3 = mixed_share[0] * mode_filtered_state[1];
-    const double t4 = mixed_share[1] * mode_filtered_state[4];
-    mixed_mean[1] = t3 + t4;
-    const double t6 = mixed_share[0] * mode_filtered_state[2];
-    const double t7 = mixed_share[1] * mode_filtered_state[5];
-    mixed_mean[2] = t6 + t7;
-    const double t9 = mixed_share[0] * mode_filtered_covariance[0];
-    const double t10 = mixed_share[1] * mode_filtered_covariance[6];
-    const double t11 = t9 + t10;
-    const double t12 = mixed_share[0] * mixed_share[1];
-    const double t13 = t12 * mixed_apart_squared[0];
-    mixed_covariance[0] = t11 + t13;
-    const double t15 = mixed_share[0] * mode_filtered_covariance[1];
-    const double t16 = mixed_share[1] * mode_filtered_covariance[7];
+    const double t2 = mixed_share[0] * mode_filtered_state[1];
+    const double t3 = mixed_share[1] * mode_filtered_state[4];
+    mixed_mean[1] = t2 + t3;
+    const double t4 = mixed_share[0] * mode_filtered_state[2];
+    const double t5 = mixed_share[1] * mode_filtered_state[5];
+    mixed_mean[2] = t4 + t5;
+    const double t6 = mixed_share[0] * mode_filtered_covariance[0];
+    const double t7 = mixed_share[1] * mode_filtered_covariance[6];
+    const double t8 = t6 + t7;
+    const double t9 = mixed_share[0] * mixed_share[1];
+    const double t10 = t9 * mixed_apart_squared[0];
+    mixed_covariance[0] = t8 + t10;
+    const double t11 = mixed_share[0] * mode_filtered_covariance[1];
+    const double t12 = mixed_share[1] * mode_filtered_covariance[7];
+    const double t13 = t11 + t12;
+    const double t14 = t9 * mixed_apart_squared[1];
+    mixed_covariance[1] = t13 + t14;
+    const double t15 = mixed_share[0] * mode_filtered_covariance[2];
+    const double t16 = mixed_share[1] * mode_filtered_covariance[8];
     const double t17 = t15 + t16;
-    const double t18 = t12 * mixed_apart_squared[1];
-    mixed_covariance[1] = t17 + t18;
-    const double t20 = mixed_share[0] * mode_filtered_covariance[2];
-    const double t21 = mixed_share[1] * mode_filtered_covariance[8];
-    const double t22 = t20 + t21;
-    const double t23 = t12 * mixed_apart_squared[2];
-    mixed_covariance[2] = t22 + t23;
-    const double t25 = mixed_share[0] * mode_filtered_covariance[3];
-    const double t26 = mixed_share[1] * mode_filtered_covariance[9];
-    const double t27 = t25 + t26;
-    const double t28 = t12 * mixed_apart_squared[3];
-    mixed_covariance[3] = t27 + t28;
-    const double t30 = mixed_share[0] * mode_filtered_covariance[4];
-    const double t31 = mixed_share[1] * mode_filtered_covariance[10];
-    const double t32 = t30 + t31;
-    const double t33 = t12 * mixed_apart_squared[4];
-    mixed_covariance[4] = t32 + t33;
-    const double t35 = mixed_share[0] * mode_filtered_covariance[5];
-    const double t36 = mixed_share[1] * mode_filtered_covariance[11];
-    const double t37 = t35 + t36;
-    const double t38 = t12 * mixed_apart_squared[5];
-    mixed_covariance[5] = t37 + t38;
+    const double t18 = t9 * mixed_apart_squared[2];
+    mixed_covariance[2] = t17 + t18;
+    const double t19 = mixed_share[0] * mode_filtered_covariance[3];
+    const double t20 = mixed_share[1] * mode_filtered_covariance[9];
+    const double t21 = t19 + t20;
+    const double t22 = t9 * mixed_apart_squared[3];
+    mixed_covariance[3] = t21 + t22;
+    const double t23 = mixed_share[0] * mode_filtered_covariance[4];
+    const double t24 = mixed_share[1] * mode_filtered_covariance[10];
+    const double t25 = t23 + t24;
+    const double t26 = t9 * mixed_apart_squared[4];
+    mixed_covariance[4] = t25 + t26;
+    const double t27 = mixed_share[0] * mode_filtered_covariance[5];
+    const double t28 = mixed_share[1] * mode_filtered_covariance[11];
+    const double t29 = t27 + t28;
+    const double t30 = t9 * mixed_apart_squared[5];
+    mixed_covariance[5] = t29 + t30;
 }
 
 /* combination; mixing and prediction of every mode. */
@@ -277,49 +277,49 @@ static void gps_glitch_part_2(const double *combined_0_1_mean, const double *com
     combined_0_3_apart[0] = combined_0_1_mean[0] - combined_2_3_mean[0];
     combined_0_3_apart[1] = combined_0_1_mean[1] - combined_2_3_mean[1];
     combined_0_3_apart[2] = combined_0_1_mean[2] - combined_2_3_mean[2];
-    const double t3 = combined_0_3_share[0] * combined_0_1_mean[0];
-    const double t4 = combined_0_3_share[1] * combined_2_3_mean[0];
-    combined_0_3_mean[0] = t3 + t4;
-    const double t6 = combined_0_3_share[0] * combined_0_1_mean[1];
-    const double t7 = combined_0_3_share[1] * combined_2_3_mean[1];
-    combined_0_3_mean[1] = t6 + t7;
-    const double t9 = combined_0_3_share[0] * combined_0_1_mean[2];
-    const double t10 = combined_0_3_share[1] * combined_2_3_mean[2];
-    combined_0_3_mean[2] = t9 + t10;
-    const double t12 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t13 = combined_0_3_share[1] * combined_2_3_covariance[0];
+    const double t0 = combined_0_3_share[0] * combined_0_1_mean[0];
+    const double t1 = combined_0_3_share[1] * combined_2_3_mean[0];
+    combined_0_3_mean[0] = t0 + t1;
+    const double t2 = combined_0_3_share[0] * combined_0_1_mean[1];
+    const double t3 = combined_0_3_share[1] * combined_2_3_mean[1];
+    combined_0_3_mean[1] = t2 + t3;
+    const double t4 = combined_0_3_share[0] * combined_0_1_mean[2];
+    const double t5 = combined_0_3_share[1] * combined_2_3_mean[2];
+    combined_0_3_mean[2] = t4 + t5;
+    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t7 = combined_0_3_share[1] * combined_2_3_covariance[0];
+    const double t8 = t6 + t7;
+    const double t9 = combined_0_3_share[0] * combined_0_3_share[1];
+    const double t10 = t9 * combined_0_3_apart[0];
+    const double t11 = t10 * combined_0_3_apart[0];
+    combined_0_3_covariance[0] = t8 + t11;
+    const double t12 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t13 = combined_0_3_share[1] * combined_2_3_covariance[1];
     const double t14 = t12 + t13;
-    const double t15 = combined_0_3_share[0] * combined_0_3_share[1];
+    const double t15 = t9 * combined_0_3_apart[1];
     const double t16 = t15 * combined_0_3_apart[0];
-    const double t17 = t16 * combined_0_3_apart[0];
-    combined_0_3_covariance[0] = t14 + t17;
-    const double t19 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t20 = combined_0_3_share[1] * combined_2_3_covariance[1];
-    const double t21 = t19 + t20;
-    const double t22 = t15 * combined_0_3_apart[1];
-    const double t23 = t22 * combined_0_3_apart[0];
-    combined_0_3_covariance[1] = t21 + t23;
-    const double t25 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t26 = combined_0_3_share[1] * combined_2_3_covariance[2];
-    const double t27 = t25 + t26;
-    const double t28 = t22 * combined_0_3_apart[1];
-    combined_0_3_covariance[2] = t27 + t28;
-    const double t30 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t31 = combined_0_3_share[1] * combined_2_3_covariance[3];
+    combined_0_3_covariance[1] = t14 + t16;
+    const double t17 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t18 = combined_0_3_share[1] * combined_2_3_covariance[2];
+    const double t19 = t17 + t18;
+    const double t20 = t15 * combined_0_3_apart[1];
+    combined_0_3_covariance[2] = t19 + t20;
+    const double t21 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t22 = combined_0_3_share[1] * combined_2_3_covariance[3];
+    const double t23 = t21 + t22;
+    const double t24 = t9 * combined_0_3_apart[2];
+    const double t25 = t24 * combined_0_3_apart[0];
+    combined_0_3_covariance[3] = t23 + t25;
+    const double t26 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t27 = combined_0_3_share[1] * combined_2_3_covariance[4];
+    const double t28 = t26 + t27;
+    const double t29 = t24 * combined_0_3_apart[1];
+    combined_0_3_covariance[4] = t28 + t29;
+    const double t30 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t31 = combined_0_3_share[1] * combined_2_3_covariance[5];
     const double t32 = t30 + t31;
-    const double t33 = t15 * combined_0_3_apart[2];
-    const double t34 = t33 * combined_0_3_apart[0];
-    combined_0_3_covariance[3] = t32 + t34;
-    const double t36 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t37 = combined_0_3_share[1] * combined_2_3_covariance[4];
-    const double t38 = t36 + t37;
-    const double t39 = t33 * combined_0_3_apart[1];
-    combined_0_3_covariance[4] = t38 + t39;
-    const double t41 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t42 = combined_0_3_share[1] * combined_2_3_covariance[5];
-    const double t43 = t41 + t42;
-    const double t44 = t33 * combined_0_3_apart[2];
-    combined_0_3_covariance[5] = t43 + t44;
+    const double t33 = t24 * combined_0_3_apart[2];
+    combined_0_3_covariance[5] = t32 + t33;
 }
 
 /* What differs between the calls of gps_glitch_mode, a row for each. */
@@ -361,10 +361,10 @@ static gps_glitch_status_t gps_glitch_mode(const double *mode_state, const doubl
     }
 
     /* mode 0: signal, R */
-    const double t4 = mode_covariance[0] + mode_covariance[3];
-    const double t5 = mode_covariance[3] + mode_covariance[5];
-    const double t6 = t4 + t5;
-    variance[0] = t6 + 0.25;
+    const double t1 = mode_covariance[0] + mode_covariance[3];
+    const double t2 = mode_covariance[3] + mode_covariance[5];
+    const double t3 = t1 + t2;
+    variance[0] = t3 + 0.25;
     variance[1] = mode_covariance[0] + mode_covariance[3];
     variance[2] = mode_covariance[0] + numbers[0];
     variance[3] = mode_covariance[1] + mode_covariance[4];
@@ -384,8 +384,8 @@ static gps_glitch_status_t gps_glitch_mode(const double *mode_state, const doubl
     cross_0[0] = mode_covariance[0] + mode_covariance[3];
     cross_0[1] = mode_covariance[1] + mode_covariance[4];
     cross_0[2] = mode_covariance[3] + mode_covariance[5];
-    const double t15 = cross_0[0] + cross_0[2];
-    pivot_0 = t15 + 0.25;
+    const double t4 = cross_0[0] + cross_0[2];
+    pivot_0 = t4 + 0.25;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_0 > 0.0))
@@ -393,29 +393,29 @@ static gps_glitch_status_t gps_glitch_mode(const double *mode_state, const doubl
             return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0;
-        const double t18 = innovation_0[0] * inverse_0;
-        quadratic = innovation_0[0] * t18;
-        const double t20 = cross_0[0] * t18;
-        mean[0] = mode_state[0] + t20;
-        const double t22 = cross_0[1] * t18;
-        mean[1] = mode_state[1] + t22;
-        const double t24 = cross_0[2] * t18;
-        mean[2] = mode_state[2] + t24;
-        const double t26 = cross_0[0] * inverse_0;
-        const double t27 = t26 * cross_0[0];
-        covariance[0] = mode_covariance[0] - t27;
-        const double t29 = cross_0[1] * inverse_0;
-        const double t30 = t29 * cross_0[0];
-        covariance[1] = mode_covariance[1] - t30;
-        const double t32 = t29 * cross_0[1];
-        covariance[2] = mode_covariance[2] - t32;
-        const double t34 = cross_0[2] * inverse_0;
-        const double t35 = t34 * cross_0[0];
-        covariance[3] = mode_covariance[3] - t35;
-        const double t37 = t34 * cross_0[1];
-        covariance[4] = mode_covariance[4] - t37;
-        const double t39 = t34 * cross_0[2];
-        covariance[5] = mode_covariance[5] - t39;
+        const double t5 = innovation_0[0] * inverse_0;
+        quadratic = innovation_0[0] * t5;
+        const double t6 = cross_0[0] * t5;
+        mean[0] = mode_state[0] + t6;
+        const double t7 = cross_0[1] * t5;
+        mean[1] = mode_state[1] + t7;
+        const double t8 = cross_0[2] * t5;
+        mean[2] = mode_state[2] + t8;
+        const double t9 = cross_0[0] * inverse_0;
+        const double t10 = t9 * cross_0[0];
+        covariance[0] = mode_covariance[0] - t10;
+        const double t11 = cross_0[1] * inverse_0;
+        const double t12 = t11 * cross_0[0];
+        covariance[1] = mode_covariance[1] - t12;
+        const double t13 = t11 * cross_0[1];
+        covariance[2] = mode_covariance[2] - t13;
+        const double t14 = cross_0[2] * inverse_0;
+        const double t15 = t14 * cross_0[0];
+        covariance[3] = mode_covariance[3] - t15;
+        const double t16 = t14 * cross_0[1];
+        covariance[4] = mode_covariance[4] - t16;
+        const double t17 = t14 * cross_0[2];
+        covariance[5] = mode_covariance[5] - t17;
         log_constant = GPS_GLITCH_LOG_2_PI;
         determinant_0 = pivot_0;
     }
@@ -429,37 +429,37 @@ static gps_glitch_status_t gps_glitch_mode(const double *mode_state, const doubl
             return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
         }
         inverse_1 = 1.0 / pivot_1;
-        const double t43 = mean[0] - mode_state[0];
-        const double t44 = innovation_1[0] - t43;
-        const double t45 = t44 * inverse_1;
-        const double t46 = t44 * t45;
-        quadratic = quadratic + t46;
+        const double t18 = mean[0] - mode_state[0];
+        const double t19 = innovation_1[0] - t18;
+        const double t20 = t19 * inverse_1;
+        const double t21 = t19 * t20;
+        quadratic = quadratic + t21;
         log_constant = log_constant + GPS_GLITCH_LOG_2_PI;
         determinant_0 = determinant_0 * pivot_1;
-        const double t50 = covariance[0] * t45;
-        mean[0] = mean[0] + t50;
-        const double t52 = covariance[1] * t45;
-        mean[1] = mean[1] + t52;
-        const double t54 = covariance[3] * t45;
-        mean[2] = mean[2] + t54;
-        const double t56 = covariance[0] * inverse_1;
-        const double t57 = t56 * covariance[0];
-        const double t58 = covariance[0] - t57;
-        const double t59 = covariance[1] * inverse_1;
-        const double t60 = t59 * covariance[0];
-        const double t61 = covariance[1] - t60;
-        const double t62 = t59 * covariance[1];
-        covariance[2] = covariance[2] - t62;
-        const double t64 = covariance[3] * inverse_1;
-        const double t65 = t64 * covariance[0];
-        const double t66 = covariance[3] - t65;
-        const double t67 = t64 * covariance[1];
-        covariance[4] = covariance[4] - t67;
-        const double t69 = t64 * covariance[3];
-        covariance[5] = covariance[5] - t69;
-        covariance[0] = t58;
-        covariance[1] = t61;
-        covariance[3] = t66;
+        const double t22 = covariance[0] * t20;
+        mean[0] = mean[0] + t22;
+        const double t23 = covariance[1] * t20;
+        mean[1] = mean[1] + t23;
+        const double t24 = covariance[3] * t20;
+        mean[2] = mean[2] + t24;
+        const double t25 = covariance[0] * inverse_1;
+        const double t26 = t25 * covariance[0];
+        const double t27 = covariance[0] - t26;
+        const double t28 = covariance[1] * inverse_1;
+        const double t29 = t28 * covariance[0];
+        const double t30 = covariance[1] - t29;
+        const double t31 = t28 * covariance[1];
+        covariance[2] = covariance[2] - t31;
+        const double t32 = covariance[3] * inverse_1;
+        const double t33 = t32 * covariance[0];
+        const double t34 = covariance[3] - t33;
+        const double t35 = t32 * covariance[1];
+        covariance[4] = covariance[4] - t35;
+        const double t36 = t32 * covariance[3];
+        covariance[5] = covariance[5] - t36;
+        covariance[0] = t27;
+        covariance[1] = t30;
+        covariance[3] = t34;
     }
 
     /* row 2 of y, gps_climb */
@@ -471,44 +471,44 @@ static gps_glitch_status_t gps_glitch_mode(const double *mode_state, const doubl
             return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
         }
         inverse_2 = 1.0 / pivot_2;
-        const double t73 = mean[1] - mode_state[1];
-        const double t74 = innovation_2[0] - t73;
-        const double t75 = t74 * inverse_2;
-        const double t76 = t74 * t75;
-        quadratic = quadratic + t76;
+        const double t37 = mean[1] - mode_state[1];
+        const double t38 = innovation_2[0] - t37;
+        const double t39 = t38 * inverse_2;
+        const double t40 = t38 * t39;
+        quadratic = quadratic + t40;
         log_constant = log_constant + GPS_GLITCH_LOG_2_PI;
         determinant_0 = determinant_0 * pivot_2;
-        const double t80 = covariance[1] * t75;
-        mean[0] = mean[0] + t80;
-        const double t82 = covariance[2] * t75;
-        mean[1] = mean[1] + t82;
-        const double t84 = covariance[4] * t75;
-        mean[2] = mean[2] + t84;
-        const double t86 = covariance[1] * inverse_2;
-        const double t87 = t86 * covariance[1];
-        covariance[0] = covariance[0] - t87;
-        const double t89 = covariance[2] * inverse_2;
-        const double t90 = t89 * covariance[1];
-        const double t91 = covariance[1] - t90;
-        const double t92 = t89 * covariance[2];
-        const double t93 = covariance[2] - t92;
-        const double t94 = covariance[4] * inverse_2;
-        const double t95 = t94 * covariance[1];
-        covariance[3] = covariance[3] - t95;
-        const double t97 = t94 * covariance[2];
-        const double t98 = covariance[4] - t97;
-        const double t99 = t94 * covariance[4];
-        covariance[5] = covariance[5] - t99;
-        covariance[1] = t91;
-        covariance[2] = t93;
-        covariance[4] = t98;
+        const double t41 = covariance[1] * t39;
+        mean[0] = mean[0] + t41;
+        const double t42 = covariance[2] * t39;
+        mean[1] = mean[1] + t42;
+        const double t43 = covariance[4] * t39;
+        mean[2] = mean[2] + t43;
+        const double t44 = covariance[1] * inverse_2;
+        const double t45 = t44 * covariance[1];
+        covariance[0] = covariance[0] - t45;
+        const double t46 = covariance[2] * inverse_2;
+        const double t47 = t46 * covariance[1];
+        const double t48 = covariance[1] - t47;
+        const double t49 = t46 * covariance[2];
+        const double t50 = covariance[2] - t49;
+        const double t51 = covariance[4] * inverse_2;
+        const double t52 = t51 * covariance[1];
+        covariance[3] = covariance[3] - t52;
+        const double t53 = t51 * covariance[2];
+        const double t54 = covariance[4] - t53;
+        const double t55 = t51 * covariance[4];
+        covariance[5] = covariance[5] - t55;
+        covariance[1] = t48;
+        covariance[2] = t50;
+        covariance[4] = t54;
     }
 
     /* mode 0: signal, R */
-    const double t101 = gps_glitch_log(determinant_0);
-    const double t102 = log_constant + t101;
-    const double t103 = quadratic + t102;
-    log_density[0] = -0.5 * t103;
+    const double t56 = gps_glitch_log(determinant_0);
+    const double t57 = log_constant + t56;
+    const double t58 = quadratic + t57;
+    log_density[0] = -0.5 * t58;
     return GPS_GLITCH_OK;
 }
 
@@ -544,10 +544,10 @@ static gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const dou
     }
 
     /* mode 2: no signal, R */
-    const double t2 = mode_covariance[0] + mode_covariance[3];
-    const double t3 = mode_covariance[3] + mode_covariance[5];
-    const double t4 = t2 + t3;
-    variance[0] = t4 + 0.25;
+    const double t1 = mode_covariance[0] + mode_covariance[3];
+    const double t2 = mode_covariance[3] + mode_covariance[5];
+    const double t3 = t1 + t2;
+    variance[0] = t3 + 0.25;
     variance[1] = 0.0;
     variance[2] = numbers[0];
     variance[3] = 0.0;
@@ -567,8 +567,8 @@ static gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const dou
     cross_0[0] = mode_covariance[0] + mode_covariance[3];
     cross_0[1] = mode_covariance[1] + mode_covariance[4];
     cross_0[2] = mode_covariance[3] + mode_covariance[5];
-    const double t9 = cross_0[0] + cross_0[2];
-    pivot_0 = t9 + 0.25;
+    const double t4 = cross_0[0] + cross_0[2];
+    pivot_0 = t4 + 0.25;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_0 > 0.0))
@@ -576,29 +576,29 @@ static gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const dou
             return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0;
-        const double t12 = innovation_0[0] * inverse_0;
-        quadratic[0] = innovation_0[0] * t12;
-        const double t14 = cross_0[0] * t12;
-        mean[0] = mode_state[0] + t14;
-        const double t16 = cross_0[1] * t12;
-        mean[1] = mode_state[1] + t16;
-        const double t18 = cross_0[2] * t12;
-        mean[2] = mode_state[2] + t18;
-        const double t20 = cross_0[0] * inverse_0;
-        const double t21 = t20 * cross_0[0];
-        covariance[0] = mode_covariance[0] - t21;
-        const double t23 = cross_0[1] * inverse_0;
-        const double t24 = t23 * cross_0[0];
-        covariance[1] = mode_covariance[1] - t24;
-        const double t26 = t23 * cross_0[1];
-        covariance[2] = mode_covariance[2] - t26;
-        const double t28 = cross_0[2] * inverse_0;
-        const double t29 = t28 * cross_0[0];
-        covariance[3] = mode_covariance[3] - t29;
-        const double t31 = t28 * cross_0[1];
-        covariance[4] = mode_covariance[4] - t31;
-        const double t33 = t28 * cross_0[2];
-        covariance[5] = mode_covariance[5] - t33;
+        const double t5 = innovation_0[0] * inverse_0;
+        quadratic[0] = innovation_0[0] * t5;
+        const double t6 = cross_0[0] * t5;
+        mean[0] = mode_state[0] + t6;
+        const double t7 = cross_0[1] * t5;
+        mean[1] = mode_state[1] + t7;
+        const double t8 = cross_0[2] * t5;
+        mean[2] = mode_state[2] + t8;
+        const double t9 = cross_0[0] * inverse_0;
+        const double t10 = t9 * cross_0[0];
+        covariance[0] = mode_covariance[0] - t10;
+        const double t11 = cross_0[1] * inverse_0;
+        const double t12 = t11 * cross_0[0];
+        covariance[1] = mode_covariance[1] - t12;
+        const double t13 = t11 * cross_0[1];
+        covariance[2] = mode_covariance[2] - t13;
+        const double t14 = cross_0[2] * inverse_0;
+        const double t15 = t14 * cross_0[0];
+        covariance[3] = mode_covariance[3] - t15;
+        const double t16 = t14 * cross_0[1];
+        covariance[4] = mode_covariance[4] - t16;
+        const double t17 = t14 * cross_0[2];
+        covariance[5] = mode_covariance[5] - t17;
         log_constant[0] = GPS_GLITCH_LOG_2_PI;
         determinant_0[0] = pivot_0;
     }
@@ -606,18 +606,18 @@ static gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const dou
     /* row 1 of y, gps_height */
     if ((present & 0x2u) != 0u)
     {
-        const double t35 = numbers[2] * innovation_1[0];
-        const double t36 = innovation_1[0] * t35;
-        quadratic[0] = quadratic[0] + t36;
+        const double t18 = numbers[2] * innovation_1[0];
+        const double t19 = innovation_1[0] * t18;
+        quadratic[0] = quadratic[0] + t19;
         log_constant[0] = log_constant[0] + numbers[3];
     }
 
     /* row 2 of y, gps_climb */
     if ((present & 0x4u) != 0u)
     {
-        const double t39 = numbers[4] * innovation_2[0];
-        const double t40 = innovation_2[0] * t39;
-        quadratic[0] = quadratic[0] + t40;
+        const double t20 = numbers[4] * innovation_2[0];
+        const double t21 = innovation_2[0] * t20;
+        quadratic[0] = quadratic[0] + t21;
         log_constant[0] = log_constant[0] + numbers[5];
     }
 
@@ -648,46 +648,46 @@ static void gps_glitch_combination(const double *weight, const double *mean, con
     combined_apart_squared[3] = combined_apart[2] * combined_apart[0];
     combined_apart_squared[4] = combined_apart[2] * combined_apart[1];
     combined_apart_squared[5] = combined_apart[2] * combined_apart[2];
-    const double t14 = combined_share[0] * mean[0];
-    const double t15 = combined_share[1] * mean_2[0];
-    combined_mean[0] = t14 + t15;
-    const double t17 = combined_share[0] * mean[1];
-    const double t18 = combined_share[1] * mean_2[1];
-    combined_mean[1] = t17 + t18;
-    const double t20 = combined_share[0] * mean[2];
-    const double t21 = combined_share[1] * mean_2[2];
-    combined_mean[2] = t20 + t21;
-    const double t23 = combined_share[0] * covariance[0];
-    const double t24 = combined_share[1] * covariance_2[0];
-    const double t25 = t23 + t24;
-    const double t26 = combined_share[0] * combined_share[1];
-    const double t27 = t26 * combined_apart_squared[0];
-    combined_covariance[0] = t25 + t27;
-    const double t29 = combined_share[0] * covariance[1];
-    const double t30 = combined_share[1] * covariance_2[1];
+    const double t2 = combined_share[0] * mean[0];
+    const double t3 = combined_share[1] * mean_2[0];
+    combined_mean[0] = t2 + t3;
+    const double t4 = combined_share[0] * mean[1];
+    const double t5 = combined_share[1] * mean_2[1];
+    combined_mean[1] = t4 + t5;
+    const double t6 = combined_share[0] * mean[2];
+    const double t7 = combined_share[1] * mean_2[2];
+    combined_mean[2] = t6 + t7;
+    const double t8 = combined_share[0] * covariance[0];
+    const double t9 = combined_share[1] * covariance_2[0];
+    const double t10 = t8 + t9;
+    const double t11 = combined_share[0] * combined_share[1];
+    const double t12 = t11 * combined_apart_squared[0];
+    combined_covariance[0] = t10 + t12;
+    const double t13 = combined_share[0] * covariance[1];
+    const double t14 = combined_share[1] * covariance_2[1];
+    const double t15 = t13 + t14;
+    const double t16 = t11 * combined_apart_squared[1];
+    combined_covariance[1] = t15 + t16;
+    const double t17 = combined_share[0] * covariance[2];
+    const double t18 = combined_share[1] * covariance_2[2];
+    const double t19 = t17 + t18;
+    const double t20 = t11 * combined_apart_squared[2];
+    combined_covariance[2] = t19 + t20;
+    const double t21 = combined_share[0] * covariance[3];
+    const double t22 = combined_share[1] * covariance_2[3];
+    const double t23 = t21 + t22;
+    const double t24 = t11 * combined_apart_squared[3];
+    combined_covariance[3] = t23 + t24;
+    const double t25 = combined_share[0] * covariance[4];
+    const double t26 = combined_share[1] * covariance_2[4];
+    const double t27 = t25 + t26;
+    const double t28 = t11 * combined_apart_squared[4];
+    combined_covariance[4] = t27 + t28;
+    const double t29 = combined_share[0] * covariance[5];
+    const double t30 = combined_share[1] * covariance_2[5];
     const double t31 = t29 + t30;
-    const double t32 = t26 * combined_apart_squared[1];
-    combined_covariance[1] = t31 + t32;
-    const double t34 = combined_share[0] * covariance[2];
-    const double t35 = combined_share[1] * covariance_2[2];
-    const double t36 = t34 + t35;
-    const double t37 = t26 * combined_apart_squared[2];
-    combined_covariance[2] = t36 + t37;
-    const double t39 = combined_share[0] * covariance[3];
-    const double t40 = combined_share[1] * covariance_2[3];
-    const double t41 = t39 + t40;
-    const double t42 = t26 * combined_apart_squared[3];
-    combined_covariance[3] = t41 + t42;
-    const double t44 = combined_share[0] * covariance[4];
-    const double t45 = combined_share[1] * covariance_2[4];
-    const double t46 = t44 + t45;
-    const double t47 = t26 * combined_apart_squared[4];
-    combined_covariance[4] = t46 + t47;
-    const double t49 = combined_share[0] * covariance[5];
-    const double t50 = combined_share[1] * covariance_2[5];
-    const double t51 = t49 + t50;
-    const double t52 = t26 * combined_apart_squared[5];
-    combined_covariance[5] = t51 + t52;
+    const double t32 = t11 * combined_apart_squared[5];
+    combined_covariance[5] = t31 + t32;
 }
 
 /* mixing and prediction of every mode. */
@@ -699,19 +699,19 @@ static void gps_glitch_mixing_and_prediction_2(const double *mixed_0_3_mean, dou
     moved_state[0] = mixed_0_3_mean[0] + t0;
     moved_state[1] = mixed_0_3_mean[1];
     moved_state[2] = mixed_0_3_mean[2];
-    const double t2 = params->dt * mixed_0_3_covariance[1];
-    const double t3 = mixed_0_3_covariance[0] + t2;
-    const double t4 = params->dt * mixed_0_3_covariance[2];
-    const double t5 = mixed_0_3_covariance[1] + t4;
-    const double t6 = t5 * params->dt;
-    const double t7 = t3 + t6;
-    moved_covariance[0] = t7 + Q[0];
-    const double t9 = mixed_0_3_covariance[2] * params->dt;
-    const double t10 = mixed_0_3_covariance[1] + t9;
-    moved_covariance[1] = t10 + Q[1];
+    const double t1 = params->dt * mixed_0_3_covariance[1];
+    const double t2 = mixed_0_3_covariance[0] + t1;
+    const double t3 = params->dt * mixed_0_3_covariance[2];
+    const double t4 = mixed_0_3_covariance[1] + t3;
+    const double t5 = t4 * params->dt;
+    const double t6 = t2 + t5;
+    moved_covariance[0] = t6 + Q[0];
+    const double t7 = mixed_0_3_covariance[2] * params->dt;
+    const double t8 = mixed_0_3_covariance[1] + t7;
+    moved_covariance[1] = t8 + Q[1];
     moved_covariance[2] = mixed_0_3_covariance[2] + params->dt;
-    const double t13 = mixed_0_3_covariance[4] * params->dt;
-    moved_covariance[3] = mixed_0_3_covariance[3] + t13;
+    const double t9 = mixed_0_3_covariance[4] * params->dt;
+    moved_covariance[3] = mixed_0_3_covariance[3] + t9;
     moved_covariance[5] = mixed_0_3_covariance[5] + Q[3];
     moved_covariance[4] = mixed_0_3_covariance[4];
 }
@@ -736,14 +736,14 @@ static void gps_glitch_law_of_the_next(const double *mode_probability, double *m
     const double t5 = numbers[3] * mode_probability[3];
     mode_prediction[0] = t4 + t5;
     mode_prediction_inverse = 1.0 / mode_prediction[0];
-    const double t8 = numbers[0] * mode_probability[0];
-    mixing[0] = t8 * mode_prediction_inverse;
-    const double t10 = numbers[1] * mode_probability[1];
-    mixing[1] = t10 * mode_prediction_inverse;
-    const double t12 = numbers[2] * mode_probability[2];
-    mixing[2] = t12 * mode_prediction_inverse;
-    const double t14 = numbers[3] * mode_probability[3];
-    mixing[3] = t14 * mode_prediction_inverse;
+    const double t6 = numbers[0] * mode_probability[0];
+    mixing[0] = t6 * mode_prediction_inverse;
+    const double t7 = numbers[1] * mode_probability[1];
+    mixing[1] = t7 * mode_prediction_inverse;
+    const double t8 = numbers[2] * mode_probability[2];
+    mixing[2] = t8 * mode_prediction_inverse;
+    const double t9 = numbers[3] * mode_probability[3];
+    mixing[3] = t9 * mode_prediction_inverse;
 }
 
 /* mixing and prediction of every mode. */
@@ -768,301 +768,240 @@ static void gps_glitch_mixing_and_prediction_3(const double *mixing_0, double *m
     mixed_apart_squared[5] = mixed_apart[2] * mixed_apart[2];
 }
 
-/* mode 3: no signal, noise x 400. */
-static gps_glitch_status_t gps_glitch_mode_3(const double determinant_m2_0,
-    const double log_constant_m2, const double quadratic_m2, const double *mode_state,
-    const double *y, const double *mode_covariance, double *mean_m3, double *covariance_m3,
-    const double *predicted_mode_probability, double *weight, const double *predicted_log_weight,
-    double *log_weight_now, const double log_density_m0, const double log_density_m1,
-    double *log_evidence, const double *variance_m0, const double *variance_m1,
-    const double *variance_m2, double *combined_variance, const double innovation_m0_0,
-    const double innovation_m1_0, const double innovation_m2_0, const double innovation_m0_1,
-    const double innovation_m1_1, const double innovation_m2_1, const double innovation_m0_2,
-    const double innovation_m1_2, const double innovation_m2_2, double *combined_innovation,
-    double *whitening_inverse_combined_0, double *whitening_combined_0_1,
-    double *whitening_combined_0_2, double *whitening_pivot_combined_1, uint32_t present)
+/* innovation of the mixture. */
+static void gps_glitch_innovation_of_the_mixture(const double *predicted_mode_probability,
+    const double *variance_m0, const double *variance_m1, const double *variance_m2,
+    const double *variance_m3, const double *predicted_y_m0, const double *predicted_y_m1,
+    const double *predicted_y_m2, const double *predicted_y_m3, double *combined_variance)
 {
-    double log_density_m2;
-    double innovation_m3_0 = 0.0;
-    double innovation_m3_1 = 0.0;
-    double innovation_m3_2 = 0.0;
-    double variance_m3[6];
-    double quadratic_m3 = 0.0;
-    double log_constant_m3 = 0.0;
-    double determinant_m3_0 = 1.0;
-    double log_density_m3;
-    double log_joint[4] = { 0.0 };
-    double log_largest = 0.0;
-    double share_of_largest[4] = { 0.0 };
-    double share_total = 0.0;
-    double share_total_inverse = 0.0;
-    double log_share_total = 0.0;
-    double predicted_y_m0[3];
-    double predicted_y_m1[3];
-    double predicted_y_m2[3];
-    double predicted_y_m3[3];
-    double whitening_pivot_combined_0;
-    gps_glitch_status_t status;
-    const double t0 = gps_glitch_log(determinant_m2_0);
-    const double t1 = log_constant_m2 + t0;
-    const double t2 = quadratic_m2 + t1;
-    log_density_m2 = -0.5 * t2;
-
-    /* mode 3: no signal, noise x 400 */
-    status = gps_glitch_mode_2(&mode_state[9], y, &innovation_m3_0, &innovation_m3_1,
-        &innovation_m3_2, mode_covariance, variance_m3, mean_m3, covariance_m3, &quadratic_m3,
-        &log_constant_m3, &determinant_m3_0, gps_glitch_mode_2_numbers[1], present);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
-    const double t4 = gps_glitch_log(determinant_m3_0);
-    const double t5 = log_constant_m3 + t4;
-    const double t6 = quadratic_m3 + t5;
-    log_density_m3 = -0.5 * t6;
-
-    /* probabilities of the modes */
-    weight[0] = predicted_mode_probability[0];
-    weight[1] = predicted_mode_probability[1];
-    weight[2] = predicted_mode_probability[2];
-    weight[3] = predicted_mode_probability[3];
-    log_weight_now[0] = predicted_log_weight[0];
-    log_weight_now[1] = predicted_log_weight[1];
-    log_weight_now[2] = predicted_log_weight[2];
-    log_weight_now[3] = predicted_log_weight[3];
-    if ((present) != 0u)
-    {
-        log_joint[0] = predicted_log_weight[0] + log_density_m0;
-        log_joint[1] = predicted_log_weight[1] + log_density_m1;
-        log_joint[2] = predicted_log_weight[2] + log_density_m2;
-        log_joint[3] = predicted_log_weight[3] + log_density_m3;
-        const double t12 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t13 = (t12 > log_joint[2]) ? t12 : log_joint[2];
-        log_largest = (t13 > log_joint[3]) ? t13 : log_joint[3];
-        const double t15 = log_joint[0] - log_largest;
-        share_of_largest[0] = gps_glitch_exp(t15);
-        const double t17 = log_joint[1] - log_largest;
-        share_of_largest[1] = gps_glitch_exp(t17);
-        const double t19 = log_joint[2] - log_largest;
-        share_of_largest[2] = gps_glitch_exp(t19);
-        const double t21 = log_joint[3] - log_largest;
-        share_of_largest[3] = gps_glitch_exp(t21);
-        const double t23 = share_of_largest[0] + share_of_largest[1];
-        const double t24 = t23 + share_of_largest[2];
-        share_total = t24 + share_of_largest[3];
-        const double t26 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
-        if (!(t26 > 0.0))
-        {
-            return GPS_GLITCH_RESULT_NOT_FINITE;
-        }
-        if (!gps_glitch_finite(gps_glitch_defect(share_total)))
-        {
-            return GPS_GLITCH_RESULT_NOT_FINITE;
-        }
-        share_total_inverse = 1.0 / share_total;
-        log_share_total = gps_glitch_log(share_total);
-        weight[0] = share_of_largest[0] * share_total_inverse;
-        weight[1] = share_of_largest[1] * share_total_inverse;
-        weight[2] = share_of_largest[2] * share_total_inverse;
-        weight[3] = share_of_largest[3] * share_total_inverse;
-        const double t33 = log_joint[0] - log_largest;
-        const double t34 = t33 - log_share_total;
-        log_weight_now[0] = (t34 > GPS_GLITCH_LOG_ZERO) ? t34 : GPS_GLITCH_LOG_ZERO;
-        const double t36 = log_joint[1] - log_largest;
-        const double t37 = t36 - log_share_total;
-        log_weight_now[1] = (t37 > GPS_GLITCH_LOG_ZERO) ? t37 : GPS_GLITCH_LOG_ZERO;
-        const double t39 = log_joint[2] - log_largest;
-        const double t40 = t39 - log_share_total;
-        log_weight_now[2] = (t40 > GPS_GLITCH_LOG_ZERO) ? t40 : GPS_GLITCH_LOG_ZERO;
-        const double t42 = log_joint[3] - log_largest;
-        const double t43 = t42 - log_share_total;
-        log_weight_now[3] = (t43 > GPS_GLITCH_LOG_ZERO) ? t43 : GPS_GLITCH_LOG_ZERO;
-        log_evidence[0] = log_largest + log_share_total;
-    }
-
-    /* innovation of the mixture */
-    predicted_y_m0[0] = mode_state[0] + mode_state[2];
-    predicted_y_m0[1] = mode_state[0];
-    predicted_y_m0[2] = mode_state[1];
-    predicted_y_m1[0] = mode_state[3] + mode_state[5];
-    predicted_y_m1[1] = mode_state[3];
-    predicted_y_m1[2] = mode_state[4];
-    predicted_y_m2[0] = mode_state[6] + mode_state[8];
-    predicted_y_m2[1] = 0.0;
-    predicted_y_m2[2] = 0.0;
-    predicted_y_m3[0] = mode_state[9] + mode_state[11];
-    predicted_y_m3[1] = 0.0;
-    predicted_y_m3[2] = 0.0;
-    const double t50 = predicted_mode_probability[0] * variance_m0[0];
-    const double t51 = predicted_mode_probability[1] * variance_m1[0];
-    const double t52 = t50 + t51;
-    const double t53 = predicted_mode_probability[2] * variance_m2[0];
-    const double t54 = t52 + t53;
-    const double t55 = predicted_mode_probability[3] * variance_m3[0];
-    const double t56 = t54 + t55;
-    const double t57 = predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t58 = predicted_mode_probability[1] * predicted_y_m1[0];
-    const double t59 = t57 + t58;
-    const double t60 = predicted_mode_probability[2] * predicted_y_m2[0];
-    const double t61 = t59 + t60;
-    const double t62 = predicted_mode_probability[3] * predicted_y_m3[0];
-    const double t63 = t61 + t62;
-    const double t64 = predicted_y_m0[0] - t63;
-    const double t65 = predicted_mode_probability[0] * t64;
-    const double t66 = t65 * t64;
-    const double t67 = predicted_y_m1[0] - t63;
-    const double t68 = predicted_mode_probability[1] * t67;
-    const double t69 = t68 * t67;
-    const double t70 = t66 + t69;
-    const double t71 = predicted_y_m2[0] - t63;
-    const double t72 = predicted_mode_probability[2] * t71;
-    const double t73 = t72 * t71;
-    const double t74 = t70 + t73;
-    const double t75 = predicted_y_m3[0] - t63;
-    const double t76 = predicted_mode_probability[3] * t75;
-    const double t77 = t76 * t75;
-    const double t78 = t74 + t77;
-    combined_variance[0] = t56 + t78;
-    const double t80 = predicted_mode_probability[0] * variance_m0[1];
-    const double t81 = predicted_mode_probability[1] * variance_m1[1];
-    const double t82 = t80 + t81;
-    const double t83 = predicted_mode_probability[2] * variance_m2[1];
-    const double t84 = t82 + t83;
-    const double t85 = predicted_mode_probability[3] * variance_m3[1];
-    const double t86 = t84 + t85;
-    const double t87 = predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t88 = predicted_mode_probability[1] * predicted_y_m1[1];
-    const double t89 = t87 + t88;
-    const double t90 = predicted_mode_probability[2] * predicted_y_m2[1];
-    const double t91 = t89 + t90;
-    const double t92 = predicted_mode_probability[3] * predicted_y_m3[1];
-    const double t93 = t91 + t92;
-    const double t94 = predicted_y_m0[1] - t93;
-    const double t95 = predicted_mode_probability[0] * t94;
-    const double t96 = t95 * t64;
-    const double t97 = predicted_y_m1[1] - t93;
-    const double t98 = predicted_mode_probability[1] * t97;
-    const double t99 = t98 * t67;
+    const double t0 = predicted_mode_probability[0] * variance_m0[0];
+    const double t1 = predicted_mode_probability[1] * variance_m1[0];
+    const double t2 = t0 + t1;
+    const double t3 = predicted_mode_probability[2] * variance_m2[0];
+    const double t4 = t2 + t3;
+    const double t5 = predicted_mode_probability[3] * variance_m3[0];
+    const double t6 = t4 + t5;
+    const double t7 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t8 = predicted_mode_probability[1] * predicted_y_m1[0];
+    const double t9 = t7 + t8;
+    const double t10 = predicted_mode_probability[2] * predicted_y_m2[0];
+    const double t11 = t9 + t10;
+    const double t12 = predicted_mode_probability[3] * predicted_y_m3[0];
+    const double t13 = t11 + t12;
+    const double t14 = predicted_y_m0[0] - t13;
+    const double t15 = predicted_mode_probability[0] * t14;
+    const double t16 = t15 * t14;
+    const double t17 = predicted_y_m1[0] - t13;
+    const double t18 = predicted_mode_probability[1] * t17;
+    const double t19 = t18 * t17;
+    const double t20 = t16 + t19;
+    const double t21 = predicted_y_m2[0] - t13;
+    const double t22 = predicted_mode_probability[2] * t21;
+    const double t23 = t22 * t21;
+    const double t24 = t20 + t23;
+    const double t25 = predicted_y_m3[0] - t13;
+    const double t26 = predicted_mode_probability[3] * t25;
+    const double t27 = t26 * t25;
+    const double t28 = t24 + t27;
+    combined_variance[0] = t6 + t28;
+    const double t29 = predicted_mode_probability[0] * variance_m0[1];
+    const double t30 = predicted_mode_probability[1] * variance_m1[1];
+    const double t31 = t29 + t30;
+    const double t32 = predicted_mode_probability[2] * variance_m2[1];
+    const double t33 = t31 + t32;
+    const double t34 = predicted_mode_probability[3] * variance_m3[1];
+    const double t35 = t33 + t34;
+    const double t36 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t37 = predicted_mode_probability[1] * predicted_y_m1[1];
+    const double t38 = t36 + t37;
+    const double t39 = predicted_mode_probability[2] * predicted_y_m2[1];
+    const double t40 = t38 + t39;
+    const double t41 = predicted_mode_probability[3] * predicted_y_m3[1];
+    const double t42 = t40 + t41;
+    const double t43 = predicted_y_m0[1] - t42;
+    const double t44 = predicted_mode_probability[0] * t43;
+    const double t45 = t44 * t14;
+    const double t46 = predicted_y_m1[1] - t42;
+    const double t47 = predicted_mode_probability[1] * t46;
+    const double t48 = t47 * t17;
+    const double t49 = t45 + t48;
+    const double t50 = predicted_y_m2[1] - t42;
+    const double t51 = predicted_mode_probability[2] * t50;
+    const double t52 = t51 * t21;
+    const double t53 = t49 + t52;
+    const double t54 = predicted_y_m3[1] - t42;
+    const double t55 = predicted_mode_probability[3] * t54;
+    const double t56 = t55 * t25;
+    const double t57 = t53 + t56;
+    combined_variance[1] = t35 + t57;
+    const double t58 = predicted_mode_probability[0] * variance_m0[2];
+    const double t59 = predicted_mode_probability[1] * variance_m1[2];
+    const double t60 = t58 + t59;
+    const double t61 = predicted_mode_probability[2] * variance_m2[2];
+    const double t62 = t60 + t61;
+    const double t63 = predicted_mode_probability[3] * variance_m3[2];
+    const double t64 = t62 + t63;
+    const double t65 = t44 * t43;
+    const double t66 = t47 * t46;
+    const double t67 = t65 + t66;
+    const double t68 = t51 * t50;
+    const double t69 = t67 + t68;
+    const double t70 = t55 * t54;
+    const double t71 = t69 + t70;
+    combined_variance[2] = t64 + t71;
+    const double t72 = predicted_mode_probability[0] * variance_m0[3];
+    const double t73 = predicted_mode_probability[1] * variance_m1[3];
+    const double t74 = t72 + t73;
+    const double t75 = predicted_mode_probability[2] * variance_m2[3];
+    const double t76 = t74 + t75;
+    const double t77 = predicted_mode_probability[3] * variance_m3[3];
+    const double t78 = t76 + t77;
+    const double t79 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t80 = predicted_mode_probability[1] * predicted_y_m1[2];
+    const double t81 = t79 + t80;
+    const double t82 = predicted_mode_probability[2] * predicted_y_m2[2];
+    const double t83 = t81 + t82;
+    const double t84 = predicted_mode_probability[3] * predicted_y_m3[2];
+    const double t85 = t83 + t84;
+    const double t86 = predicted_y_m0[2] - t85;
+    const double t87 = predicted_mode_probability[0] * t86;
+    const double t88 = t87 * t14;
+    const double t89 = predicted_y_m1[2] - t85;
+    const double t90 = predicted_mode_probability[1] * t89;
+    const double t91 = t90 * t17;
+    const double t92 = t88 + t91;
+    const double t93 = predicted_y_m2[2] - t85;
+    const double t94 = predicted_mode_probability[2] * t93;
+    const double t95 = t94 * t21;
+    const double t96 = t92 + t95;
+    const double t97 = predicted_y_m3[2] - t85;
+    const double t98 = predicted_mode_probability[3] * t97;
+    const double t99 = t98 * t25;
     const double t100 = t96 + t99;
-    const double t101 = predicted_y_m2[1] - t93;
-    const double t102 = predicted_mode_probability[2] * t101;
-    const double t103 = t102 * t71;
-    const double t104 = t100 + t103;
-    const double t105 = predicted_y_m3[1] - t93;
-    const double t106 = predicted_mode_probability[3] * t105;
-    const double t107 = t106 * t75;
-    const double t108 = t104 + t107;
-    combined_variance[1] = t86 + t108;
-    const double t110 = predicted_mode_probability[0] * variance_m0[2];
-    const double t111 = predicted_mode_probability[1] * variance_m1[2];
+    combined_variance[3] = t78 + t100;
+    const double t101 = predicted_mode_probability[0] * variance_m0[4];
+    const double t102 = predicted_mode_probability[1] * variance_m1[4];
+    const double t103 = t101 + t102;
+    const double t104 = predicted_mode_probability[2] * variance_m2[4];
+    const double t105 = t103 + t104;
+    const double t106 = predicted_mode_probability[3] * variance_m3[4];
+    const double t107 = t105 + t106;
+    const double t108 = t87 * t43;
+    const double t109 = t90 * t46;
+    const double t110 = t108 + t109;
+    const double t111 = t94 * t50;
     const double t112 = t110 + t111;
-    const double t113 = predicted_mode_probability[2] * variance_m2[2];
+    const double t113 = t98 * t54;
     const double t114 = t112 + t113;
-    const double t115 = predicted_mode_probability[3] * variance_m3[2];
-    const double t116 = t114 + t115;
-    const double t117 = t95 * t94;
-    const double t118 = t98 * t97;
+    combined_variance[4] = t107 + t114;
+    const double t115 = predicted_mode_probability[0] * variance_m0[5];
+    const double t116 = predicted_mode_probability[1] * variance_m1[5];
+    const double t117 = t115 + t116;
+    const double t118 = predicted_mode_probability[2] * variance_m2[5];
     const double t119 = t117 + t118;
-    const double t120 = t102 * t101;
+    const double t120 = predicted_mode_probability[3] * variance_m3[5];
     const double t121 = t119 + t120;
-    const double t122 = t106 * t105;
-    const double t123 = t121 + t122;
-    combined_variance[2] = t116 + t123;
-    const double t125 = predicted_mode_probability[0] * variance_m0[3];
-    const double t126 = predicted_mode_probability[1] * variance_m1[3];
-    const double t127 = t125 + t126;
-    const double t128 = predicted_mode_probability[2] * variance_m2[3];
-    const double t129 = t127 + t128;
-    const double t130 = predicted_mode_probability[3] * variance_m3[3];
-    const double t131 = t129 + t130;
-    const double t132 = predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t133 = predicted_mode_probability[1] * predicted_y_m1[2];
-    const double t134 = t132 + t133;
-    const double t135 = predicted_mode_probability[2] * predicted_y_m2[2];
-    const double t136 = t134 + t135;
-    const double t137 = predicted_mode_probability[3] * predicted_y_m3[2];
-    const double t138 = t136 + t137;
-    const double t139 = predicted_y_m0[2] - t138;
-    const double t140 = predicted_mode_probability[0] * t139;
-    const double t141 = t140 * t64;
-    const double t142 = predicted_y_m1[2] - t138;
-    const double t143 = predicted_mode_probability[1] * t142;
-    const double t144 = t143 * t67;
-    const double t145 = t141 + t144;
-    const double t146 = predicted_y_m2[2] - t138;
-    const double t147 = predicted_mode_probability[2] * t146;
-    const double t148 = t147 * t71;
-    const double t149 = t145 + t148;
-    const double t150 = predicted_y_m3[2] - t138;
-    const double t151 = predicted_mode_probability[3] * t150;
-    const double t152 = t151 * t75;
-    const double t153 = t149 + t152;
-    combined_variance[3] = t131 + t153;
-    const double t155 = predicted_mode_probability[0] * variance_m0[4];
-    const double t156 = predicted_mode_probability[1] * variance_m1[4];
-    const double t157 = t155 + t156;
-    const double t158 = predicted_mode_probability[2] * variance_m2[4];
-    const double t159 = t157 + t158;
-    const double t160 = predicted_mode_probability[3] * variance_m3[4];
-    const double t161 = t159 + t160;
-    const double t162 = t140 * t94;
-    const double t163 = t143 * t97;
-    const double t164 = t162 + t163;
-    const double t165 = t147 * t101;
-    const double t166 = t164 + t165;
-    const double t167 = t151 * t105;
-    const double t168 = t166 + t167;
-    combined_variance[4] = t161 + t168;
-    const double t170 = predicted_mode_probability[0] * variance_m0[5];
-    const double t171 = predicted_mode_probability[1] * variance_m1[5];
-    const double t172 = t170 + t171;
-    const double t173 = predicted_mode_probability[2] * variance_m2[5];
-    const double t174 = t172 + t173;
-    const double t175 = predicted_mode_probability[3] * variance_m3[5];
-    const double t176 = t174 + t175;
-    const double t177 = t140 * t139;
-    const double t178 = t143 * t142;
-    const double t179 = t177 + t178;
-    const double t180 = t147 * t146;
-    const double t181 = t179 + t180;
-    const double t182 = t151 * t150;
-    const double t183 = t181 + t182;
-    combined_variance[5] = t176 + t183;
-    const double t185 = predicted_mode_probability[0] * innovation_m0_0;
-    const double t186 = predicted_mode_probability[1] * innovation_m1_0;
-    const double t187 = t185 + t186;
-    const double t188 = predicted_mode_probability[2] * innovation_m2_0;
-    const double t189 = t187 + t188;
-    const double t190 = predicted_mode_probability[3] * innovation_m3_0;
-    combined_innovation[0] = t189 + t190;
-    const double t192 = predicted_mode_probability[0] * innovation_m0_1;
-    const double t193 = predicted_mode_probability[1] * innovation_m1_1;
-    const double t194 = t192 + t193;
-    const double t195 = predicted_mode_probability[2] * innovation_m2_1;
-    const double t196 = t194 + t195;
-    const double t197 = predicted_mode_probability[3] * innovation_m3_1;
-    combined_innovation[1] = t196 + t197;
-    const double t199 = predicted_mode_probability[0] * innovation_m0_2;
-    const double t200 = predicted_mode_probability[1] * innovation_m1_2;
-    const double t201 = t199 + t200;
-    const double t202 = predicted_mode_probability[2] * innovation_m2_2;
-    const double t203 = t201 + t202;
-    const double t204 = predicted_mode_probability[3] * innovation_m3_2;
-    combined_innovation[2] = t203 + t204;
-    whitening_pivot_combined_0 = combined_variance[0];
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
-        whitening_inverse_combined_0[0] = 1.0 / whitening_pivot_combined_0;
-    }
-    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
-    whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
-    const double t209 = whitening_combined_0_1[0] * combined_variance[1];
-    whitening_pivot_combined_1[0] = combined_variance[2] - t209;
-    return GPS_GLITCH_OK;
+    const double t122 = t87 * t86;
+    const double t123 = t90 * t89;
+    const double t124 = t122 + t123;
+    const double t125 = t94 * t93;
+    const double t126 = t124 + t125;
+    const double t127 = t98 * t97;
+    const double t128 = t126 + t127;
+    combined_variance[5] = t121 + t128;
+}
+
+/* combination. */
+static void gps_glitch_combination_2(const double *combined_innovation,
+    const double whitening_inverse_combined_0, const double whitening_combined_0_1,
+    const double whitening_inverse_combined_1, const double whitening_combined_0_2,
+    const double whitening_combined_1_2, const double whitening_inverse_combined_2,
+    double *innovation, const double *combined_variance, double *innovation_covariance, double *nis,
+    const double *weight, double *mode_probability, const double *log_weight_now,
+    double *log_weight, const double log_evidence, double *log_likelihood,
+    const double *combined_0_3_mean, double *filtered_state, const double *combined_0_3_covariance,
+    double *filtered_covariance, const double *mean_m0, double *mode_filtered_state,
+    const double *mean_m1, const double *mean_m2, const double *mean_m3,
+    const double *covariance_m0, double *mode_filtered_covariance, const double *covariance_m1,
+    const double *covariance_m2, const double *covariance_m3)
+{
+    const double t0 = combined_innovation[0] * combined_innovation[0];
+    const double t1 = t0 * whitening_inverse_combined_0;
+    const double t2 = whitening_combined_0_1 * combined_innovation[0];
+    const double t3 = combined_innovation[1] - t2;
+    const double t4 = t3 * t3;
+    const double t5 = t4 * whitening_inverse_combined_1;
+    const double t6 = t1 + t5;
+    const double t7 = whitening_combined_0_2 * combined_innovation[0];
+    const double t8 = combined_innovation[2] - t7;
+    const double t9 = whitening_combined_1_2 * t3;
+    const double t10 = t8 - t9;
+    const double t11 = t10 * t10;
+    const double t12 = t11 * whitening_inverse_combined_2;
+    nis[0] = t6 + t12;
+    innovation[0] = combined_innovation[0];
+    innovation[1] = combined_innovation[1];
+    innovation[2] = combined_innovation[2];
+    innovation_covariance[0] = combined_variance[0];
+    innovation_covariance[1] = combined_variance[1];
+    innovation_covariance[2] = combined_variance[2];
+    innovation_covariance[3] = combined_variance[3];
+    innovation_covariance[4] = combined_variance[4];
+    innovation_covariance[5] = combined_variance[5];
+    mode_probability[0] = weight[0];
+    mode_probability[1] = weight[1];
+    mode_probability[2] = weight[2];
+    mode_probability[3] = weight[3];
+    log_weight[0] = log_weight_now[0];
+    log_weight[1] = log_weight_now[1];
+    log_weight[2] = log_weight_now[2];
+    log_weight[3] = log_weight_now[3];
+    log_likelihood[0] = log_evidence;
+    filtered_state[0] = combined_0_3_mean[0];
+    filtered_state[1] = combined_0_3_mean[1];
+    filtered_state[2] = combined_0_3_mean[2];
+    filtered_covariance[0] = combined_0_3_covariance[0];
+    filtered_covariance[1] = combined_0_3_covariance[1];
+    filtered_covariance[2] = combined_0_3_covariance[2];
+    filtered_covariance[3] = combined_0_3_covariance[3];
+    filtered_covariance[4] = combined_0_3_covariance[4];
+    filtered_covariance[5] = combined_0_3_covariance[5];
+    mode_filtered_state[0] = mean_m0[0];
+    mode_filtered_state[1] = mean_m0[1];
+    mode_filtered_state[2] = mean_m0[2];
+    mode_filtered_state[3] = mean_m1[0];
+    mode_filtered_state[4] = mean_m1[1];
+    mode_filtered_state[5] = mean_m1[2];
+    mode_filtered_state[6] = mean_m2[0];
+    mode_filtered_state[7] = mean_m2[1];
+    mode_filtered_state[8] = mean_m2[2];
+    mode_filtered_state[9] = mean_m3[0];
+    mode_filtered_state[10] = mean_m3[1];
+    mode_filtered_state[11] = mean_m3[2];
+    mode_filtered_covariance[0] = covariance_m0[0];
+    mode_filtered_covariance[1] = covariance_m0[1];
+    mode_filtered_covariance[2] = covariance_m0[2];
+    mode_filtered_covariance[3] = covariance_m0[3];
+    mode_filtered_covariance[4] = covariance_m0[4];
+    mode_filtered_covariance[5] = covariance_m0[5];
+    mode_filtered_covariance[6] = covariance_m1[0];
+    mode_filtered_covariance[7] = covariance_m1[1];
+    mode_filtered_covariance[8] = covariance_m1[2];
+    mode_filtered_covariance[9] = covariance_m1[3];
+    mode_filtered_covariance[10] = covariance_m1[4];
+    mode_filtered_covariance[11] = covariance_m1[5];
+    mode_filtered_covariance[12] = covariance_m2[0];
+    mode_filtered_covariance[13] = covariance_m2[1];
+    mode_filtered_covariance[14] = covariance_m2[2];
+    mode_filtered_covariance[15] = covariance_m2[3];
+    mode_filtered_covariance[16] = covariance_m2[4];
+    mode_filtered_covariance[17] = covariance_m2[5];
+    mode_filtered_covariance[18] = covariance_m3[0];
+    mode_filtered_covariance[19] = covariance_m3[1];
+    mode_filtered_covariance[20] = covariance_m3[2];
+    mode_filtered_covariance[21] = covariance_m3[3];
+    mode_filtered_covariance[22] = covariance_m3[4];
+    mode_filtered_covariance[23] = covariance_m3[5];
 }
 
 /* mixing and prediction of every mode. */
@@ -1144,16 +1083,16 @@ static gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double *path
         moved_covariance_0, params);
     mixed_1_0_3_share[0] = mixing_1[0] + mixing_1[1];
     mixed_1_0_3_share[1] = mixing_1[2] + mixing_1[3];
-    const double t8 = mixing_1[0] + mixing_1[1];
-    const double t9 = t8 + GPS_GLITCH_TINY;
-    mixed_1_0_1_inverse = 1.0 / t9;
+    const double t2 = mixing_1[0] + mixing_1[1];
+    const double t3 = t2 + GPS_GLITCH_TINY;
+    mixed_1_0_1_inverse = 1.0 / t3;
     mixed_1_0_1_share[0] = mixing_1[0] * mixed_1_0_1_inverse;
     mixed_1_0_1_share[1] = mixing_1[1] * mixed_1_0_1_inverse;
     gps_glitch_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    const double t13 = mixing_1[2] + mixing_1[3];
-    const double t14 = t13 + GPS_GLITCH_TINY;
-    mixed_1_2_3_inverse = 1.0 / t14;
+    const double t4 = mixing_1[2] + mixing_1[3];
+    const double t5 = t4 + GPS_GLITCH_TINY;
+    mixed_1_2_3_inverse = 1.0 / t5;
     mixed_1_2_3_share[0] = mixing_1[2] * mixed_1_2_3_inverse;
     mixed_1_2_3_share[1] = mixing_1[3] * mixed_1_2_3_inverse;
     gps_glitch_mixing_and_prediction(mixed_1_2_3_share, &mode_filtered_state[6], mixed_1_2_3_mean,
@@ -1168,53 +1107,53 @@ static gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double *path
         mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_2_0_3_covariance);
     gps_glitch_mixing_and_prediction_2(mixed_2_0_3_mean, moved_state_2, mixed_2_0_3_covariance, Q,
         moved_covariance_2, params);
-    const double t20 = path_share_3[0] * path_share_inverse_3;
-    const double t21 = path_share_3[1] * path_share_inverse_3;
-    mixed_3_0_3_share[0] = t20 + t21;
-    const double t23 = path_share_3[2] * path_share_inverse_3;
-    const double t24 = path_share_3[3] * path_share_inverse_3;
-    mixed_3_0_3_share[1] = t23 + t24;
-    const double t26 = path_share_3[0] * path_share_inverse_3;
-    const double t27 = path_share_3[1] * path_share_inverse_3;
-    const double t28 = t26 + t27;
-    const double t29 = t28 + GPS_GLITCH_TINY;
-    mixed_3_0_1_inverse = 1.0 / t29;
-    const double t31 = path_share_3[0] * path_share_inverse_3;
-    mixed_3_0_1_share[0] = t31 * mixed_3_0_1_inverse;
-    const double t33 = path_share_3[1] * path_share_inverse_3;
-    mixed_3_0_1_share[1] = t33 * mixed_3_0_1_inverse;
+    const double t6 = path_share_3[0] * path_share_inverse_3;
+    const double t7 = path_share_3[1] * path_share_inverse_3;
+    mixed_3_0_3_share[0] = t6 + t7;
+    const double t8 = path_share_3[2] * path_share_inverse_3;
+    const double t9 = path_share_3[3] * path_share_inverse_3;
+    mixed_3_0_3_share[1] = t8 + t9;
+    const double t10 = path_share_3[0] * path_share_inverse_3;
+    const double t11 = path_share_3[1] * path_share_inverse_3;
+    const double t12 = t10 + t11;
+    const double t13 = t12 + GPS_GLITCH_TINY;
+    mixed_3_0_1_inverse = 1.0 / t13;
+    const double t14 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_0_1_share[0] = t14 * mixed_3_0_1_inverse;
+    const double t15 = path_share_3[1] * path_share_inverse_3;
+    mixed_3_0_1_share[1] = t15 * mixed_3_0_1_inverse;
     gps_glitch_mixing_and_prediction(mixed_3_0_1_share, mode_filtered_state, mixed_3_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_3_0_1_covariance);
-    const double t35 = path_share_3[2] * path_share_inverse_3;
-    const double t36 = path_share_3[3] * path_share_inverse_3;
-    const double t37 = t35 + t36;
-    const double t38 = t37 + GPS_GLITCH_TINY;
-    mixed_3_2_3_inverse = 1.0 / t38;
-    const double t40 = path_share_3[2] * path_share_inverse_3;
-    mixed_3_2_3_share[0] = t40 * mixed_3_2_3_inverse;
-    const double t42 = path_share_3[3] * path_share_inverse_3;
-    mixed_3_2_3_share[1] = t42 * mixed_3_2_3_inverse;
+    const double t16 = path_share_3[2] * path_share_inverse_3;
+    const double t17 = path_share_3[3] * path_share_inverse_3;
+    const double t18 = t16 + t17;
+    const double t19 = t18 + GPS_GLITCH_TINY;
+    mixed_3_2_3_inverse = 1.0 / t19;
+    const double t20 = path_share_3[2] * path_share_inverse_3;
+    mixed_3_2_3_share[0] = t20 * mixed_3_2_3_inverse;
+    const double t21 = path_share_3[3] * path_share_inverse_3;
+    mixed_3_2_3_share[1] = t21 * mixed_3_2_3_inverse;
     gps_glitch_mixing_and_prediction(mixed_3_2_3_share, &mode_filtered_state[6], mixed_3_2_3_mean,
         &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_3_2_3_covariance);
     gps_glitch_part_2(mixed_3_0_1_mean, mixed_3_2_3_mean, mixed_3_0_3_share, mixed_3_0_3_mean,
         mixed_3_0_1_covariance, mixed_3_2_3_covariance, mixed_3_0_3_covariance);
-    const double t44 = params->dt * mixed_3_0_3_mean[1];
-    moved_state_3[0] = mixed_3_0_3_mean[0] + t44;
+    const double t22 = params->dt * mixed_3_0_3_mean[1];
+    moved_state_3[0] = mixed_3_0_3_mean[0] + t22;
     moved_state_3[1] = mixed_3_0_3_mean[1];
     moved_state_3[2] = mixed_3_0_3_mean[2];
-    const double t46 = params->dt * mixed_3_0_3_covariance[1];
-    const double t47 = mixed_3_0_3_covariance[0] + t46;
-    const double t48 = params->dt * mixed_3_0_3_covariance[2];
-    const double t49 = mixed_3_0_3_covariance[1] + t48;
-    const double t50 = t49 * params->dt;
-    const double t51 = t47 + t50;
-    moved_covariance_3[0] = t51 + Q[0];
-    const double t53 = mixed_3_0_3_covariance[2] * params->dt;
-    const double t54 = mixed_3_0_3_covariance[1] + t53;
-    moved_covariance_3[1] = t54 + Q[1];
+    const double t23 = params->dt * mixed_3_0_3_covariance[1];
+    const double t24 = mixed_3_0_3_covariance[0] + t23;
+    const double t25 = params->dt * mixed_3_0_3_covariance[2];
+    const double t26 = mixed_3_0_3_covariance[1] + t25;
+    const double t27 = t26 * params->dt;
+    const double t28 = t24 + t27;
+    moved_covariance_3[0] = t28 + Q[0];
+    const double t29 = mixed_3_0_3_covariance[2] * params->dt;
+    const double t30 = mixed_3_0_3_covariance[1] + t29;
+    moved_covariance_3[1] = t30 + Q[1];
     moved_covariance_3[2] = mixed_3_0_3_covariance[2] + params->dt;
-    const double t57 = mixed_3_0_3_covariance[4] * params->dt;
-    moved_covariance_3[3] = mixed_3_0_3_covariance[3] + t57;
+    const double t31 = mixed_3_0_3_covariance[4] * params->dt;
+    moved_covariance_3[3] = mixed_3_0_3_covariance[3] + t31;
     moved_covariance_3[5] = mixed_3_0_3_covariance[5] + Q[3];
     moved_covariance_3[4] = mixed_3_0_3_covariance[4];
 
@@ -1222,45 +1161,45 @@ static gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double *path
     predicted_log_weight[0] = gps_glitch_log(mode_prediction_0);
     predicted_log_weight[1] = gps_glitch_log(mode_prediction_1);
     predicted_log_weight[2] = gps_glitch_log(mode_prediction_2);
-    const double t63 = gps_glitch_log(path_share_total_3);
-    predicted_log_weight[3] = log_path_largest_3 + t63;
-    const double t65 = params->dt * filtered_state[1];
-    predicted_state[0] = filtered_state[0] + t65;
-    const double t67 = params->dt * filtered_covariance[1];
-    const double t68 = filtered_covariance[0] + t67;
-    const double t69 = params->dt * filtered_covariance[2];
-    const double t70 = filtered_covariance[1] + t69;
-    const double t71 = t70 * params->dt;
-    const double t72 = t68 + t71;
-    predicted_covariance[0] = t72 + Q[0];
-    const double t74 = filtered_covariance[2] * params->dt;
-    const double t75 = filtered_covariance[1] + t74;
-    predicted_covariance[1] = t75 + Q[1];
+    const double t32 = gps_glitch_log(path_share_total_3);
+    predicted_log_weight[3] = log_path_largest_3 + t32;
+    const double t33 = params->dt * filtered_state[1];
+    predicted_state[0] = filtered_state[0] + t33;
+    const double t34 = params->dt * filtered_covariance[1];
+    const double t35 = filtered_covariance[0] + t34;
+    const double t36 = params->dt * filtered_covariance[2];
+    const double t37 = filtered_covariance[1] + t36;
+    const double t38 = t37 * params->dt;
+    const double t39 = t35 + t38;
+    predicted_covariance[0] = t39 + Q[0];
+    const double t40 = filtered_covariance[2] * params->dt;
+    const double t41 = filtered_covariance[1] + t40;
+    predicted_covariance[1] = t41 + Q[1];
     predicted_covariance[2] = filtered_covariance[2] + params->dt;
-    const double t78 = filtered_covariance[4] * params->dt;
-    predicted_covariance[3] = filtered_covariance[3] + t78;
+    const double t42 = filtered_covariance[4] * params->dt;
+    predicted_covariance[3] = filtered_covariance[3] + t42;
     predicted_covariance[5] = filtered_covariance[5] + Q[3];
-    const double t81 = moved_state_0[0] + moved_state_1[0];
-    const double t82 = t81 + moved_state_2[0];
-    const double t83 = t82 + moved_state_3[0];
-    const double t84 = moved_state_0[1] + moved_state_1[1];
-    const double t85 = t84 + moved_state_2[1];
-    const double t86 = t85 + moved_state_3[1];
-    const double t87 = moved_state_0[2] + moved_state_1[2];
-    const double t88 = t87 + moved_state_2[2];
-    const double t89 = t88 + moved_state_3[2];
-    const double t90 = moved_covariance_0[0] + moved_covariance_1[0];
-    const double t91 = t90 + moved_covariance_2[0];
-    const double t92 = t91 + moved_covariance_3[0];
-    const double t93 = moved_covariance_0[2] + moved_covariance_1[2];
-    const double t94 = t93 + moved_covariance_2[2];
-    const double t95 = t94 + moved_covariance_3[2];
-    const double t96 = moved_covariance_0[5] + moved_covariance_1[5];
-    const double t97 = t96 + moved_covariance_2[5];
-    const double t98 = t97 + moved_covariance_3[5];
-    if (!gps_glitch_finite(gps_glitch_defect(t83) + gps_glitch_defect(t86) +
-        gps_glitch_defect(t89) + gps_glitch_defect(t92) + gps_glitch_defect(t95) +
-        gps_glitch_defect(t98)))
+    const double t43 = moved_state_0[0] + moved_state_1[0];
+    const double t44 = t43 + moved_state_2[0];
+    const double t45 = t44 + moved_state_3[0];
+    const double t46 = moved_state_0[1] + moved_state_1[1];
+    const double t47 = t46 + moved_state_2[1];
+    const double t48 = t47 + moved_state_3[1];
+    const double t49 = moved_state_0[2] + moved_state_1[2];
+    const double t50 = t49 + moved_state_2[2];
+    const double t51 = t50 + moved_state_3[2];
+    const double t52 = moved_covariance_0[0] + moved_covariance_1[0];
+    const double t53 = t52 + moved_covariance_2[0];
+    const double t54 = t53 + moved_covariance_3[0];
+    const double t55 = moved_covariance_0[2] + moved_covariance_1[2];
+    const double t56 = t55 + moved_covariance_2[2];
+    const double t57 = t56 + moved_covariance_3[2];
+    const double t58 = moved_covariance_0[5] + moved_covariance_1[5];
+    const double t59 = t58 + moved_covariance_2[5];
+    const double t60 = t59 + moved_covariance_3[5];
+    if (!gps_glitch_finite(gps_glitch_defect(t45) + gps_glitch_defect(t48) +
+        gps_glitch_defect(t51) + gps_glitch_defect(t54) + gps_glitch_defect(t57) +
+        gps_glitch_defect(t60)))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1337,13 +1276,33 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     double quadratic_m2 = 0.0;
     double log_constant_m2 = 0.0;
     double determinant_m2_0 = 1.0;
+    double log_density_m2;
+    double innovation_m3_0 = 0.0;
+    double innovation_m3_1 = 0.0;
+    double innovation_m3_2 = 0.0;
+    double variance_m3[6];
     double mean_m3[3];
     double covariance_m3[6];
+    double quadratic_m3 = 0.0;
+    double log_constant_m3 = 0.0;
+    double determinant_m3_0 = 1.0;
+    double log_density_m3;
     double weight[4];
     double log_weight_now[4];
     double log_evidence = 0.0;
+    double log_joint[4] = { 0.0 };
+    double log_largest = 0.0;
+    double share_of_largest[4] = { 0.0 };
+    double share_total = 0.0;
+    double share_total_inverse = 0.0;
+    double log_share_total = 0.0;
+    double predicted_y_m0[3];
+    double predicted_y_m1[3];
+    double predicted_y_m2[3];
+    double predicted_y_m3[3];
     double combined_variance[6];
     double combined_innovation[3];
+    double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1;
     double whitening_combined_0_2;
@@ -1407,18 +1366,133 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     {
         return status;
     }
-    status = gps_glitch_mode_3(determinant_m2_0, log_constant_m2, quadratic_m2, self->mode_state, y,
-        &self->mode_covariance[18], mean_m3, covariance_m3, self->predicted_mode_probability,
-        weight, self->predicted_log_weight, log_weight_now, log_density_m0, log_density_m1,
-        &log_evidence, variance_m0, variance_m1, variance_m2, combined_variance, innovation_m0_0,
-        innovation_m1_0, innovation_m2_0, innovation_m0_1, innovation_m1_1, innovation_m2_1,
-        innovation_m0_2, innovation_m1_2, innovation_m2_2, combined_innovation,
-        &whitening_inverse_combined_0, &whitening_combined_0_1, &whitening_combined_0_2,
-        &whitening_pivot_combined_1, present);
+    const double t0 = gps_glitch_log(determinant_m2_0);
+    const double t1 = log_constant_m2 + t0;
+    const double t2 = quadratic_m2 + t1;
+    log_density_m2 = -0.5 * t2;
+
+    /* mode 3: no signal, noise x 400 */
+    status = gps_glitch_mode_2(&self->mode_state[9], y, &innovation_m3_0, &innovation_m3_1,
+        &innovation_m3_2, &self->mode_covariance[18], variance_m3, mean_m3, covariance_m3,
+        &quadratic_m3, &log_constant_m3, &determinant_m3_0, gps_glitch_mode_2_numbers[1], present);
     if (status != GPS_GLITCH_OK)
     {
         return status;
     }
+    const double t3 = gps_glitch_log(determinant_m3_0);
+    const double t4 = log_constant_m3 + t3;
+    const double t5 = quadratic_m3 + t4;
+    log_density_m3 = -0.5 * t5;
+
+    /* probabilities of the modes */
+    weight[0] = self->predicted_mode_probability[0];
+    weight[1] = self->predicted_mode_probability[1];
+    weight[2] = self->predicted_mode_probability[2];
+    weight[3] = self->predicted_mode_probability[3];
+    log_weight_now[0] = self->predicted_log_weight[0];
+    log_weight_now[1] = self->predicted_log_weight[1];
+    log_weight_now[2] = self->predicted_log_weight[2];
+    log_weight_now[3] = self->predicted_log_weight[3];
+    if ((present) != 0u)
+    {
+        log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
+        log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
+        log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
+        log_joint[3] = self->predicted_log_weight[3] + log_density_m3;
+        const double t6 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t7 = (t6 > log_joint[2]) ? t6 : log_joint[2];
+        log_largest = (t7 > log_joint[3]) ? t7 : log_joint[3];
+        const double t8 = log_joint[0] - log_largest;
+        share_of_largest[0] = gps_glitch_exp(t8);
+        const double t9 = log_joint[1] - log_largest;
+        share_of_largest[1] = gps_glitch_exp(t9);
+        const double t10 = log_joint[2] - log_largest;
+        share_of_largest[2] = gps_glitch_exp(t10);
+        const double t11 = log_joint[3] - log_largest;
+        share_of_largest[3] = gps_glitch_exp(t11);
+        const double t12 = share_of_largest[0] + share_of_largest[1];
+        const double t13 = t12 + share_of_largest[2];
+        share_total = t13 + share_of_largest[3];
+        const double t14 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
+        if (!(t14 > 0.0))
+        {
+            return GPS_GLITCH_RESULT_NOT_FINITE;
+        }
+        if (!gps_glitch_finite(gps_glitch_defect(share_total)))
+        {
+            return GPS_GLITCH_RESULT_NOT_FINITE;
+        }
+        share_total_inverse = 1.0 / share_total;
+        log_share_total = gps_glitch_log(share_total);
+        weight[0] = share_of_largest[0] * share_total_inverse;
+        weight[1] = share_of_largest[1] * share_total_inverse;
+        weight[2] = share_of_largest[2] * share_total_inverse;
+        weight[3] = share_of_largest[3] * share_total_inverse;
+        const double t15 = log_joint[0] - log_largest;
+        const double t16 = t15 - log_share_total;
+        log_weight_now[0] = (t16 > GPS_GLITCH_LOG_ZERO) ? t16 : GPS_GLITCH_LOG_ZERO;
+        const double t17 = log_joint[1] - log_largest;
+        const double t18 = t17 - log_share_total;
+        log_weight_now[1] = (t18 > GPS_GLITCH_LOG_ZERO) ? t18 : GPS_GLITCH_LOG_ZERO;
+        const double t19 = log_joint[2] - log_largest;
+        const double t20 = t19 - log_share_total;
+        log_weight_now[2] = (t20 > GPS_GLITCH_LOG_ZERO) ? t20 : GPS_GLITCH_LOG_ZERO;
+        const double t21 = log_joint[3] - log_largest;
+        const double t22 = t21 - log_share_total;
+        log_weight_now[3] = (t22 > GPS_GLITCH_LOG_ZERO) ? t22 : GPS_GLITCH_LOG_ZERO;
+        log_evidence = log_largest + log_share_total;
+    }
+
+    /* innovation of the mixture */
+    predicted_y_m0[0] = self->mode_state[0] + self->mode_state[2];
+    predicted_y_m0[1] = self->mode_state[0];
+    predicted_y_m0[2] = self->mode_state[1];
+    predicted_y_m1[0] = self->mode_state[3] + self->mode_state[5];
+    predicted_y_m1[1] = self->mode_state[3];
+    predicted_y_m1[2] = self->mode_state[4];
+    predicted_y_m2[0] = self->mode_state[6] + self->mode_state[8];
+    predicted_y_m2[1] = 0.0;
+    predicted_y_m2[2] = 0.0;
+    predicted_y_m3[0] = self->mode_state[9] + self->mode_state[11];
+    predicted_y_m3[1] = 0.0;
+    predicted_y_m3[2] = 0.0;
+    gps_glitch_innovation_of_the_mixture(self->predicted_mode_probability, variance_m0, variance_m1,
+        variance_m2, variance_m3, predicted_y_m0, predicted_y_m1, predicted_y_m2, predicted_y_m3,
+        combined_variance);
+    const double t23 = self->predicted_mode_probability[0] * innovation_m0_0;
+    const double t24 = self->predicted_mode_probability[1] * innovation_m1_0;
+    const double t25 = t23 + t24;
+    const double t26 = self->predicted_mode_probability[2] * innovation_m2_0;
+    const double t27 = t25 + t26;
+    const double t28 = self->predicted_mode_probability[3] * innovation_m3_0;
+    combined_innovation[0] = t27 + t28;
+    const double t29 = self->predicted_mode_probability[0] * innovation_m0_1;
+    const double t30 = self->predicted_mode_probability[1] * innovation_m1_1;
+    const double t31 = t29 + t30;
+    const double t32 = self->predicted_mode_probability[2] * innovation_m2_1;
+    const double t33 = t31 + t32;
+    const double t34 = self->predicted_mode_probability[3] * innovation_m3_1;
+    combined_innovation[1] = t33 + t34;
+    const double t35 = self->predicted_mode_probability[0] * innovation_m0_2;
+    const double t36 = self->predicted_mode_probability[1] * innovation_m1_2;
+    const double t37 = t35 + t36;
+    const double t38 = self->predicted_mode_probability[2] * innovation_m2_2;
+    const double t39 = t37 + t38;
+    const double t40 = self->predicted_mode_probability[3] * innovation_m3_2;
+    combined_innovation[2] = t39 + t40;
+    whitening_pivot_combined_0 = combined_variance[0];
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(whitening_pivot_combined_0 > 0.0))
+        {
+            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
+    }
+    whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
+    whitening_combined_0_2 = combined_variance[3] * whitening_inverse_combined_0;
+    const double t41 = whitening_combined_0_1 * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t41;
     if ((present & 0x2u) != 0u)
     {
         if (!(whitening_pivot_combined_1 > 0.0))
@@ -1427,15 +1501,15 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         }
         whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
     }
-    const double t508 = whitening_combined_0_2 * combined_variance[1];
-    const double t509 = combined_variance[4] - t508;
-    whitening_combined_1_2 = t509 * whitening_inverse_combined_1;
-    const double t511 = whitening_combined_0_2 * combined_variance[3];
-    const double t512 = combined_variance[5] - t511;
-    const double t513 = whitening_combined_0_2 * combined_variance[1];
-    const double t514 = combined_variance[4] - t513;
-    const double t515 = whitening_combined_1_2 * t514;
-    whitening_pivot_combined_2 = t512 - t515;
+    const double t42 = whitening_combined_0_2 * combined_variance[1];
+    const double t43 = combined_variance[4] - t42;
+    whitening_combined_1_2 = t43 * whitening_inverse_combined_1;
+    const double t44 = whitening_combined_0_2 * combined_variance[3];
+    const double t45 = combined_variance[5] - t44;
+    const double t46 = whitening_combined_0_2 * combined_variance[1];
+    const double t47 = combined_variance[4] - t46;
+    const double t48 = whitening_combined_1_2 * t47;
+    whitening_pivot_combined_2 = t45 - t48;
     if ((present & 0x4u) != 0u)
     {
         if (!(whitening_pivot_combined_2 > 0.0))
@@ -1459,83 +1533,14 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
-    const double t674 = combined_innovation[0] * combined_innovation[0];
-    const double t675 = t674 * whitening_inverse_combined_0;
-    const double t676 = whitening_combined_0_1 * combined_innovation[0];
-    const double t677 = combined_innovation[1] - t676;
-    const double t678 = t677 * t677;
-    const double t679 = t678 * whitening_inverse_combined_1;
-    const double t680 = t675 + t679;
-    const double t681 = whitening_combined_0_2 * combined_innovation[0];
-    const double t682 = combined_innovation[2] - t681;
-    const double t683 = whitening_combined_1_2 * t677;
-    const double t684 = t682 - t683;
-    const double t685 = t684 * t684;
-    const double t686 = t685 * whitening_inverse_combined_2;
-    next->nis = t680 + t686;
-    next->innovation[0] = combined_innovation[0];
-    next->innovation[1] = combined_innovation[1];
-    next->innovation[2] = combined_innovation[2];
-    next->innovation_covariance[0] = combined_variance[0];
-    next->innovation_covariance[1] = combined_variance[1];
-    next->innovation_covariance[2] = combined_variance[2];
-    next->innovation_covariance[3] = combined_variance[3];
-    next->innovation_covariance[4] = combined_variance[4];
-    next->innovation_covariance[5] = combined_variance[5];
-    next->mode_probability[0] = weight[0];
-    next->mode_probability[1] = weight[1];
-    next->mode_probability[2] = weight[2];
-    next->mode_probability[3] = weight[3];
-    next->log_weight[0] = log_weight_now[0];
-    next->log_weight[1] = log_weight_now[1];
-    next->log_weight[2] = log_weight_now[2];
-    next->log_weight[3] = log_weight_now[3];
-    next->log_likelihood = log_evidence;
-    next->filtered_state[0] = combined_0_3_mean[0];
-    next->filtered_state[1] = combined_0_3_mean[1];
-    next->filtered_state[2] = combined_0_3_mean[2];
-    next->filtered_covariance[0] = combined_0_3_covariance[0];
-    next->filtered_covariance[1] = combined_0_3_covariance[1];
-    next->filtered_covariance[2] = combined_0_3_covariance[2];
-    next->filtered_covariance[3] = combined_0_3_covariance[3];
-    next->filtered_covariance[4] = combined_0_3_covariance[4];
-    next->filtered_covariance[5] = combined_0_3_covariance[5];
-    next->mode_filtered_state[0] = mean_m0[0];
-    next->mode_filtered_state[1] = mean_m0[1];
-    next->mode_filtered_state[2] = mean_m0[2];
-    next->mode_filtered_state[3] = mean_m1[0];
-    next->mode_filtered_state[4] = mean_m1[1];
-    next->mode_filtered_state[5] = mean_m1[2];
-    next->mode_filtered_state[6] = mean_m2[0];
-    next->mode_filtered_state[7] = mean_m2[1];
-    next->mode_filtered_state[8] = mean_m2[2];
-    next->mode_filtered_state[9] = mean_m3[0];
-    next->mode_filtered_state[10] = mean_m3[1];
-    next->mode_filtered_state[11] = mean_m3[2];
-    next->mode_filtered_covariance[0] = covariance_m0[0];
-    next->mode_filtered_covariance[1] = covariance_m0[1];
-    next->mode_filtered_covariance[2] = covariance_m0[2];
-    next->mode_filtered_covariance[3] = covariance_m0[3];
-    next->mode_filtered_covariance[4] = covariance_m0[4];
-    next->mode_filtered_covariance[5] = covariance_m0[5];
-    next->mode_filtered_covariance[6] = covariance_m1[0];
-    next->mode_filtered_covariance[7] = covariance_m1[1];
-    next->mode_filtered_covariance[8] = covariance_m1[2];
-    next->mode_filtered_covariance[9] = covariance_m1[3];
-    next->mode_filtered_covariance[10] = covariance_m1[4];
-    next->mode_filtered_covariance[11] = covariance_m1[5];
-    next->mode_filtered_covariance[12] = covariance_m2[0];
-    next->mode_filtered_covariance[13] = covariance_m2[1];
-    next->mode_filtered_covariance[14] = covariance_m2[2];
-    next->mode_filtered_covariance[15] = covariance_m2[3];
-    next->mode_filtered_covariance[16] = covariance_m2[4];
-    next->mode_filtered_covariance[17] = covariance_m2[5];
-    next->mode_filtered_covariance[18] = covariance_m3[0];
-    next->mode_filtered_covariance[19] = covariance_m3[1];
-    next->mode_filtered_covariance[20] = covariance_m3[2];
-    next->mode_filtered_covariance[21] = covariance_m3[3];
-    next->mode_filtered_covariance[22] = covariance_m3[4];
-    next->mode_filtered_covariance[23] = covariance_m3[5];
+    gps_glitch_combination_2(combined_innovation, whitening_inverse_combined_0,
+        whitening_combined_0_1, whitening_inverse_combined_1, whitening_combined_0_2,
+        whitening_combined_1_2, whitening_inverse_combined_2, next->innovation, combined_variance,
+        next->innovation_covariance, &next->nis, weight, next->mode_probability, log_weight_now,
+        next->log_weight, log_evidence, &next->log_likelihood, combined_0_3_mean,
+        next->filtered_state, combined_0_3_covariance, next->filtered_covariance, mean_m0,
+        next->mode_filtered_state, mean_m1, mean_m2, mean_m3, covariance_m0,
+        next->mode_filtered_covariance, covariance_m1, covariance_m2, covariance_m3);
     return GPS_GLITCH_OK;
 }
 
@@ -1558,10 +1563,10 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     const double t0 = params->dt * params->dt;
     const double t1 = params->dt * t0;
     Q[0] = t1 / 3.0;
-    const double t3 = t0 / 2.0;
+    const double t2 = t0 / 2.0;
     Q[3] = 0.0006250000000000001 * params->dt;
-    Q[1] = t3;
-    Q[2] = t3;
+    Q[1] = t2;
+    Q[2] = t2;
     if (!((Q[0] >= 0.0) && (params->dt >= 0.0) && (Q[3] >= 0.0)))
     {
         return GPS_GLITCH_PARAMETER_OUT_OF_RANGE;
@@ -1574,28 +1579,28 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
         gps_glitch_law_of_the_next_numbers[1]);
     gps_glitch_law_of_the_next(self->mode_probability, &mode_prediction_2, mixing_2,
         gps_glitch_law_of_the_next_numbers[2]);
-    const double t53 = 3.375e-10 * self->mode_probability[0];
-    const double t54 = 7.489875000000001e-06 * self->mode_probability[1];
-    const double t55 = t53 + t54;
-    const double t56 = 4.493925e-05 * self->mode_probability[2];
-    const double t57 = t55 + t56;
-    const double t58 = 0.9973018225000001 * self->mode_probability[3];
-    mode_prediction_3 = t57 + t58;
+    const double t3 = 3.375e-10 * self->mode_probability[0];
+    const double t4 = 7.489875000000001e-06 * self->mode_probability[1];
+    const double t5 = t3 + t4;
+    const double t6 = 4.493925e-05 * self->mode_probability[2];
+    const double t7 = t5 + t6;
+    const double t8 = 0.9973018225000001 * self->mode_probability[3];
+    mode_prediction_3 = t7 + t8;
     log_path_3[0] = self->log_weight[0] + -21.809455605615963;
     log_path_3[1] = self->log_weight[1] + -11.801958449492966;
     log_path_3[2] = self->log_weight[2] + -10.01019898026491;
     log_path_3[3] = self->log_weight[3] + -0.0027018241419124473;
-    const double t64 = (log_path_3[0] > log_path_3[1]) ? log_path_3[0] : log_path_3[1];
-    const double t65 = (t64 > log_path_3[2]) ? t64 : log_path_3[2];
-    log_path_largest_3 = (t65 > log_path_3[3]) ? t65 : log_path_3[3];
-    const double t67 = log_path_3[0] - log_path_largest_3;
-    path_share_3[0] = gps_glitch_exp(t67);
-    const double t69 = log_path_3[1] - log_path_largest_3;
-    path_share_3[1] = gps_glitch_exp(t69);
-    const double t71 = log_path_3[2] - log_path_largest_3;
-    path_share_3[2] = gps_glitch_exp(t71);
-    const double t73 = log_path_3[3] - log_path_largest_3;
-    path_share_3[3] = gps_glitch_exp(t73);
+    const double t9 = (log_path_3[0] > log_path_3[1]) ? log_path_3[0] : log_path_3[1];
+    const double t10 = (t9 > log_path_3[2]) ? t9 : log_path_3[2];
+    log_path_largest_3 = (t10 > log_path_3[3]) ? t10 : log_path_3[3];
+    const double t11 = log_path_3[0] - log_path_largest_3;
+    path_share_3[0] = gps_glitch_exp(t11);
+    const double t12 = log_path_3[1] - log_path_largest_3;
+    path_share_3[1] = gps_glitch_exp(t12);
+    const double t13 = log_path_3[2] - log_path_largest_3;
+    path_share_3[2] = gps_glitch_exp(t13);
+    const double t14 = log_path_3[3] - log_path_largest_3;
+    path_share_3[3] = gps_glitch_exp(t14);
     status = gps_glitch_mixing_and_prediction_4(path_share_3, mixing_0, self->mode_filtered_state,
         self->mode_filtered_covariance, Q, mixing_1, mixing_2, mode_prediction_0, mode_prediction_1,
         mode_prediction_2, log_path_largest_3, self->filtered_state, self->filtered_covariance,

@@ -249,22 +249,22 @@ static sensor_faults_2_status_t sensor_faults_2_mode(const double y, const doubl
             return SENSOR_FAULTS_2_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0[0];
-        const double t3 = innovation_0[0] * inverse_0;
-        quadratic = innovation_0[0] * t3;
-        const double t5 = predicted_covariance * t3;
-        mean[0] = predicted_state + t5;
-        const double t7 = predicted_covariance * inverse_0;
-        const double t8 = t7 * predicted_covariance;
-        covariance[0] = predicted_covariance - t8;
+        const double t0 = innovation_0[0] * inverse_0;
+        quadratic = innovation_0[0] * t0;
+        const double t1 = predicted_covariance * t0;
+        mean[0] = predicted_state + t1;
+        const double t2 = predicted_covariance * inverse_0;
+        const double t3 = t2 * predicted_covariance;
+        covariance[0] = predicted_covariance - t3;
         log_constant = SENSOR_FAULTS_2_LOG_2_PI;
         determinant_0 = pivot_0[0];
     }
 
     /* mode 0: signal, R */
-    const double t10 = sensor_faults_2_log(determinant_0);
-    const double t11 = log_constant + t10;
-    const double t12 = quadratic + t11;
-    log_density[0] = -0.5 * t12;
+    const double t4 = sensor_faults_2_log(determinant_0);
+    const double t5 = log_constant + t4;
+    const double t6 = quadratic + t5;
+    log_density[0] = -0.5 * t6;
     return SENSOR_FAULTS_2_OK;
 }
 
@@ -344,8 +344,8 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     }
 
     /* mode 2: no signal, R */
-    const double t29 = quadratic_m2 + log_constant_m2;
-    log_density_m2 = -0.5 * t29;
+    const double t0 = quadratic_m2 + log_constant_m2;
+    log_density_m2 = -0.5 * t0;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
@@ -356,14 +356,14 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     /* row 0 of y, y0 */
     if ((present & 0x1u) != 0u)
     {
-        const double t31 = 0.1 * innovation_m3_0;
-        quadratic_m3 = innovation_m3_0 * t31;
+        const double t1 = 0.1 * innovation_m3_0;
+        quadratic_m3 = innovation_m3_0 * t1;
         log_constant_m3 = 4.140462159403391;
     }
 
     /* mode 3: no signal, noise x 10 */
-    const double t33 = quadratic_m3 + log_constant_m3;
-    log_density_m3 = -0.5 * t33;
+    const double t2 = quadratic_m3 + log_constant_m3;
+    log_density_m3 = -0.5 * t2;
 
     /* probabilities of the modes */
     weight[0] = self->predicted_mode_probability[0];
@@ -380,22 +380,22 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
         log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
         log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
         log_joint[3] = self->predicted_log_weight[3] + log_density_m3;
-        const double t39 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t40 = (t39 > log_joint[2]) ? t39 : log_joint[2];
-        log_largest = (t40 > log_joint[3]) ? t40 : log_joint[3];
-        const double t42 = log_joint[0] - log_largest;
-        share_of_largest[0] = sensor_faults_2_exp(t42);
-        const double t44 = log_joint[1] - log_largest;
-        share_of_largest[1] = sensor_faults_2_exp(t44);
-        const double t46 = log_joint[2] - log_largest;
-        share_of_largest[2] = sensor_faults_2_exp(t46);
-        const double t48 = log_joint[3] - log_largest;
-        share_of_largest[3] = sensor_faults_2_exp(t48);
-        const double t50 = share_of_largest[0] + share_of_largest[1];
-        const double t51 = t50 + share_of_largest[2];
-        share_total = t51 + share_of_largest[3];
-        const double t53 = log_largest - SENSOR_FAULTS_2_LEAST_LOG_DENSITY;
-        if (!(t53 > 0.0))
+        const double t3 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t4 = (t3 > log_joint[2]) ? t3 : log_joint[2];
+        log_largest = (t4 > log_joint[3]) ? t4 : log_joint[3];
+        const double t5 = log_joint[0] - log_largest;
+        share_of_largest[0] = sensor_faults_2_exp(t5);
+        const double t6 = log_joint[1] - log_largest;
+        share_of_largest[1] = sensor_faults_2_exp(t6);
+        const double t7 = log_joint[2] - log_largest;
+        share_of_largest[2] = sensor_faults_2_exp(t7);
+        const double t8 = log_joint[3] - log_largest;
+        share_of_largest[3] = sensor_faults_2_exp(t8);
+        const double t9 = share_of_largest[0] + share_of_largest[1];
+        const double t10 = t9 + share_of_largest[2];
+        share_total = t10 + share_of_largest[3];
+        const double t11 = log_largest - SENSOR_FAULTS_2_LEAST_LOG_DENSITY;
+        if (!(t11 > 0.0))
         {
             return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
         }
@@ -409,52 +409,52 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
         weight[1] = share_of_largest[1] * share_total_inverse;
         weight[2] = share_of_largest[2] * share_total_inverse;
         weight[3] = share_of_largest[3] * share_total_inverse;
-        const double t60 = log_joint[0] - log_largest;
-        const double t61 = t60 - log_share_total;
-        log_weight_now[0] = (t61 > SENSOR_FAULTS_2_LOG_ZERO) ? t61 : SENSOR_FAULTS_2_LOG_ZERO;
-        const double t63 = log_joint[1] - log_largest;
-        const double t64 = t63 - log_share_total;
-        log_weight_now[1] = (t64 > SENSOR_FAULTS_2_LOG_ZERO) ? t64 : SENSOR_FAULTS_2_LOG_ZERO;
-        const double t66 = log_joint[2] - log_largest;
-        const double t67 = t66 - log_share_total;
-        log_weight_now[2] = (t67 > SENSOR_FAULTS_2_LOG_ZERO) ? t67 : SENSOR_FAULTS_2_LOG_ZERO;
-        const double t69 = log_joint[3] - log_largest;
-        const double t70 = t69 - log_share_total;
-        log_weight_now[3] = (t70 > SENSOR_FAULTS_2_LOG_ZERO) ? t70 : SENSOR_FAULTS_2_LOG_ZERO;
+        const double t12 = log_joint[0] - log_largest;
+        const double t13 = t12 - log_share_total;
+        log_weight_now[0] = (t13 > SENSOR_FAULTS_2_LOG_ZERO) ? t13 : SENSOR_FAULTS_2_LOG_ZERO;
+        const double t14 = log_joint[1] - log_largest;
+        const double t15 = t14 - log_share_total;
+        log_weight_now[1] = (t15 > SENSOR_FAULTS_2_LOG_ZERO) ? t15 : SENSOR_FAULTS_2_LOG_ZERO;
+        const double t16 = log_joint[2] - log_largest;
+        const double t17 = t16 - log_share_total;
+        log_weight_now[2] = (t17 > SENSOR_FAULTS_2_LOG_ZERO) ? t17 : SENSOR_FAULTS_2_LOG_ZERO;
+        const double t18 = log_joint[3] - log_largest;
+        const double t19 = t18 - log_share_total;
+        log_weight_now[3] = (t19 > SENSOR_FAULTS_2_LOG_ZERO) ? t19 : SENSOR_FAULTS_2_LOG_ZERO;
         log_evidence = log_largest + log_share_total;
     }
 
     /* innovation of the mixture */
     predicted_y_m0 = self->predicted_state[0];
     predicted_y_m1 = self->predicted_state[0];
-    const double t73 = self->predicted_mode_probability[0] * pivot_m0_0;
-    const double t74 = self->predicted_mode_probability[1] * pivot_m1_0;
-    const double t75 = t73 + t74;
-    const double t76 = t75 + self->predicted_mode_probability[2];
-    const double t77 = 10.0 * self->predicted_mode_probability[3];
-    const double t78 = t76 + t77;
-    const double t79 = self->predicted_mode_probability[0] * predicted_y_m0;
-    const double t80 = self->predicted_mode_probability[1] * predicted_y_m1;
-    const double t81 = t79 + t80;
-    const double t82 = predicted_y_m0 - t81;
-    const double t83 = self->predicted_mode_probability[0] * t82;
-    const double t84 = t83 * t82;
-    const double t85 = predicted_y_m1 - t81;
-    const double t86 = self->predicted_mode_probability[1] * t85;
-    const double t87 = t86 * t85;
-    const double t88 = t84 + t87;
-    const double t89 = self->predicted_mode_probability[2] + self->predicted_mode_probability[3];
-    const double t90 = t89 * t81;
-    const double t91 = t90 * t81;
-    const double t92 = t88 + t91;
-    combined_variance = t78 + t92;
-    const double t94 = self->predicted_mode_probability[0] * innovation_m0_0;
-    const double t95 = self->predicted_mode_probability[1] * innovation_m1_0;
-    const double t96 = t94 + t95;
-    const double t97 = self->predicted_mode_probability[2] * innovation_m2_0;
-    const double t98 = t96 + t97;
-    const double t99 = self->predicted_mode_probability[3] * innovation_m3_0;
-    combined_innovation = t98 + t99;
+    const double t20 = self->predicted_mode_probability[0] * pivot_m0_0;
+    const double t21 = self->predicted_mode_probability[1] * pivot_m1_0;
+    const double t22 = t20 + t21;
+    const double t23 = t22 + self->predicted_mode_probability[2];
+    const double t24 = 10.0 * self->predicted_mode_probability[3];
+    const double t25 = t23 + t24;
+    const double t26 = self->predicted_mode_probability[0] * predicted_y_m0;
+    const double t27 = self->predicted_mode_probability[1] * predicted_y_m1;
+    const double t28 = t26 + t27;
+    const double t29 = predicted_y_m0 - t28;
+    const double t30 = self->predicted_mode_probability[0] * t29;
+    const double t31 = t30 * t29;
+    const double t32 = predicted_y_m1 - t28;
+    const double t33 = self->predicted_mode_probability[1] * t32;
+    const double t34 = t33 * t32;
+    const double t35 = t31 + t34;
+    const double t36 = self->predicted_mode_probability[2] + self->predicted_mode_probability[3];
+    const double t37 = t36 * t28;
+    const double t38 = t37 * t28;
+    const double t39 = t35 + t38;
+    combined_variance = t25 + t39;
+    const double t40 = self->predicted_mode_probability[0] * innovation_m0_0;
+    const double t41 = self->predicted_mode_probability[1] * innovation_m1_0;
+    const double t42 = t40 + t41;
+    const double t43 = self->predicted_mode_probability[2] * innovation_m2_0;
+    const double t44 = t42 + t43;
+    const double t45 = self->predicted_mode_probability[3] * innovation_m3_0;
+    combined_innovation = t44 + t45;
     whitening_pivot_combined_0 = combined_variance;
     if ((present & 0x1u) != 0u)
     {
@@ -466,42 +466,42 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     }
 
     /* combination */
-    const double t102 = weight[0] * mean_m0;
-    const double t103 = weight[1] * mean_m1;
-    const double t104 = t102 + t103;
-    const double t105 = weight[2] * self->predicted_state[0];
-    const double t106 = t104 + t105;
-    const double t107 = weight[3] * self->predicted_state[0];
-    combined_state = t106 + t107;
+    const double t46 = weight[0] * mean_m0;
+    const double t47 = weight[1] * mean_m1;
+    const double t48 = t46 + t47;
+    const double t49 = weight[2] * self->predicted_state[0];
+    const double t50 = t48 + t49;
+    const double t51 = weight[3] * self->predicted_state[0];
+    combined_state = t50 + t51;
     if (!sensor_faults_2_finite(sensor_faults_2_defect(combined_state)))
     {
         return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
     }
-    const double t109 = combined_innovation * combined_innovation;
-    next->nis = t109 * whitening_inverse_combined_0;
-    const double t111 = weight[0] * covariance_m0;
-    const double t112 = weight[1] * covariance_m1;
-    const double t113 = t111 + t112;
-    const double t114 = weight[2] * self->predicted_covariance[0];
-    const double t115 = t113 + t114;
-    const double t116 = weight[3] * self->predicted_covariance[0];
-    const double t117 = t115 + t116;
-    const double t118 = mean_m0 - combined_state;
-    const double t119 = weight[0] * t118;
-    const double t120 = t119 * t118;
-    const double t121 = mean_m1 - combined_state;
-    const double t122 = weight[1] * t121;
-    const double t123 = t122 * t121;
-    const double t124 = t120 + t123;
-    const double t125 = self->predicted_state[0] - combined_state;
-    const double t126 = weight[2] * t125;
-    const double t127 = t126 * t125;
-    const double t128 = t124 + t127;
-    const double t129 = self->predicted_state[0] - combined_state;
-    const double t130 = weight[3] * t129;
-    const double t131 = t130 * t129;
-    const double t132 = t128 + t131;
-    next->filtered_covariance[0] = t117 + t132;
+    const double t52 = combined_innovation * combined_innovation;
+    next->nis = t52 * whitening_inverse_combined_0;
+    const double t53 = weight[0] * covariance_m0;
+    const double t54 = weight[1] * covariance_m1;
+    const double t55 = t53 + t54;
+    const double t56 = weight[2] * self->predicted_covariance[0];
+    const double t57 = t55 + t56;
+    const double t58 = weight[3] * self->predicted_covariance[0];
+    const double t59 = t57 + t58;
+    const double t60 = mean_m0 - combined_state;
+    const double t61 = weight[0] * t60;
+    const double t62 = t61 * t60;
+    const double t63 = mean_m1 - combined_state;
+    const double t64 = weight[1] * t63;
+    const double t65 = t64 * t63;
+    const double t66 = t62 + t65;
+    const double t67 = self->predicted_state[0] - combined_state;
+    const double t68 = weight[2] * t67;
+    const double t69 = t68 * t67;
+    const double t70 = t66 + t69;
+    const double t71 = self->predicted_state[0] - combined_state;
+    const double t72 = weight[3] * t71;
+    const double t73 = t72 * t71;
+    const double t74 = t70 + t73;
+    next->filtered_covariance[0] = t59 + t74;
     next->innovation[0] = combined_innovation;
     next->innovation_covariance[0] = combined_variance;
     next->mode_probability[0] = weight[0];
@@ -530,34 +530,34 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_propagate(const 
     const double t4 = t2 + t3;
     const double t5 = 0.7200000000000001 * self->mode_probability[3];
     mode_prediction_0 = t4 + t5;
-    const double t7 = 0.05419354838709678 * self->mode_probability[0];
-    const double t8 = 0.05419354838709678 * self->mode_probability[1];
-    const double t9 = t7 + t8;
-    const double t10 = 0.08000000000000002 * self->mode_probability[2];
-    const double t11 = t9 + t10;
-    const double t12 = 0.08000000000000002 * self->mode_probability[3];
-    mode_prediction_1 = t11 + t12;
+    const double t6 = 0.05419354838709678 * self->mode_probability[0];
+    const double t7 = 0.05419354838709678 * self->mode_probability[1];
+    const double t8 = t6 + t7;
+    const double t9 = 0.08000000000000002 * self->mode_probability[2];
+    const double t10 = t8 + t9;
+    const double t11 = 0.08000000000000002 * self->mode_probability[3];
+    mode_prediction_1 = t10 + t11;
 
     /* prediction of the next sample */
     next->predicted_mode_probability[1] = 0.25 * mode_prediction_0;
     next->predicted_mode_probability[3] = 0.25 * mode_prediction_1;
-    const double t16 = sensor_faults_2_log(mode_prediction_0);
-    next->predicted_log_weight[1] = t16 + -1.3862943611198906;
-    const double t18 = sensor_faults_2_log(mode_prediction_1);
-    next->predicted_log_weight[3] = t18 + -1.3862943611198906;
-    const double t20 = -0.8 * self->filtered_state[0];
-    const double t21 = 0.6400000000000001 * self->filtered_covariance[0];
-    const double t22 = t21 + 1.0;
-    if (!sensor_faults_2_finite(sensor_faults_2_defect(t20) + sensor_faults_2_defect(t22)))
+    const double t12 = sensor_faults_2_log(mode_prediction_0);
+    next->predicted_log_weight[1] = t12 + -1.3862943611198906;
+    const double t13 = sensor_faults_2_log(mode_prediction_1);
+    next->predicted_log_weight[3] = t13 + -1.3862943611198906;
+    const double t14 = -0.8 * self->filtered_state[0];
+    const double t15 = 0.6400000000000001 * self->filtered_covariance[0];
+    const double t16 = t15 + 1.0;
+    if (!sensor_faults_2_finite(sensor_faults_2_defect(t14) + sensor_faults_2_defect(t16)))
     {
         return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
     }
     next->predicted_mode_probability[0] = mode_prediction_0;
     next->predicted_mode_probability[2] = mode_prediction_1;
-    next->predicted_log_weight[0] = t16;
-    next->predicted_log_weight[2] = t18;
-    next->predicted_state[0] = t20;
-    next->predicted_covariance[0] = t22;
+    next->predicted_log_weight[0] = t12;
+    next->predicted_log_weight[2] = t13;
+    next->predicted_state[0] = t14;
+    next->predicted_covariance[0] = t16;
     return SENSOR_FAULTS_2_OK;
 }
 

@@ -297,20 +297,102 @@ static int ship_track_present_rows(const double *y, uint32_t valid, uint32_t *pr
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* row 0 of y, report_east. */
-static ship_track_status_t ship_track_row_of_y(const double *mode_covariance, double *variance,
-    const double *mode_state, double *mean, double *covariance, const double innovation_0,
-    double *quadratic, double *log_constant, double *determinant_0, const double innovation_1,
-    const double innovation_2, const double innovation_3, uint32_t present)
+/* row 2 of y, report_speed_east. */
+static ship_track_status_t ship_track_row_of_y(const double pivot_1, double *mean,
+    const double mode_state, const double innovation_1, double *quadratic, double *log_constant,
+    double *determinant_0, double *covariance, uint32_t present)
+{
+    double inverse_1 = 0.0;
+    if ((present & 0x2u) != 0u)
+    {
+        if (!(pivot_1 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        inverse_1 = 1.0 / pivot_1;
+        const double t0 = mean[1] - mode_state;
+        const double t1 = innovation_1 - t0;
+        const double t2 = t1 * inverse_1;
+        const double t3 = t1 * t2;
+        quadratic[0] = quadratic[0] + t3;
+        log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
+        determinant_0[0] = determinant_0[0] * pivot_1;
+        const double t4 = covariance[1] * t2;
+        mean[0] = mean[0] + t4;
+        const double t5 = covariance[2] * t2;
+        mean[1] = mean[1] + t5;
+        const double t6 = covariance[4] * t2;
+        mean[2] = mean[2] + t6;
+        const double t7 = covariance[7] * t2;
+        mean[3] = mean[3] + t7;
+        const double t8 = covariance[1] * inverse_1;
+        const double t9 = t8 * covariance[1];
+        covariance[0] = covariance[0] - t9;
+        const double t10 = covariance[2] * inverse_1;
+        const double t11 = t10 * covariance[1];
+        const double t12 = covariance[1] - t11;
+        const double t13 = t10 * covariance[2];
+        const double t14 = covariance[2] - t13;
+        const double t15 = covariance[4] * inverse_1;
+        const double t16 = t15 * covariance[1];
+        covariance[3] = covariance[3] - t16;
+        const double t17 = t15 * covariance[2];
+        const double t18 = covariance[4] - t17;
+        const double t19 = t15 * covariance[4];
+        covariance[5] = covariance[5] - t19;
+        const double t20 = covariance[7] * inverse_1;
+        const double t21 = t20 * covariance[1];
+        covariance[6] = covariance[6] - t21;
+        const double t22 = t20 * covariance[2];
+        const double t23 = covariance[7] - t22;
+        const double t24 = t20 * covariance[4];
+        covariance[8] = covariance[8] - t24;
+        const double t25 = t20 * covariance[7];
+        covariance[9] = covariance[9] - t25;
+        covariance[1] = t12;
+        covariance[2] = t14;
+        covariance[4] = t18;
+        covariance[7] = t23;
+    }
+
+    /* row 2 of y, report_speed_east */
+    return SHIP_TRACK_OK;
+}
+
+/* mode 0: the model; mode 1: with its own A, Q; mode 2: with its own A, Q. */
+static ship_track_status_t ship_track_mode(const double *y, const double *mode_state,
+    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
+    const double *mode_covariance, double *variance, double *mean, double *covariance,
+    double *quadratic, double *log_constant, double *determinant_0, uint32_t present)
 {
     double pivot_0;
     double inverse_0 = 0.0;
     double pivot_1;
-    double inverse_1 = 0.0;
     double pivot_2;
     double inverse_2 = 0.0;
     double pivot_3;
     double inverse_3 = 0.0;
+    ship_track_status_t status;
+
+    /* innovation, row by row */
+    if ((present & 0x1u) != 0u)
+    {
+        innovation_0[0] = y[0] - mode_state[0];
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        innovation_1[0] = y[1] - mode_state[1];
+    }
+    if ((present & 0x4u) != 0u)
+    {
+        innovation_2[0] = y[2] - mode_state[2];
+    }
+    if ((present & 0x8u) != 0u)
+    {
+        innovation_3[0] = y[3] - mode_state[3];
+    }
+
+    /* mode 0: the model */
     variance[0] = mode_covariance[0] + 16.0;
     variance[2] = mode_covariance[2] + 36.0;
     variance[5] = mode_covariance[5] + 0.04;
@@ -345,99 +427,52 @@ static ship_track_status_t ship_track_row_of_y(const double *mode_covariance, do
             return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0;
-        const double t6 = innovation_0 * inverse_0;
-        quadratic[0] = innovation_0 * t6;
-        const double t8 = mode_covariance[0] * t6;
-        mean[0] = mode_state[0] + t8;
-        const double t10 = mode_covariance[1] * t6;
-        mean[1] = mode_state[1] + t10;
-        const double t12 = mode_covariance[3] * t6;
-        mean[2] = mode_state[2] + t12;
-        const double t14 = mode_covariance[6] * t6;
-        mean[3] = mode_state[3] + t14;
-        const double t16 = mode_covariance[0] * inverse_0;
-        const double t17 = t16 * mode_covariance[0];
-        covariance[0] = mode_covariance[0] - t17;
-        const double t19 = mode_covariance[1] * inverse_0;
-        const double t20 = t19 * mode_covariance[0];
-        covariance[1] = mode_covariance[1] - t20;
-        const double t22 = t19 * mode_covariance[1];
-        covariance[2] = mode_covariance[2] - t22;
-        const double t24 = mode_covariance[3] * inverse_0;
-        const double t25 = t24 * mode_covariance[0];
-        covariance[3] = mode_covariance[3] - t25;
-        const double t27 = t24 * mode_covariance[1];
-        covariance[4] = mode_covariance[4] - t27;
-        const double t29 = t24 * mode_covariance[3];
-        covariance[5] = mode_covariance[5] - t29;
-        const double t31 = mode_covariance[6] * inverse_0;
-        const double t32 = t31 * mode_covariance[0];
-        covariance[6] = mode_covariance[6] - t32;
-        const double t34 = t31 * mode_covariance[1];
-        covariance[7] = mode_covariance[7] - t34;
-        const double t36 = t31 * mode_covariance[3];
-        covariance[8] = mode_covariance[8] - t36;
-        const double t38 = t31 * mode_covariance[6];
-        covariance[9] = mode_covariance[9] - t38;
+        const double t0 = innovation_0[0] * inverse_0;
+        quadratic[0] = innovation_0[0] * t0;
+        const double t1 = mode_covariance[0] * t0;
+        mean[0] = mode_state[0] + t1;
+        const double t2 = mode_covariance[1] * t0;
+        mean[1] = mode_state[1] + t2;
+        const double t3 = mode_covariance[3] * t0;
+        mean[2] = mode_state[2] + t3;
+        const double t4 = mode_covariance[6] * t0;
+        mean[3] = mode_state[3] + t4;
+        const double t5 = mode_covariance[0] * inverse_0;
+        const double t6 = t5 * mode_covariance[0];
+        covariance[0] = mode_covariance[0] - t6;
+        const double t7 = mode_covariance[1] * inverse_0;
+        const double t8 = t7 * mode_covariance[0];
+        covariance[1] = mode_covariance[1] - t8;
+        const double t9 = t7 * mode_covariance[1];
+        covariance[2] = mode_covariance[2] - t9;
+        const double t10 = mode_covariance[3] * inverse_0;
+        const double t11 = t10 * mode_covariance[0];
+        covariance[3] = mode_covariance[3] - t11;
+        const double t12 = t10 * mode_covariance[1];
+        covariance[4] = mode_covariance[4] - t12;
+        const double t13 = t10 * mode_covariance[3];
+        covariance[5] = mode_covariance[5] - t13;
+        const double t14 = mode_covariance[6] * inverse_0;
+        const double t15 = t14 * mode_covariance[0];
+        covariance[6] = mode_covariance[6] - t15;
+        const double t16 = t14 * mode_covariance[1];
+        covariance[7] = mode_covariance[7] - t16;
+        const double t17 = t14 * mode_covariance[3];
+        covariance[8] = mode_covariance[8] - t17;
+        const double t18 = t14 * mode_covariance[6];
+        covariance[9] = mode_covariance[9] - t18;
         log_constant[0] = SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = pivot_0;
     }
 
     /* row 1 of y, report_north */
     pivot_1 = covariance[2] + 36.0;
-    if ((present & 0x2u) != 0u)
+    status = ship_track_row_of_y(pivot_1, mean, mode_state[1], innovation_1[0], quadratic,
+        log_constant, determinant_0, covariance, present);
+    if (status != SHIP_TRACK_OK)
     {
-        if (!(pivot_1 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_1 = 1.0 / pivot_1;
-        const double t42 = mean[1] - mode_state[1];
-        const double t43 = innovation_1 - t42;
-        const double t44 = t43 * inverse_1;
-        const double t45 = t43 * t44;
-        quadratic[0] = quadratic[0] + t45;
-        log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
-        determinant_0[0] = determinant_0[0] * pivot_1;
-        const double t49 = covariance[1] * t44;
-        mean[0] = mean[0] + t49;
-        const double t51 = covariance[2] * t44;
-        mean[1] = mean[1] + t51;
-        const double t53 = covariance[4] * t44;
-        mean[2] = mean[2] + t53;
-        const double t55 = covariance[7] * t44;
-        mean[3] = mean[3] + t55;
-        const double t57 = covariance[1] * inverse_1;
-        const double t58 = t57 * covariance[1];
-        covariance[0] = covariance[0] - t58;
-        const double t60 = covariance[2] * inverse_1;
-        const double t61 = t60 * covariance[1];
-        const double t62 = covariance[1] - t61;
-        const double t63 = t60 * covariance[2];
-        const double t64 = covariance[2] - t63;
-        const double t65 = covariance[4] * inverse_1;
-        const double t66 = t65 * covariance[1];
-        covariance[3] = covariance[3] - t66;
-        const double t68 = t65 * covariance[2];
-        const double t69 = covariance[4] - t68;
-        const double t70 = t65 * covariance[4];
-        covariance[5] = covariance[5] - t70;
-        const double t72 = covariance[7] * inverse_1;
-        const double t73 = t72 * covariance[1];
-        covariance[6] = covariance[6] - t73;
-        const double t75 = t72 * covariance[2];
-        const double t76 = covariance[7] - t75;
-        const double t77 = t72 * covariance[4];
-        covariance[8] = covariance[8] - t77;
-        const double t79 = t72 * covariance[7];
-        covariance[9] = covariance[9] - t79;
-        covariance[1] = t62;
-        covariance[2] = t64;
-        covariance[4] = t69;
-        covariance[7] = t76;
+        return status;
     }
-
-    /* row 2 of y, report_speed_east */
     pivot_2 = covariance[5] + 0.04;
     if ((present & 0x4u) != 0u)
     {
@@ -446,49 +481,49 @@ static ship_track_status_t ship_track_row_of_y(const double *mode_covariance, do
             return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
         }
         inverse_2 = 1.0 / pivot_2;
-        const double t83 = mean[2] - mode_state[2];
-        const double t84 = innovation_2 - t83;
-        const double t85 = t84 * inverse_2;
-        const double t86 = t84 * t85;
-        quadratic[0] = quadratic[0] + t86;
+        const double t19 = mean[2] - mode_state[2];
+        const double t20 = innovation_2[0] - t19;
+        const double t21 = t20 * inverse_2;
+        const double t22 = t20 * t21;
+        quadratic[0] = quadratic[0] + t22;
         log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_2;
-        const double t90 = covariance[3] * t85;
-        mean[0] = mean[0] + t90;
-        const double t92 = covariance[4] * t85;
-        mean[1] = mean[1] + t92;
-        const double t94 = covariance[5] * t85;
-        mean[2] = mean[2] + t94;
-        const double t96 = covariance[8] * t85;
-        mean[3] = mean[3] + t96;
-        const double t98 = covariance[3] * inverse_2;
-        const double t99 = t98 * covariance[3];
-        covariance[0] = covariance[0] - t99;
-        const double t101 = covariance[4] * inverse_2;
-        const double t102 = t101 * covariance[3];
-        covariance[1] = covariance[1] - t102;
-        const double t104 = t101 * covariance[4];
-        covariance[2] = covariance[2] - t104;
-        const double t106 = covariance[5] * inverse_2;
-        const double t107 = t106 * covariance[3];
-        const double t108 = covariance[3] - t107;
-        const double t109 = t106 * covariance[4];
-        const double t110 = covariance[4] - t109;
-        const double t111 = t106 * covariance[5];
-        const double t112 = covariance[5] - t111;
-        const double t113 = covariance[8] * inverse_2;
-        const double t114 = t113 * covariance[3];
-        covariance[6] = covariance[6] - t114;
-        const double t116 = t113 * covariance[4];
-        covariance[7] = covariance[7] - t116;
-        const double t118 = t113 * covariance[5];
-        const double t119 = covariance[8] - t118;
-        const double t120 = t113 * covariance[8];
-        covariance[9] = covariance[9] - t120;
-        covariance[3] = t108;
-        covariance[4] = t110;
-        covariance[5] = t112;
-        covariance[8] = t119;
+        const double t23 = covariance[3] * t21;
+        mean[0] = mean[0] + t23;
+        const double t24 = covariance[4] * t21;
+        mean[1] = mean[1] + t24;
+        const double t25 = covariance[5] * t21;
+        mean[2] = mean[2] + t25;
+        const double t26 = covariance[8] * t21;
+        mean[3] = mean[3] + t26;
+        const double t27 = covariance[3] * inverse_2;
+        const double t28 = t27 * covariance[3];
+        covariance[0] = covariance[0] - t28;
+        const double t29 = covariance[4] * inverse_2;
+        const double t30 = t29 * covariance[3];
+        covariance[1] = covariance[1] - t30;
+        const double t31 = t29 * covariance[4];
+        covariance[2] = covariance[2] - t31;
+        const double t32 = covariance[5] * inverse_2;
+        const double t33 = t32 * covariance[3];
+        const double t34 = covariance[3] - t33;
+        const double t35 = t32 * covariance[4];
+        const double t36 = covariance[4] - t35;
+        const double t37 = t32 * covariance[5];
+        const double t38 = covariance[5] - t37;
+        const double t39 = covariance[8] * inverse_2;
+        const double t40 = t39 * covariance[3];
+        covariance[6] = covariance[6] - t40;
+        const double t41 = t39 * covariance[4];
+        covariance[7] = covariance[7] - t41;
+        const double t42 = t39 * covariance[5];
+        const double t43 = covariance[8] - t42;
+        const double t44 = t39 * covariance[8];
+        covariance[9] = covariance[9] - t44;
+        covariance[3] = t34;
+        covariance[4] = t36;
+        covariance[5] = t38;
+        covariance[8] = t43;
     }
 
     /* row 3 of y, report_speed_north */
@@ -500,85 +535,48 @@ static ship_track_status_t ship_track_row_of_y(const double *mode_covariance, do
             return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
         }
         inverse_3 = 1.0 / pivot_3;
-        const double t124 = mean[3] - mode_state[3];
-        const double t125 = innovation_3 - t124;
-        const double t126 = t125 * inverse_3;
-        const double t127 = t125 * t126;
-        quadratic[0] = quadratic[0] + t127;
+        const double t45 = mean[3] - mode_state[3];
+        const double t46 = innovation_3[0] - t45;
+        const double t47 = t46 * inverse_3;
+        const double t48 = t46 * t47;
+        quadratic[0] = quadratic[0] + t48;
         log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_3;
-        const double t131 = covariance[6] * t126;
-        mean[0] = mean[0] + t131;
-        const double t133 = covariance[7] * t126;
-        mean[1] = mean[1] + t133;
-        const double t135 = covariance[8] * t126;
-        mean[2] = mean[2] + t135;
-        const double t137 = covariance[9] * t126;
-        mean[3] = mean[3] + t137;
-        const double t139 = covariance[6] * inverse_3;
-        const double t140 = t139 * covariance[6];
-        covariance[0] = covariance[0] - t140;
-        const double t142 = covariance[7] * inverse_3;
-        const double t143 = t142 * covariance[6];
-        covariance[1] = covariance[1] - t143;
-        const double t145 = t142 * covariance[7];
-        covariance[2] = covariance[2] - t145;
-        const double t147 = covariance[8] * inverse_3;
-        const double t148 = t147 * covariance[6];
-        covariance[3] = covariance[3] - t148;
-        const double t150 = t147 * covariance[7];
-        covariance[4] = covariance[4] - t150;
-        const double t152 = t147 * covariance[8];
-        covariance[5] = covariance[5] - t152;
-        const double t154 = covariance[9] * inverse_3;
-        const double t155 = t154 * covariance[6];
-        covariance[6] = covariance[6] - t155;
-        const double t157 = t154 * covariance[7];
-        covariance[7] = covariance[7] - t157;
-        const double t159 = t154 * covariance[8];
-        covariance[8] = covariance[8] - t159;
-        const double t161 = t154 * covariance[9];
-        covariance[9] = covariance[9] - t161;
+        const double t49 = covariance[6] * t47;
+        mean[0] = mean[0] + t49;
+        const double t50 = covariance[7] * t47;
+        mean[1] = mean[1] + t50;
+        const double t51 = covariance[8] * t47;
+        mean[2] = mean[2] + t51;
+        const double t52 = covariance[9] * t47;
+        mean[3] = mean[3] + t52;
+        const double t53 = covariance[6] * inverse_3;
+        const double t54 = t53 * covariance[6];
+        covariance[0] = covariance[0] - t54;
+        const double t55 = covariance[7] * inverse_3;
+        const double t56 = t55 * covariance[6];
+        covariance[1] = covariance[1] - t56;
+        const double t57 = t55 * covariance[7];
+        covariance[2] = covariance[2] - t57;
+        const double t58 = covariance[8] * inverse_3;
+        const double t59 = t58 * covariance[6];
+        covariance[3] = covariance[3] - t59;
+        const double t60 = t58 * covariance[7];
+        covariance[4] = covariance[4] - t60;
+        const double t61 = t58 * covariance[8];
+        covariance[5] = covariance[5] - t61;
+        const double t62 = covariance[9] * inverse_3;
+        const double t63 = t62 * covariance[6];
+        covariance[6] = covariance[6] - t63;
+        const double t64 = t62 * covariance[7];
+        covariance[7] = covariance[7] - t64;
+        const double t65 = t62 * covariance[8];
+        covariance[8] = covariance[8] - t65;
+        const double t66 = t62 * covariance[9];
+        covariance[9] = covariance[9] - t66;
     }
 
     /* mode 0: the model */
-    return SHIP_TRACK_OK;
-}
-
-/* mode 0: the model; mode 1: with its own A, Q; mode 2: with its own A, Q. */
-static ship_track_status_t ship_track_mode(const double *y, const double *mode_state,
-    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
-    const double *mode_covariance, double *variance, double *mean, double *covariance,
-    double *quadratic, double *log_constant, double *determinant_0, uint32_t present)
-{
-    ship_track_status_t status;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        innovation_0[0] = y[0] - mode_state[0];
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        innovation_1[0] = y[1] - mode_state[1];
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        innovation_2[0] = y[2] - mode_state[2];
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        innovation_3[0] = y[3] - mode_state[3];
-    }
-
-    /* mode 0: the model */
-    status = ship_track_row_of_y(mode_covariance, variance, mode_state, mean, covariance,
-        innovation_0[0], quadratic, log_constant, determinant_0, innovation_1[0], innovation_2[0],
-        innovation_3[0], present);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
     return SHIP_TRACK_OK;
 }
 
@@ -592,73 +590,73 @@ static void ship_track_part_3(const double *mixed_0_0_1_mean, const double *mode
     mixed_0_0_2_apart[1] = mixed_0_0_1_mean[1] - mode_filtered_state[1];
     mixed_0_0_2_apart[2] = mixed_0_0_1_mean[2] - mode_filtered_state[2];
     mixed_0_0_2_apart[3] = mixed_0_0_1_mean[3] - mode_filtered_state[3];
-    const double t4 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[0];
-    const double t5 = mixed_0_0_2_share[1] * mode_filtered_state[0];
-    mixed_0_0_2_mean[0] = t4 + t5;
-    const double t7 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[1];
-    const double t8 = mixed_0_0_2_share[1] * mode_filtered_state[1];
-    mixed_0_0_2_mean[1] = t7 + t8;
-    const double t10 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[2];
-    const double t11 = mixed_0_0_2_share[1] * mode_filtered_state[2];
-    mixed_0_0_2_mean[2] = t10 + t11;
-    const double t13 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[3];
-    const double t14 = mixed_0_0_2_share[1] * mode_filtered_state[3];
-    mixed_0_0_2_mean[3] = t13 + t14;
-    const double t16 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
-    const double t17 = mixed_0_0_2_share[1] * covariance[0];
-    const double t18 = t16 + t17;
-    const double t19 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
-    const double t20 = t19 * mixed_0_0_2_apart[0];
-    const double t21 = t20 * mixed_0_0_2_apart[0];
-    mixed_0_0_2_covariance[0] = t18 + t21;
-    const double t23 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
-    const double t24 = mixed_0_0_2_share[1] * covariance[1];
+    const double t0 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[0];
+    const double t1 = mixed_0_0_2_share[1] * mode_filtered_state[0];
+    mixed_0_0_2_mean[0] = t0 + t1;
+    const double t2 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[1];
+    const double t3 = mixed_0_0_2_share[1] * mode_filtered_state[1];
+    mixed_0_0_2_mean[1] = t2 + t3;
+    const double t4 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[2];
+    const double t5 = mixed_0_0_2_share[1] * mode_filtered_state[2];
+    mixed_0_0_2_mean[2] = t4 + t5;
+    const double t6 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[3];
+    const double t7 = mixed_0_0_2_share[1] * mode_filtered_state[3];
+    mixed_0_0_2_mean[3] = t6 + t7;
+    const double t8 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
+    const double t9 = mixed_0_0_2_share[1] * covariance[0];
+    const double t10 = t8 + t9;
+    const double t11 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
+    const double t12 = t11 * mixed_0_0_2_apart[0];
+    const double t13 = t12 * mixed_0_0_2_apart[0];
+    mixed_0_0_2_covariance[0] = t10 + t13;
+    const double t14 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
+    const double t15 = mixed_0_0_2_share[1] * covariance[1];
+    const double t16 = t14 + t15;
+    const double t17 = t11 * mixed_0_0_2_apart[1];
+    const double t18 = t17 * mixed_0_0_2_apart[0];
+    mixed_0_0_2_covariance[1] = t16 + t18;
+    const double t19 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
+    const double t20 = mixed_0_0_2_share[1] * covariance[2];
+    const double t21 = t19 + t20;
+    const double t22 = t17 * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[2] = t21 + t22;
+    const double t23 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
+    const double t24 = mixed_0_0_2_share[1] * covariance[3];
     const double t25 = t23 + t24;
-    const double t26 = t19 * mixed_0_0_2_apart[1];
+    const double t26 = t11 * mixed_0_0_2_apart[2];
     const double t27 = t26 * mixed_0_0_2_apart[0];
-    mixed_0_0_2_covariance[1] = t25 + t27;
-    const double t29 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
-    const double t30 = mixed_0_0_2_share[1] * covariance[2];
-    const double t31 = t29 + t30;
-    const double t32 = t26 * mixed_0_0_2_apart[1];
-    mixed_0_0_2_covariance[2] = t31 + t32;
-    const double t34 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
-    const double t35 = mixed_0_0_2_share[1] * covariance[3];
-    const double t36 = t34 + t35;
-    const double t37 = t19 * mixed_0_0_2_apart[2];
-    const double t38 = t37 * mixed_0_0_2_apart[0];
-    mixed_0_0_2_covariance[3] = t36 + t38;
-    const double t40 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
-    const double t41 = mixed_0_0_2_share[1] * covariance[4];
-    const double t42 = t40 + t41;
-    const double t43 = t37 * mixed_0_0_2_apart[1];
-    mixed_0_0_2_covariance[4] = t42 + t43;
-    const double t45 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
-    const double t46 = mixed_0_0_2_share[1] * covariance[5];
+    mixed_0_0_2_covariance[3] = t25 + t27;
+    const double t28 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
+    const double t29 = mixed_0_0_2_share[1] * covariance[4];
+    const double t30 = t28 + t29;
+    const double t31 = t26 * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[4] = t30 + t31;
+    const double t32 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
+    const double t33 = mixed_0_0_2_share[1] * covariance[5];
+    const double t34 = t32 + t33;
+    const double t35 = t26 * mixed_0_0_2_apart[2];
+    mixed_0_0_2_covariance[5] = t34 + t35;
+    const double t36 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
+    const double t37 = mixed_0_0_2_share[1] * covariance[6];
+    const double t38 = t36 + t37;
+    const double t39 = t11 * mixed_0_0_2_apart[3];
+    const double t40 = t39 * mixed_0_0_2_apart[0];
+    mixed_0_0_2_covariance[6] = t38 + t40;
+    const double t41 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
+    const double t42 = mixed_0_0_2_share[1] * covariance[7];
+    const double t43 = t41 + t42;
+    const double t44 = t39 * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[7] = t43 + t44;
+    const double t45 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
+    const double t46 = mixed_0_0_2_share[1] * covariance[8];
     const double t47 = t45 + t46;
-    const double t48 = t37 * mixed_0_0_2_apart[2];
-    mixed_0_0_2_covariance[5] = t47 + t48;
-    const double t50 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
-    const double t51 = mixed_0_0_2_share[1] * covariance[6];
-    const double t52 = t50 + t51;
-    const double t53 = t19 * mixed_0_0_2_apart[3];
-    const double t54 = t53 * mixed_0_0_2_apart[0];
-    mixed_0_0_2_covariance[6] = t52 + t54;
-    const double t56 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
-    const double t57 = mixed_0_0_2_share[1] * covariance[7];
-    const double t58 = t56 + t57;
-    const double t59 = t53 * mixed_0_0_2_apart[1];
-    mixed_0_0_2_covariance[7] = t58 + t59;
-    const double t61 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
-    const double t62 = mixed_0_0_2_share[1] * covariance[8];
-    const double t63 = t61 + t62;
-    const double t64 = t53 * mixed_0_0_2_apart[2];
-    mixed_0_0_2_covariance[8] = t63 + t64;
-    const double t66 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
-    const double t67 = mixed_0_0_2_share[1] * covariance[9];
-    const double t68 = t66 + t67;
-    const double t69 = t53 * mixed_0_0_2_apart[3];
-    mixed_0_0_2_covariance[9] = t68 + t69;
+    const double t48 = t39 * mixed_0_0_2_apart[2];
+    mixed_0_0_2_covariance[8] = t47 + t48;
+    const double t49 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
+    const double t50 = mixed_0_0_2_share[1] * covariance[9];
+    const double t51 = t49 + t50;
+    const double t52 = t39 * mixed_0_0_2_apart[3];
+    mixed_0_0_2_covariance[9] = t51 + t52;
 }
 
 /* combination; combined prediction. */
@@ -685,69 +683,69 @@ static void ship_track_part_2(const double *mean_m0, const double *mean_m1,
     apart_0_1_squared[7] = apart_0_1[3] * apart_0_1[1];
     apart_0_1_squared[8] = apart_0_1[3] * apart_0_1[2];
     apart_0_1_squared[9] = apart_0_1[3] * apart_0_1[3];
-    const double t14 = combined_0_1_share[0] * mean_m0[0];
-    const double t15 = combined_0_1_share[1] * mean_m1[0];
-    combined_0_1_mean[0] = t14 + t15;
-    const double t17 = combined_0_1_share[0] * mean_m0[1];
-    const double t18 = combined_0_1_share[1] * mean_m1[1];
-    combined_0_1_mean[1] = t17 + t18;
-    const double t20 = combined_0_1_share[0] * mean_m0[2];
-    const double t21 = combined_0_1_share[1] * mean_m1[2];
-    combined_0_1_mean[2] = t20 + t21;
-    const double t23 = combined_0_1_share[0] * mean_m0[3];
-    const double t24 = combined_0_1_share[1] * mean_m1[3];
-    combined_0_1_mean[3] = t23 + t24;
-    const double t26 = combined_0_1_share[0] * covariance[0];
-    const double t27 = combined_0_1_share[1] * covariance_2[0];
-    const double t28 = t26 + t27;
-    const double t29 = combined_0_1_share[0] * combined_0_1_share[1];
-    const double t30 = t29 * apart_0_1_squared[0];
-    combined_0_1_covariance[0] = t28 + t30;
-    const double t32 = combined_0_1_share[0] * covariance[1];
-    const double t33 = combined_0_1_share[1] * covariance_2[1];
-    const double t34 = t32 + t33;
-    const double t35 = t29 * apart_0_1_squared[1];
-    combined_0_1_covariance[1] = t34 + t35;
-    const double t37 = combined_0_1_share[0] * covariance[2];
-    const double t38 = combined_0_1_share[1] * covariance_2[2];
+    const double t0 = combined_0_1_share[0] * mean_m0[0];
+    const double t1 = combined_0_1_share[1] * mean_m1[0];
+    combined_0_1_mean[0] = t0 + t1;
+    const double t2 = combined_0_1_share[0] * mean_m0[1];
+    const double t3 = combined_0_1_share[1] * mean_m1[1];
+    combined_0_1_mean[1] = t2 + t3;
+    const double t4 = combined_0_1_share[0] * mean_m0[2];
+    const double t5 = combined_0_1_share[1] * mean_m1[2];
+    combined_0_1_mean[2] = t4 + t5;
+    const double t6 = combined_0_1_share[0] * mean_m0[3];
+    const double t7 = combined_0_1_share[1] * mean_m1[3];
+    combined_0_1_mean[3] = t6 + t7;
+    const double t8 = combined_0_1_share[0] * covariance[0];
+    const double t9 = combined_0_1_share[1] * covariance_2[0];
+    const double t10 = t8 + t9;
+    const double t11 = combined_0_1_share[0] * combined_0_1_share[1];
+    const double t12 = t11 * apart_0_1_squared[0];
+    combined_0_1_covariance[0] = t10 + t12;
+    const double t13 = combined_0_1_share[0] * covariance[1];
+    const double t14 = combined_0_1_share[1] * covariance_2[1];
+    const double t15 = t13 + t14;
+    const double t16 = t11 * apart_0_1_squared[1];
+    combined_0_1_covariance[1] = t15 + t16;
+    const double t17 = combined_0_1_share[0] * covariance[2];
+    const double t18 = combined_0_1_share[1] * covariance_2[2];
+    const double t19 = t17 + t18;
+    const double t20 = t11 * apart_0_1_squared[2];
+    combined_0_1_covariance[2] = t19 + t20;
+    const double t21 = combined_0_1_share[0] * covariance[3];
+    const double t22 = combined_0_1_share[1] * covariance_2[3];
+    const double t23 = t21 + t22;
+    const double t24 = t11 * apart_0_1_squared[3];
+    combined_0_1_covariance[3] = t23 + t24;
+    const double t25 = combined_0_1_share[0] * covariance[4];
+    const double t26 = combined_0_1_share[1] * covariance_2[4];
+    const double t27 = t25 + t26;
+    const double t28 = t11 * apart_0_1_squared[4];
+    combined_0_1_covariance[4] = t27 + t28;
+    const double t29 = combined_0_1_share[0] * covariance[5];
+    const double t30 = combined_0_1_share[1] * covariance_2[5];
+    const double t31 = t29 + t30;
+    const double t32 = t11 * apart_0_1_squared[5];
+    combined_0_1_covariance[5] = t31 + t32;
+    const double t33 = combined_0_1_share[0] * covariance[6];
+    const double t34 = combined_0_1_share[1] * covariance_2[6];
+    const double t35 = t33 + t34;
+    const double t36 = t11 * apart_0_1_squared[6];
+    combined_0_1_covariance[6] = t35 + t36;
+    const double t37 = combined_0_1_share[0] * covariance[7];
+    const double t38 = combined_0_1_share[1] * covariance_2[7];
     const double t39 = t37 + t38;
-    const double t40 = t29 * apart_0_1_squared[2];
-    combined_0_1_covariance[2] = t39 + t40;
-    const double t42 = combined_0_1_share[0] * covariance[3];
-    const double t43 = combined_0_1_share[1] * covariance_2[3];
-    const double t44 = t42 + t43;
-    const double t45 = t29 * apart_0_1_squared[3];
-    combined_0_1_covariance[3] = t44 + t45;
-    const double t47 = combined_0_1_share[0] * covariance[4];
-    const double t48 = combined_0_1_share[1] * covariance_2[4];
-    const double t49 = t47 + t48;
-    const double t50 = t29 * apart_0_1_squared[4];
-    combined_0_1_covariance[4] = t49 + t50;
-    const double t52 = combined_0_1_share[0] * covariance[5];
-    const double t53 = combined_0_1_share[1] * covariance_2[5];
-    const double t54 = t52 + t53;
-    const double t55 = t29 * apart_0_1_squared[5];
-    combined_0_1_covariance[5] = t54 + t55;
-    const double t57 = combined_0_1_share[0] * covariance[6];
-    const double t58 = combined_0_1_share[1] * covariance_2[6];
-    const double t59 = t57 + t58;
-    const double t60 = t29 * apart_0_1_squared[6];
-    combined_0_1_covariance[6] = t59 + t60;
-    const double t62 = combined_0_1_share[0] * covariance[7];
-    const double t63 = combined_0_1_share[1] * covariance_2[7];
-    const double t64 = t62 + t63;
-    const double t65 = t29 * apart_0_1_squared[7];
-    combined_0_1_covariance[7] = t64 + t65;
-    const double t67 = combined_0_1_share[0] * covariance[8];
-    const double t68 = combined_0_1_share[1] * covariance_2[8];
-    const double t69 = t67 + t68;
-    const double t70 = t29 * apart_0_1_squared[8];
-    combined_0_1_covariance[8] = t69 + t70;
-    const double t72 = combined_0_1_share[0] * covariance[9];
-    const double t73 = combined_0_1_share[1] * covariance_2[9];
-    const double t74 = t72 + t73;
-    const double t75 = t29 * apart_0_1_squared[9];
-    combined_0_1_covariance[9] = t74 + t75;
+    const double t40 = t11 * apart_0_1_squared[7];
+    combined_0_1_covariance[7] = t39 + t40;
+    const double t41 = combined_0_1_share[0] * covariance[8];
+    const double t42 = combined_0_1_share[1] * covariance_2[8];
+    const double t43 = t41 + t42;
+    const double t44 = t11 * apart_0_1_squared[8];
+    combined_0_1_covariance[8] = t43 + t44;
+    const double t45 = combined_0_1_share[0] * covariance[9];
+    const double t46 = combined_0_1_share[1] * covariance_2[9];
+    const double t47 = t45 + t46;
+    const double t48 = t11 * apart_0_1_squared[9];
+    combined_0_1_covariance[9] = t47 + t48;
     ship_track_part_3(combined_0_1_mean, mean_m2, combined_0_2_share, combined_0_2_mean,
         combined_0_1_covariance, covariance_3, combined_0_2_covariance);
 }
@@ -761,103 +759,74 @@ static void ship_track_mixing_and_prediction(const double *mixed_0_1_share,
     const double t0 = mixed_0_1_share[0] * mode_filtered_state[0];
     const double t1 = mixed_0_1_share[1] * mode_filtered_state[4];
     mixed_0_1_mean[0] = t0 + t1;
-    const double t3 = mixed_0_1_share[0] * mode_filtered_state[1];
-    const double t4 = mixed_0_1_share[1] * mode_filtered_state[5];
-    mixed_0_1_mean[1] = t3 + t4;
-    const double t6 = mixed_0_1_share[0] * mode_filtered_state[2];
-    const double t7 = mixed_0_1_share[1] * mode_filtered_state[6];
-    mixed_0_1_mean[2] = t6 + t7;
-    const double t9 = mixed_0_1_share[0] * mode_filtered_state[3];
-    const double t10 = mixed_0_1_share[1] * mode_filtered_state[7];
-    mixed_0_1_mean[3] = t9 + t10;
-    const double t12 = mixed_0_1_share[0] * mode_filtered_covariance[0];
-    const double t13 = mixed_0_1_share[1] * mode_filtered_covariance[10];
-    const double t14 = t12 + t13;
-    const double t15 = mixed_0_1_share[0] * mixed_0_1_share[1];
-    const double t16 = t15 * mixed_apart_0_1_squared[0];
-    mixed_0_1_covariance[0] = t14 + t16;
-    const double t18 = mixed_0_1_share[0] * mode_filtered_covariance[1];
-    const double t19 = mixed_0_1_share[1] * mode_filtered_covariance[11];
-    const double t20 = t18 + t19;
-    const double t21 = t15 * mixed_apart_0_1_squared[1];
-    mixed_0_1_covariance[1] = t20 + t21;
-    const double t23 = mixed_0_1_share[0] * mode_filtered_covariance[2];
-    const double t24 = mixed_0_1_share[1] * mode_filtered_covariance[12];
-    const double t25 = t23 + t24;
-    const double t26 = t15 * mixed_apart_0_1_squared[2];
-    mixed_0_1_covariance[2] = t25 + t26;
-    const double t28 = mixed_0_1_share[0] * mode_filtered_covariance[3];
-    const double t29 = mixed_0_1_share[1] * mode_filtered_covariance[13];
-    const double t30 = t28 + t29;
-    const double t31 = t15 * mixed_apart_0_1_squared[3];
-    mixed_0_1_covariance[3] = t30 + t31;
-    const double t33 = mixed_0_1_share[0] * mode_filtered_covariance[4];
-    const double t34 = mixed_0_1_share[1] * mode_filtered_covariance[14];
+    const double t2 = mixed_0_1_share[0] * mode_filtered_state[1];
+    const double t3 = mixed_0_1_share[1] * mode_filtered_state[5];
+    mixed_0_1_mean[1] = t2 + t3;
+    const double t4 = mixed_0_1_share[0] * mode_filtered_state[2];
+    const double t5 = mixed_0_1_share[1] * mode_filtered_state[6];
+    mixed_0_1_mean[2] = t4 + t5;
+    const double t6 = mixed_0_1_share[0] * mode_filtered_state[3];
+    const double t7 = mixed_0_1_share[1] * mode_filtered_state[7];
+    mixed_0_1_mean[3] = t6 + t7;
+    const double t8 = mixed_0_1_share[0] * mode_filtered_covariance[0];
+    const double t9 = mixed_0_1_share[1] * mode_filtered_covariance[10];
+    const double t10 = t8 + t9;
+    const double t11 = mixed_0_1_share[0] * mixed_0_1_share[1];
+    const double t12 = t11 * mixed_apart_0_1_squared[0];
+    mixed_0_1_covariance[0] = t10 + t12;
+    const double t13 = mixed_0_1_share[0] * mode_filtered_covariance[1];
+    const double t14 = mixed_0_1_share[1] * mode_filtered_covariance[11];
+    const double t15 = t13 + t14;
+    const double t16 = t11 * mixed_apart_0_1_squared[1];
+    mixed_0_1_covariance[1] = t15 + t16;
+    const double t17 = mixed_0_1_share[0] * mode_filtered_covariance[2];
+    const double t18 = mixed_0_1_share[1] * mode_filtered_covariance[12];
+    const double t19 = t17 + t18;
+    const double t20 = t11 * mixed_apart_0_1_squared[2];
+    mixed_0_1_covariance[2] = t19 + t20;
+    const double t21 = mixed_0_1_share[0] * mode_filtered_covariance[3];
+    const double t22 = mixed_0_1_share[1] * mode_filtered_covariance[13];
+    const double t23 = t21 + t22;
+    const double t24 = t11 * mixed_apart_0_1_squared[3];
+    mixed_0_1_covariance[3] = t23 + t24;
+    const double t25 = mixed_0_1_share[0] * mode_filtered_covariance[4];
+    const double t26 = mixed_0_1_share[1] * mode_filtered_covariance[14];
+    const double t27 = t25 + t26;
+    const double t28 = t11 * mixed_apart_0_1_squared[4];
+    mixed_0_1_covariance[4] = t27 + t28;
+    const double t29 = mixed_0_1_share[0] * mode_filtered_covariance[5];
+    const double t30 = mixed_0_1_share[1] * mode_filtered_covariance[15];
+    const double t31 = t29 + t30;
+    const double t32 = t11 * mixed_apart_0_1_squared[5];
+    mixed_0_1_covariance[5] = t31 + t32;
+    const double t33 = mixed_0_1_share[0] * mode_filtered_covariance[6];
+    const double t34 = mixed_0_1_share[1] * mode_filtered_covariance[16];
     const double t35 = t33 + t34;
-    const double t36 = t15 * mixed_apart_0_1_squared[4];
-    mixed_0_1_covariance[4] = t35 + t36;
-    const double t38 = mixed_0_1_share[0] * mode_filtered_covariance[5];
-    const double t39 = mixed_0_1_share[1] * mode_filtered_covariance[15];
-    const double t40 = t38 + t39;
-    const double t41 = t15 * mixed_apart_0_1_squared[5];
-    mixed_0_1_covariance[5] = t40 + t41;
-    const double t43 = mixed_0_1_share[0] * mode_filtered_covariance[6];
-    const double t44 = mixed_0_1_share[1] * mode_filtered_covariance[16];
-    const double t45 = t43 + t44;
-    const double t46 = t15 * mixed_apart_0_1_squared[6];
-    mixed_0_1_covariance[6] = t45 + t46;
-    const double t48 = mixed_0_1_share[0] * mode_filtered_covariance[7];
-    const double t49 = mixed_0_1_share[1] * mode_filtered_covariance[17];
-    const double t50 = t48 + t49;
-    const double t51 = t15 * mixed_apart_0_1_squared[7];
-    mixed_0_1_covariance[7] = t50 + t51;
-    const double t53 = mixed_0_1_share[0] * mode_filtered_covariance[8];
-    const double t54 = mixed_0_1_share[1] * mode_filtered_covariance[18];
-    const double t55 = t53 + t54;
-    const double t56 = t15 * mixed_apart_0_1_squared[8];
-    mixed_0_1_covariance[8] = t55 + t56;
-    const double t58 = mixed_0_1_share[0] * mode_filtered_covariance[9];
-    const double t59 = mixed_0_1_share[1] * mode_filtered_covariance[19];
-    const double t60 = t58 + t59;
-    const double t61 = t15 * mixed_apart_0_1_squared[9];
-    mixed_0_1_covariance[9] = t60 + t61;
+    const double t36 = t11 * mixed_apart_0_1_squared[6];
+    mixed_0_1_covariance[6] = t35 + t36;
+    const double t37 = mixed_0_1_share[0] * mode_filtered_covariance[7];
+    const double t38 = mixed_0_1_share[1] * mode_filtered_covariance[17];
+    const double t39 = t37 + t38;
+    const double t40 = t11 * mixed_apart_0_1_squared[7];
+    mixed_0_1_covariance[7] = t39 + t40;
+    const double t41 = mixed_0_1_share[0] * mode_filtered_covariance[8];
+    const double t42 = mixed_0_1_share[1] * mode_filtered_covariance[18];
+    const double t43 = t41 + t42;
+    const double t44 = t11 * mixed_apart_0_1_squared[8];
+    mixed_0_1_covariance[8] = t43 + t44;
+    const double t45 = mixed_0_1_share[0] * mode_filtered_covariance[9];
+    const double t46 = mixed_0_1_share[1] * mode_filtered_covariance[19];
+    const double t47 = t45 + t46;
+    const double t48 = t11 * mixed_apart_0_1_squared[9];
+    mixed_0_1_covariance[9] = t47 + t48;
 }
 
-/* combination. */
-static ship_track_status_t ship_track_combination(const double *mode_state,
-    const double *predicted_mode_probability, const double *variance_m0, const double *variance_m1,
-    const double *variance_m2, double *combined_variance, const double innovation_m0_0,
-    const double innovation_m1_0, const double innovation_m2_0, const double innovation_m0_1,
-    const double innovation_m1_1, const double innovation_m2_1, const double innovation_m0_2,
-    const double innovation_m1_2, const double innovation_m2_2, const double innovation_m0_3,
-    const double innovation_m1_3, const double innovation_m2_3, double *combined_innovation,
-    double *whitening_inverse_combined_0, double *whitening_combined_0_1,
-    double *whitening_combined_0_2, double *whitening_combined_0_3,
-    double *whitening_inverse_combined_1, double *whitening_combined_1_2,
-    double *whitening_combined_1_3, double *whitening_inverse_combined_2,
-    double *whitening_combined_2_3, double *whitening_inverse_combined_3, const double *weight,
-    double *combined_0_2_share, double *combined_0_1_share, uint32_t present)
+/* innovation of the mixture. */
+static void ship_track_innovation_of_the_mixture(const double *predicted_mode_probability,
+    const double *variance_m0, const double *variance_m1, const double *variance_m2,
+    const double *predicted_y_m0, const double *predicted_y_m1, const double *predicted_y_m2,
+    double *combined_variance)
 {
-    double predicted_y_m0[4];
-    double predicted_y_m1[4];
-    double predicted_y_m2[4];
-    double whitening_pivot_combined_0;
-    double whitening_pivot_combined_1;
-    double whitening_pivot_combined_2;
-    double whitening_pivot_combined_3;
-    double combined_0_1_inverse;
-    predicted_y_m0[0] = mode_state[0];
-    predicted_y_m0[1] = mode_state[1];
-    predicted_y_m0[2] = mode_state[2];
-    predicted_y_m0[3] = mode_state[3];
-    predicted_y_m1[0] = mode_state[4];
-    predicted_y_m1[1] = mode_state[5];
-    predicted_y_m1[2] = mode_state[6];
-    predicted_y_m1[3] = mode_state[7];
-    predicted_y_m2[0] = mode_state[8];
-    predicted_y_m2[1] = mode_state[9];
-    predicted_y_m2[2] = mode_state[10];
-    predicted_y_m2[3] = mode_state[11];
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
     const double t1 = predicted_mode_probability[1] * variance_m1[0];
     const double t2 = t0 + t1;
@@ -880,239 +849,255 @@ static ship_track_status_t ship_track_combination(const double *mode_state,
     const double t19 = t18 * t17;
     const double t20 = t16 + t19;
     combined_variance[0] = t4 + t20;
-    const double t22 = predicted_mode_probability[0] * variance_m0[1];
-    const double t23 = predicted_mode_probability[1] * variance_m1[1];
-    const double t24 = t22 + t23;
-    const double t25 = predicted_mode_probability[2] * variance_m2[1];
-    const double t26 = t24 + t25;
-    const double t27 = predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t28 = predicted_mode_probability[1] * predicted_y_m1[1];
-    const double t29 = t27 + t28;
-    const double t30 = predicted_mode_probability[2] * predicted_y_m2[1];
-    const double t31 = t29 + t30;
-    const double t32 = predicted_y_m0[1] - t31;
-    const double t33 = predicted_mode_probability[0] * t32;
-    const double t34 = t33 * t10;
-    const double t35 = predicted_y_m1[1] - t31;
-    const double t36 = predicted_mode_probability[1] * t35;
-    const double t37 = t36 * t13;
-    const double t38 = t34 + t37;
-    const double t39 = predicted_y_m2[1] - t31;
-    const double t40 = predicted_mode_probability[2] * t39;
-    const double t41 = t40 * t17;
-    const double t42 = t38 + t41;
-    combined_variance[1] = t26 + t42;
-    const double t44 = predicted_mode_probability[0] * variance_m0[2];
-    const double t45 = predicted_mode_probability[1] * variance_m1[2];
+    const double t21 = predicted_mode_probability[0] * variance_m0[1];
+    const double t22 = predicted_mode_probability[1] * variance_m1[1];
+    const double t23 = t21 + t22;
+    const double t24 = predicted_mode_probability[2] * variance_m2[1];
+    const double t25 = t23 + t24;
+    const double t26 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t27 = predicted_mode_probability[1] * predicted_y_m1[1];
+    const double t28 = t26 + t27;
+    const double t29 = predicted_mode_probability[2] * predicted_y_m2[1];
+    const double t30 = t28 + t29;
+    const double t31 = predicted_y_m0[1] - t30;
+    const double t32 = predicted_mode_probability[0] * t31;
+    const double t33 = t32 * t10;
+    const double t34 = predicted_y_m1[1] - t30;
+    const double t35 = predicted_mode_probability[1] * t34;
+    const double t36 = t35 * t13;
+    const double t37 = t33 + t36;
+    const double t38 = predicted_y_m2[1] - t30;
+    const double t39 = predicted_mode_probability[2] * t38;
+    const double t40 = t39 * t17;
+    const double t41 = t37 + t40;
+    combined_variance[1] = t25 + t41;
+    const double t42 = predicted_mode_probability[0] * variance_m0[2];
+    const double t43 = predicted_mode_probability[1] * variance_m1[2];
+    const double t44 = t42 + t43;
+    const double t45 = predicted_mode_probability[2] * variance_m2[2];
     const double t46 = t44 + t45;
-    const double t47 = predicted_mode_probability[2] * variance_m2[2];
-    const double t48 = t46 + t47;
-    const double t49 = t33 * t32;
-    const double t50 = t36 * t35;
+    const double t47 = t32 * t31;
+    const double t48 = t35 * t34;
+    const double t49 = t47 + t48;
+    const double t50 = t39 * t38;
     const double t51 = t49 + t50;
-    const double t52 = t40 * t39;
-    const double t53 = t51 + t52;
-    combined_variance[2] = t48 + t53;
-    const double t55 = predicted_mode_probability[0] * variance_m0[3];
-    const double t56 = predicted_mode_probability[1] * variance_m1[3];
-    const double t57 = t55 + t56;
-    const double t58 = predicted_mode_probability[2] * variance_m2[3];
+    combined_variance[2] = t46 + t51;
+    const double t52 = predicted_mode_probability[0] * variance_m0[3];
+    const double t53 = predicted_mode_probability[1] * variance_m1[3];
+    const double t54 = t52 + t53;
+    const double t55 = predicted_mode_probability[2] * variance_m2[3];
+    const double t56 = t54 + t55;
+    const double t57 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t58 = predicted_mode_probability[1] * predicted_y_m1[2];
     const double t59 = t57 + t58;
-    const double t60 = predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t61 = predicted_mode_probability[1] * predicted_y_m1[2];
-    const double t62 = t60 + t61;
-    const double t63 = predicted_mode_probability[2] * predicted_y_m2[2];
-    const double t64 = t62 + t63;
-    const double t65 = predicted_y_m0[2] - t64;
-    const double t66 = predicted_mode_probability[0] * t65;
-    const double t67 = t66 * t10;
-    const double t68 = predicted_y_m1[2] - t64;
-    const double t69 = predicted_mode_probability[1] * t68;
-    const double t70 = t69 * t13;
-    const double t71 = t67 + t70;
-    const double t72 = predicted_y_m2[2] - t64;
-    const double t73 = predicted_mode_probability[2] * t72;
-    const double t74 = t73 * t17;
-    const double t75 = t71 + t74;
-    combined_variance[3] = t59 + t75;
-    const double t77 = predicted_mode_probability[0] * variance_m0[4];
-    const double t78 = predicted_mode_probability[1] * variance_m1[4];
-    const double t79 = t77 + t78;
-    const double t80 = predicted_mode_probability[2] * variance_m2[4];
-    const double t81 = t79 + t80;
-    const double t82 = t66 * t32;
-    const double t83 = t69 * t35;
-    const double t84 = t82 + t83;
-    const double t85 = t73 * t39;
-    const double t86 = t84 + t85;
-    combined_variance[4] = t81 + t86;
-    const double t88 = predicted_mode_probability[0] * variance_m0[5];
-    const double t89 = predicted_mode_probability[1] * variance_m1[5];
+    const double t60 = predicted_mode_probability[2] * predicted_y_m2[2];
+    const double t61 = t59 + t60;
+    const double t62 = predicted_y_m0[2] - t61;
+    const double t63 = predicted_mode_probability[0] * t62;
+    const double t64 = t63 * t10;
+    const double t65 = predicted_y_m1[2] - t61;
+    const double t66 = predicted_mode_probability[1] * t65;
+    const double t67 = t66 * t13;
+    const double t68 = t64 + t67;
+    const double t69 = predicted_y_m2[2] - t61;
+    const double t70 = predicted_mode_probability[2] * t69;
+    const double t71 = t70 * t17;
+    const double t72 = t68 + t71;
+    combined_variance[3] = t56 + t72;
+    const double t73 = predicted_mode_probability[0] * variance_m0[4];
+    const double t74 = predicted_mode_probability[1] * variance_m1[4];
+    const double t75 = t73 + t74;
+    const double t76 = predicted_mode_probability[2] * variance_m2[4];
+    const double t77 = t75 + t76;
+    const double t78 = t63 * t31;
+    const double t79 = t66 * t34;
+    const double t80 = t78 + t79;
+    const double t81 = t70 * t38;
+    const double t82 = t80 + t81;
+    combined_variance[4] = t77 + t82;
+    const double t83 = predicted_mode_probability[0] * variance_m0[5];
+    const double t84 = predicted_mode_probability[1] * variance_m1[5];
+    const double t85 = t83 + t84;
+    const double t86 = predicted_mode_probability[2] * variance_m2[5];
+    const double t87 = t85 + t86;
+    const double t88 = t63 * t62;
+    const double t89 = t66 * t65;
     const double t90 = t88 + t89;
-    const double t91 = predicted_mode_probability[2] * variance_m2[5];
+    const double t91 = t70 * t69;
     const double t92 = t90 + t91;
-    const double t93 = t66 * t65;
-    const double t94 = t69 * t68;
+    combined_variance[5] = t87 + t92;
+    const double t93 = predicted_mode_probability[0] * variance_m0[6];
+    const double t94 = predicted_mode_probability[1] * variance_m1[6];
     const double t95 = t93 + t94;
-    const double t96 = t73 * t72;
+    const double t96 = predicted_mode_probability[2] * variance_m2[6];
     const double t97 = t95 + t96;
-    combined_variance[5] = t92 + t97;
-    const double t99 = predicted_mode_probability[0] * variance_m0[6];
-    const double t100 = predicted_mode_probability[1] * variance_m1[6];
-    const double t101 = t99 + t100;
-    const double t102 = predicted_mode_probability[2] * variance_m2[6];
-    const double t103 = t101 + t102;
-    const double t104 = predicted_mode_probability[0] * predicted_y_m0[3];
-    const double t105 = predicted_mode_probability[1] * predicted_y_m1[3];
-    const double t106 = t104 + t105;
-    const double t107 = predicted_mode_probability[2] * predicted_y_m2[3];
-    const double t108 = t106 + t107;
-    const double t109 = predicted_y_m0[3] - t108;
-    const double t110 = predicted_mode_probability[0] * t109;
-    const double t111 = t110 * t10;
-    const double t112 = predicted_y_m1[3] - t108;
-    const double t113 = predicted_mode_probability[1] * t112;
-    const double t114 = t113 * t13;
-    const double t115 = t111 + t114;
-    const double t116 = predicted_y_m2[3] - t108;
-    const double t117 = predicted_mode_probability[2] * t116;
-    const double t118 = t117 * t17;
-    const double t119 = t115 + t118;
-    combined_variance[6] = t103 + t119;
-    const double t121 = predicted_mode_probability[0] * variance_m0[7];
-    const double t122 = predicted_mode_probability[1] * variance_m1[7];
+    const double t98 = predicted_mode_probability[0] * predicted_y_m0[3];
+    const double t99 = predicted_mode_probability[1] * predicted_y_m1[3];
+    const double t100 = t98 + t99;
+    const double t101 = predicted_mode_probability[2] * predicted_y_m2[3];
+    const double t102 = t100 + t101;
+    const double t103 = predicted_y_m0[3] - t102;
+    const double t104 = predicted_mode_probability[0] * t103;
+    const double t105 = t104 * t10;
+    const double t106 = predicted_y_m1[3] - t102;
+    const double t107 = predicted_mode_probability[1] * t106;
+    const double t108 = t107 * t13;
+    const double t109 = t105 + t108;
+    const double t110 = predicted_y_m2[3] - t102;
+    const double t111 = predicted_mode_probability[2] * t110;
+    const double t112 = t111 * t17;
+    const double t113 = t109 + t112;
+    combined_variance[6] = t97 + t113;
+    const double t114 = predicted_mode_probability[0] * variance_m0[7];
+    const double t115 = predicted_mode_probability[1] * variance_m1[7];
+    const double t116 = t114 + t115;
+    const double t117 = predicted_mode_probability[2] * variance_m2[7];
+    const double t118 = t116 + t117;
+    const double t119 = t104 * t31;
+    const double t120 = t107 * t34;
+    const double t121 = t119 + t120;
+    const double t122 = t111 * t38;
     const double t123 = t121 + t122;
-    const double t124 = predicted_mode_probability[2] * variance_m2[7];
-    const double t125 = t123 + t124;
-    const double t126 = t110 * t32;
-    const double t127 = t113 * t35;
+    combined_variance[7] = t118 + t123;
+    const double t124 = predicted_mode_probability[0] * variance_m0[8];
+    const double t125 = predicted_mode_probability[1] * variance_m1[8];
+    const double t126 = t124 + t125;
+    const double t127 = predicted_mode_probability[2] * variance_m2[8];
     const double t128 = t126 + t127;
-    const double t129 = t117 * t39;
-    const double t130 = t128 + t129;
-    combined_variance[7] = t125 + t130;
-    const double t132 = predicted_mode_probability[0] * variance_m0[8];
-    const double t133 = predicted_mode_probability[1] * variance_m1[8];
-    const double t134 = t132 + t133;
-    const double t135 = predicted_mode_probability[2] * variance_m2[8];
+    const double t129 = t104 * t62;
+    const double t130 = t107 * t65;
+    const double t131 = t129 + t130;
+    const double t132 = t111 * t69;
+    const double t133 = t131 + t132;
+    combined_variance[8] = t128 + t133;
+    const double t134 = predicted_mode_probability[0] * variance_m0[9];
+    const double t135 = predicted_mode_probability[1] * variance_m1[9];
     const double t136 = t134 + t135;
-    const double t137 = t110 * t65;
-    const double t138 = t113 * t68;
-    const double t139 = t137 + t138;
-    const double t140 = t117 * t72;
+    const double t137 = predicted_mode_probability[2] * variance_m2[9];
+    const double t138 = t136 + t137;
+    const double t139 = t104 * t103;
+    const double t140 = t107 * t106;
     const double t141 = t139 + t140;
-    combined_variance[8] = t136 + t141;
-    const double t143 = predicted_mode_probability[0] * variance_m0[9];
-    const double t144 = predicted_mode_probability[1] * variance_m1[9];
-    const double t145 = t143 + t144;
-    const double t146 = predicted_mode_probability[2] * variance_m2[9];
-    const double t147 = t145 + t146;
-    const double t148 = t110 * t109;
-    const double t149 = t113 * t112;
-    const double t150 = t148 + t149;
-    const double t151 = t117 * t116;
-    const double t152 = t150 + t151;
-    combined_variance[9] = t147 + t152;
-    const double t154 = predicted_mode_probability[0] * innovation_m0_0;
-    const double t155 = predicted_mode_probability[1] * innovation_m1_0;
-    const double t156 = t154 + t155;
-    const double t157 = predicted_mode_probability[2] * innovation_m2_0;
-    combined_innovation[0] = t156 + t157;
-    const double t159 = predicted_mode_probability[0] * innovation_m0_1;
-    const double t160 = predicted_mode_probability[1] * innovation_m1_1;
-    const double t161 = t159 + t160;
-    const double t162 = predicted_mode_probability[2] * innovation_m2_1;
-    combined_innovation[1] = t161 + t162;
-    const double t164 = predicted_mode_probability[0] * innovation_m0_2;
-    const double t165 = predicted_mode_probability[1] * innovation_m1_2;
-    const double t166 = t164 + t165;
-    const double t167 = predicted_mode_probability[2] * innovation_m2_2;
-    combined_innovation[2] = t166 + t167;
-    const double t169 = predicted_mode_probability[0] * innovation_m0_3;
-    const double t170 = predicted_mode_probability[1] * innovation_m1_3;
-    const double t171 = t169 + t170;
-    const double t172 = predicted_mode_probability[2] * innovation_m2_3;
-    combined_innovation[3] = t171 + t172;
-    whitening_pivot_combined_0 = combined_variance[0];
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        whitening_inverse_combined_0[0] = 1.0 / whitening_pivot_combined_0;
-    }
-    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
-    whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
-    whitening_combined_0_3[0] = combined_variance[6] * whitening_inverse_combined_0[0];
-    const double t178 = whitening_combined_0_1[0] * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t178;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(whitening_pivot_combined_1 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        whitening_inverse_combined_1[0] = 1.0 / whitening_pivot_combined_1;
-    }
-    const double t181 = whitening_combined_0_2[0] * combined_variance[1];
-    const double t182 = combined_variance[4] - t181;
-    whitening_combined_1_2[0] = t182 * whitening_inverse_combined_1[0];
-    const double t184 = whitening_combined_0_3[0] * combined_variance[1];
-    const double t185 = combined_variance[7] - t184;
-    whitening_combined_1_3[0] = t185 * whitening_inverse_combined_1[0];
-    const double t187 = whitening_combined_0_2[0] * combined_variance[3];
-    const double t188 = combined_variance[5] - t187;
-    const double t189 = whitening_combined_0_2[0] * combined_variance[1];
-    const double t190 = combined_variance[4] - t189;
-    const double t191 = whitening_combined_1_2[0] * t190;
-    whitening_pivot_combined_2 = t188 - t191;
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(whitening_pivot_combined_2 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        whitening_inverse_combined_2[0] = 1.0 / whitening_pivot_combined_2;
-    }
-    const double t194 = whitening_combined_0_3[0] * combined_variance[3];
-    const double t195 = combined_variance[8] - t194;
-    const double t196 = whitening_combined_0_2[0] * combined_variance[1];
-    const double t197 = combined_variance[4] - t196;
-    const double t198 = whitening_combined_1_3[0] * t197;
-    const double t199 = t195 - t198;
-    whitening_combined_2_3[0] = t199 * whitening_inverse_combined_2[0];
-    const double t201 = whitening_combined_0_3[0] * combined_variance[6];
-    const double t202 = combined_variance[9] - t201;
-    const double t203 = whitening_combined_0_3[0] * combined_variance[1];
-    const double t204 = combined_variance[7] - t203;
-    const double t205 = whitening_combined_1_3[0] * t204;
-    const double t206 = t202 - t205;
-    const double t207 = whitening_combined_0_3[0] * combined_variance[3];
-    const double t208 = combined_variance[8] - t207;
-    const double t209 = whitening_combined_0_2[0] * combined_variance[1];
-    const double t210 = combined_variance[4] - t209;
-    const double t211 = whitening_combined_1_3[0] * t210;
-    const double t212 = t208 - t211;
-    const double t213 = whitening_combined_2_3[0] * t212;
-    whitening_pivot_combined_3 = t206 - t213;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(whitening_pivot_combined_3 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
-        whitening_inverse_combined_3[0] = 1.0 / whitening_pivot_combined_3;
-    }
+    const double t142 = t111 * t110;
+    const double t143 = t141 + t142;
+    combined_variance[9] = t138 + t143;
+}
 
-    /* combination */
-    combined_0_2_share[0] = weight[0] + weight[1];
-    combined_0_2_share[1] = weight[2];
-    const double t217 = weight[0] + weight[1];
-    const double t218 = t217 + SHIP_TRACK_TINY;
-    combined_0_1_inverse = 1.0 / t218;
-    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
-    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
-    return SHIP_TRACK_OK;
+/* combination. */
+static void ship_track_combination(const double *combined_innovation,
+    const double whitening_inverse_combined_0, const double whitening_combined_0_1,
+    const double whitening_inverse_combined_1, const double whitening_combined_0_2,
+    const double whitening_combined_1_2, const double whitening_inverse_combined_2,
+    const double whitening_combined_0_3, const double whitening_combined_1_3,
+    const double whitening_combined_2_3, const double whitening_inverse_combined_3,
+    double *innovation, const double *combined_variance, double *innovation_covariance, double *nis,
+    const double *weight, double *mode_probability, const double *log_weight_now,
+    double *log_weight, const double log_evidence, double *log_likelihood,
+    const double *combined_0_2_mean, double *filtered_state, const double *combined_0_2_covariance,
+    double *filtered_covariance, const double *mean_m0, double *mode_filtered_state,
+    const double *mean_m1, const double *mean_m2, const double *covariance_m0,
+    double *mode_filtered_covariance, const double *covariance_m1, const double *covariance_m2)
+{
+    const double t0 = combined_innovation[0] * combined_innovation[0];
+    const double t1 = t0 * whitening_inverse_combined_0;
+    const double t2 = whitening_combined_0_1 * combined_innovation[0];
+    const double t3 = combined_innovation[1] - t2;
+    const double t4 = t3 * t3;
+    const double t5 = t4 * whitening_inverse_combined_1;
+    const double t6 = t1 + t5;
+    const double t7 = whitening_combined_0_2 * combined_innovation[0];
+    const double t8 = combined_innovation[2] - t7;
+    const double t9 = whitening_combined_1_2 * t3;
+    const double t10 = t8 - t9;
+    const double t11 = t10 * t10;
+    const double t12 = t11 * whitening_inverse_combined_2;
+    const double t13 = t6 + t12;
+    const double t14 = whitening_combined_0_3 * combined_innovation[0];
+    const double t15 = combined_innovation[3] - t14;
+    const double t16 = whitening_combined_1_3 * t3;
+    const double t17 = t15 - t16;
+    const double t18 = whitening_combined_2_3 * t10;
+    const double t19 = t17 - t18;
+    const double t20 = t19 * t19;
+    const double t21 = t20 * whitening_inverse_combined_3;
+    nis[0] = t13 + t21;
+    innovation[0] = combined_innovation[0];
+    innovation[1] = combined_innovation[1];
+    innovation[2] = combined_innovation[2];
+    innovation[3] = combined_innovation[3];
+    innovation_covariance[0] = combined_variance[0];
+    innovation_covariance[1] = combined_variance[1];
+    innovation_covariance[2] = combined_variance[2];
+    innovation_covariance[3] = combined_variance[3];
+    innovation_covariance[4] = combined_variance[4];
+    innovation_covariance[5] = combined_variance[5];
+    innovation_covariance[6] = combined_variance[6];
+    innovation_covariance[7] = combined_variance[7];
+    innovation_covariance[8] = combined_variance[8];
+    innovation_covariance[9] = combined_variance[9];
+    mode_probability[0] = weight[0];
+    mode_probability[1] = weight[1];
+    mode_probability[2] = weight[2];
+    log_weight[0] = log_weight_now[0];
+    log_weight[1] = log_weight_now[1];
+    log_weight[2] = log_weight_now[2];
+    log_likelihood[0] = log_evidence;
+    filtered_state[0] = combined_0_2_mean[0];
+    filtered_state[1] = combined_0_2_mean[1];
+    filtered_state[2] = combined_0_2_mean[2];
+    filtered_state[3] = combined_0_2_mean[3];
+    filtered_covariance[0] = combined_0_2_covariance[0];
+    filtered_covariance[1] = combined_0_2_covariance[1];
+    filtered_covariance[2] = combined_0_2_covariance[2];
+    filtered_covariance[3] = combined_0_2_covariance[3];
+    filtered_covariance[4] = combined_0_2_covariance[4];
+    filtered_covariance[5] = combined_0_2_covariance[5];
+    filtered_covariance[6] = combined_0_2_covariance[6];
+    filtered_covariance[7] = combined_0_2_covariance[7];
+    filtered_covariance[8] = combined_0_2_covariance[8];
+    filtered_covariance[9] = combined_0_2_covariance[9];
+    mode_filtered_state[0] = mean_m0[0];
+    mode_filtered_state[1] = mean_m0[1];
+    mode_filtered_state[2] = mean_m0[2];
+    mode_filtered_state[3] = mean_m0[3];
+    mode_filtered_state[4] = mean_m1[0];
+    mode_filtered_state[5] = mean_m1[1];
+    mode_filtered_state[6] = mean_m1[2];
+    mode_filtered_state[7] = mean_m1[3];
+    mode_filtered_state[8] = mean_m2[0];
+    mode_filtered_state[9] = mean_m2[1];
+    mode_filtered_state[10] = mean_m2[2];
+    mode_filtered_state[11] = mean_m2[3];
+    mode_filtered_covariance[0] = covariance_m0[0];
+    mode_filtered_covariance[1] = covariance_m0[1];
+    mode_filtered_covariance[2] = covariance_m0[2];
+    mode_filtered_covariance[3] = covariance_m0[3];
+    mode_filtered_covariance[4] = covariance_m0[4];
+    mode_filtered_covariance[5] = covariance_m0[5];
+    mode_filtered_covariance[6] = covariance_m0[6];
+    mode_filtered_covariance[7] = covariance_m0[7];
+    mode_filtered_covariance[8] = covariance_m0[8];
+    mode_filtered_covariance[9] = covariance_m0[9];
+    mode_filtered_covariance[10] = covariance_m1[0];
+    mode_filtered_covariance[11] = covariance_m1[1];
+    mode_filtered_covariance[12] = covariance_m1[2];
+    mode_filtered_covariance[13] = covariance_m1[3];
+    mode_filtered_covariance[14] = covariance_m1[4];
+    mode_filtered_covariance[15] = covariance_m1[5];
+    mode_filtered_covariance[16] = covariance_m1[6];
+    mode_filtered_covariance[17] = covariance_m1[7];
+    mode_filtered_covariance[18] = covariance_m1[8];
+    mode_filtered_covariance[19] = covariance_m1[9];
+    mode_filtered_covariance[20] = covariance_m2[0];
+    mode_filtered_covariance[21] = covariance_m2[1];
+    mode_filtered_covariance[22] = covariance_m2[2];
+    mode_filtered_covariance[23] = covariance_m2[3];
+    mode_filtered_covariance[24] = covariance_m2[4];
+    mode_filtered_covariance[25] = covariance_m2[5];
+    mode_filtered_covariance[26] = covariance_m2[6];
+    mode_filtered_covariance[27] = covariance_m2[7];
+    mode_filtered_covariance[28] = covariance_m2[8];
+    mode_filtered_covariance[29] = covariance_m2[9];
 }
 
 /* mixing and prediction of every mode. */
@@ -1146,41 +1131,41 @@ static void ship_track_mixing_and_prediction_2(const double *mode_probability,
     double mixed_1_0_1_covariance[10];
     const double t0 = 0.9 * mode_probability[0];
     mixing_0[0] = t0 * mode_prediction_inverse_0;
-    const double t2 = 0.15 * mode_probability[1];
-    mixing_0[1] = t2 * mode_prediction_inverse_0;
-    const double t4 = 0.15 * mode_probability[2];
-    mixing_0[2] = t4 * mode_prediction_inverse_0;
-    const double t6 = 0.05 * mode_probability[0];
-    const double t7 = 0.85 * mode_probability[1];
-    mode_prediction_1[0] = t6 + t7;
+    const double t1 = 0.15 * mode_probability[1];
+    mixing_0[1] = t1 * mode_prediction_inverse_0;
+    const double t2 = 0.15 * mode_probability[2];
+    mixing_0[2] = t2 * mode_prediction_inverse_0;
+    const double t3 = 0.05 * mode_probability[0];
+    const double t4 = 0.85 * mode_probability[1];
+    mode_prediction_1[0] = t3 + t4;
     log_path_1[0] = log_weight[0] + -2.995732273553991;
     log_path_1[1] = log_weight[1] + -0.16251892949777494;
     log_path_largest_1[0] = (log_path_1[0] > log_path_1[1]) ? log_path_1[0] : log_path_1[1];
-    const double t12 = log_path_1[0] - log_path_largest_1[0];
-    path_share_1[0] = ship_track_exp(t12);
-    const double t14 = log_path_1[1] - log_path_largest_1[0];
-    path_share_1[1] = ship_track_exp(t14);
+    const double t5 = log_path_1[0] - log_path_largest_1[0];
+    path_share_1[0] = ship_track_exp(t5);
+    const double t6 = log_path_1[1] - log_path_largest_1[0];
+    path_share_1[1] = ship_track_exp(t6);
     path_share_total_1[0] = path_share_1[0] + path_share_1[1];
     path_share_inverse_1 = 1.0 / path_share_total_1[0];
-    const double t18 = 0.05 * mode_probability[0];
-    const double t19 = 0.85 * mode_probability[2];
-    mode_prediction_2[0] = t18 + t19;
+    const double t7 = 0.05 * mode_probability[0];
+    const double t8 = 0.85 * mode_probability[2];
+    mode_prediction_2[0] = t7 + t8;
     log_path_2[0] = log_weight[0] + -2.995732273553991;
     log_path_2[1] = log_weight[2] + -0.16251892949777494;
     log_path_largest_2[0] = (log_path_2[0] > log_path_2[1]) ? log_path_2[0] : log_path_2[1];
-    const double t24 = log_path_2[0] - log_path_largest_2[0];
-    path_share_2[0] = ship_track_exp(t24);
-    const double t26 = log_path_2[1] - log_path_largest_2[0];
-    path_share_2[1] = ship_track_exp(t26);
+    const double t9 = log_path_2[0] - log_path_largest_2[0];
+    path_share_2[0] = ship_track_exp(t9);
+    const double t10 = log_path_2[1] - log_path_largest_2[0];
+    path_share_2[1] = ship_track_exp(t10);
     path_share_total_2[0] = path_share_2[0] + path_share_2[1];
     path_share_inverse_2 = 1.0 / path_share_total_2[0];
 
     /* mixing and prediction of every mode */
     mixed_0_0_2_share[0] = mixing_0[0] + mixing_0[1];
     mixed_0_0_2_share[1] = mixing_0[2];
-    const double t31 = mixing_0[0] + mixing_0[1];
-    const double t32 = t31 + SHIP_TRACK_TINY;
-    mixed_0_0_1_inverse = 1.0 / t32;
+    const double t11 = mixing_0[0] + mixing_0[1];
+    const double t12 = t11 + SHIP_TRACK_TINY;
+    mixed_0_0_1_inverse = 1.0 / t12;
     mixed_0_0_1_share[0] = mixing_0[0] * mixed_0_0_1_inverse;
     mixed_0_0_1_share[1] = mixing_0[1] * mixed_0_0_1_inverse;
     mixed_apart_0_1[0] = mode_filtered_state[0] - mode_filtered_state[4];
@@ -1202,165 +1187,165 @@ static void ship_track_mixing_and_prediction_2(const double *mode_probability,
     ship_track_part_3(mixed_0_0_1_mean, &mode_filtered_state[8], mixed_0_0_2_share,
         mixed_0_0_2_mean, mixed_0_0_1_covariance, &mode_filtered_covariance[20],
         mixed_0_0_2_covariance);
-    const double t50 = params->dt * mixed_0_0_2_mean[2];
-    moved_state_0[0] = mixed_0_0_2_mean[0] + t50;
-    const double t52 = params->dt * mixed_0_0_2_mean[3];
-    moved_state_0[1] = mixed_0_0_2_mean[1] + t52;
+    const double t13 = params->dt * mixed_0_0_2_mean[2];
+    moved_state_0[0] = mixed_0_0_2_mean[0] + t13;
+    const double t14 = params->dt * mixed_0_0_2_mean[3];
+    moved_state_0[1] = mixed_0_0_2_mean[1] + t14;
     moved_state_0[2] = mixed_0_0_2_mean[2];
     moved_state_0[3] = mixed_0_0_2_mean[3];
-    const double t54 = params->dt * mixed_0_0_2_covariance[3];
-    const double t55 = mixed_0_0_2_covariance[0] + t54;
-    const double t56 = params->dt * mixed_0_0_2_covariance[5];
-    const double t57 = mixed_0_0_2_covariance[3] + t56;
-    const double t58 = t57 * params->dt;
-    const double t59 = t55 + t58;
-    moved_covariance_0[0] = t59 + Q[0];
-    const double t61 = params->dt * mixed_0_0_2_covariance[6];
-    const double t62 = mixed_0_0_2_covariance[1] + t61;
-    const double t63 = params->dt * mixed_0_0_2_covariance[8];
-    const double t64 = mixed_0_0_2_covariance[4] + t63;
-    const double t65 = t64 * params->dt;
-    moved_covariance_0[1] = t62 + t65;
-    const double t67 = params->dt * mixed_0_0_2_covariance[7];
-    const double t68 = mixed_0_0_2_covariance[2] + t67;
-    const double t69 = params->dt * mixed_0_0_2_covariance[9];
-    const double t70 = mixed_0_0_2_covariance[7] + t69;
-    const double t71 = t70 * params->dt;
-    const double t72 = t68 + t71;
-    moved_covariance_0[2] = t72 + Q[2];
-    const double t74 = mixed_0_0_2_covariance[5] * params->dt;
-    const double t75 = mixed_0_0_2_covariance[3] + t74;
-    moved_covariance_0[3] = t75 + Q[1];
-    const double t77 = mixed_0_0_2_covariance[8] * params->dt;
-    moved_covariance_0[4] = mixed_0_0_2_covariance[4] + t77;
+    const double t15 = params->dt * mixed_0_0_2_covariance[3];
+    const double t16 = mixed_0_0_2_covariance[0] + t15;
+    const double t17 = params->dt * mixed_0_0_2_covariance[5];
+    const double t18 = mixed_0_0_2_covariance[3] + t17;
+    const double t19 = t18 * params->dt;
+    const double t20 = t16 + t19;
+    moved_covariance_0[0] = t20 + Q[0];
+    const double t21 = params->dt * mixed_0_0_2_covariance[6];
+    const double t22 = mixed_0_0_2_covariance[1] + t21;
+    const double t23 = params->dt * mixed_0_0_2_covariance[8];
+    const double t24 = mixed_0_0_2_covariance[4] + t23;
+    const double t25 = t24 * params->dt;
+    moved_covariance_0[1] = t22 + t25;
+    const double t26 = params->dt * mixed_0_0_2_covariance[7];
+    const double t27 = mixed_0_0_2_covariance[2] + t26;
+    const double t28 = params->dt * mixed_0_0_2_covariance[9];
+    const double t29 = mixed_0_0_2_covariance[7] + t28;
+    const double t30 = t29 * params->dt;
+    const double t31 = t27 + t30;
+    moved_covariance_0[2] = t31 + Q[2];
+    const double t32 = mixed_0_0_2_covariance[5] * params->dt;
+    const double t33 = mixed_0_0_2_covariance[3] + t32;
+    moved_covariance_0[3] = t33 + Q[1];
+    const double t34 = mixed_0_0_2_covariance[8] * params->dt;
+    moved_covariance_0[4] = mixed_0_0_2_covariance[4] + t34;
     moved_covariance_0[5] = mixed_0_0_2_covariance[5] + Q[5];
-    const double t80 = mixed_0_0_2_covariance[8] * params->dt;
-    moved_covariance_0[6] = mixed_0_0_2_covariance[6] + t80;
-    const double t82 = mixed_0_0_2_covariance[9] * params->dt;
-    const double t83 = mixed_0_0_2_covariance[7] + t82;
-    moved_covariance_0[7] = t83 + Q[3];
+    const double t35 = mixed_0_0_2_covariance[8] * params->dt;
+    moved_covariance_0[6] = mixed_0_0_2_covariance[6] + t35;
+    const double t36 = mixed_0_0_2_covariance[9] * params->dt;
+    const double t37 = mixed_0_0_2_covariance[7] + t36;
+    moved_covariance_0[7] = t37 + Q[3];
     moved_covariance_0[9] = mixed_0_0_2_covariance[9] + Q[7];
     moved_covariance_0[8] = mixed_0_0_2_covariance[8];
-    const double t86 = path_share_1[0] * path_share_inverse_1;
-    const double t87 = path_share_1[1] * path_share_inverse_1;
-    const double t88 = t86 + t87;
-    const double t89 = t88 + SHIP_TRACK_TINY;
-    mixed_1_0_1_inverse = 1.0 / t89;
-    const double t91 = path_share_1[0] * path_share_inverse_1;
-    mixed_1_0_1_share[0] = t91 * mixed_1_0_1_inverse;
-    const double t93 = path_share_1[1] * path_share_inverse_1;
-    mixed_1_0_1_share[1] = t93 * mixed_1_0_1_inverse;
+    const double t38 = path_share_1[0] * path_share_inverse_1;
+    const double t39 = path_share_1[1] * path_share_inverse_1;
+    const double t40 = t38 + t39;
+    const double t41 = t40 + SHIP_TRACK_TINY;
+    mixed_1_0_1_inverse = 1.0 / t41;
+    const double t42 = path_share_1[0] * path_share_inverse_1;
+    mixed_1_0_1_share[0] = t42 * mixed_1_0_1_inverse;
+    const double t43 = path_share_1[1] * path_share_inverse_1;
+    mixed_1_0_1_share[1] = t43 * mixed_1_0_1_inverse;
     ship_track_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    const double t95 = A[0] * mixed_1_0_1_mean[2];
-    const double t96 = mixed_1_0_1_mean[0] + t95;
-    const double t97 = A[4] * mixed_1_0_1_mean[3];
-    moved_state_1[0] = t96 + t97;
-    const double t99 = A[1] * mixed_1_0_1_mean[2];
-    const double t100 = mixed_1_0_1_mean[1] + t99;
-    const double t101 = A[5] * mixed_1_0_1_mean[3];
-    moved_state_1[1] = t100 + t101;
-    const double t103 = A[2] * mixed_1_0_1_mean[2];
-    const double t104 = A[6] * mixed_1_0_1_mean[3];
-    moved_state_1[2] = t103 + t104;
-    const double t106 = A[3] * mixed_1_0_1_mean[2];
-    const double t107 = A[7] * mixed_1_0_1_mean[3];
-    moved_state_1[3] = t106 + t107;
-    const double t109 = A[0] * mixed_1_0_1_covariance[3];
-    const double t110 = mixed_1_0_1_covariance[0] + t109;
-    const double t111 = A[4] * mixed_1_0_1_covariance[6];
-    const double t112 = t110 + t111;
-    const double t113 = A[0] * mixed_1_0_1_covariance[5];
-    const double t114 = mixed_1_0_1_covariance[3] + t113;
-    const double t115 = A[4] * mixed_1_0_1_covariance[8];
-    const double t116 = t114 + t115;
-    const double t117 = t116 * A[0];
-    const double t118 = t112 + t117;
-    const double t119 = A[0] * mixed_1_0_1_covariance[8];
-    const double t120 = mixed_1_0_1_covariance[6] + t119;
-    const double t121 = A[4] * mixed_1_0_1_covariance[9];
-    const double t122 = t120 + t121;
-    const double t123 = t122 * A[4];
-    const double t124 = t118 + t123;
-    moved_covariance_1[0] = t124 + Q[8];
-    const double t126 = A[1] * mixed_1_0_1_covariance[3];
-    const double t127 = mixed_1_0_1_covariance[1] + t126;
-    const double t128 = A[5] * mixed_1_0_1_covariance[6];
+    const double t44 = A[0] * mixed_1_0_1_mean[2];
+    const double t45 = mixed_1_0_1_mean[0] + t44;
+    const double t46 = A[4] * mixed_1_0_1_mean[3];
+    moved_state_1[0] = t45 + t46;
+    const double t47 = A[1] * mixed_1_0_1_mean[2];
+    const double t48 = mixed_1_0_1_mean[1] + t47;
+    const double t49 = A[5] * mixed_1_0_1_mean[3];
+    moved_state_1[1] = t48 + t49;
+    const double t50 = A[2] * mixed_1_0_1_mean[2];
+    const double t51 = A[6] * mixed_1_0_1_mean[3];
+    moved_state_1[2] = t50 + t51;
+    const double t52 = A[3] * mixed_1_0_1_mean[2];
+    const double t53 = A[7] * mixed_1_0_1_mean[3];
+    moved_state_1[3] = t52 + t53;
+    const double t54 = A[0] * mixed_1_0_1_covariance[3];
+    const double t55 = mixed_1_0_1_covariance[0] + t54;
+    const double t56 = A[4] * mixed_1_0_1_covariance[6];
+    const double t57 = t55 + t56;
+    const double t58 = A[0] * mixed_1_0_1_covariance[5];
+    const double t59 = mixed_1_0_1_covariance[3] + t58;
+    const double t60 = A[4] * mixed_1_0_1_covariance[8];
+    const double t61 = t59 + t60;
+    const double t62 = t61 * A[0];
+    const double t63 = t57 + t62;
+    const double t64 = A[0] * mixed_1_0_1_covariance[8];
+    const double t65 = mixed_1_0_1_covariance[6] + t64;
+    const double t66 = A[4] * mixed_1_0_1_covariance[9];
+    const double t67 = t65 + t66;
+    const double t68 = t67 * A[4];
+    const double t69 = t63 + t68;
+    moved_covariance_1[0] = t69 + Q[8];
+    const double t70 = A[1] * mixed_1_0_1_covariance[3];
+    const double t71 = mixed_1_0_1_covariance[1] + t70;
+    const double t72 = A[5] * mixed_1_0_1_covariance[6];
+    const double t73 = t71 + t72;
+    const double t74 = A[1] * mixed_1_0_1_covariance[5];
+    const double t75 = mixed_1_0_1_covariance[4] + t74;
+    const double t76 = A[5] * mixed_1_0_1_covariance[8];
+    const double t77 = t75 + t76;
+    const double t78 = t77 * A[0];
+    const double t79 = t73 + t78;
+    const double t80 = A[1] * mixed_1_0_1_covariance[8];
+    const double t81 = mixed_1_0_1_covariance[7] + t80;
+    const double t82 = A[5] * mixed_1_0_1_covariance[9];
+    const double t83 = t81 + t82;
+    const double t84 = t83 * A[4];
+    moved_covariance_1[1] = t79 + t84;
+    const double t85 = A[1] * mixed_1_0_1_covariance[4];
+    const double t86 = mixed_1_0_1_covariance[2] + t85;
+    const double t87 = A[5] * mixed_1_0_1_covariance[7];
+    const double t88 = t86 + t87;
+    const double t89 = t77 * A[1];
+    const double t90 = t88 + t89;
+    const double t91 = t83 * A[5];
+    const double t92 = t90 + t91;
+    moved_covariance_1[2] = t92 + Q[10];
+    const double t93 = A[2] * mixed_1_0_1_covariance[3];
+    const double t94 = A[6] * mixed_1_0_1_covariance[6];
+    const double t95 = t93 + t94;
+    const double t96 = A[2] * mixed_1_0_1_covariance[5];
+    const double t97 = A[6] * mixed_1_0_1_covariance[8];
+    const double t98 = t96 + t97;
+    const double t99 = t98 * A[0];
+    const double t100 = t95 + t99;
+    const double t101 = A[2] * mixed_1_0_1_covariance[8];
+    const double t102 = A[6] * mixed_1_0_1_covariance[9];
+    const double t103 = t101 + t102;
+    const double t104 = t103 * A[4];
+    const double t105 = t100 + t104;
+    moved_covariance_1[3] = t105 + Q[9];
+    const double t106 = A[2] * mixed_1_0_1_covariance[4];
+    const double t107 = A[6] * mixed_1_0_1_covariance[7];
+    const double t108 = t106 + t107;
+    const double t109 = t98 * A[1];
+    const double t110 = t108 + t109;
+    const double t111 = t103 * A[5];
+    moved_covariance_1[4] = t110 + t111;
+    const double t112 = t98 * A[2];
+    const double t113 = t103 * A[6];
+    const double t114 = t112 + t113;
+    moved_covariance_1[5] = t114 + Q[13];
+    const double t115 = A[3] * mixed_1_0_1_covariance[3];
+    const double t116 = A[7] * mixed_1_0_1_covariance[6];
+    const double t117 = t115 + t116;
+    const double t118 = A[3] * mixed_1_0_1_covariance[5];
+    const double t119 = A[7] * mixed_1_0_1_covariance[8];
+    const double t120 = t118 + t119;
+    const double t121 = t120 * A[0];
+    const double t122 = t117 + t121;
+    const double t123 = A[3] * mixed_1_0_1_covariance[8];
+    const double t124 = A[7] * mixed_1_0_1_covariance[9];
+    const double t125 = t123 + t124;
+    const double t126 = t125 * A[4];
+    moved_covariance_1[6] = t122 + t126;
+    const double t127 = A[3] * mixed_1_0_1_covariance[4];
+    const double t128 = A[7] * mixed_1_0_1_covariance[7];
     const double t129 = t127 + t128;
-    const double t130 = A[1] * mixed_1_0_1_covariance[5];
-    const double t131 = mixed_1_0_1_covariance[4] + t130;
-    const double t132 = A[5] * mixed_1_0_1_covariance[8];
+    const double t130 = t120 * A[1];
+    const double t131 = t129 + t130;
+    const double t132 = t125 * A[5];
     const double t133 = t131 + t132;
-    const double t134 = t133 * A[0];
-    const double t135 = t129 + t134;
-    const double t136 = A[1] * mixed_1_0_1_covariance[8];
-    const double t137 = mixed_1_0_1_covariance[7] + t136;
-    const double t138 = A[5] * mixed_1_0_1_covariance[9];
-    const double t139 = t137 + t138;
-    const double t140 = t139 * A[4];
-    moved_covariance_1[1] = t135 + t140;
-    const double t142 = A[1] * mixed_1_0_1_covariance[4];
-    const double t143 = mixed_1_0_1_covariance[2] + t142;
-    const double t144 = A[5] * mixed_1_0_1_covariance[7];
-    const double t145 = t143 + t144;
-    const double t146 = t133 * A[1];
-    const double t147 = t145 + t146;
-    const double t148 = t139 * A[5];
-    const double t149 = t147 + t148;
-    moved_covariance_1[2] = t149 + Q[10];
-    const double t151 = A[2] * mixed_1_0_1_covariance[3];
-    const double t152 = A[6] * mixed_1_0_1_covariance[6];
-    const double t153 = t151 + t152;
-    const double t154 = A[2] * mixed_1_0_1_covariance[5];
-    const double t155 = A[6] * mixed_1_0_1_covariance[8];
-    const double t156 = t154 + t155;
-    const double t157 = t156 * A[0];
-    const double t158 = t153 + t157;
-    const double t159 = A[2] * mixed_1_0_1_covariance[8];
-    const double t160 = A[6] * mixed_1_0_1_covariance[9];
-    const double t161 = t159 + t160;
-    const double t162 = t161 * A[4];
-    const double t163 = t158 + t162;
-    moved_covariance_1[3] = t163 + Q[9];
-    const double t165 = A[2] * mixed_1_0_1_covariance[4];
-    const double t166 = A[6] * mixed_1_0_1_covariance[7];
-    const double t167 = t165 + t166;
-    const double t168 = t156 * A[1];
-    const double t169 = t167 + t168;
-    const double t170 = t161 * A[5];
-    moved_covariance_1[4] = t169 + t170;
-    const double t172 = t156 * A[2];
-    const double t173 = t161 * A[6];
-    const double t174 = t172 + t173;
-    moved_covariance_1[5] = t174 + Q[13];
-    const double t176 = A[3] * mixed_1_0_1_covariance[3];
-    const double t177 = A[7] * mixed_1_0_1_covariance[6];
-    const double t178 = t176 + t177;
-    const double t179 = A[3] * mixed_1_0_1_covariance[5];
-    const double t180 = A[7] * mixed_1_0_1_covariance[8];
-    const double t181 = t179 + t180;
-    const double t182 = t181 * A[0];
-    const double t183 = t178 + t182;
-    const double t184 = A[3] * mixed_1_0_1_covariance[8];
-    const double t185 = A[7] * mixed_1_0_1_covariance[9];
-    const double t186 = t184 + t185;
-    const double t187 = t186 * A[4];
-    moved_covariance_1[6] = t183 + t187;
-    const double t189 = A[3] * mixed_1_0_1_covariance[4];
-    const double t190 = A[7] * mixed_1_0_1_covariance[7];
-    const double t191 = t189 + t190;
-    const double t192 = t181 * A[1];
-    const double t193 = t191 + t192;
-    const double t194 = t186 * A[5];
-    const double t195 = t193 + t194;
-    moved_covariance_1[7] = t195 + Q[11];
-    const double t197 = t181 * A[2];
-    const double t198 = t186 * A[6];
-    moved_covariance_1[8] = t197 + t198;
-    const double t200 = t181 * A[3];
-    const double t201 = t186 * A[7];
-    const double t202 = t200 + t201;
-    moved_covariance_1[9] = t202 + Q[15];
+    moved_covariance_1[7] = t133 + Q[11];
+    const double t134 = t120 * A[2];
+    const double t135 = t125 * A[6];
+    moved_covariance_1[8] = t134 + t135;
+    const double t136 = t120 * A[3];
+    const double t137 = t125 * A[7];
+    const double t138 = t136 + t137;
+    moved_covariance_1[9] = t138 + Q[15];
     mixed_2_0_2_share[0] = path_share_2[0] * path_share_inverse_2;
     mixed_2_0_2_share[1] = path_share_2[1] * path_share_inverse_2;
 }
@@ -1459,189 +1444,189 @@ static ship_track_status_t ship_track_law_of_the_next(const double *mode_probabi
     mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
     mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
     mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
-    const double t30 = mixed_2_0_2_share[0] * mode_filtered_state[0];
-    const double t31 = mixed_2_0_2_share[1] * mode_filtered_state[8];
-    mixed_2_0_2_mean[0] = t30 + t31;
-    const double t33 = mixed_2_0_2_share[0] * mode_filtered_state[1];
-    const double t34 = mixed_2_0_2_share[1] * mode_filtered_state[9];
-    mixed_2_0_2_mean[1] = t33 + t34;
-    const double t36 = mixed_2_0_2_share[0] * mode_filtered_state[2];
-    const double t37 = mixed_2_0_2_share[1] * mode_filtered_state[10];
-    mixed_2_0_2_mean[2] = t36 + t37;
-    const double t39 = mixed_2_0_2_share[0] * mode_filtered_state[3];
-    const double t40 = mixed_2_0_2_share[1] * mode_filtered_state[11];
-    mixed_2_0_2_mean[3] = t39 + t40;
-    const double t42 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
-    const double t43 = mixed_2_0_2_share[1] * mode_filtered_covariance[20];
-    const double t44 = t42 + t43;
-    const double t45 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
-    const double t46 = t45 * mixed_2_0_2_apart[0];
-    const double t47 = t46 * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[0] = t44 + t47;
-    const double t49 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
-    const double t50 = mixed_2_0_2_share[1] * mode_filtered_covariance[21];
-    const double t51 = t49 + t50;
-    const double t52 = t45 * mixed_2_0_2_apart[1];
-    const double t53 = t52 * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[1] = t51 + t53;
-    const double t55 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
-    const double t56 = mixed_2_0_2_share[1] * mode_filtered_covariance[22];
-    const double t57 = t55 + t56;
-    const double t58 = t52 * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[2] = t57 + t58;
-    const double t60 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
-    const double t61 = mixed_2_0_2_share[1] * mode_filtered_covariance[23];
+    const double t24 = mixed_2_0_2_share[0] * mode_filtered_state[0];
+    const double t25 = mixed_2_0_2_share[1] * mode_filtered_state[8];
+    mixed_2_0_2_mean[0] = t24 + t25;
+    const double t26 = mixed_2_0_2_share[0] * mode_filtered_state[1];
+    const double t27 = mixed_2_0_2_share[1] * mode_filtered_state[9];
+    mixed_2_0_2_mean[1] = t26 + t27;
+    const double t28 = mixed_2_0_2_share[0] * mode_filtered_state[2];
+    const double t29 = mixed_2_0_2_share[1] * mode_filtered_state[10];
+    mixed_2_0_2_mean[2] = t28 + t29;
+    const double t30 = mixed_2_0_2_share[0] * mode_filtered_state[3];
+    const double t31 = mixed_2_0_2_share[1] * mode_filtered_state[11];
+    mixed_2_0_2_mean[3] = t30 + t31;
+    const double t32 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
+    const double t33 = mixed_2_0_2_share[1] * mode_filtered_covariance[20];
+    const double t34 = t32 + t33;
+    const double t35 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
+    const double t36 = t35 * mixed_2_0_2_apart[0];
+    const double t37 = t36 * mixed_2_0_2_apart[0];
+    mixed_2_0_2_covariance[0] = t34 + t37;
+    const double t38 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
+    const double t39 = mixed_2_0_2_share[1] * mode_filtered_covariance[21];
+    const double t40 = t38 + t39;
+    const double t41 = t35 * mixed_2_0_2_apart[1];
+    const double t42 = t41 * mixed_2_0_2_apart[0];
+    mixed_2_0_2_covariance[1] = t40 + t42;
+    const double t43 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
+    const double t44 = mixed_2_0_2_share[1] * mode_filtered_covariance[22];
+    const double t45 = t43 + t44;
+    const double t46 = t41 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[2] = t45 + t46;
+    const double t47 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
+    const double t48 = mixed_2_0_2_share[1] * mode_filtered_covariance[23];
+    const double t49 = t47 + t48;
+    const double t50 = t35 * mixed_2_0_2_apart[2];
+    const double t51 = t50 * mixed_2_0_2_apart[0];
+    mixed_2_0_2_covariance[3] = t49 + t51;
+    const double t52 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
+    const double t53 = mixed_2_0_2_share[1] * mode_filtered_covariance[24];
+    const double t54 = t52 + t53;
+    const double t55 = t50 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[4] = t54 + t55;
+    const double t56 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
+    const double t57 = mixed_2_0_2_share[1] * mode_filtered_covariance[25];
+    const double t58 = t56 + t57;
+    const double t59 = t50 * mixed_2_0_2_apart[2];
+    mixed_2_0_2_covariance[5] = t58 + t59;
+    const double t60 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
+    const double t61 = mixed_2_0_2_share[1] * mode_filtered_covariance[26];
     const double t62 = t60 + t61;
-    const double t63 = t45 * mixed_2_0_2_apart[2];
+    const double t63 = t35 * mixed_2_0_2_apart[3];
     const double t64 = t63 * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[3] = t62 + t64;
-    const double t66 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
-    const double t67 = mixed_2_0_2_share[1] * mode_filtered_covariance[24];
-    const double t68 = t66 + t67;
-    const double t69 = t63 * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[4] = t68 + t69;
-    const double t71 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
-    const double t72 = mixed_2_0_2_share[1] * mode_filtered_covariance[25];
-    const double t73 = t71 + t72;
-    const double t74 = t63 * mixed_2_0_2_apart[2];
-    mixed_2_0_2_covariance[5] = t73 + t74;
-    const double t76 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
-    const double t77 = mixed_2_0_2_share[1] * mode_filtered_covariance[26];
-    const double t78 = t76 + t77;
-    const double t79 = t45 * mixed_2_0_2_apart[3];
-    const double t80 = t79 * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[6] = t78 + t80;
-    const double t82 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
-    const double t83 = mixed_2_0_2_share[1] * mode_filtered_covariance[27];
-    const double t84 = t82 + t83;
-    const double t85 = t79 * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[7] = t84 + t85;
-    const double t87 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
-    const double t88 = mixed_2_0_2_share[1] * mode_filtered_covariance[28];
-    const double t89 = t87 + t88;
-    const double t90 = t79 * mixed_2_0_2_apart[2];
-    mixed_2_0_2_covariance[8] = t89 + t90;
-    const double t92 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
-    const double t93 = mixed_2_0_2_share[1] * mode_filtered_covariance[29];
+    mixed_2_0_2_covariance[6] = t62 + t64;
+    const double t65 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
+    const double t66 = mixed_2_0_2_share[1] * mode_filtered_covariance[27];
+    const double t67 = t65 + t66;
+    const double t68 = t63 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[7] = t67 + t68;
+    const double t69 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
+    const double t70 = mixed_2_0_2_share[1] * mode_filtered_covariance[28];
+    const double t71 = t69 + t70;
+    const double t72 = t63 * mixed_2_0_2_apart[2];
+    mixed_2_0_2_covariance[8] = t71 + t72;
+    const double t73 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
+    const double t74 = mixed_2_0_2_share[1] * mode_filtered_covariance[29];
+    const double t75 = t73 + t74;
+    const double t76 = t63 * mixed_2_0_2_apart[3];
+    mixed_2_0_2_covariance[9] = t75 + t76;
+    const double t77 = A[8] * mixed_2_0_2_mean[2];
+    const double t78 = mixed_2_0_2_mean[0] + t77;
+    const double t79 = A[12] * mixed_2_0_2_mean[3];
+    moved_state_2[0] = t78 + t79;
+    const double t80 = A[9] * mixed_2_0_2_mean[2];
+    const double t81 = mixed_2_0_2_mean[1] + t80;
+    const double t82 = A[13] * mixed_2_0_2_mean[3];
+    moved_state_2[1] = t81 + t82;
+    const double t83 = A[10] * mixed_2_0_2_mean[2];
+    const double t84 = A[14] * mixed_2_0_2_mean[3];
+    moved_state_2[2] = t83 + t84;
+    const double t85 = A[11] * mixed_2_0_2_mean[2];
+    const double t86 = A[15] * mixed_2_0_2_mean[3];
+    moved_state_2[3] = t85 + t86;
+    const double t87 = A[8] * mixed_2_0_2_covariance[3];
+    const double t88 = mixed_2_0_2_covariance[0] + t87;
+    const double t89 = A[12] * mixed_2_0_2_covariance[6];
+    const double t90 = t88 + t89;
+    const double t91 = A[8] * mixed_2_0_2_covariance[5];
+    const double t92 = mixed_2_0_2_covariance[3] + t91;
+    const double t93 = A[12] * mixed_2_0_2_covariance[8];
     const double t94 = t92 + t93;
-    const double t95 = t79 * mixed_2_0_2_apart[3];
-    mixed_2_0_2_covariance[9] = t94 + t95;
-    const double t97 = A[8] * mixed_2_0_2_mean[2];
-    const double t98 = mixed_2_0_2_mean[0] + t97;
-    const double t99 = A[12] * mixed_2_0_2_mean[3];
-    moved_state_2[0] = t98 + t99;
-    const double t101 = A[9] * mixed_2_0_2_mean[2];
-    const double t102 = mixed_2_0_2_mean[1] + t101;
-    const double t103 = A[13] * mixed_2_0_2_mean[3];
-    moved_state_2[1] = t102 + t103;
-    const double t105 = A[10] * mixed_2_0_2_mean[2];
-    const double t106 = A[14] * mixed_2_0_2_mean[3];
-    moved_state_2[2] = t105 + t106;
-    const double t108 = A[11] * mixed_2_0_2_mean[2];
-    const double t109 = A[15] * mixed_2_0_2_mean[3];
-    moved_state_2[3] = t108 + t109;
-    const double t111 = A[8] * mixed_2_0_2_covariance[3];
-    const double t112 = mixed_2_0_2_covariance[0] + t111;
-    const double t113 = A[12] * mixed_2_0_2_covariance[6];
-    const double t114 = t112 + t113;
-    const double t115 = A[8] * mixed_2_0_2_covariance[5];
-    const double t116 = mixed_2_0_2_covariance[3] + t115;
-    const double t117 = A[12] * mixed_2_0_2_covariance[8];
-    const double t118 = t116 + t117;
-    const double t119 = t118 * A[8];
-    const double t120 = t114 + t119;
-    const double t121 = A[8] * mixed_2_0_2_covariance[8];
-    const double t122 = mixed_2_0_2_covariance[6] + t121;
-    const double t123 = A[12] * mixed_2_0_2_covariance[9];
-    const double t124 = t122 + t123;
-    const double t125 = t124 * A[12];
-    const double t126 = t120 + t125;
-    moved_covariance_2[0] = t126 + Q[8];
-    const double t128 = A[9] * mixed_2_0_2_covariance[3];
-    const double t129 = mixed_2_0_2_covariance[1] + t128;
-    const double t130 = A[13] * mixed_2_0_2_covariance[6];
+    const double t95 = t94 * A[8];
+    const double t96 = t90 + t95;
+    const double t97 = A[8] * mixed_2_0_2_covariance[8];
+    const double t98 = mixed_2_0_2_covariance[6] + t97;
+    const double t99 = A[12] * mixed_2_0_2_covariance[9];
+    const double t100 = t98 + t99;
+    const double t101 = t100 * A[12];
+    const double t102 = t96 + t101;
+    moved_covariance_2[0] = t102 + Q[8];
+    const double t103 = A[9] * mixed_2_0_2_covariance[3];
+    const double t104 = mixed_2_0_2_covariance[1] + t103;
+    const double t105 = A[13] * mixed_2_0_2_covariance[6];
+    const double t106 = t104 + t105;
+    const double t107 = A[9] * mixed_2_0_2_covariance[5];
+    const double t108 = mixed_2_0_2_covariance[4] + t107;
+    const double t109 = A[13] * mixed_2_0_2_covariance[8];
+    const double t110 = t108 + t109;
+    const double t111 = t110 * A[8];
+    const double t112 = t106 + t111;
+    const double t113 = A[9] * mixed_2_0_2_covariance[8];
+    const double t114 = mixed_2_0_2_covariance[7] + t113;
+    const double t115 = A[13] * mixed_2_0_2_covariance[9];
+    const double t116 = t114 + t115;
+    const double t117 = t116 * A[12];
+    moved_covariance_2[1] = t112 + t117;
+    const double t118 = A[9] * mixed_2_0_2_covariance[4];
+    const double t119 = mixed_2_0_2_covariance[2] + t118;
+    const double t120 = A[13] * mixed_2_0_2_covariance[7];
+    const double t121 = t119 + t120;
+    const double t122 = t110 * A[9];
+    const double t123 = t121 + t122;
+    const double t124 = t116 * A[13];
+    const double t125 = t123 + t124;
+    moved_covariance_2[2] = t125 + Q[10];
+    const double t126 = A[10] * mixed_2_0_2_covariance[3];
+    const double t127 = A[14] * mixed_2_0_2_covariance[6];
+    const double t128 = t126 + t127;
+    const double t129 = A[10] * mixed_2_0_2_covariance[5];
+    const double t130 = A[14] * mixed_2_0_2_covariance[8];
     const double t131 = t129 + t130;
-    const double t132 = A[9] * mixed_2_0_2_covariance[5];
-    const double t133 = mixed_2_0_2_covariance[4] + t132;
-    const double t134 = A[13] * mixed_2_0_2_covariance[8];
-    const double t135 = t133 + t134;
-    const double t136 = t135 * A[8];
-    const double t137 = t131 + t136;
-    const double t138 = A[9] * mixed_2_0_2_covariance[8];
-    const double t139 = mixed_2_0_2_covariance[7] + t138;
-    const double t140 = A[13] * mixed_2_0_2_covariance[9];
+    const double t132 = t131 * A[8];
+    const double t133 = t128 + t132;
+    const double t134 = A[10] * mixed_2_0_2_covariance[8];
+    const double t135 = A[14] * mixed_2_0_2_covariance[9];
+    const double t136 = t134 + t135;
+    const double t137 = t136 * A[12];
+    const double t138 = t133 + t137;
+    moved_covariance_2[3] = t138 + Q[9];
+    const double t139 = A[10] * mixed_2_0_2_covariance[4];
+    const double t140 = A[14] * mixed_2_0_2_covariance[7];
     const double t141 = t139 + t140;
-    const double t142 = t141 * A[12];
-    moved_covariance_2[1] = t137 + t142;
-    const double t144 = A[9] * mixed_2_0_2_covariance[4];
-    const double t145 = mixed_2_0_2_covariance[2] + t144;
-    const double t146 = A[13] * mixed_2_0_2_covariance[7];
+    const double t142 = t131 * A[9];
+    const double t143 = t141 + t142;
+    const double t144 = t136 * A[13];
+    moved_covariance_2[4] = t143 + t144;
+    const double t145 = t131 * A[10];
+    const double t146 = t136 * A[14];
     const double t147 = t145 + t146;
-    const double t148 = t135 * A[9];
-    const double t149 = t147 + t148;
-    const double t150 = t141 * A[13];
-    const double t151 = t149 + t150;
-    moved_covariance_2[2] = t151 + Q[10];
-    const double t153 = A[10] * mixed_2_0_2_covariance[3];
-    const double t154 = A[14] * mixed_2_0_2_covariance[6];
-    const double t155 = t153 + t154;
-    const double t156 = A[10] * mixed_2_0_2_covariance[5];
-    const double t157 = A[14] * mixed_2_0_2_covariance[8];
+    moved_covariance_2[5] = t147 + Q[13];
+    const double t148 = A[11] * mixed_2_0_2_covariance[3];
+    const double t149 = A[15] * mixed_2_0_2_covariance[6];
+    const double t150 = t148 + t149;
+    const double t151 = A[11] * mixed_2_0_2_covariance[5];
+    const double t152 = A[15] * mixed_2_0_2_covariance[8];
+    const double t153 = t151 + t152;
+    const double t154 = t153 * A[8];
+    const double t155 = t150 + t154;
+    const double t156 = A[11] * mixed_2_0_2_covariance[8];
+    const double t157 = A[15] * mixed_2_0_2_covariance[9];
     const double t158 = t156 + t157;
-    const double t159 = t158 * A[8];
-    const double t160 = t155 + t159;
-    const double t161 = A[10] * mixed_2_0_2_covariance[8];
-    const double t162 = A[14] * mixed_2_0_2_covariance[9];
-    const double t163 = t161 + t162;
-    const double t164 = t163 * A[12];
-    const double t165 = t160 + t164;
-    moved_covariance_2[3] = t165 + Q[9];
-    const double t167 = A[10] * mixed_2_0_2_covariance[4];
-    const double t168 = A[14] * mixed_2_0_2_covariance[7];
-    const double t169 = t167 + t168;
-    const double t170 = t158 * A[9];
+    const double t159 = t158 * A[12];
+    moved_covariance_2[6] = t155 + t159;
+    const double t160 = A[11] * mixed_2_0_2_covariance[4];
+    const double t161 = A[15] * mixed_2_0_2_covariance[7];
+    const double t162 = t160 + t161;
+    const double t163 = t153 * A[9];
+    const double t164 = t162 + t163;
+    const double t165 = t158 * A[13];
+    const double t166 = t164 + t165;
+    moved_covariance_2[7] = t166 + Q[11];
+    const double t167 = t153 * A[10];
+    const double t168 = t158 * A[14];
+    moved_covariance_2[8] = t167 + t168;
+    const double t169 = t153 * A[11];
+    const double t170 = t158 * A[15];
     const double t171 = t169 + t170;
-    const double t172 = t163 * A[13];
-    moved_covariance_2[4] = t171 + t172;
-    const double t174 = t158 * A[10];
-    const double t175 = t163 * A[14];
-    const double t176 = t174 + t175;
-    moved_covariance_2[5] = t176 + Q[13];
-    const double t178 = A[11] * mixed_2_0_2_covariance[3];
-    const double t179 = A[15] * mixed_2_0_2_covariance[6];
-    const double t180 = t178 + t179;
-    const double t181 = A[11] * mixed_2_0_2_covariance[5];
-    const double t182 = A[15] * mixed_2_0_2_covariance[8];
-    const double t183 = t181 + t182;
-    const double t184 = t183 * A[8];
-    const double t185 = t180 + t184;
-    const double t186 = A[11] * mixed_2_0_2_covariance[8];
-    const double t187 = A[15] * mixed_2_0_2_covariance[9];
-    const double t188 = t186 + t187;
-    const double t189 = t188 * A[12];
-    moved_covariance_2[6] = t185 + t189;
-    const double t191 = A[11] * mixed_2_0_2_covariance[4];
-    const double t192 = A[15] * mixed_2_0_2_covariance[7];
-    const double t193 = t191 + t192;
-    const double t194 = t183 * A[9];
-    const double t195 = t193 + t194;
-    const double t196 = t188 * A[13];
-    const double t197 = t195 + t196;
-    moved_covariance_2[7] = t197 + Q[11];
-    const double t199 = t183 * A[10];
-    const double t200 = t188 * A[14];
-    moved_covariance_2[8] = t199 + t200;
-    const double t202 = t183 * A[11];
-    const double t203 = t188 * A[15];
-    const double t204 = t202 + t203;
-    moved_covariance_2[9] = t204 + Q[15];
+    moved_covariance_2[9] = t171 + Q[15];
 
     /* combined prediction */
     predicted_0_2_share[0] = mode_prediction_0[0] + mode_prediction_1[0];
     predicted_0_2_share[1] = mode_prediction_2[0];
-    const double t207 = mode_prediction_0[0] + mode_prediction_1[0];
-    const double t208 = t207 + SHIP_TRACK_TINY;
-    predicted_0_1_inverse[0] = 1.0 / t208;
+    const double t172 = mode_prediction_0[0] + mode_prediction_1[0];
+    const double t173 = t172 + SHIP_TRACK_TINY;
+    predicted_0_1_inverse[0] = 1.0 / t173;
     return SHIP_TRACK_OK;
 }
 
@@ -1691,19 +1676,27 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double share_total = 0.0;
     double share_total_inverse = 0.0;
     double log_share_total = 0.0;
+    double predicted_y_m0[4];
+    double predicted_y_m1[4];
+    double predicted_y_m2[4];
     double combined_variance[10];
     double combined_innovation[4];
+    double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1;
     double whitening_combined_0_2;
     double whitening_combined_0_3;
+    double whitening_pivot_combined_1;
     double whitening_inverse_combined_1 = 0.0;
     double whitening_combined_1_2;
     double whitening_combined_1_3;
+    double whitening_pivot_combined_2;
     double whitening_inverse_combined_2 = 0.0;
     double whitening_combined_2_3;
+    double whitening_pivot_combined_3;
     double whitening_inverse_combined_3 = 0.0;
     double combined_0_2_share[2];
+    double combined_0_1_inverse;
     double combined_0_1_share[2];
     double combined_0_2_mean[4];
     double combined_0_2_covariance[10];
@@ -1732,10 +1725,10 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     {
         return status;
     }
-    const double t167 = ship_track_log(determinant_m0_0);
-    const double t168 = log_constant_m0 + t167;
-    const double t169 = quadratic_m0 + t168;
-    log_density_m0 = -0.5 * t169;
+    const double t0 = ship_track_log(determinant_m0_0);
+    const double t1 = log_constant_m0 + t0;
+    const double t2 = quadratic_m0 + t1;
+    log_density_m0 = -0.5 * t2;
 
     /* mode 1: with its own A, Q */
     status = ship_track_mode(y, &self->mode_state[4], &innovation_m1_0, &innovation_m1_1,
@@ -1745,10 +1738,10 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     {
         return status;
     }
-    const double t338 = ship_track_log(determinant_m1_0);
-    const double t339 = log_constant_m1 + t338;
-    const double t340 = quadratic_m1 + t339;
-    log_density_m1 = -0.5 * t340;
+    const double t3 = ship_track_log(determinant_m1_0);
+    const double t4 = log_constant_m1 + t3;
+    const double t5 = quadratic_m1 + t4;
+    log_density_m1 = -0.5 * t5;
 
     /* mode 2: with its own A, Q */
     status = ship_track_mode(y, &self->mode_state[8], &innovation_m2_0, &innovation_m2_1,
@@ -1758,10 +1751,10 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     {
         return status;
     }
-    const double t509 = ship_track_log(determinant_m2_0);
-    const double t510 = log_constant_m2 + t509;
-    const double t511 = quadratic_m2 + t510;
-    log_density_m2 = -0.5 * t511;
+    const double t6 = ship_track_log(determinant_m2_0);
+    const double t7 = log_constant_m2 + t6;
+    const double t8 = quadratic_m2 + t7;
+    log_density_m2 = -0.5 * t8;
 
     /* probabilities of the modes */
     weight[0] = self->predicted_mode_probability[0];
@@ -1775,18 +1768,18 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
         log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
         log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
-        const double t516 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        log_largest = (t516 > log_joint[2]) ? t516 : log_joint[2];
-        const double t518 = log_joint[0] - log_largest;
-        share_of_largest[0] = ship_track_exp(t518);
-        const double t520 = log_joint[1] - log_largest;
-        share_of_largest[1] = ship_track_exp(t520);
-        const double t522 = log_joint[2] - log_largest;
-        share_of_largest[2] = ship_track_exp(t522);
-        const double t524 = share_of_largest[0] + share_of_largest[1];
-        share_total = t524 + share_of_largest[2];
-        const double t526 = log_largest - SHIP_TRACK_LEAST_LOG_DENSITY;
-        if (!(t526 > 0.0))
+        const double t9 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        log_largest = (t9 > log_joint[2]) ? t9 : log_joint[2];
+        const double t10 = log_joint[0] - log_largest;
+        share_of_largest[0] = ship_track_exp(t10);
+        const double t11 = log_joint[1] - log_largest;
+        share_of_largest[1] = ship_track_exp(t11);
+        const double t12 = log_joint[2] - log_largest;
+        share_of_largest[2] = ship_track_exp(t12);
+        const double t13 = share_of_largest[0] + share_of_largest[1];
+        share_total = t13 + share_of_largest[2];
+        const double t14 = log_largest - SHIP_TRACK_LEAST_LOG_DENSITY;
+        if (!(t14 > 0.0))
         {
             return SHIP_TRACK_RESULT_NOT_FINITE;
         }
@@ -1799,32 +1792,133 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         weight[0] = share_of_largest[0] * share_total_inverse;
         weight[1] = share_of_largest[1] * share_total_inverse;
         weight[2] = share_of_largest[2] * share_total_inverse;
-        const double t532 = log_joint[0] - log_largest;
-        const double t533 = t532 - log_share_total;
-        log_weight_now[0] = (t533 > SHIP_TRACK_LOG_ZERO) ? t533 : SHIP_TRACK_LOG_ZERO;
-        const double t535 = log_joint[1] - log_largest;
-        const double t536 = t535 - log_share_total;
-        log_weight_now[1] = (t536 > SHIP_TRACK_LOG_ZERO) ? t536 : SHIP_TRACK_LOG_ZERO;
-        const double t538 = log_joint[2] - log_largest;
-        const double t539 = t538 - log_share_total;
-        log_weight_now[2] = (t539 > SHIP_TRACK_LOG_ZERO) ? t539 : SHIP_TRACK_LOG_ZERO;
+        const double t15 = log_joint[0] - log_largest;
+        const double t16 = t15 - log_share_total;
+        log_weight_now[0] = (t16 > SHIP_TRACK_LOG_ZERO) ? t16 : SHIP_TRACK_LOG_ZERO;
+        const double t17 = log_joint[1] - log_largest;
+        const double t18 = t17 - log_share_total;
+        log_weight_now[1] = (t18 > SHIP_TRACK_LOG_ZERO) ? t18 : SHIP_TRACK_LOG_ZERO;
+        const double t19 = log_joint[2] - log_largest;
+        const double t20 = t19 - log_share_total;
+        log_weight_now[2] = (t20 > SHIP_TRACK_LOG_ZERO) ? t20 : SHIP_TRACK_LOG_ZERO;
         log_evidence = log_largest + log_share_total;
     }
 
     /* innovation of the mixture */
-    status = ship_track_combination(self->mode_state, self->predicted_mode_probability, variance_m0,
-        variance_m1, variance_m2, combined_variance, innovation_m0_0, innovation_m1_0,
-        innovation_m2_0, innovation_m0_1, innovation_m1_1, innovation_m2_1, innovation_m0_2,
-        innovation_m1_2, innovation_m2_2, innovation_m0_3, innovation_m1_3, innovation_m2_3,
-        combined_innovation, &whitening_inverse_combined_0, &whitening_combined_0_1,
-        &whitening_combined_0_2, &whitening_combined_0_3, &whitening_inverse_combined_1,
-        &whitening_combined_1_2, &whitening_combined_1_3, &whitening_inverse_combined_2,
-        &whitening_combined_2_3, &whitening_inverse_combined_3, weight, combined_0_2_share,
-        combined_0_1_share, present);
-    if (status != SHIP_TRACK_OK)
+    predicted_y_m0[0] = self->mode_state[0];
+    predicted_y_m0[1] = self->mode_state[1];
+    predicted_y_m0[2] = self->mode_state[2];
+    predicted_y_m0[3] = self->mode_state[3];
+    predicted_y_m1[0] = self->mode_state[4];
+    predicted_y_m1[1] = self->mode_state[5];
+    predicted_y_m1[2] = self->mode_state[6];
+    predicted_y_m1[3] = self->mode_state[7];
+    predicted_y_m2[0] = self->mode_state[8];
+    predicted_y_m2[1] = self->mode_state[9];
+    predicted_y_m2[2] = self->mode_state[10];
+    predicted_y_m2[3] = self->mode_state[11];
+    ship_track_innovation_of_the_mixture(self->predicted_mode_probability, variance_m0, variance_m1,
+        variance_m2, predicted_y_m0, predicted_y_m1, predicted_y_m2, combined_variance);
+    const double t21 = self->predicted_mode_probability[0] * innovation_m0_0;
+    const double t22 = self->predicted_mode_probability[1] * innovation_m1_0;
+    const double t23 = t21 + t22;
+    const double t24 = self->predicted_mode_probability[2] * innovation_m2_0;
+    combined_innovation[0] = t23 + t24;
+    const double t25 = self->predicted_mode_probability[0] * innovation_m0_1;
+    const double t26 = self->predicted_mode_probability[1] * innovation_m1_1;
+    const double t27 = t25 + t26;
+    const double t28 = self->predicted_mode_probability[2] * innovation_m2_1;
+    combined_innovation[1] = t27 + t28;
+    const double t29 = self->predicted_mode_probability[0] * innovation_m0_2;
+    const double t30 = self->predicted_mode_probability[1] * innovation_m1_2;
+    const double t31 = t29 + t30;
+    const double t32 = self->predicted_mode_probability[2] * innovation_m2_2;
+    combined_innovation[2] = t31 + t32;
+    const double t33 = self->predicted_mode_probability[0] * innovation_m0_3;
+    const double t34 = self->predicted_mode_probability[1] * innovation_m1_3;
+    const double t35 = t33 + t34;
+    const double t36 = self->predicted_mode_probability[2] * innovation_m2_3;
+    combined_innovation[3] = t35 + t36;
+    whitening_pivot_combined_0 = combined_variance[0];
+    if ((present & 0x1u) != 0u)
     {
-        return status;
+        if (!(whitening_pivot_combined_0 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
+    whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
+    whitening_combined_0_2 = combined_variance[3] * whitening_inverse_combined_0;
+    whitening_combined_0_3 = combined_variance[6] * whitening_inverse_combined_0;
+    const double t37 = whitening_combined_0_1 * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t37;
+    if ((present & 0x2u) != 0u)
+    {
+        if (!(whitening_pivot_combined_1 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
+    }
+    const double t38 = whitening_combined_0_2 * combined_variance[1];
+    const double t39 = combined_variance[4] - t38;
+    whitening_combined_1_2 = t39 * whitening_inverse_combined_1;
+    const double t40 = whitening_combined_0_3 * combined_variance[1];
+    const double t41 = combined_variance[7] - t40;
+    whitening_combined_1_3 = t41 * whitening_inverse_combined_1;
+    const double t42 = whitening_combined_0_2 * combined_variance[3];
+    const double t43 = combined_variance[5] - t42;
+    const double t44 = whitening_combined_0_2 * combined_variance[1];
+    const double t45 = combined_variance[4] - t44;
+    const double t46 = whitening_combined_1_2 * t45;
+    whitening_pivot_combined_2 = t43 - t46;
+    if ((present & 0x4u) != 0u)
+    {
+        if (!(whitening_pivot_combined_2 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_2 = 1.0 / whitening_pivot_combined_2;
+    }
+    const double t47 = whitening_combined_0_3 * combined_variance[3];
+    const double t48 = combined_variance[8] - t47;
+    const double t49 = whitening_combined_0_2 * combined_variance[1];
+    const double t50 = combined_variance[4] - t49;
+    const double t51 = whitening_combined_1_3 * t50;
+    const double t52 = t48 - t51;
+    whitening_combined_2_3 = t52 * whitening_inverse_combined_2;
+    const double t53 = whitening_combined_0_3 * combined_variance[6];
+    const double t54 = combined_variance[9] - t53;
+    const double t55 = whitening_combined_0_3 * combined_variance[1];
+    const double t56 = combined_variance[7] - t55;
+    const double t57 = whitening_combined_1_3 * t56;
+    const double t58 = t54 - t57;
+    const double t59 = whitening_combined_0_3 * combined_variance[3];
+    const double t60 = combined_variance[8] - t59;
+    const double t61 = whitening_combined_0_2 * combined_variance[1];
+    const double t62 = combined_variance[4] - t61;
+    const double t63 = whitening_combined_1_3 * t62;
+    const double t64 = t60 - t63;
+    const double t65 = whitening_combined_2_3 * t64;
+    whitening_pivot_combined_3 = t58 - t65;
+    if ((present & 0x8u) != 0u)
+    {
+        if (!(whitening_pivot_combined_3 > 0.0))
+        {
+            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
+        }
+        whitening_inverse_combined_3 = 1.0 / whitening_pivot_combined_3;
+    }
+
+    /* combination */
+    combined_0_2_share[0] = weight[0] + weight[1];
+    combined_0_2_share[1] = weight[2];
+    const double t66 = weight[0] + weight[1];
+    const double t67 = t66 + SHIP_TRACK_TINY;
+    combined_0_1_inverse = 1.0 / t67;
+    combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
+    combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
     ship_track_part_2(mean_m0, mean_m1, combined_0_1_share, covariance_m0, covariance_m1, mean_m2,
         combined_0_2_share, combined_0_2_mean, covariance_m2, combined_0_2_covariance);
     if (!ship_track_finite(ship_track_defect(combined_0_2_mean[0]) +
@@ -1833,106 +1927,15 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
-    const double t912 = combined_innovation[0] * combined_innovation[0];
-    const double t913 = t912 * whitening_inverse_combined_0;
-    const double t914 = whitening_combined_0_1 * combined_innovation[0];
-    const double t915 = combined_innovation[1] - t914;
-    const double t916 = t915 * t915;
-    const double t917 = t916 * whitening_inverse_combined_1;
-    const double t918 = t913 + t917;
-    const double t919 = whitening_combined_0_2 * combined_innovation[0];
-    const double t920 = combined_innovation[2] - t919;
-    const double t921 = whitening_combined_1_2 * t915;
-    const double t922 = t920 - t921;
-    const double t923 = t922 * t922;
-    const double t924 = t923 * whitening_inverse_combined_2;
-    const double t925 = t918 + t924;
-    const double t926 = whitening_combined_0_3 * combined_innovation[0];
-    const double t927 = combined_innovation[3] - t926;
-    const double t928 = whitening_combined_1_3 * t915;
-    const double t929 = t927 - t928;
-    const double t930 = whitening_combined_2_3 * t922;
-    const double t931 = t929 - t930;
-    const double t932 = t931 * t931;
-    const double t933 = t932 * whitening_inverse_combined_3;
-    next->nis = t925 + t933;
-    next->innovation[0] = combined_innovation[0];
-    next->innovation[1] = combined_innovation[1];
-    next->innovation[2] = combined_innovation[2];
-    next->innovation[3] = combined_innovation[3];
-    next->innovation_covariance[0] = combined_variance[0];
-    next->innovation_covariance[1] = combined_variance[1];
-    next->innovation_covariance[2] = combined_variance[2];
-    next->innovation_covariance[3] = combined_variance[3];
-    next->innovation_covariance[4] = combined_variance[4];
-    next->innovation_covariance[5] = combined_variance[5];
-    next->innovation_covariance[6] = combined_variance[6];
-    next->innovation_covariance[7] = combined_variance[7];
-    next->innovation_covariance[8] = combined_variance[8];
-    next->innovation_covariance[9] = combined_variance[9];
-    next->mode_probability[0] = weight[0];
-    next->mode_probability[1] = weight[1];
-    next->mode_probability[2] = weight[2];
-    next->log_weight[0] = log_weight_now[0];
-    next->log_weight[1] = log_weight_now[1];
-    next->log_weight[2] = log_weight_now[2];
-    next->log_likelihood = log_evidence;
-    next->filtered_state[0] = combined_0_2_mean[0];
-    next->filtered_state[1] = combined_0_2_mean[1];
-    next->filtered_state[2] = combined_0_2_mean[2];
-    next->filtered_state[3] = combined_0_2_mean[3];
-    next->filtered_covariance[0] = combined_0_2_covariance[0];
-    next->filtered_covariance[1] = combined_0_2_covariance[1];
-    next->filtered_covariance[2] = combined_0_2_covariance[2];
-    next->filtered_covariance[3] = combined_0_2_covariance[3];
-    next->filtered_covariance[4] = combined_0_2_covariance[4];
-    next->filtered_covariance[5] = combined_0_2_covariance[5];
-    next->filtered_covariance[6] = combined_0_2_covariance[6];
-    next->filtered_covariance[7] = combined_0_2_covariance[7];
-    next->filtered_covariance[8] = combined_0_2_covariance[8];
-    next->filtered_covariance[9] = combined_0_2_covariance[9];
-    next->mode_filtered_state[0] = mean_m0[0];
-    next->mode_filtered_state[1] = mean_m0[1];
-    next->mode_filtered_state[2] = mean_m0[2];
-    next->mode_filtered_state[3] = mean_m0[3];
-    next->mode_filtered_state[4] = mean_m1[0];
-    next->mode_filtered_state[5] = mean_m1[1];
-    next->mode_filtered_state[6] = mean_m1[2];
-    next->mode_filtered_state[7] = mean_m1[3];
-    next->mode_filtered_state[8] = mean_m2[0];
-    next->mode_filtered_state[9] = mean_m2[1];
-    next->mode_filtered_state[10] = mean_m2[2];
-    next->mode_filtered_state[11] = mean_m2[3];
-    next->mode_filtered_covariance[0] = covariance_m0[0];
-    next->mode_filtered_covariance[1] = covariance_m0[1];
-    next->mode_filtered_covariance[2] = covariance_m0[2];
-    next->mode_filtered_covariance[3] = covariance_m0[3];
-    next->mode_filtered_covariance[4] = covariance_m0[4];
-    next->mode_filtered_covariance[5] = covariance_m0[5];
-    next->mode_filtered_covariance[6] = covariance_m0[6];
-    next->mode_filtered_covariance[7] = covariance_m0[7];
-    next->mode_filtered_covariance[8] = covariance_m0[8];
-    next->mode_filtered_covariance[9] = covariance_m0[9];
-    next->mode_filtered_covariance[10] = covariance_m1[0];
-    next->mode_filtered_covariance[11] = covariance_m1[1];
-    next->mode_filtered_covariance[12] = covariance_m1[2];
-    next->mode_filtered_covariance[13] = covariance_m1[3];
-    next->mode_filtered_covariance[14] = covariance_m1[4];
-    next->mode_filtered_covariance[15] = covariance_m1[5];
-    next->mode_filtered_covariance[16] = covariance_m1[6];
-    next->mode_filtered_covariance[17] = covariance_m1[7];
-    next->mode_filtered_covariance[18] = covariance_m1[8];
-    next->mode_filtered_covariance[19] = covariance_m1[9];
-    next->mode_filtered_covariance[20] = covariance_m2[0];
-    next->mode_filtered_covariance[21] = covariance_m2[1];
-    next->mode_filtered_covariance[22] = covariance_m2[2];
-    next->mode_filtered_covariance[23] = covariance_m2[3];
-    next->mode_filtered_covariance[24] = covariance_m2[4];
-    next->mode_filtered_covariance[25] = covariance_m2[5];
-    next->mode_filtered_covariance[26] = covariance_m2[6];
-    next->mode_filtered_covariance[27] = covariance_m2[7];
-    next->mode_filtered_covariance[28] = covariance_m2[8];
-    next->mode_filtered_covariance[29] = covariance_m2[9];
+    ship_track_combination(combined_innovation, whitening_inverse_combined_0,
+        whitening_combined_0_1, whitening_inverse_combined_1, whitening_combined_0_2,
+        whitening_combined_1_2, whitening_inverse_combined_2, whitening_combined_0_3,
+        whitening_combined_1_3, whitening_combined_2_3, whitening_inverse_combined_3,
+        next->innovation, combined_variance, next->innovation_covariance, &next->nis, weight,
+        next->mode_probability, log_weight_now, next->log_weight, log_evidence,
+        &next->log_likelihood, combined_0_2_mean, next->filtered_state, combined_0_2_covariance,
+        next->filtered_covariance, mean_m0, next->mode_filtered_state, mean_m1, mean_m2,
+        covariance_m0, next->mode_filtered_covariance, covariance_m1, covariance_m2);
     return SHIP_TRACK_OK;
 }
 
@@ -1975,29 +1978,29 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
         moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
         moved_covariance_2, predicted_0_2_covariance);
     next->predicted_log_weight[0] = ship_track_log(mode_prediction_0);
-    const double t764 = ship_track_log(path_share_total_1);
-    next->predicted_log_weight[1] = log_path_largest_1 + t764;
-    const double t766 = ship_track_log(path_share_total_2);
-    next->predicted_log_weight[2] = log_path_largest_2 + t766;
-    const double t768 = moved_state_0[0] + moved_state_1[0];
-    const double t769 = t768 + moved_state_2[0];
-    const double t770 = moved_state_0[1] + moved_state_1[1];
-    const double t771 = t770 + moved_state_2[1];
-    const double t772 = moved_state_0[2] + moved_state_1[2];
-    const double t773 = t772 + moved_state_2[2];
-    const double t774 = moved_state_0[3] + moved_state_1[3];
-    const double t775 = t774 + moved_state_2[3];
-    const double t776 = moved_covariance_0[0] + moved_covariance_1[0];
-    const double t777 = t776 + moved_covariance_2[0];
-    const double t778 = moved_covariance_0[2] + moved_covariance_1[2];
-    const double t779 = t778 + moved_covariance_2[2];
-    const double t780 = moved_covariance_0[5] + moved_covariance_1[5];
-    const double t781 = t780 + moved_covariance_2[5];
-    const double t782 = moved_covariance_0[9] + moved_covariance_1[9];
-    const double t783 = t782 + moved_covariance_2[9];
-    if (!ship_track_finite(ship_track_defect(t769) + ship_track_defect(t771) +
-        ship_track_defect(t773) + ship_track_defect(t775) + ship_track_defect(t777) +
-        ship_track_defect(t779) + ship_track_defect(t781) + ship_track_defect(t783)))
+    const double t0 = ship_track_log(path_share_total_1);
+    next->predicted_log_weight[1] = log_path_largest_1 + t0;
+    const double t1 = ship_track_log(path_share_total_2);
+    next->predicted_log_weight[2] = log_path_largest_2 + t1;
+    const double t2 = moved_state_0[0] + moved_state_1[0];
+    const double t3 = t2 + moved_state_2[0];
+    const double t4 = moved_state_0[1] + moved_state_1[1];
+    const double t5 = t4 + moved_state_2[1];
+    const double t6 = moved_state_0[2] + moved_state_1[2];
+    const double t7 = t6 + moved_state_2[2];
+    const double t8 = moved_state_0[3] + moved_state_1[3];
+    const double t9 = t8 + moved_state_2[3];
+    const double t10 = moved_covariance_0[0] + moved_covariance_1[0];
+    const double t11 = t10 + moved_covariance_2[0];
+    const double t12 = moved_covariance_0[2] + moved_covariance_1[2];
+    const double t13 = t12 + moved_covariance_2[2];
+    const double t14 = moved_covariance_0[5] + moved_covariance_1[5];
+    const double t15 = t14 + moved_covariance_2[5];
+    const double t16 = moved_covariance_0[9] + moved_covariance_1[9];
+    const double t17 = t16 + moved_covariance_2[9];
+    if (!ship_track_finite(ship_track_defect(t3) + ship_track_defect(t5) + ship_track_defect(t7) +
+        ship_track_defect(t9) + ship_track_defect(t11) + ship_track_defect(t13) +
+        ship_track_defect(t15) + ship_track_defect(t17)))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }

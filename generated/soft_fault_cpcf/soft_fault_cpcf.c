@@ -208,28 +208,28 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
             return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0;
-        const double t4 = innovation_1 * inverse_0;
-        quadratic = innovation_1 * t4;
-        const double t6 = self->predicted_covariance[1] * t4;
-        mean[0] = self->predicted_state[0] + t6;
-        const double t8 = self->predicted_covariance[2] * t4;
-        mean[1] = self->predicted_state[1] + t8;
-        mean[2] = carried_compressed_cross_covariance[1] * t4;
-        const double t11 = self->predicted_covariance[1] * inverse_0;
-        const double t12 = t11 * self->predicted_covariance[1];
-        covariance[0] = self->predicted_covariance[0] - t12;
-        const double t14 = self->predicted_covariance[2] * inverse_0;
-        const double t15 = t14 * self->predicted_covariance[1];
-        covariance[1] = self->predicted_covariance[1] - t15;
-        const double t17 = t14 * self->predicted_covariance[2];
-        covariance[2] = self->predicted_covariance[2] - t17;
-        const double t19 = carried_compressed_cross_covariance[1] * inverse_0;
-        const double t20 = t19 * self->predicted_covariance[1];
-        covariance[3] = carried_compressed_cross_covariance[0] - t20;
-        const double t22 = t19 * self->predicted_covariance[2];
-        covariance[4] = carried_compressed_cross_covariance[1] - t22;
-        const double t24 = t19 * carried_compressed_cross_covariance[1];
-        covariance[5] = carried_compressed_noise - t24;
+        const double t0 = innovation_1 * inverse_0;
+        quadratic = innovation_1 * t0;
+        const double t1 = self->predicted_covariance[1] * t0;
+        mean[0] = self->predicted_state[0] + t1;
+        const double t2 = self->predicted_covariance[2] * t0;
+        mean[1] = self->predicted_state[1] + t2;
+        mean[2] = carried_compressed_cross_covariance[1] * t0;
+        const double t3 = self->predicted_covariance[1] * inverse_0;
+        const double t4 = t3 * self->predicted_covariance[1];
+        covariance[0] = self->predicted_covariance[0] - t4;
+        const double t5 = self->predicted_covariance[2] * inverse_0;
+        const double t6 = t5 * self->predicted_covariance[1];
+        covariance[1] = self->predicted_covariance[1] - t6;
+        const double t7 = t5 * self->predicted_covariance[2];
+        covariance[2] = self->predicted_covariance[2] - t7;
+        const double t8 = carried_compressed_cross_covariance[1] * inverse_0;
+        const double t9 = t8 * self->predicted_covariance[1];
+        covariance[3] = carried_compressed_cross_covariance[0] - t9;
+        const double t10 = t8 * self->predicted_covariance[2];
+        covariance[4] = carried_compressed_cross_covariance[1] - t10;
+        const double t11 = t8 * carried_compressed_cross_covariance[1];
+        covariance[5] = carried_compressed_noise - t11;
         log_constant = SOFT_FAULT_CPCF_LOG_2_PI;
         determinant_0 = pivot_0;
     }
@@ -237,9 +237,9 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     /* maintenance of the compressed measurement */
     if (self->predicted_collecting > 0.0)
     {
-        const double t26 = mean[0] - self->predicted_state[0];
-        const double t27 = t26 + mean[2];
-        maintained = carried_compressed_measurement - t27;
+        const double t12 = mean[0] - self->predicted_state[0];
+        const double t13 = t12 + mean[2];
+        maintained = carried_compressed_measurement - t13;
     }
 
     /* whether a compressed measurement begins */
@@ -252,8 +252,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t30 = y[0] - maintained;
-        innovation_compressed_0 = t30 - mean[0];
+        const double t14 = y[0] - maintained;
+        innovation_compressed_0 = t14 - mean[0];
     }
     mean_compressed = maintained;
     covariance_compressed = covariance[5];
@@ -267,24 +267,24 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
             return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
         }
         inverse_compressed_0 = 1.0 / pivot_compressed_0;
-        const double t34 = innovation_compressed_0 * inverse_compressed_0;
-        const double t35 = covariance[5] * t34;
-        mean_compressed = maintained + t35;
-        const double t37 = covariance[5] * inverse_compressed_0;
-        const double t38 = t37 * covariance[5];
-        const double t39 = covariance[5] - t38;
-        const double t40 = 100.0 * t37;
-        const double t41 = t40 - t39;
-        const double t42 = t41 * t37;
-        covariance_compressed = t39 + t42;
-        update_gain_compressed = t37;
+        const double t15 = innovation_compressed_0 * inverse_compressed_0;
+        const double t16 = covariance[5] * t15;
+        mean_compressed = maintained + t16;
+        const double t17 = covariance[5] * inverse_compressed_0;
+        const double t18 = t17 * covariance[5];
+        const double t19 = covariance[5] - t18;
+        const double t20 = 100.0 * t17;
+        const double t21 = t20 - t19;
+        const double t22 = t21 * t17;
+        covariance_compressed = t19 + t22;
+        update_gain_compressed = t17;
     }
 
     /* a compressed measurement begins */
-    const double t44 = update_gain_compressed * covariance[3];
-    new_compressed_cross_covariance[0] = covariance[3] - t44;
-    const double t46 = update_gain_compressed * covariance[4];
-    new_compressed_cross_covariance[1] = covariance[4] - t46;
+    const double t23 = update_gain_compressed * covariance[3];
+    new_compressed_cross_covariance[0] = covariance[3] - t23;
+    const double t24 = update_gain_compressed * covariance[4];
+    new_compressed_cross_covariance[1] = covariance[4] - t24;
     new_compressed_measurement = mean_compressed;
     new_compressed_noise = covariance_compressed;
     if (begins_0 > 0.0)
@@ -310,10 +310,10 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     /* results of the update */
     next->innovation_covariance[0] = self->predicted_covariance[0] + 100.0;
     next->innovation_covariance[2] = self->predicted_covariance[2] + 0.01;
-    const double t51 = soft_fault_cpcf_log(determinant_0);
-    const double t52 = log_constant + t51;
-    const double t53 = quadratic + t52;
-    next->log_likelihood = -0.5 * t53;
+    const double t25 = soft_fault_cpcf_log(determinant_0);
+    const double t26 = log_constant + t25;
+    const double t27 = quadratic + t26;
+    next->log_likelihood = -0.5 * t27;
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_covariance[0] = covariance[0];
@@ -372,35 +372,35 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     {
         return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
     }
-    const double t5 = 1.0e-11 * size;
-    const double t6 = pivot_taken_0 - t5;
-    if (t6 > 0.0)
+    const double t0 = 1.0e-11 * size;
+    const double t1 = pivot_taken_0 - t0;
+    if (t1 > 0.0)
     {
         if (!(pivot_taken_0 > 0.0))
         {
             return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
         }
         inverse_taken_0 = 1.0 / pivot_taken_0;
-        const double t8 = self->compressed_measurement[0] * inverse_taken_0;
-        quadratic_taken = self->compressed_measurement[0] * t8;
-        mean_taken[0] = cross_taken_0[0] * t8;
-        mean_taken[1] = cross_taken_0[1] * t8;
-        mean_taken[2] = cross_taken_0[2] * t8;
-        const double t13 = cross_taken_0[0] * inverse_taken_0;
-        const double t14 = t13 * cross_taken_0[0];
-        covariance_taken[0] = self->filtered_covariance[0] - t14;
-        const double t16 = cross_taken_0[1] * inverse_taken_0;
-        const double t17 = t16 * cross_taken_0[0];
-        covariance_taken[1] = self->filtered_covariance[1] - t17;
-        const double t19 = t16 * cross_taken_0[1];
-        covariance_taken[2] = self->filtered_covariance[2] - t19;
-        const double t21 = cross_taken_0[2] * inverse_taken_0;
-        const double t22 = t21 * cross_taken_0[0];
-        covariance_taken[3] = self->compressed_cross_covariance[0] - t22;
-        const double t24 = t21 * cross_taken_0[1];
-        covariance_taken[4] = self->compressed_cross_covariance[1] - t24;
-        const double t26 = t21 * cross_taken_0[2];
-        covariance_taken[5] = self->compressed_noise[0] - t26;
+        const double t2 = self->compressed_measurement[0] * inverse_taken_0;
+        quadratic_taken = self->compressed_measurement[0] * t2;
+        mean_taken[0] = cross_taken_0[0] * t2;
+        mean_taken[1] = cross_taken_0[1] * t2;
+        mean_taken[2] = cross_taken_0[2] * t2;
+        const double t3 = cross_taken_0[0] * inverse_taken_0;
+        const double t4 = t3 * cross_taken_0[0];
+        covariance_taken[0] = self->filtered_covariance[0] - t4;
+        const double t5 = cross_taken_0[1] * inverse_taken_0;
+        const double t6 = t5 * cross_taken_0[0];
+        covariance_taken[1] = self->filtered_covariance[1] - t6;
+        const double t7 = t5 * cross_taken_0[1];
+        covariance_taken[2] = self->filtered_covariance[2] - t7;
+        const double t8 = cross_taken_0[2] * inverse_taken_0;
+        const double t9 = t8 * cross_taken_0[0];
+        covariance_taken[3] = self->compressed_cross_covariance[0] - t9;
+        const double t10 = t8 * cross_taken_0[1];
+        covariance_taken[4] = self->compressed_cross_covariance[1] - t10;
+        const double t11 = t8 * cross_taken_0[2];
+        covariance_taken[5] = self->compressed_noise[0] - t11;
     }
     if (inverse_taken_0 > 0.0)
     {
@@ -410,13 +410,13 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     /* verdict */
     accepted = self->collecting;
     rejected = 0.0;
-    const double t29 = rank - 0.5;
-    if (t29 > 0.0)
+    const double t12 = rank - 0.5;
+    if (t12 > 0.0)
     {
         threshold = 3.8414588206941285;
     }
-    const double t30 = quadratic_taken - threshold;
-    if (t30 > 0.0)
+    const double t13 = quadratic_taken - threshold;
+    if (t13 > 0.0)
     {
         accepted = 0.0;
         rejected = 1.0;
@@ -462,56 +462,56 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
 {
     double left;
     left = self->window_left - 1.0;
-    const double t1 = 0.5 - self->window_left;
-    if (t1 > 0.0)
+    const double t0 = 0.5 - self->window_left;
+    if (t0 > 0.0)
     {
         left = 149.0;
     }
 
     /* prediction of the next sample */
-    const double t2 = 0.2 * self->filtered_state[1];
-    const double t3 = self->filtered_state[0] + t2;
-    const double t4 = 0.2 * self->filtered_covariance[1];
-    const double t5 = self->filtered_covariance[0] + t4;
-    const double t6 = 0.2 * self->filtered_covariance[2];
-    const double t7 = self->filtered_covariance[1] + t6;
-    const double t8 = 0.2 * t7;
-    const double t9 = t5 + t8;
-    const double t10 = t9 + 0.01;
-    const double t11 = 0.2 * self->filtered_covariance[2];
-    const double t12 = self->filtered_covariance[1] + t11;
-    next->predicted_covariance[1] = t12 + 0.1;
-    const double t14 = self->filtered_covariance[2] + 1.0;
-    const double t15 = -0.2 * self->filtered_covariance[2];
-    const double t16 = t15 + self->compressed_cross_covariance[1];
-    const double t17 = -0.2 * t16;
-    const double t18 = -0.2 * self->compressed_cross_covariance[1];
-    const double t19 = t18 + self->compressed_noise[0];
-    const double t20 = t17 + t19;
-    const double t21 = t20 + 0.01;
-    const double t22 = -0.2 * self->filtered_covariance[1];
-    const double t23 = t22 + self->compressed_cross_covariance[0];
-    const double t24 = 0.2 * t16;
-    const double t25 = t23 + t24;
-    next->predicted_compressed_cross_covariance[0] = t25 + -0.01;
-    next->predicted_compressed_cross_covariance[1] = t16 + -0.1;
-    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t3) +
-        soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t10) +
-        soft_fault_cpcf_defect(t14)))
+    const double t1 = 0.2 * self->filtered_state[1];
+    const double t2 = self->filtered_state[0] + t1;
+    const double t3 = 0.2 * self->filtered_covariance[1];
+    const double t4 = self->filtered_covariance[0] + t3;
+    const double t5 = 0.2 * self->filtered_covariance[2];
+    const double t6 = self->filtered_covariance[1] + t5;
+    const double t7 = 0.2 * t6;
+    const double t8 = t4 + t7;
+    const double t9 = t8 + 0.01;
+    const double t10 = 0.2 * self->filtered_covariance[2];
+    const double t11 = self->filtered_covariance[1] + t10;
+    next->predicted_covariance[1] = t11 + 0.1;
+    const double t12 = self->filtered_covariance[2] + 1.0;
+    const double t13 = -0.2 * self->filtered_covariance[2];
+    const double t14 = t13 + self->compressed_cross_covariance[1];
+    const double t15 = -0.2 * t14;
+    const double t16 = -0.2 * self->compressed_cross_covariance[1];
+    const double t17 = t16 + self->compressed_noise[0];
+    const double t18 = t15 + t17;
+    const double t19 = t18 + 0.01;
+    const double t20 = -0.2 * self->filtered_covariance[1];
+    const double t21 = t20 + self->compressed_cross_covariance[0];
+    const double t22 = 0.2 * t14;
+    const double t23 = t21 + t22;
+    next->predicted_compressed_cross_covariance[0] = t23 + -0.01;
+    next->predicted_compressed_cross_covariance[1] = t14 + -0.1;
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t2) +
+        soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t9) +
+        soft_fault_cpcf_defect(t12)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
     if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(self->compressed_measurement[0]) +
-        soft_fault_cpcf_defect(t21)))
+        soft_fault_cpcf_defect(t19)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
-    next->predicted_state[0] = t3;
+    next->predicted_state[0] = t2;
     next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_covariance[0] = t10;
-    next->predicted_covariance[2] = t14;
+    next->predicted_covariance[0] = t9;
+    next->predicted_covariance[2] = t12;
     next->predicted_compressed_measurement[0] = self->compressed_measurement[0];
-    next->predicted_compressed_noise[0] = t21;
+    next->predicted_compressed_noise[0] = t19;
     next->predicted_window_left = left;
     next->predicted_collecting = self->collecting;
     return SOFT_FAULT_CPCF_OK;

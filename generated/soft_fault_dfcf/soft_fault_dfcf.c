@@ -195,28 +195,28 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
             return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
         }
         inverse_host_0 = 1.0 / pivot_host_0;
-        const double t4 = innovation_1 * inverse_host_0;
-        quadratic_host = innovation_1 * t4;
-        mean_host[0] = self->predicted_covariance[1] * t4;
-        mean_host[1] = self->predicted_covariance[2] * t4;
-        const double t8 = self->predicted_covariance[1] * inverse_host_0;
-        const double t9 = t8 * self->predicted_covariance[1];
-        const double t10 = self->predicted_covariance[0] - t9;
-        const double t11 = 0.01 * t8;
-        const double t12 = self->predicted_covariance[2] * inverse_host_0;
-        const double t13 = t12 * self->predicted_covariance[1];
-        const double t14 = self->predicted_covariance[1] - t13;
-        const double t15 = t11 - t14;
-        const double t16 = t15 * t8;
-        covariance_host[0] = t10 + t16;
-        const double t18 = 0.01 * t12;
-        const double t19 = t12 * self->predicted_covariance[2];
-        const double t20 = self->predicted_covariance[2] - t19;
-        const double t21 = t18 - t20;
-        const double t22 = t21 * t8;
-        covariance_host[1] = t14 + t22;
-        const double t24 = t21 * t12;
-        covariance_host[2] = t20 + t24;
+        const double t0 = innovation_1 * inverse_host_0;
+        quadratic_host = innovation_1 * t0;
+        mean_host[0] = self->predicted_covariance[1] * t0;
+        mean_host[1] = self->predicted_covariance[2] * t0;
+        const double t1 = self->predicted_covariance[1] * inverse_host_0;
+        const double t2 = t1 * self->predicted_covariance[1];
+        const double t3 = self->predicted_covariance[0] - t2;
+        const double t4 = 0.01 * t1;
+        const double t5 = self->predicted_covariance[2] * inverse_host_0;
+        const double t6 = t5 * self->predicted_covariance[1];
+        const double t7 = self->predicted_covariance[1] - t6;
+        const double t8 = t4 - t7;
+        const double t9 = t8 * t1;
+        covariance_host[0] = t3 + t9;
+        const double t10 = 0.01 * t5;
+        const double t11 = t5 * self->predicted_covariance[2];
+        const double t12 = self->predicted_covariance[2] - t11;
+        const double t13 = t10 - t12;
+        const double t14 = t13 * t1;
+        covariance_host[1] = t7 + t14;
+        const double t15 = t13 * t5;
+        covariance_host[2] = t12 + t15;
         log_constant_host = SOFT_FAULT_DFCF_LOG_2_PI;
         determinant_host_0 = pivot_host_0;
     }
@@ -247,29 +247,29 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
             return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
         }
         inverse_compression_0 = 1.0 / pivot_compression_0;
-        const double t32 = innovation_compression_0 * inverse_compression_0;
-        const double t33 = self->predicted_compression_covariance[0] * t32;
-        mean_compression[0] = self->predicted_compression_deviation[0] + t33;
-        const double t35 = self->predicted_compression_covariance[1] * t32;
-        mean_compression[1] = self->predicted_compression_deviation[1] + t35;
-        const double t37 = self->predicted_compression_covariance[0] * inverse_compression_0;
-        const double t38 = t37 * self->predicted_compression_covariance[0];
-        const double t39 = self->predicted_compression_covariance[0] - t38;
-        const double t40 = 100.0 * t37;
-        const double t41 = t40 - t39;
-        const double t42 = t41 * t37;
-        covariance_compression[0] = t39 + t42;
-        const double t44 = self->predicted_compression_covariance[1] * inverse_compression_0;
-        const double t45 = t44 * self->predicted_compression_covariance[0];
-        const double t46 = self->predicted_compression_covariance[1] - t45;
-        const double t47 = 100.0 * t44;
-        const double t48 = t47 - t46;
-        const double t49 = t48 * t37;
-        covariance_compression[1] = t46 + t49;
-        const double t51 = t44 * self->predicted_compression_covariance[1];
-        const double t52 = self->predicted_compression_covariance[2] - t51;
-        const double t53 = t48 * t44;
-        covariance_compression[2] = t52 + t53;
+        const double t16 = innovation_compression_0 * inverse_compression_0;
+        const double t17 = self->predicted_compression_covariance[0] * t16;
+        mean_compression[0] = self->predicted_compression_deviation[0] + t17;
+        const double t18 = self->predicted_compression_covariance[1] * t16;
+        mean_compression[1] = self->predicted_compression_deviation[1] + t18;
+        const double t19 = self->predicted_compression_covariance[0] * inverse_compression_0;
+        const double t20 = t19 * self->predicted_compression_covariance[0];
+        const double t21 = self->predicted_compression_covariance[0] - t20;
+        const double t22 = 100.0 * t19;
+        const double t23 = t22 - t21;
+        const double t24 = t23 * t19;
+        covariance_compression[0] = t21 + t24;
+        const double t25 = self->predicted_compression_covariance[1] * inverse_compression_0;
+        const double t26 = t25 * self->predicted_compression_covariance[0];
+        const double t27 = self->predicted_compression_covariance[1] - t26;
+        const double t28 = 100.0 * t25;
+        const double t29 = t28 - t27;
+        const double t30 = t29 * t19;
+        covariance_compression[1] = t27 + t30;
+        const double t31 = t25 * self->predicted_compression_covariance[1];
+        const double t32 = self->predicted_compression_covariance[2] - t31;
+        const double t33 = t29 * t25;
+        covariance_compression[2] = t32 + t33;
     }
 
     /* row 1 of y, measured_velocity: compression filter */
@@ -281,31 +281,31 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
             return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
         }
         inverse_compression_1 = 1.0 / pivot_compression_1;
-        const double t57 = mean_compression[1] - self->predicted_compression_deviation[1];
-        const double t58 = innovation_compression_1 - t57;
-        const double t59 = t58 * inverse_compression_1;
-        const double t60 = covariance_compression[1] * t59;
-        mean_compression[0] = mean_compression[0] + t60;
-        const double t62 = covariance_compression[2] * t59;
-        mean_compression[1] = mean_compression[1] + t62;
-        const double t64 = covariance_compression[1] * inverse_compression_1;
-        const double t65 = t64 * covariance_compression[1];
-        const double t66 = covariance_compression[0] - t65;
-        const double t67 = 0.01 * t64;
-        const double t68 = covariance_compression[2] * inverse_compression_1;
-        const double t69 = t68 * covariance_compression[1];
-        const double t70 = covariance_compression[1] - t69;
-        const double t71 = t67 - t70;
-        const double t72 = t71 * t64;
-        covariance_compression[0] = t66 + t72;
-        const double t74 = 0.01 * t68;
-        const double t75 = t68 * covariance_compression[2];
-        const double t76 = covariance_compression[2] - t75;
-        const double t77 = t74 - t76;
-        const double t78 = t77 * t64;
-        covariance_compression[1] = t70 + t78;
-        const double t80 = t77 * t68;
-        covariance_compression[2] = t76 + t80;
+        const double t34 = mean_compression[1] - self->predicted_compression_deviation[1];
+        const double t35 = innovation_compression_1 - t34;
+        const double t36 = t35 * inverse_compression_1;
+        const double t37 = covariance_compression[1] * t36;
+        mean_compression[0] = mean_compression[0] + t37;
+        const double t38 = covariance_compression[2] * t36;
+        mean_compression[1] = mean_compression[1] + t38;
+        const double t39 = covariance_compression[1] * inverse_compression_1;
+        const double t40 = t39 * covariance_compression[1];
+        const double t41 = covariance_compression[0] - t40;
+        const double t42 = 0.01 * t39;
+        const double t43 = covariance_compression[2] * inverse_compression_1;
+        const double t44 = t43 * covariance_compression[1];
+        const double t45 = covariance_compression[1] - t44;
+        const double t46 = t42 - t45;
+        const double t47 = t46 * t39;
+        covariance_compression[0] = t41 + t47;
+        const double t48 = 0.01 * t43;
+        const double t49 = t43 * covariance_compression[2];
+        const double t50 = covariance_compression[2] - t49;
+        const double t51 = t48 - t50;
+        const double t52 = t51 * t39;
+        covariance_compression[1] = t45 + t52;
+        const double t53 = t51 * t43;
+        covariance_compression[2] = t50 + t53;
     }
     deviation_compression[0] = mean_compression[0] - mean_host[0];
     deviation_compression[1] = mean_compression[1] - mean_host[1];
@@ -326,10 +326,10 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     /* results of the update */
     next->innovation_covariance[0] = self->predicted_covariance[0] + 100.0;
     next->innovation_covariance[2] = self->predicted_covariance[2] + 0.01;
-    const double t86 = soft_fault_dfcf_log(determinant_host_0);
-    const double t87 = log_constant_host + t86;
-    const double t88 = quadratic_host + t87;
-    next->log_likelihood = -0.5 * t88;
+    const double t54 = soft_fault_dfcf_log(determinant_host_0);
+    const double t55 = log_constant_host + t54;
+    const double t56 = quadratic_host + t55;
+    next->log_likelihood = -0.5 * t56;
     next->filtered_state[0] = host_state[0];
     next->filtered_state[1] = host_state[1];
     next->filtered_covariance[0] = covariance_host[0];
@@ -382,48 +382,48 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
         scale_0[0] = self->filtered_covariance[0];
         scale_0[1] = self->filtered_covariance[2];
     }
-    const double t4 = difference_0[2] * scale_0[0];
-    const double t5 = difference_0[0] * scale_0[1];
-    const double t6 = t4 - t5;
-    if (t6 > 0.0)
+    const double t1 = difference_0[2] * scale_0[0];
+    const double t2 = difference_0[0] * scale_0[1];
+    const double t3 = t1 - t2;
+    if (t3 > 0.0)
     {
-        const double t7 = difference_0[2];
-        const double t8 = difference_0[0];
-        const double t9 = shift_0[1];
-        const double t10 = shift_0[0];
-        const double t11 = scale_0[1];
-        const double t12 = scale_0[0];
-        difference_0[0] = t7;
-        difference_0[2] = t8;
-        shift_0[0] = t9;
-        shift_0[1] = t10;
-        scale_0[0] = t11;
-        scale_0[1] = t12;
+        const double t4 = difference_0[2];
+        const double t5 = difference_0[0];
+        const double t6 = shift_0[1];
+        const double t7 = shift_0[0];
+        const double t8 = scale_0[1];
+        const double t9 = scale_0[0];
+        difference_0[0] = t4;
+        difference_0[2] = t5;
+        shift_0[0] = t6;
+        shift_0[1] = t7;
+        scale_0[0] = t8;
+        scale_0[1] = t9;
     }
-    const double t13 = 1.0e-11 * scale_0[0];
-    const double t14 = difference_0[0] - t13;
-    if (t14 > 0.0)
+    const double t10 = 1.0e-11 * scale_0[0];
+    const double t11 = difference_0[0] - t10;
+    if (t11 > 0.0)
     {
         inverse_0_0 = 1.0 / difference_0[0];
         share_0_0_1 = difference_0[1] * inverse_0_0;
-        const double t17 = shift_0[0] * inverse_0_0;
-        const double t18 = shift_0[0] * t17;
-        statistic_0 = statistic_0 + t18;
-        const double t20 = share_0_0_1 * difference_0[1];
-        difference_0[2] = difference_0[2] - t20;
-        const double t22 = share_0_0_1 * shift_0[0];
-        shift_0[1] = shift_0[1] - t22;
+        const double t12 = shift_0[0] * inverse_0_0;
+        const double t13 = shift_0[0] * t12;
+        statistic_0 = statistic_0 + t13;
+        const double t14 = share_0_0_1 * difference_0[1];
+        difference_0[2] = difference_0[2] - t14;
+        const double t15 = share_0_0_1 * shift_0[0];
+        shift_0[1] = shift_0[1] - t15;
         dof_0 = 1.0;
         threshold_0 = 3.8414588206941285;
     }
-    const double t24 = 1.0e-11 * scale_0[1];
-    const double t25 = difference_0[2] - t24;
-    if (t25 > 0.0)
+    const double t16 = 1.0e-11 * scale_0[1];
+    const double t17 = difference_0[2] - t16;
+    if (t17 > 0.0)
     {
         inverse_0_1 = 1.0 / difference_0[2];
-        const double t27 = shift_0[1] * inverse_0_1;
-        const double t28 = shift_0[1] * t27;
-        statistic_0 = statistic_0 + t28;
+        const double t18 = shift_0[1] * inverse_0_1;
+        const double t19 = shift_0[1] * t18;
+        statistic_0 = statistic_0 + t19;
         dof_0 = 2.0;
         threshold_0 = 5.991464547107983;
     }
@@ -431,8 +431,8 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     /* verdict on group 0 */
     accepted_0 = self->collecting;
     rejected_0 = 0.0;
-    const double t30 = statistic_0 - threshold_0;
-    if (t30 > 0.0)
+    const double t20 = statistic_0 - threshold_0;
+    if (t20 > 0.0)
     {
         accepted_0 = 0.0;
         rejected_0 = 1.0;
@@ -444,8 +444,8 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     closed_covariance[2] = self->filtered_covariance[2];
 
     /* the host takes over: group 0 */
-    const double t31 = -0.5 + accepted_0;
-    if (t31 > 0.0)
+    const double t21 = -0.5 + accepted_0;
+    if (t21 > 0.0)
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[0];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[1];
@@ -484,59 +484,59 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
 {
     double left;
     left = self->window_left - 1.0;
-    const double t1 = 0.5 - self->window_left;
-    if (t1 > 0.0)
+    const double t0 = 0.5 - self->window_left;
+    if (t0 > 0.0)
     {
         left = 149.0;
     }
 
     /* prediction of the next sample */
-    const double t2 = 0.2 * self->filtered_state[1];
-    const double t3 = self->filtered_state[0] + t2;
-    const double t4 = 0.2 * self->filtered_covariance[1];
-    const double t5 = self->filtered_covariance[0] + t4;
-    const double t6 = 0.2 * self->filtered_covariance[2];
-    const double t7 = self->filtered_covariance[1] + t6;
-    const double t8 = 0.2 * t7;
-    const double t9 = t5 + t8;
-    const double t10 = t9 + 0.01;
-    const double t11 = 0.2 * self->filtered_covariance[2];
-    const double t12 = self->filtered_covariance[1] + t11;
-    next->predicted_covariance[1] = t12 + 0.1;
-    const double t14 = self->filtered_covariance[2] + 1.0;
-    const double t15 = 0.2 * self->compression_deviation[1];
-    const double t16 = self->compression_deviation[0] + t15;
-    const double t17 = 0.2 * self->compression_covariance[1];
-    const double t18 = self->compression_covariance[0] + t17;
-    const double t19 = 0.2 * self->compression_covariance[2];
-    const double t20 = self->compression_covariance[1] + t19;
-    const double t21 = 0.2 * t20;
-    const double t22 = t18 + t21;
-    const double t23 = t22 + 0.01;
-    const double t24 = 0.2 * self->compression_covariance[2];
-    const double t25 = self->compression_covariance[1] + t24;
-    next->predicted_compression_covariance[1] = t25 + 0.1;
-    const double t27 = self->compression_covariance[2] + 1.0;
-    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t3) +
-        soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t10) +
-        soft_fault_dfcf_defect(t14)))
+    const double t1 = 0.2 * self->filtered_state[1];
+    const double t2 = self->filtered_state[0] + t1;
+    const double t3 = 0.2 * self->filtered_covariance[1];
+    const double t4 = self->filtered_covariance[0] + t3;
+    const double t5 = 0.2 * self->filtered_covariance[2];
+    const double t6 = self->filtered_covariance[1] + t5;
+    const double t7 = 0.2 * t6;
+    const double t8 = t4 + t7;
+    const double t9 = t8 + 0.01;
+    const double t10 = 0.2 * self->filtered_covariance[2];
+    const double t11 = self->filtered_covariance[1] + t10;
+    next->predicted_covariance[1] = t11 + 0.1;
+    const double t12 = self->filtered_covariance[2] + 1.0;
+    const double t13 = 0.2 * self->compression_deviation[1];
+    const double t14 = self->compression_deviation[0] + t13;
+    const double t15 = 0.2 * self->compression_covariance[1];
+    const double t16 = self->compression_covariance[0] + t15;
+    const double t17 = 0.2 * self->compression_covariance[2];
+    const double t18 = self->compression_covariance[1] + t17;
+    const double t19 = 0.2 * t18;
+    const double t20 = t16 + t19;
+    const double t21 = t20 + 0.01;
+    const double t22 = 0.2 * self->compression_covariance[2];
+    const double t23 = self->compression_covariance[1] + t22;
+    next->predicted_compression_covariance[1] = t23 + 0.1;
+    const double t24 = self->compression_covariance[2] + 1.0;
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t2) +
+        soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t9) +
+        soft_fault_dfcf_defect(t12)))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
-    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t16) +
-        soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t23) +
-        soft_fault_dfcf_defect(t27)))
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t14) +
+        soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t21) +
+        soft_fault_dfcf_defect(t24)))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
-    next->predicted_state[0] = t3;
+    next->predicted_state[0] = t2;
     next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_covariance[0] = t10;
-    next->predicted_covariance[2] = t14;
-    next->predicted_compression_deviation[0] = t16;
+    next->predicted_covariance[0] = t9;
+    next->predicted_covariance[2] = t12;
+    next->predicted_compression_deviation[0] = t14;
     next->predicted_compression_deviation[1] = self->compression_deviation[1];
-    next->predicted_compression_covariance[0] = t23;
-    next->predicted_compression_covariance[2] = t27;
+    next->predicted_compression_covariance[0] = t21;
+    next->predicted_compression_covariance[2] = t24;
     next->predicted_window_left = left;
     next->predicted_collecting = self->collecting;
     return SOFT_FAULT_DFCF_OK;

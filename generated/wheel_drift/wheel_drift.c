@@ -166,8 +166,8 @@ static wheel_drift_status_t wheel_drift_row_of_y_5(const double numbers_2, doubl
     double inverse = 0.0;
     cross[0] = numbers_2 * covariance[0];
     cross[1] = numbers_2 * covariance[1];
-    const double t2 = numbers_2 * cross[0];
-    pivot = t2 + 0.04;
+    const double t0 = numbers_2 * cross[0];
+    pivot = t0 + 0.04;
     if (row_0 != 0)
     {
         if (!(pivot > 0.0))
@@ -175,34 +175,34 @@ static wheel_drift_status_t wheel_drift_row_of_y_5(const double numbers_2, doubl
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
         inverse = 1.0 / pivot;
-        const double t5 = mean[0] - predicted_compression_deviation;
-        const double t6 = numbers_2 * t5;
-        const double t7 = innovation - t6;
-        const double t8 = t7 * inverse;
-        const double t9 = cross[0] * t8;
-        mean[0] = mean[0] + t9;
-        const double t11 = cross[1] * t8;
-        mean[1] = mean[1] + t11;
-        const double t13 = cross[0] * inverse;
-        const double t14 = t13 * cross[0];
-        const double t15 = covariance[0] - t14;
-        const double t16 = 0.04 * t13;
-        const double t17 = numbers_2 * t15;
-        const double t18 = t16 - t17;
-        const double t19 = t18 * t13;
-        covariance[0] = t15 + t19;
-        const double t21 = cross[1] * inverse;
-        const double t22 = t21 * cross[0];
-        const double t23 = covariance[1] - t22;
-        const double t24 = 0.04 * t21;
-        const double t25 = numbers_2 * t23;
-        const double t26 = t24 - t25;
-        const double t27 = t26 * t13;
-        covariance[1] = t23 + t27;
-        const double t29 = t21 * cross[1];
-        const double t30 = covariance[2] - t29;
-        const double t31 = t26 * t21;
-        covariance[2] = t30 + t31;
+        const double t1 = mean[0] - predicted_compression_deviation;
+        const double t2 = numbers_2 * t1;
+        const double t3 = innovation - t2;
+        const double t4 = t3 * inverse;
+        const double t5 = cross[0] * t4;
+        mean[0] = mean[0] + t5;
+        const double t6 = cross[1] * t4;
+        mean[1] = mean[1] + t6;
+        const double t7 = cross[0] * inverse;
+        const double t8 = t7 * cross[0];
+        const double t9 = covariance[0] - t8;
+        const double t10 = 0.04 * t7;
+        const double t11 = numbers_2 * t9;
+        const double t12 = t10 - t11;
+        const double t13 = t12 * t7;
+        covariance[0] = t9 + t13;
+        const double t14 = cross[1] * inverse;
+        const double t15 = t14 * cross[0];
+        const double t16 = covariance[1] - t15;
+        const double t17 = 0.04 * t14;
+        const double t18 = numbers_2 * t16;
+        const double t19 = t17 - t18;
+        const double t20 = t19 * t7;
+        covariance[1] = t16 + t20;
+        const double t21 = t14 * cross[1];
+        const double t22 = covariance[2] - t21;
+        const double t23 = t19 * t14;
+        covariance[2] = t22 + t23;
     }
 
     /* row 4 of y, ublox: compression filter */
@@ -249,33 +249,33 @@ static wheel_drift_status_t wheel_drift_row_of_y(double *covariance, double *mea
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
         inverse_2 = 1.0 / pivot_2;
-        const double t35 = mean[0] - predicted_compression_deviation;
-        const double t36 = innovation_2 - t35;
-        const double t37 = t36 * inverse_2;
-        const double t38 = covariance[0] * t37;
-        mean[0] = mean[0] + t38;
-        const double t40 = covariance[1] * t37;
-        mean[1] = mean[1] + t40;
-        const double t42 = covariance[0] * inverse_2;
-        const double t43 = t42 * covariance[0];
-        const double t44 = covariance[0] - t43;
-        const double t45 = 0.25 * t42;
-        const double t46 = t45 - t44;
-        const double t47 = t46 * t42;
-        const double t48 = t44 + t47;
-        const double t49 = covariance[1] * inverse_2;
-        const double t50 = t49 * covariance[0];
-        const double t51 = covariance[1] - t50;
-        const double t52 = 0.25 * t49;
-        const double t53 = t52 - t51;
-        const double t54 = t53 * t42;
-        const double t55 = t51 + t54;
-        const double t56 = t49 * covariance[1];
-        const double t57 = covariance[2] - t56;
-        const double t58 = t53 * t49;
-        covariance[2] = t57 + t58;
-        covariance[0] = t48;
-        covariance[1] = t55;
+        const double t0 = mean[0] - predicted_compression_deviation;
+        const double t1 = innovation_2 - t0;
+        const double t2 = t1 * inverse_2;
+        const double t3 = covariance[0] * t2;
+        mean[0] = mean[0] + t3;
+        const double t4 = covariance[1] * t2;
+        mean[1] = mean[1] + t4;
+        const double t5 = covariance[0] * inverse_2;
+        const double t6 = t5 * covariance[0];
+        const double t7 = covariance[0] - t6;
+        const double t8 = 0.25 * t5;
+        const double t9 = t8 - t7;
+        const double t10 = t9 * t5;
+        const double t11 = t7 + t10;
+        const double t12 = covariance[1] * inverse_2;
+        const double t13 = t12 * covariance[0];
+        const double t14 = covariance[1] - t13;
+        const double t15 = 0.25 * t12;
+        const double t16 = t15 - t14;
+        const double t17 = t16 * t5;
+        const double t18 = t14 + t17;
+        const double t19 = t12 * covariance[1];
+        const double t20 = covariance[2] - t19;
+        const double t21 = t16 * t12;
+        covariance[2] = t20 + t21;
+        covariance[0] = t11;
+        covariance[1] = t18;
     }
 
     /* row 5 of y, qcom: compression filter */
@@ -287,33 +287,33 @@ static wheel_drift_status_t wheel_drift_row_of_y(double *covariance, double *mea
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
         inverse_3 = 1.0 / pivot_3;
-        const double t62 = mean[0] - predicted_compression_deviation;
-        const double t63 = innovation_3 - t62;
-        const double t64 = t63 * inverse_3;
-        const double t65 = covariance[0] * t64;
-        mean[0] = mean[0] + t65;
-        const double t67 = covariance[1] * t64;
-        mean[1] = mean[1] + t67;
-        const double t69 = covariance[0] * inverse_3;
-        const double t70 = t69 * covariance[0];
-        const double t71 = covariance[0] - t70;
-        const double t72 = 9.0 * t69;
-        const double t73 = t72 - t71;
-        const double t74 = t73 * t69;
-        const double t75 = t71 + t74;
-        const double t76 = covariance[1] * inverse_3;
-        const double t77 = t76 * covariance[0];
-        const double t78 = covariance[1] - t77;
-        const double t79 = 9.0 * t76;
-        const double t80 = t79 - t78;
-        const double t81 = t80 * t69;
-        const double t82 = t78 + t81;
-        const double t83 = t76 * covariance[1];
-        const double t84 = covariance[2] - t83;
-        const double t85 = t80 * t76;
-        covariance[2] = t84 + t85;
-        covariance[0] = t75;
-        covariance[1] = t82;
+        const double t22 = mean[0] - predicted_compression_deviation;
+        const double t23 = innovation_3 - t22;
+        const double t24 = t23 * inverse_3;
+        const double t25 = covariance[0] * t24;
+        mean[0] = mean[0] + t25;
+        const double t26 = covariance[1] * t24;
+        mean[1] = mean[1] + t26;
+        const double t27 = covariance[0] * inverse_3;
+        const double t28 = t27 * covariance[0];
+        const double t29 = covariance[0] - t28;
+        const double t30 = 9.0 * t27;
+        const double t31 = t30 - t29;
+        const double t32 = t31 * t27;
+        const double t33 = t29 + t32;
+        const double t34 = covariance[1] * inverse_3;
+        const double t35 = t34 * covariance[0];
+        const double t36 = covariance[1] - t35;
+        const double t37 = 9.0 * t34;
+        const double t38 = t37 - t36;
+        const double t39 = t38 * t27;
+        const double t40 = t36 + t39;
+        const double t41 = t34 * covariance[1];
+        const double t42 = covariance[2] - t41;
+        const double t43 = t38 * t34;
+        covariance[2] = t42 + t43;
+        covariance[0] = t33;
+        covariance[1] = t40;
     }
     deviation[0] = mean[0] - mean_host[0];
     deviation[1] = mean[1] - mean_host[1];
@@ -367,8 +367,8 @@ static wheel_drift_status_t wheel_drift_row_of_y_2(const double innovation_4,
     /* row 0 of y, wheel_fl: compression filter */
     cross_0[0] = numbers[0] * predicted_compression_covariance[0];
     cross_0[1] = numbers[0] * predicted_compression_covariance[1];
-    const double t4 = numbers[0] * cross_0[0];
-    pivot_0 = t4 + 0.04;
+    const double t0 = numbers[0] * cross_0[0];
+    pivot_0 = t0 + 0.04;
     if (row_0 != 0)
     {
         if (!(pivot_0 > 0.0))
@@ -376,31 +376,31 @@ static wheel_drift_status_t wheel_drift_row_of_y_2(const double innovation_4,
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
         inverse_0 = 1.0 / pivot_0;
-        const double t7 = innovation_0 * inverse_0;
-        const double t8 = cross_0[0] * t7;
-        mean[0] = predicted_compression_deviation[0] + t8;
-        const double t10 = cross_0[1] * t7;
-        mean[1] = predicted_compression_deviation[1] + t10;
-        const double t12 = cross_0[0] * inverse_0;
-        const double t13 = t12 * cross_0[0];
-        const double t14 = predicted_compression_covariance[0] - t13;
-        const double t15 = 0.04 * t12;
-        const double t16 = numbers[0] * t14;
-        const double t17 = t15 - t16;
-        const double t18 = t17 * t12;
-        covariance[0] = t14 + t18;
-        const double t20 = cross_0[1] * inverse_0;
-        const double t21 = t20 * cross_0[0];
-        const double t22 = predicted_compression_covariance[1] - t21;
-        const double t23 = 0.04 * t20;
-        const double t24 = numbers[0] * t22;
-        const double t25 = t23 - t24;
-        const double t26 = t25 * t12;
-        covariance[1] = t22 + t26;
-        const double t28 = t20 * cross_0[1];
-        const double t29 = predicted_compression_covariance[2] - t28;
-        const double t30 = t25 * t20;
-        covariance[2] = t29 + t30;
+        const double t1 = innovation_0 * inverse_0;
+        const double t2 = cross_0[0] * t1;
+        mean[0] = predicted_compression_deviation[0] + t2;
+        const double t3 = cross_0[1] * t1;
+        mean[1] = predicted_compression_deviation[1] + t3;
+        const double t4 = cross_0[0] * inverse_0;
+        const double t5 = t4 * cross_0[0];
+        const double t6 = predicted_compression_covariance[0] - t5;
+        const double t7 = 0.04 * t4;
+        const double t8 = numbers[0] * t6;
+        const double t9 = t7 - t8;
+        const double t10 = t9 * t4;
+        covariance[0] = t6 + t10;
+        const double t11 = cross_0[1] * inverse_0;
+        const double t12 = t11 * cross_0[0];
+        const double t13 = predicted_compression_covariance[1] - t12;
+        const double t14 = 0.04 * t11;
+        const double t15 = numbers[0] * t13;
+        const double t16 = t14 - t15;
+        const double t17 = t16 * t4;
+        covariance[1] = t13 + t17;
+        const double t18 = t11 * cross_0[1];
+        const double t19 = predicted_compression_covariance[2] - t18;
+        const double t20 = t16 * t11;
+        covariance[2] = t19 + t20;
     }
 
     /* row 4 of y, ublox: compression filter */
@@ -433,33 +433,33 @@ static wheel_drift_status_t wheel_drift_row_of_y_3(double *covariance, double *m
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
         inverse_1 = 1.0 / pivot_1;
-        const double t2 = mean[0] - predicted_compression_deviation[0];
-        const double t3 = innovation_1 - t2;
-        const double t4 = t3 * inverse_1;
-        const double t5 = covariance[0] * t4;
-        mean[0] = mean[0] + t5;
-        const double t7 = covariance[1] * t4;
-        mean[1] = mean[1] + t7;
-        const double t9 = covariance[0] * inverse_1;
-        const double t10 = t9 * covariance[0];
-        const double t11 = covariance[0] - t10;
-        const double t12 = 0.25 * t9;
-        const double t13 = t12 - t11;
-        const double t14 = t13 * t9;
-        const double t15 = t11 + t14;
-        const double t16 = covariance[1] * inverse_1;
-        const double t17 = t16 * covariance[0];
-        const double t18 = covariance[1] - t17;
-        const double t19 = 0.25 * t16;
-        const double t20 = t19 - t18;
-        const double t21 = t20 * t9;
-        const double t22 = t18 + t21;
-        const double t23 = t16 * covariance[1];
-        const double t24 = covariance[2] - t23;
-        const double t25 = t20 * t16;
-        covariance[2] = t24 + t25;
-        covariance[0] = t15;
-        covariance[1] = t22;
+        const double t0 = mean[0] - predicted_compression_deviation[0];
+        const double t1 = innovation_1 - t0;
+        const double t2 = t1 * inverse_1;
+        const double t3 = covariance[0] * t2;
+        mean[0] = mean[0] + t3;
+        const double t4 = covariance[1] * t2;
+        mean[1] = mean[1] + t4;
+        const double t5 = covariance[0] * inverse_1;
+        const double t6 = t5 * covariance[0];
+        const double t7 = covariance[0] - t6;
+        const double t8 = 0.25 * t5;
+        const double t9 = t8 - t7;
+        const double t10 = t9 * t5;
+        const double t11 = t7 + t10;
+        const double t12 = covariance[1] * inverse_1;
+        const double t13 = t12 * covariance[0];
+        const double t14 = covariance[1] - t13;
+        const double t15 = 0.25 * t12;
+        const double t16 = t15 - t14;
+        const double t17 = t16 * t5;
+        const double t18 = t14 + t17;
+        const double t19 = t12 * covariance[1];
+        const double t20 = covariance[2] - t19;
+        const double t21 = t16 * t12;
+        covariance[2] = t20 + t21;
+        covariance[0] = t11;
+        covariance[1] = t18;
     }
 
     /* row 5 of y, qcom: compression filter */
@@ -471,33 +471,33 @@ static wheel_drift_status_t wheel_drift_row_of_y_3(double *covariance, double *m
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
         inverse_2 = 1.0 / pivot_2;
-        const double t29 = mean[0] - predicted_compression_deviation[0];
-        const double t30 = innovation_2 - t29;
-        const double t31 = t30 * inverse_2;
-        const double t32 = covariance[0] * t31;
-        mean[0] = mean[0] + t32;
-        const double t34 = covariance[1] * t31;
-        mean[1] = mean[1] + t34;
-        const double t36 = covariance[0] * inverse_2;
-        const double t37 = t36 * covariance[0];
-        const double t38 = covariance[0] - t37;
-        const double t39 = 9.0 * t36;
-        const double t40 = t39 - t38;
-        const double t41 = t40 * t36;
-        const double t42 = t38 + t41;
-        const double t43 = covariance[1] * inverse_2;
-        const double t44 = t43 * covariance[0];
-        const double t45 = covariance[1] - t44;
-        const double t46 = 9.0 * t43;
-        const double t47 = t46 - t45;
-        const double t48 = t47 * t36;
-        const double t49 = t45 + t48;
-        const double t50 = t43 * covariance[1];
-        const double t51 = covariance[2] - t50;
-        const double t52 = t47 * t43;
-        covariance[2] = t51 + t52;
-        covariance[0] = t42;
-        covariance[1] = t49;
+        const double t22 = mean[0] - predicted_compression_deviation[0];
+        const double t23 = innovation_2 - t22;
+        const double t24 = t23 * inverse_2;
+        const double t25 = covariance[0] * t24;
+        mean[0] = mean[0] + t25;
+        const double t26 = covariance[1] * t24;
+        mean[1] = mean[1] + t26;
+        const double t27 = covariance[0] * inverse_2;
+        const double t28 = t27 * covariance[0];
+        const double t29 = covariance[0] - t28;
+        const double t30 = 9.0 * t27;
+        const double t31 = t30 - t29;
+        const double t32 = t31 * t27;
+        const double t33 = t29 + t32;
+        const double t34 = covariance[1] * inverse_2;
+        const double t35 = t34 * covariance[0];
+        const double t36 = covariance[1] - t35;
+        const double t37 = 9.0 * t34;
+        const double t38 = t37 - t36;
+        const double t39 = t38 * t27;
+        const double t40 = t36 + t39;
+        const double t41 = t34 * covariance[1];
+        const double t42 = covariance[2] - t41;
+        const double t43 = t38 * t34;
+        covariance[2] = t42 + t43;
+        covariance[0] = t33;
+        covariance[1] = t40;
     }
     deviation[0] = mean[0] - mean_host[0];
     deviation[1] = mean[1] - mean_host[1];
@@ -505,8 +505,8 @@ static wheel_drift_status_t wheel_drift_row_of_y_3(double *covariance, double *m
     /* innovation, row by row */
     if (row_0 != 0)
     {
-        const double t56 = numbers[0] * predicted_compression_deviation[2];
-        innovation_0[0] = innovation - t56;
+        const double t44 = numbers[0] * predicted_compression_deviation[2];
+        innovation_0[0] = innovation - t44;
     }
     return WHEEL_DRIFT_OK;
 }
@@ -556,37 +556,37 @@ static void wheel_drift_test_of_group(const double collecting, const double *fil
         scale[0] = filtered_covariance[0];
         scale[1] = filtered_covariance[2];
     }
-    const double t4 = difference[2] * scale[0];
-    const double t5 = difference[0] * scale[1];
-    const double t6 = t4 - t5;
-    if (t6 > 0.0)
+    const double t1 = difference[2] * scale[0];
+    const double t2 = difference[0] * scale[1];
+    const double t3 = t1 - t2;
+    if (t3 > 0.0)
     {
-        const double t7 = difference[2];
-        const double t8 = difference[0];
-        const double t9 = shift[1];
-        const double t10 = shift[0];
-        const double t11 = scale[1];
-        const double t12 = scale[0];
-        difference[0] = t7;
-        difference[2] = t8;
-        shift[0] = t9;
-        shift[1] = t10;
-        scale[0] = t11;
-        scale[1] = t12;
+        const double t4 = difference[2];
+        const double t5 = difference[0];
+        const double t6 = shift[1];
+        const double t7 = shift[0];
+        const double t8 = scale[1];
+        const double t9 = scale[0];
+        difference[0] = t4;
+        difference[2] = t5;
+        shift[0] = t6;
+        shift[1] = t7;
+        scale[0] = t8;
+        scale[1] = t9;
     }
-    const double t13 = 1.0e-11 * scale[0];
-    const double t14 = difference[0] - t13;
-    if (t14 > 0.0)
+    const double t10 = 1.0e-11 * scale[0];
+    const double t11 = difference[0] - t10;
+    if (t11 > 0.0)
     {
         inverse_0 = 1.0 / difference[0];
         share_0_1 = difference[1] * inverse_0;
-        const double t17 = shift[0] * inverse_0;
-        const double t18 = shift[0] * t17;
-        statistic[0] = statistic[0] + t18;
-        const double t20 = share_0_1 * difference[1];
-        difference[2] = difference[2] - t20;
-        const double t22 = share_0_1 * shift[0];
-        shift[1] = shift[1] - t22;
+        const double t12 = shift[0] * inverse_0;
+        const double t13 = shift[0] * t12;
+        statistic[0] = statistic[0] + t13;
+        const double t14 = share_0_1 * difference[1];
+        difference[2] = difference[2] - t14;
+        const double t15 = share_0_1 * shift[0];
+        shift[1] = shift[1] - t15;
         dof[0] = 1.0;
         threshold[0] = 10.827566170662733;
     }
@@ -615,13 +615,13 @@ static void wheel_drift_innovation(const double predicted_compression_deviation,
     }
     if (row_1 != 0)
     {
-        const double t2 = numbers[0] * predicted_compression_deviation;
-        innovation_1[0] = innovation_2 - t2;
+        const double t1 = numbers[0] * predicted_compression_deviation;
+        innovation_1[0] = innovation_2 - t1;
     }
     if (row_2 != 0)
     {
-        const double t4 = 0.9903931860948796 * predicted_compression_deviation;
-        innovation_2_2[0] = innovation_3 - t4;
+        const double t2 = 0.9903931860948796 * predicted_compression_deviation;
+        innovation_2_2[0] = innovation_3 - t2;
     }
 }
 
@@ -657,18 +657,18 @@ static wheel_drift_status_t wheel_drift_correct_2(const double *predicted_compre
 }
 
 /* innovation, row by row. */
-static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_covariance,
-    const double *predicted_compression_covariance, const double *predicted_state, const double *y,
+static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_state, const double *y,
     double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
-    double *innovation_4, double *innovation_5, double *mean_host, double *covariance_host,
-    double *quadratic_host, double *log_constant_host, double *determinant_host_0,
-    double *host_state, const double *predicted_compression_deviation,
+    double *innovation_4, double *innovation_5, double *mean_host,
+    const double *predicted_covariance, double *covariance_host, double *quadratic_host,
+    double *log_constant_host, double *determinant_host_0, double *host_state,
+    const double *predicted_compression_deviation, const double *predicted_compression_covariance,
     double *covariance_compression, double *deviation_compression, double *covariance_compression1,
     double *deviation_compression1, double *covariance_compression2, double *deviation_compression2,
     double *covariance_compression3, double *deviation_compression3,
     double *covariance_compression4, double *deviation_compression4,
     double *covariance_compression5, double *deviation_compression5,
-    double *innovation_compression6_0, double *innovation_compression6_1, uint32_t present)
+    double *covariance_compression6, double *deviation_compression6, uint32_t present)
 {
     double pivot_host_0;
     double inverse_host_0 = 0.0;
@@ -700,26 +700,12 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_cov
     double innovation_compression5_2 = 0.0;
     double innovation_compression5_3 = 0.0;
     double mean_compression5[2];
+    double innovation_compression6_0 = 0.0;
+    double innovation_compression6_1 = 0.0;
+    double innovation_compression6_2 = 0.0;
+    double innovation_compression6_3 = 0.0;
+    double mean_compression6[2];
     wheel_drift_status_t status;
-    if (!((predicted_covariance[0] >= 0.0) && (predicted_covariance[2] >= 0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    status = wheel_drift_correct_2(predicted_compression_covariance);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_correct_2(&predicted_compression_covariance[15]);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_correct_2(&predicted_compression_covariance[30]);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
@@ -729,18 +715,18 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_cov
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t2 = 0.9921619208254787 * predicted_state[0];
-        innovation_1[0] = y[1] - t2;
+        const double t1 = 0.9921619208254787 * predicted_state[0];
+        innovation_1[0] = y[1] - t1;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t4 = 0.9903931860948796 * predicted_state[0];
-        innovation_2[0] = y[2] - t4;
+        const double t2 = 0.9903931860948796 * predicted_state[0];
+        innovation_2[0] = y[2] - t2;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t6 = 0.9903931860948796 * predicted_state[0];
-        innovation_3[0] = y[3] - t6;
+        const double t3 = 0.9903931860948796 * predicted_state[0];
+        innovation_3[0] = y[3] - t3;
     }
     if ((present & 0x10u) != 0u)
     {
@@ -765,28 +751,28 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_cov
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
         inverse_host_0 = 1.0 / pivot_host_0;
-        const double t12 = innovation_4[0] * inverse_host_0;
-        quadratic_host[0] = innovation_4[0] * t12;
-        mean_host[0] = predicted_covariance[0] * t12;
-        mean_host[1] = predicted_covariance[1] * t12;
-        const double t16 = predicted_covariance[0] * inverse_host_0;
-        const double t17 = t16 * predicted_covariance[0];
-        const double t18 = predicted_covariance[0] - t17;
-        const double t19 = 0.25 * t16;
-        const double t20 = t19 - t18;
-        const double t21 = t20 * t16;
-        covariance_host[0] = t18 + t21;
-        const double t23 = predicted_covariance[1] * inverse_host_0;
-        const double t24 = t23 * predicted_covariance[0];
-        const double t25 = predicted_covariance[1] - t24;
-        const double t26 = 0.25 * t23;
-        const double t27 = t26 - t25;
-        const double t28 = t27 * t16;
-        covariance_host[1] = t25 + t28;
-        const double t30 = t23 * predicted_covariance[1];
-        const double t31 = predicted_covariance[2] - t30;
-        const double t32 = t27 * t23;
-        covariance_host[2] = t31 + t32;
+        const double t4 = innovation_4[0] * inverse_host_0;
+        quadratic_host[0] = innovation_4[0] * t4;
+        mean_host[0] = predicted_covariance[0] * t4;
+        mean_host[1] = predicted_covariance[1] * t4;
+        const double t5 = predicted_covariance[0] * inverse_host_0;
+        const double t6 = t5 * predicted_covariance[0];
+        const double t7 = predicted_covariance[0] - t6;
+        const double t8 = 0.25 * t5;
+        const double t9 = t8 - t7;
+        const double t10 = t9 * t5;
+        covariance_host[0] = t7 + t10;
+        const double t11 = predicted_covariance[1] * inverse_host_0;
+        const double t12 = t11 * predicted_covariance[0];
+        const double t13 = predicted_covariance[1] - t12;
+        const double t14 = 0.25 * t11;
+        const double t15 = t14 - t13;
+        const double t16 = t15 * t5;
+        covariance_host[1] = t13 + t16;
+        const double t17 = t11 * predicted_covariance[1];
+        const double t18 = predicted_covariance[2] - t17;
+        const double t19 = t15 * t11;
+        covariance_host[2] = t18 + t19;
         log_constant_host[0] = WHEEL_DRIFT_LOG_2_PI;
         determinant_host_0[0] = pivot_host_0;
     }
@@ -800,36 +786,36 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_cov
             return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
         }
         inverse_host_1 = 1.0 / pivot_host_1;
-        const double t36 = innovation_5[0] - mean_host[0];
-        const double t37 = t36 * inverse_host_1;
-        const double t38 = t36 * t37;
-        quadratic_host[0] = quadratic_host[0] + t38;
+        const double t20 = innovation_5[0] - mean_host[0];
+        const double t21 = t20 * inverse_host_1;
+        const double t22 = t20 * t21;
+        quadratic_host[0] = quadratic_host[0] + t22;
         log_constant_host[0] = log_constant_host[0] + WHEEL_DRIFT_LOG_2_PI;
         determinant_host_0[0] = determinant_host_0[0] * pivot_host_1;
-        const double t42 = covariance_host[0] * t37;
-        mean_host[0] = mean_host[0] + t42;
-        const double t44 = covariance_host[1] * t37;
-        mean_host[1] = mean_host[1] + t44;
-        const double t46 = covariance_host[0] * inverse_host_1;
-        const double t47 = t46 * covariance_host[0];
-        const double t48 = covariance_host[0] - t47;
-        const double t49 = 9.0 * t46;
-        const double t50 = t49 - t48;
-        const double t51 = t50 * t46;
-        const double t52 = t48 + t51;
-        const double t53 = covariance_host[1] * inverse_host_1;
-        const double t54 = t53 * covariance_host[0];
-        const double t55 = covariance_host[1] - t54;
-        const double t56 = 9.0 * t53;
-        const double t57 = t56 - t55;
-        const double t58 = t57 * t46;
-        const double t59 = t55 + t58;
-        const double t60 = t53 * covariance_host[1];
-        const double t61 = covariance_host[2] - t60;
-        const double t62 = t57 * t53;
-        covariance_host[2] = t61 + t62;
-        covariance_host[0] = t52;
-        covariance_host[1] = t59;
+        const double t23 = covariance_host[0] * t21;
+        mean_host[0] = mean_host[0] + t23;
+        const double t24 = covariance_host[1] * t21;
+        mean_host[1] = mean_host[1] + t24;
+        const double t25 = covariance_host[0] * inverse_host_1;
+        const double t26 = t25 * covariance_host[0];
+        const double t27 = covariance_host[0] - t26;
+        const double t28 = 9.0 * t25;
+        const double t29 = t28 - t27;
+        const double t30 = t29 * t25;
+        const double t31 = t27 + t30;
+        const double t32 = covariance_host[1] * inverse_host_1;
+        const double t33 = t32 * covariance_host[0];
+        const double t34 = covariance_host[1] - t33;
+        const double t35 = 9.0 * t32;
+        const double t36 = t35 - t34;
+        const double t37 = t36 * t25;
+        const double t38 = t34 + t37;
+        const double t39 = t32 * covariance_host[1];
+        const double t40 = covariance_host[2] - t39;
+        const double t41 = t36 * t32;
+        covariance_host[2] = t40 + t41;
+        covariance_host[0] = t31;
+        covariance_host[1] = t38;
     }
     host_state[0] = predicted_state[0] + mean_host[0];
     host_state[1] = predicted_state[1] + mean_host[1];
@@ -837,8 +823,8 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_cov
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t66 = 0.9921619208254787 * predicted_compression_deviation[0];
-        innovation_compression_0 = innovation_0[0] - t66;
+        const double t42 = 0.9921619208254787 * predicted_compression_deviation[0];
+        innovation_compression_0 = innovation_0[0] - t42;
     }
     status = wheel_drift_row_of_y_2(innovation_4[0], predicted_compression_deviation,
         &innovation_compression_1, innovation_5[0], &innovation_compression_2, mean_compression,
@@ -906,8 +892,8 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_cov
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t68 = 0.9921619208254787 * predicted_compression_deviation[8];
-        innovation_compression4_1 = innovation_1[0] - t68;
+        const double t43 = 0.9921619208254787 * predicted_compression_deviation[8];
+        innovation_compression4_1 = innovation_1[0] - t43;
     }
     status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[8],
         &innovation_compression4_2, innovation_5[0], &innovation_compression4_3, mean_compression4,
@@ -929,13 +915,13 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_cov
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t70 = 0.9921619208254787 * predicted_compression_deviation[10];
-        innovation_compression5_0 = innovation_0[0] - t70;
+        const double t44 = 0.9921619208254787 * predicted_compression_deviation[10];
+        innovation_compression5_0 = innovation_0[0] - t44;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t72 = 0.9903931860948796 * predicted_compression_deviation[10];
-        innovation_compression5_1 = innovation_2[0] - t72;
+        const double t45 = 0.9903931860948796 * predicted_compression_deviation[10];
+        innovation_compression5_1 = innovation_2[0] - t45;
     }
     status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[10],
         &innovation_compression5_2, innovation_5[0], &innovation_compression5_3, mean_compression5,
@@ -957,46 +943,59 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_cov
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t74 = 0.9921619208254787 * predicted_compression_deviation[12];
-        innovation_compression6_0[0] = innovation_0[0] - t74;
+        const double t46 = 0.9921619208254787 * predicted_compression_deviation[12];
+        innovation_compression6_0 = innovation_0[0] - t46;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t76 = 0.9903931860948796 * predicted_compression_deviation[12];
-        innovation_compression6_1[0] = innovation_3[0] - t76;
+        const double t47 = 0.9903931860948796 * predicted_compression_deviation[12];
+        innovation_compression6_1 = innovation_3[0] - t47;
+    }
+    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[12],
+        &innovation_compression6_2, innovation_5[0], &innovation_compression6_3, mean_compression6,
+        &predicted_compression_covariance[18], covariance_compression6, innovation_compression6_0,
+        wheel_drift_row_of_y_2_numbers[6], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y(covariance_compression6, mean_compression6,
+        predicted_compression_deviation[12], innovation_compression6_1, innovation_compression6_2,
+        innovation_compression6_3, mean_host, deviation_compression6,
+        wheel_drift_row_of_y_numbers[2], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
     }
     return WHEEL_DRIFT_OK;
 }
 
 /* innovation, row by row. */
-static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compression11,
-    double *mean_compression11, const double *predicted_compression_deviation,
-    const double innovation_compression11_1, const double innovation_compression11_2,
-    const double innovation_compression11_3, const double innovation_compression11_4,
-    const double *mean_host, const double innovation_0, const double innovation_2,
-    const double innovation_3, const double innovation_4, const double innovation_5,
-    const double *predicted_compression_covariance, const double innovation_1,
-    const double *host_state, const double *deviation_compression,
+static wheel_drift_status_t wheel_drift_innovation_3(const double *predicted_compression_deviation,
+    const double innovation_0, const double innovation_2, const double innovation_3,
+    const double innovation_4, const double innovation_5,
+    const double *predicted_compression_covariance, const double *mean_host,
+    const double innovation_1, const double *host_state, const double *deviation_compression,
     const double *deviation_compression1, const double *deviation_compression2,
     const double *deviation_compression3, const double *deviation_compression4,
     const double *deviation_compression5, const double *deviation_compression6,
     const double *deviation_compression7, const double *deviation_compression8,
     const double *deviation_compression9, const double *deviation_compression10,
-    const double *predicted_collecting, const double predicted_covariance,
-    const double determinant_host_0, const double log_constant_host, const double quadratic_host,
-    double *filtered_state, const double *covariance_host, double *filtered_covariance,
-    double *compression_deviation, const double *covariance_compression,
-    double *compression_covariance, const double *covariance_compression1,
-    const double *covariance_compression2, const double *covariance_compression3,
-    const double *covariance_compression4, const double *covariance_compression5,
-    const double *covariance_compression6, const double *covariance_compression7,
-    const double *covariance_compression8, const double *covariance_compression9,
-    const double *covariance_compression10, double *innovation, double *innovation_covariance,
+    const double *deviation_compression11, const double *predicted_collecting,
+    const double predicted_covariance, const double determinant_host_0,
+    const double log_constant_host, const double quadratic_host, double *filtered_state,
+    const double *covariance_host, double *filtered_covariance, double *compression_deviation,
+    const double *covariance_compression, double *compression_covariance,
+    const double *covariance_compression1, const double *covariance_compression2,
+    const double *covariance_compression3, const double *covariance_compression4,
+    const double *covariance_compression5, const double *covariance_compression6,
+    const double *covariance_compression7, const double *covariance_compression8,
+    const double *covariance_compression9, const double *covariance_compression10,
+    const double *covariance_compression11, double *innovation, double *innovation_covariance,
     double *nis, double *log_likelihood, const double predicted_window_left, double *window_left,
     double *collecting, double *test_statistic, double *test_dof, double *fault_declared,
     uint32_t present)
 {
-    double deviation_compression11[2];
     double innovation_compression12_0 = 0.0;
     double innovation_compression12_1 = 0.0;
     double innovation_compression12_2 = 0.0;
@@ -1027,28 +1026,13 @@ static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compress
     double collecting_2;
     double collecting_3;
     wheel_drift_status_t status;
-    status = wheel_drift_row_of_y_4(covariance_compression11, mean_compression11,
-        predicted_compression_deviation[0], innovation_compression11_1,
-        wheel_drift_row_of_y_4_numbers[1], ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression11, mean_compression11,
-        predicted_compression_deviation[0], innovation_compression11_2, innovation_compression11_3,
-        innovation_compression11_4, mean_host, deviation_compression11,
-        wheel_drift_row_of_y_numbers[7], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
 
     /* innovation, row by row */
-    wheel_drift_innovation(predicted_compression_deviation[2], innovation_0,
+    wheel_drift_innovation(predicted_compression_deviation[0], innovation_0,
         &innovation_compression12_0, innovation_2, &innovation_compression12_1, innovation_3,
         &innovation_compression12_2, wheel_drift_innovation_numbers[2], ((present & 0x1u) != 0u),
         ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
-    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[2],
+    status = wheel_drift_row_of_y_2(innovation_4, predicted_compression_deviation,
         &innovation_compression12_3, innovation_5, &innovation_compression12_4, mean_compression12,
         predicted_compression_covariance, covariance_compression12, innovation_compression12_0,
         wheel_drift_row_of_y_2_numbers[12], present, ((present & 0x1u) != 0u));
@@ -1057,14 +1041,14 @@ static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compress
         return status;
     }
     status = wheel_drift_row_of_y_4(covariance_compression12, mean_compression12,
-        predicted_compression_deviation[2], innovation_compression12_1,
+        predicted_compression_deviation[0], innovation_compression12_1,
         wheel_drift_row_of_y_4_numbers[2], ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK)
     {
         return status;
     }
     status = wheel_drift_row_of_y(covariance_compression12, mean_compression12,
-        predicted_compression_deviation[2], innovation_compression12_2, innovation_compression12_3,
+        predicted_compression_deviation[0], innovation_compression12_2, innovation_compression12_3,
         innovation_compression12_4, mean_host, deviation_compression12,
         wheel_drift_row_of_y_numbers[8], present, ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK)
@@ -1073,11 +1057,11 @@ static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compress
     }
 
     /* innovation, row by row */
-    wheel_drift_innovation(predicted_compression_deviation[4], innovation_1,
+    wheel_drift_innovation(predicted_compression_deviation[2], innovation_1,
         &innovation_compression13_0, innovation_2, &innovation_compression13_1, innovation_3,
         &innovation_compression13_2, wheel_drift_innovation_numbers[3], ((present & 0x2u) != 0u),
         ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
-    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[4],
+    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[2],
         &innovation_compression13_3, innovation_5, &innovation_compression13_4, mean_compression13,
         &predicted_compression_covariance[3], covariance_compression13, innovation_compression13_0,
         wheel_drift_row_of_y_2_numbers[13], present, ((present & 0x2u) != 0u));
@@ -1086,14 +1070,14 @@ static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compress
         return status;
     }
     status = wheel_drift_row_of_y_4(covariance_compression13, mean_compression13,
-        predicted_compression_deviation[4], innovation_compression13_1,
+        predicted_compression_deviation[2], innovation_compression13_1,
         wheel_drift_row_of_y_4_numbers[3], ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK)
     {
         return status;
     }
     status = wheel_drift_row_of_y(covariance_compression13, mean_compression13,
-        predicted_compression_deviation[4], innovation_compression13_2, innovation_compression13_3,
+        predicted_compression_deviation[2], innovation_compression13_2, innovation_compression13_3,
         innovation_compression13_4, mean_host, deviation_compression13,
         wheel_drift_row_of_y_numbers[9], present, ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK)
@@ -1102,16 +1086,16 @@ static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compress
     }
 
     /* innovation, row by row */
-    wheel_drift_innovation(predicted_compression_deviation[6], innovation_0,
+    wheel_drift_innovation(predicted_compression_deviation[4], innovation_0,
         &innovation_compression14_0, innovation_1, &innovation_compression14_1, innovation_2,
         &innovation_compression14_2, wheel_drift_innovation_numbers[4], ((present & 0x1u) != 0u),
         ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
     if ((present & 0x8u) != 0u)
     {
-        const double t0 = 0.9903931860948796 * predicted_compression_deviation[6];
+        const double t0 = 0.9903931860948796 * predicted_compression_deviation[4];
         innovation_compression14_3 = innovation_3 - t0;
     }
-    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[6],
+    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[4],
         &innovation_compression14_4, innovation_5, &innovation_compression14_5, mean_compression14,
         &predicted_compression_covariance[6], covariance_compression14, innovation_compression14_0,
         wheel_drift_row_of_y_2_numbers[14], present, ((present & 0x1u) != 0u));
@@ -1120,21 +1104,21 @@ static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compress
         return status;
     }
     status = wheel_drift_row_of_y_4(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[6], innovation_compression14_1,
+        predicted_compression_deviation[4], innovation_compression14_1,
         wheel_drift_row_of_y_4_numbers[4], ((present & 0x2u) != 0u));
     if (status != WHEEL_DRIFT_OK)
     {
         return status;
     }
     status = wheel_drift_row_of_y_4(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[6], innovation_compression14_2,
+        predicted_compression_deviation[4], innovation_compression14_2,
         wheel_drift_row_of_y_4_numbers[5], ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK)
     {
         return status;
     }
     status = wheel_drift_row_of_y(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[6], innovation_compression14_3, innovation_compression14_4,
+        predicted_compression_deviation[4], innovation_compression14_3, innovation_compression14_4,
         innovation_compression14_5, mean_host, deviation_compression14,
         wheel_drift_row_of_y_numbers[10], present, ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK)
@@ -1199,20 +1183,20 @@ static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compress
     }
 
     /* results of the update */
-    const double t2 = 0.9843852771361035 * predicted_covariance;
-    innovation_covariance[0] = t2 + 0.04;
+    const double t1 = 0.9843852771361035 * predicted_covariance;
+    innovation_covariance[0] = t1 + 0.04;
     innovation_covariance[1] = 0.9843852771361035 * predicted_covariance;
-    const double t5 = 0.9843852771361035 * predicted_covariance;
-    innovation_covariance[2] = t5 + 0.04;
+    const double t2 = 0.9843852771361035 * predicted_covariance;
+    innovation_covariance[2] = t2 + 0.04;
     innovation_covariance[3] = 0.9826304058883615 * predicted_covariance;
     innovation_covariance[4] = 0.9826304058883615 * predicted_covariance;
-    const double t9 = 0.9808786630631667 * predicted_covariance;
-    innovation_covariance[5] = t9 + 0.04;
+    const double t3 = 0.9808786630631667 * predicted_covariance;
+    innovation_covariance[5] = t3 + 0.04;
     innovation_covariance[6] = 0.9826304058883615 * predicted_covariance;
     innovation_covariance[7] = 0.9826304058883615 * predicted_covariance;
     innovation_covariance[8] = 0.9808786630631667 * predicted_covariance;
-    const double t14 = 0.9808786630631667 * predicted_covariance;
-    innovation_covariance[9] = t14 + 0.04;
+    const double t4 = 0.9808786630631667 * predicted_covariance;
+    innovation_covariance[9] = t4 + 0.04;
     innovation_covariance[10] = 0.9921619208254787 * predicted_covariance;
     innovation_covariance[11] = 0.9921619208254787 * predicted_covariance;
     innovation_covariance[12] = 0.9903931860948796 * predicted_covariance;
@@ -1223,10 +1207,10 @@ static wheel_drift_status_t wheel_drift_innovation_3(double *covariance_compress
     innovation_covariance[17] = 0.9903931860948796 * predicted_covariance;
     innovation_covariance[18] = 0.9903931860948796 * predicted_covariance;
     innovation_covariance[20] = predicted_covariance + 9.0;
-    const double t26 = wheel_drift_log(determinant_host_0);
-    const double t27 = log_constant_host + t26;
-    const double t28 = quadratic_host + t27;
-    log_likelihood[0] = -0.5 * t28;
+    const double t5 = wheel_drift_log(determinant_host_0);
+    const double t6 = log_constant_host + t5;
+    const double t7 = quadratic_host + t6;
+    log_likelihood[0] = -0.5 * t7;
     filtered_state[0] = host_state[0];
     filtered_state[1] = host_state[1];
     filtered_covariance[0] = covariance_host[0];
@@ -1364,9 +1348,9 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     if (t1 > 0.0)
     {
         inverse_2_1 = 1.0 / difference_2[2];
-        const double t3 = shift_2[1] * inverse_2_1;
-        const double t4 = shift_2[1] * t3;
-        statistic_2[0] = statistic_2[0] + t4;
+        const double t2 = shift_2[1] * inverse_2_1;
+        const double t3 = shift_2[1] * t2;
+        statistic_2[0] = statistic_2[0] + t3;
         dof_2[0] = 2.0;
         threshold_2 = 13.815510557964274;
     }
@@ -1375,14 +1359,14 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     wheel_drift_test_of_group(collecting[3], filtered_covariance, &compression_covariance[9],
         difference_3, &compression_deviation[6], shift_3, scale_3, statistic_3, dof_3,
         &threshold_3);
-    const double t6 = 1.0e-11 * scale_3[1];
-    const double t7 = difference_3[2] - t6;
-    if (t7 > 0.0)
+    const double t4 = 1.0e-11 * scale_3[1];
+    const double t5 = difference_3[2] - t4;
+    if (t5 > 0.0)
     {
         inverse_3_1 = 1.0 / difference_3[2];
-        const double t9 = shift_3[1] * inverse_3_1;
-        const double t10 = shift_3[1] * t9;
-        statistic_3[0] = statistic_3[0] + t10;
+        const double t6 = shift_3[1] * inverse_3_1;
+        const double t7 = shift_3[1] * t6;
+        statistic_3[0] = statistic_3[0] + t7;
         dof_3[0] = 2.0;
         threshold_3 = 13.815510557964274;
     }
@@ -1390,8 +1374,8 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     /* verdict on group 0 */
     accepted_0[0] = collecting[0];
     rejected_0[0] = 0.0;
-    const double t12 = statistic_0 - threshold_0;
-    if (t12 > 0.0)
+    const double t8 = statistic_0 - threshold_0;
+    if (t8 > 0.0)
     {
         accepted_0[0] = 0.0;
         rejected_0[0] = 1.0;
@@ -1400,8 +1384,8 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     /* verdict on group 1 */
     accepted_1[0] = collecting[1];
     rejected_1[0] = 0.0;
-    const double t13 = statistic_1 - threshold_1;
-    if (t13 > 0.0)
+    const double t9 = statistic_1 - threshold_1;
+    if (t9 > 0.0)
     {
         accepted_1[0] = 0.0;
         rejected_1[0] = 1.0;
@@ -1410,8 +1394,8 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     /* verdict on group 2 */
     accepted_2[0] = collecting[2];
     rejected_2[0] = 0.0;
-    const double t14 = statistic_2[0] - threshold_2;
-    if (t14 > 0.0)
+    const double t10 = statistic_2[0] - threshold_2;
+    if (t10 > 0.0)
     {
         accepted_2[0] = 0.0;
         rejected_2[0] = 1.0;
@@ -1420,8 +1404,8 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     /* verdict on group 3 */
     accepted_3[0] = collecting[3];
     rejected_3[0] = 0.0;
-    const double t15 = statistic_3[0] - threshold_3;
-    if (t15 > 0.0)
+    const double t11 = statistic_3[0] - threshold_3;
+    if (t11 > 0.0)
     {
         accepted_3[0] = 0.0;
         rejected_3[0] = 1.0;
@@ -1433,11 +1417,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     closed_covariance[2] = filtered_covariance[2];
 
     /* the host takes over: group 0 */
-    const double t16 = -0.5 + accepted_0[0];
-    const double t17 = t16 - accepted_1[0];
-    const double t18 = t17 - accepted_2[0];
-    const double t19 = t18 - accepted_3[0];
-    if (t19 > 0.0)
+    const double t12 = -0.5 + accepted_0[0];
+    const double t13 = t12 - accepted_1[0];
+    const double t14 = t13 - accepted_2[0];
+    const double t15 = t14 - accepted_3[0];
+    if (t15 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[0];
         closed_state[1] = filtered_state[1] + compression_deviation[1];
@@ -1447,11 +1431,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 1 */
-    const double t22 = -0.5 - accepted_0[0];
-    const double t23 = t22 + accepted_1[0];
-    const double t24 = t23 - accepted_2[0];
-    const double t25 = t24 - accepted_3[0];
-    if (t25 > 0.0)
+    const double t16 = -0.5 - accepted_0[0];
+    const double t17 = t16 + accepted_1[0];
+    const double t18 = t17 - accepted_2[0];
+    const double t19 = t18 - accepted_3[0];
+    if (t19 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[2];
         closed_state[1] = filtered_state[1] + compression_deviation[3];
@@ -1461,11 +1445,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 2 */
-    const double t28 = -0.5 - accepted_0[0];
-    const double t29 = t28 - accepted_1[0];
-    const double t30 = t29 + accepted_2[0];
-    const double t31 = t30 - accepted_3[0];
-    if (t31 > 0.0)
+    const double t20 = -0.5 - accepted_0[0];
+    const double t21 = t20 - accepted_1[0];
+    const double t22 = t21 + accepted_2[0];
+    const double t23 = t22 - accepted_3[0];
+    if (t23 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[4];
         closed_state[1] = filtered_state[1] + compression_deviation[5];
@@ -1475,11 +1459,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 3 */
-    const double t34 = -0.5 - accepted_0[0];
-    const double t35 = t34 - accepted_1[0];
-    const double t36 = t35 - accepted_2[0];
-    const double t37 = t36 + accepted_3[0];
-    if (t37 > 0.0)
+    const double t24 = -0.5 - accepted_0[0];
+    const double t25 = t24 - accepted_1[0];
+    const double t26 = t25 - accepted_2[0];
+    const double t27 = t26 + accepted_3[0];
+    if (t27 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[6];
         closed_state[1] = filtered_state[1] + compression_deviation[7];
@@ -1489,11 +1473,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 0, 1 */
-    const double t40 = -1.5 + accepted_0[0];
-    const double t41 = t40 + accepted_1[0];
-    const double t42 = t41 - accepted_2[0];
-    const double t43 = t42 - accepted_3[0];
-    if (t43 > 0.0)
+    const double t28 = -1.5 + accepted_0[0];
+    const double t29 = t28 + accepted_1[0];
+    const double t30 = t29 - accepted_2[0];
+    const double t31 = t30 - accepted_3[0];
+    if (t31 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[8];
         closed_state[1] = filtered_state[1] + compression_deviation[9];
@@ -1503,11 +1487,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 0, 2 */
-    const double t46 = -1.5 + accepted_0[0];
-    const double t47 = t46 - accepted_1[0];
-    const double t48 = t47 + accepted_2[0];
-    const double t49 = t48 - accepted_3[0];
-    if (t49 > 0.0)
+    const double t32 = -1.5 + accepted_0[0];
+    const double t33 = t32 - accepted_1[0];
+    const double t34 = t33 + accepted_2[0];
+    const double t35 = t34 - accepted_3[0];
+    if (t35 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[10];
         closed_state[1] = filtered_state[1] + compression_deviation[11];
@@ -1517,11 +1501,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 0, 3 */
-    const double t52 = -1.5 + accepted_0[0];
-    const double t53 = t52 - accepted_1[0];
-    const double t54 = t53 - accepted_2[0];
-    const double t55 = t54 + accepted_3[0];
-    if (t55 > 0.0)
+    const double t36 = -1.5 + accepted_0[0];
+    const double t37 = t36 - accepted_1[0];
+    const double t38 = t37 - accepted_2[0];
+    const double t39 = t38 + accepted_3[0];
+    if (t39 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[12];
         closed_state[1] = filtered_state[1] + compression_deviation[13];
@@ -1531,11 +1515,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 1, 2 */
-    const double t58 = -1.5 - accepted_0[0];
-    const double t59 = t58 + accepted_1[0];
-    const double t60 = t59 + accepted_2[0];
-    const double t61 = t60 - accepted_3[0];
-    if (t61 > 0.0)
+    const double t40 = -1.5 - accepted_0[0];
+    const double t41 = t40 + accepted_1[0];
+    const double t42 = t41 + accepted_2[0];
+    const double t43 = t42 - accepted_3[0];
+    if (t43 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[14];
         closed_state[1] = filtered_state[1] + compression_deviation[15];
@@ -1545,11 +1529,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 1, 3 */
-    const double t64 = -1.5 - accepted_0[0];
-    const double t65 = t64 + accepted_1[0];
-    const double t66 = t65 - accepted_2[0];
-    const double t67 = t66 + accepted_3[0];
-    if (t67 > 0.0)
+    const double t44 = -1.5 - accepted_0[0];
+    const double t45 = t44 + accepted_1[0];
+    const double t46 = t45 - accepted_2[0];
+    const double t47 = t46 + accepted_3[0];
+    if (t47 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[16];
         closed_state[1] = filtered_state[1] + compression_deviation[17];
@@ -1559,11 +1543,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 2, 3 */
-    const double t70 = -1.5 - accepted_0[0];
-    const double t71 = t70 - accepted_1[0];
-    const double t72 = t71 + accepted_2[0];
-    const double t73 = t72 + accepted_3[0];
-    if (t73 > 0.0)
+    const double t48 = -1.5 - accepted_0[0];
+    const double t49 = t48 - accepted_1[0];
+    const double t50 = t49 + accepted_2[0];
+    const double t51 = t50 + accepted_3[0];
+    if (t51 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[18];
         closed_state[1] = filtered_state[1] + compression_deviation[19];
@@ -1573,11 +1557,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 0, 1, 2 */
-    const double t76 = -2.5 + accepted_0[0];
-    const double t77 = t76 + accepted_1[0];
-    const double t78 = t77 + accepted_2[0];
-    const double t79 = t78 - accepted_3[0];
-    if (t79 > 0.0)
+    const double t52 = -2.5 + accepted_0[0];
+    const double t53 = t52 + accepted_1[0];
+    const double t54 = t53 + accepted_2[0];
+    const double t55 = t54 - accepted_3[0];
+    if (t55 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[20];
         closed_state[1] = filtered_state[1] + compression_deviation[21];
@@ -1587,11 +1571,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 0, 1, 3 */
-    const double t82 = -2.5 + accepted_0[0];
-    const double t83 = t82 + accepted_1[0];
-    const double t84 = t83 - accepted_2[0];
-    const double t85 = t84 + accepted_3[0];
-    if (t85 > 0.0)
+    const double t56 = -2.5 + accepted_0[0];
+    const double t57 = t56 + accepted_1[0];
+    const double t58 = t57 - accepted_2[0];
+    const double t59 = t58 + accepted_3[0];
+    if (t59 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[22];
         closed_state[1] = filtered_state[1] + compression_deviation[23];
@@ -1601,11 +1585,11 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
     }
 
     /* the host takes over: group 0, 2, 3 */
-    const double t88 = -2.5 + accepted_0[0];
-    const double t89 = t88 - accepted_1[0];
-    const double t90 = t89 + accepted_2[0];
-    const double t91 = t90 + accepted_3[0];
-    if (t91 > 0.0)
+    const double t60 = -2.5 + accepted_0[0];
+    const double t61 = t60 - accepted_1[0];
+    const double t62 = t61 + accepted_2[0];
+    const double t63 = t62 + accepted_3[0];
+    if (t63 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[24];
         closed_state[1] = filtered_state[1] + compression_deviation[25];
@@ -1613,8 +1597,6 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
         closed_covariance[1] = compression_covariance[37];
         closed_covariance[2] = compression_covariance[38];
     }
-
-    /* the host takes over: group 1, 2, 3 */
 }
 
 /* prediction of the next sample. */
@@ -1638,341 +1620,341 @@ static wheel_drift_status_t wheel_drift_prediction_of_the_next(const double A,
     const double t10 = t9 + Q[0];
     const double t11 = filtered_covariance[2] * A;
     predicted_covariance[1] = filtered_covariance[1] + t11;
-    const double t13 = filtered_covariance[2] + Q[1];
-    const double t14 = A * compression_deviation[1];
-    const double t15 = compression_deviation[0] + t14;
-    const double t16 = A * compression_deviation[3];
-    const double t17 = compression_deviation[2] + t16;
-    const double t18 = A * compression_deviation[5];
-    const double t19 = compression_deviation[4] + t18;
-    const double t20 = A * compression_deviation[7];
-    const double t21 = compression_deviation[6] + t20;
-    const double t22 = A * compression_deviation[9];
-    const double t23 = compression_deviation[8] + t22;
-    const double t24 = A * compression_deviation[11];
-    const double t25 = compression_deviation[10] + t24;
-    const double t26 = A * compression_deviation[13];
-    const double t27 = compression_deviation[12] + t26;
-    const double t28 = A * compression_deviation[15];
-    const double t29 = compression_deviation[14] + t28;
-    const double t30 = A * compression_deviation[17];
-    const double t31 = compression_deviation[16] + t30;
-    const double t32 = A * compression_deviation[19];
-    const double t33 = compression_deviation[18] + t32;
-    const double t34 = A * compression_deviation[21];
-    const double t35 = compression_deviation[20] + t34;
-    const double t36 = A * compression_deviation[23];
-    const double t37 = compression_deviation[22] + t36;
-    const double t38 = A * compression_deviation[25];
-    const double t39 = compression_deviation[24] + t38;
-    const double t40 = A * compression_deviation[27];
-    const double t41 = compression_deviation[26] + t40;
-    const double t42 = A * compression_deviation[29];
-    const double t43 = compression_deviation[28] + t42;
-    const double t44 = A * compression_covariance[1];
-    const double t45 = compression_covariance[0] + t44;
-    const double t46 = A * compression_covariance[2];
-    const double t47 = compression_covariance[1] + t46;
-    const double t48 = t47 * A;
-    const double t49 = t45 + t48;
-    const double t50 = t49 + Q[0];
-    const double t51 = compression_covariance[2] * A;
-    predicted_compression_covariance[1] = compression_covariance[1] + t51;
-    const double t53 = compression_covariance[2] + Q[1];
-    const double t54 = A * compression_covariance[4];
-    const double t55 = compression_covariance[3] + t54;
-    const double t56 = A * compression_covariance[5];
-    const double t57 = compression_covariance[4] + t56;
-    const double t58 = t57 * A;
-    const double t59 = t55 + t58;
-    const double t60 = t59 + Q[0];
-    const double t61 = compression_covariance[5] * A;
-    predicted_compression_covariance[4] = compression_covariance[4] + t61;
-    const double t63 = compression_covariance[5] + Q[1];
-    const double t64 = A * compression_covariance[7];
-    const double t65 = compression_covariance[6] + t64;
-    const double t66 = A * compression_covariance[8];
-    const double t67 = compression_covariance[7] + t66;
-    const double t68 = t67 * A;
-    const double t69 = t65 + t68;
-    const double t70 = t69 + Q[0];
-    const double t71 = compression_covariance[8] * A;
-    predicted_compression_covariance[7] = compression_covariance[7] + t71;
-    const double t73 = compression_covariance[8] + Q[1];
-    const double t74 = A * compression_covariance[10];
-    const double t75 = compression_covariance[9] + t74;
-    const double t76 = A * compression_covariance[11];
-    const double t77 = compression_covariance[10] + t76;
-    const double t78 = t77 * A;
-    const double t79 = t75 + t78;
-    const double t80 = t79 + Q[0];
-    const double t81 = compression_covariance[11] * A;
-    predicted_compression_covariance[10] = compression_covariance[10] + t81;
-    const double t83 = compression_covariance[11] + Q[1];
-    const double t84 = A * compression_covariance[13];
-    const double t85 = compression_covariance[12] + t84;
-    const double t86 = A * compression_covariance[14];
-    const double t87 = compression_covariance[13] + t86;
-    const double t88 = t87 * A;
-    const double t89 = t85 + t88;
-    const double t90 = t89 + Q[0];
-    const double t91 = compression_covariance[14] * A;
-    predicted_compression_covariance[13] = compression_covariance[13] + t91;
-    const double t93 = compression_covariance[14] + Q[1];
-    const double t94 = A * compression_covariance[16];
-    const double t95 = compression_covariance[15] + t94;
-    const double t96 = A * compression_covariance[17];
-    const double t97 = compression_covariance[16] + t96;
-    const double t98 = t97 * A;
-    const double t99 = t95 + t98;
-    const double t100 = t99 + Q[0];
-    const double t101 = compression_covariance[17] * A;
-    predicted_compression_covariance[16] = compression_covariance[16] + t101;
-    const double t103 = compression_covariance[17] + Q[1];
-    const double t104 = A * compression_covariance[19];
-    const double t105 = compression_covariance[18] + t104;
-    const double t106 = A * compression_covariance[20];
-    const double t107 = compression_covariance[19] + t106;
-    const double t108 = t107 * A;
-    const double t109 = t105 + t108;
-    const double t110 = t109 + Q[0];
-    const double t111 = compression_covariance[20] * A;
-    predicted_compression_covariance[19] = compression_covariance[19] + t111;
-    const double t113 = compression_covariance[20] + Q[1];
-    const double t114 = A * compression_covariance[22];
-    const double t115 = compression_covariance[21] + t114;
-    const double t116 = A * compression_covariance[23];
-    const double t117 = compression_covariance[22] + t116;
-    const double t118 = t117 * A;
-    const double t119 = t115 + t118;
-    const double t120 = t119 + Q[0];
-    const double t121 = compression_covariance[23] * A;
-    predicted_compression_covariance[22] = compression_covariance[22] + t121;
-    const double t123 = compression_covariance[23] + Q[1];
-    const double t124 = A * compression_covariance[25];
-    const double t125 = compression_covariance[24] + t124;
-    const double t126 = A * compression_covariance[26];
-    const double t127 = compression_covariance[25] + t126;
+    const double t12 = filtered_covariance[2] + Q[1];
+    const double t13 = A * compression_deviation[1];
+    const double t14 = compression_deviation[0] + t13;
+    const double t15 = A * compression_deviation[3];
+    const double t16 = compression_deviation[2] + t15;
+    const double t17 = A * compression_deviation[5];
+    const double t18 = compression_deviation[4] + t17;
+    const double t19 = A * compression_deviation[7];
+    const double t20 = compression_deviation[6] + t19;
+    const double t21 = A * compression_deviation[9];
+    const double t22 = compression_deviation[8] + t21;
+    const double t23 = A * compression_deviation[11];
+    const double t24 = compression_deviation[10] + t23;
+    const double t25 = A * compression_deviation[13];
+    const double t26 = compression_deviation[12] + t25;
+    const double t27 = A * compression_deviation[15];
+    const double t28 = compression_deviation[14] + t27;
+    const double t29 = A * compression_deviation[17];
+    const double t30 = compression_deviation[16] + t29;
+    const double t31 = A * compression_deviation[19];
+    const double t32 = compression_deviation[18] + t31;
+    const double t33 = A * compression_deviation[21];
+    const double t34 = compression_deviation[20] + t33;
+    const double t35 = A * compression_deviation[23];
+    const double t36 = compression_deviation[22] + t35;
+    const double t37 = A * compression_deviation[25];
+    const double t38 = compression_deviation[24] + t37;
+    const double t39 = A * compression_deviation[27];
+    const double t40 = compression_deviation[26] + t39;
+    const double t41 = A * compression_deviation[29];
+    const double t42 = compression_deviation[28] + t41;
+    const double t43 = A * compression_covariance[1];
+    const double t44 = compression_covariance[0] + t43;
+    const double t45 = A * compression_covariance[2];
+    const double t46 = compression_covariance[1] + t45;
+    const double t47 = t46 * A;
+    const double t48 = t44 + t47;
+    const double t49 = t48 + Q[0];
+    const double t50 = compression_covariance[2] * A;
+    predicted_compression_covariance[1] = compression_covariance[1] + t50;
+    const double t51 = compression_covariance[2] + Q[1];
+    const double t52 = A * compression_covariance[4];
+    const double t53 = compression_covariance[3] + t52;
+    const double t54 = A * compression_covariance[5];
+    const double t55 = compression_covariance[4] + t54;
+    const double t56 = t55 * A;
+    const double t57 = t53 + t56;
+    const double t58 = t57 + Q[0];
+    const double t59 = compression_covariance[5] * A;
+    predicted_compression_covariance[4] = compression_covariance[4] + t59;
+    const double t60 = compression_covariance[5] + Q[1];
+    const double t61 = A * compression_covariance[7];
+    const double t62 = compression_covariance[6] + t61;
+    const double t63 = A * compression_covariance[8];
+    const double t64 = compression_covariance[7] + t63;
+    const double t65 = t64 * A;
+    const double t66 = t62 + t65;
+    const double t67 = t66 + Q[0];
+    const double t68 = compression_covariance[8] * A;
+    predicted_compression_covariance[7] = compression_covariance[7] + t68;
+    const double t69 = compression_covariance[8] + Q[1];
+    const double t70 = A * compression_covariance[10];
+    const double t71 = compression_covariance[9] + t70;
+    const double t72 = A * compression_covariance[11];
+    const double t73 = compression_covariance[10] + t72;
+    const double t74 = t73 * A;
+    const double t75 = t71 + t74;
+    const double t76 = t75 + Q[0];
+    const double t77 = compression_covariance[11] * A;
+    predicted_compression_covariance[10] = compression_covariance[10] + t77;
+    const double t78 = compression_covariance[11] + Q[1];
+    const double t79 = A * compression_covariance[13];
+    const double t80 = compression_covariance[12] + t79;
+    const double t81 = A * compression_covariance[14];
+    const double t82 = compression_covariance[13] + t81;
+    const double t83 = t82 * A;
+    const double t84 = t80 + t83;
+    const double t85 = t84 + Q[0];
+    const double t86 = compression_covariance[14] * A;
+    predicted_compression_covariance[13] = compression_covariance[13] + t86;
+    const double t87 = compression_covariance[14] + Q[1];
+    const double t88 = A * compression_covariance[16];
+    const double t89 = compression_covariance[15] + t88;
+    const double t90 = A * compression_covariance[17];
+    const double t91 = compression_covariance[16] + t90;
+    const double t92 = t91 * A;
+    const double t93 = t89 + t92;
+    const double t94 = t93 + Q[0];
+    const double t95 = compression_covariance[17] * A;
+    predicted_compression_covariance[16] = compression_covariance[16] + t95;
+    const double t96 = compression_covariance[17] + Q[1];
+    const double t97 = A * compression_covariance[19];
+    const double t98 = compression_covariance[18] + t97;
+    const double t99 = A * compression_covariance[20];
+    const double t100 = compression_covariance[19] + t99;
+    const double t101 = t100 * A;
+    const double t102 = t98 + t101;
+    const double t103 = t102 + Q[0];
+    const double t104 = compression_covariance[20] * A;
+    predicted_compression_covariance[19] = compression_covariance[19] + t104;
+    const double t105 = compression_covariance[20] + Q[1];
+    const double t106 = A * compression_covariance[22];
+    const double t107 = compression_covariance[21] + t106;
+    const double t108 = A * compression_covariance[23];
+    const double t109 = compression_covariance[22] + t108;
+    const double t110 = t109 * A;
+    const double t111 = t107 + t110;
+    const double t112 = t111 + Q[0];
+    const double t113 = compression_covariance[23] * A;
+    predicted_compression_covariance[22] = compression_covariance[22] + t113;
+    const double t114 = compression_covariance[23] + Q[1];
+    const double t115 = A * compression_covariance[25];
+    const double t116 = compression_covariance[24] + t115;
+    const double t117 = A * compression_covariance[26];
+    const double t118 = compression_covariance[25] + t117;
+    const double t119 = t118 * A;
+    const double t120 = t116 + t119;
+    const double t121 = t120 + Q[0];
+    const double t122 = compression_covariance[26] * A;
+    predicted_compression_covariance[25] = compression_covariance[25] + t122;
+    const double t123 = compression_covariance[26] + Q[1];
+    const double t124 = A * compression_covariance[28];
+    const double t125 = compression_covariance[27] + t124;
+    const double t126 = A * compression_covariance[29];
+    const double t127 = compression_covariance[28] + t126;
     const double t128 = t127 * A;
     const double t129 = t125 + t128;
     const double t130 = t129 + Q[0];
-    const double t131 = compression_covariance[26] * A;
-    predicted_compression_covariance[25] = compression_covariance[25] + t131;
-    const double t133 = compression_covariance[26] + Q[1];
-    const double t134 = A * compression_covariance[28];
-    const double t135 = compression_covariance[27] + t134;
-    const double t136 = A * compression_covariance[29];
-    const double t137 = compression_covariance[28] + t136;
-    const double t138 = t137 * A;
-    const double t139 = t135 + t138;
-    const double t140 = t139 + Q[0];
-    const double t141 = compression_covariance[29] * A;
-    predicted_compression_covariance[28] = compression_covariance[28] + t141;
-    const double t143 = compression_covariance[29] + Q[1];
-    const double t144 = A * compression_covariance[31];
-    const double t145 = compression_covariance[30] + t144;
-    const double t146 = A * compression_covariance[32];
-    const double t147 = compression_covariance[31] + t146;
-    const double t148 = t147 * A;
-    const double t149 = t145 + t148;
-    const double t150 = t149 + Q[0];
-    const double t151 = compression_covariance[32] * A;
-    predicted_compression_covariance[31] = compression_covariance[31] + t151;
-    const double t153 = compression_covariance[32] + Q[1];
-    const double t154 = A * compression_covariance[34];
-    const double t155 = compression_covariance[33] + t154;
-    const double t156 = A * compression_covariance[35];
-    const double t157 = compression_covariance[34] + t156;
-    const double t158 = t157 * A;
-    const double t159 = t155 + t158;
-    const double t160 = t159 + Q[0];
-    const double t161 = compression_covariance[35] * A;
-    predicted_compression_covariance[34] = compression_covariance[34] + t161;
-    const double t163 = compression_covariance[35] + Q[1];
-    const double t164 = A * compression_covariance[37];
-    const double t165 = compression_covariance[36] + t164;
-    const double t166 = A * compression_covariance[38];
-    const double t167 = compression_covariance[37] + t166;
-    const double t168 = t167 * A;
-    const double t169 = t165 + t168;
-    const double t170 = t169 + Q[0];
-    const double t171 = compression_covariance[38] * A;
-    predicted_compression_covariance[37] = compression_covariance[37] + t171;
-    const double t173 = compression_covariance[38] + Q[1];
-    const double t174 = A * compression_covariance[40];
-    const double t175 = compression_covariance[39] + t174;
-    const double t176 = A * compression_covariance[41];
-    const double t177 = compression_covariance[40] + t176;
-    const double t178 = t177 * A;
-    const double t179 = t175 + t178;
-    const double t180 = t179 + Q[0];
-    const double t181 = compression_covariance[41] * A;
-    predicted_compression_covariance[40] = compression_covariance[40] + t181;
-    const double t183 = compression_covariance[41] + Q[1];
-    const double t184 = A * compression_covariance[43];
-    const double t185 = compression_covariance[42] + t184;
-    const double t186 = A * compression_covariance[44];
-    const double t187 = compression_covariance[43] + t186;
-    const double t188 = t187 * A;
-    const double t189 = t185 + t188;
-    const double t190 = t189 + Q[0];
-    const double t191 = compression_covariance[44] * A;
-    predicted_compression_covariance[43] = compression_covariance[43] + t191;
-    const double t193 = compression_covariance[44] + Q[1];
+    const double t131 = compression_covariance[29] * A;
+    predicted_compression_covariance[28] = compression_covariance[28] + t131;
+    const double t132 = compression_covariance[29] + Q[1];
+    const double t133 = A * compression_covariance[31];
+    const double t134 = compression_covariance[30] + t133;
+    const double t135 = A * compression_covariance[32];
+    const double t136 = compression_covariance[31] + t135;
+    const double t137 = t136 * A;
+    const double t138 = t134 + t137;
+    const double t139 = t138 + Q[0];
+    const double t140 = compression_covariance[32] * A;
+    predicted_compression_covariance[31] = compression_covariance[31] + t140;
+    const double t141 = compression_covariance[32] + Q[1];
+    const double t142 = A * compression_covariance[34];
+    const double t143 = compression_covariance[33] + t142;
+    const double t144 = A * compression_covariance[35];
+    const double t145 = compression_covariance[34] + t144;
+    const double t146 = t145 * A;
+    const double t147 = t143 + t146;
+    const double t148 = t147 + Q[0];
+    const double t149 = compression_covariance[35] * A;
+    predicted_compression_covariance[34] = compression_covariance[34] + t149;
+    const double t150 = compression_covariance[35] + Q[1];
+    const double t151 = A * compression_covariance[37];
+    const double t152 = compression_covariance[36] + t151;
+    const double t153 = A * compression_covariance[38];
+    const double t154 = compression_covariance[37] + t153;
+    const double t155 = t154 * A;
+    const double t156 = t152 + t155;
+    const double t157 = t156 + Q[0];
+    const double t158 = compression_covariance[38] * A;
+    predicted_compression_covariance[37] = compression_covariance[37] + t158;
+    const double t159 = compression_covariance[38] + Q[1];
+    const double t160 = A * compression_covariance[40];
+    const double t161 = compression_covariance[39] + t160;
+    const double t162 = A * compression_covariance[41];
+    const double t163 = compression_covariance[40] + t162;
+    const double t164 = t163 * A;
+    const double t165 = t161 + t164;
+    const double t166 = t165 + Q[0];
+    const double t167 = compression_covariance[41] * A;
+    predicted_compression_covariance[40] = compression_covariance[40] + t167;
+    const double t168 = compression_covariance[41] + Q[1];
+    const double t169 = A * compression_covariance[43];
+    const double t170 = compression_covariance[42] + t169;
+    const double t171 = A * compression_covariance[44];
+    const double t172 = compression_covariance[43] + t171;
+    const double t173 = t172 * A;
+    const double t174 = t170 + t173;
+    const double t175 = t174 + Q[0];
+    const double t176 = compression_covariance[44] * A;
+    predicted_compression_covariance[43] = compression_covariance[43] + t176;
+    const double t177 = compression_covariance[44] + Q[1];
     if (!wheel_drift_finite(wheel_drift_defect(t3) + wheel_drift_defect(filtered_state[1]) +
-        wheel_drift_defect(t10) + wheel_drift_defect(t13)))
+        wheel_drift_defect(t10) + wheel_drift_defect(t12)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t15) + wheel_drift_defect(compression_deviation[1]) +
-        wheel_drift_defect(t50) + wheel_drift_defect(t53)))
+    if (!wheel_drift_finite(wheel_drift_defect(t14) + wheel_drift_defect(compression_deviation[1]) +
+        wheel_drift_defect(t49) + wheel_drift_defect(t51)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t17) + wheel_drift_defect(compression_deviation[3]) +
-        wheel_drift_defect(t60) + wheel_drift_defect(t63)))
+    if (!wheel_drift_finite(wheel_drift_defect(t16) + wheel_drift_defect(compression_deviation[3]) +
+        wheel_drift_defect(t58) + wheel_drift_defect(t60)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t19) + wheel_drift_defect(compression_deviation[5]) +
-        wheel_drift_defect(t70) + wheel_drift_defect(t73)))
+    if (!wheel_drift_finite(wheel_drift_defect(t18) + wheel_drift_defect(compression_deviation[5]) +
+        wheel_drift_defect(t67) + wheel_drift_defect(t69)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t21) + wheel_drift_defect(compression_deviation[7]) +
-        wheel_drift_defect(t80) + wheel_drift_defect(t83)))
+    if (!wheel_drift_finite(wheel_drift_defect(t20) + wheel_drift_defect(compression_deviation[7]) +
+        wheel_drift_defect(t76) + wheel_drift_defect(t78)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t23) + wheel_drift_defect(compression_deviation[9]) +
-        wheel_drift_defect(t90) + wheel_drift_defect(t93)))
+    if (!wheel_drift_finite(wheel_drift_defect(t22) + wheel_drift_defect(compression_deviation[9]) +
+        wheel_drift_defect(t85) + wheel_drift_defect(t87)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t25) +
-        wheel_drift_defect(compression_deviation[11]) + wheel_drift_defect(t100) +
-        wheel_drift_defect(t103)))
+    if (!wheel_drift_finite(wheel_drift_defect(t24) +
+        wheel_drift_defect(compression_deviation[11]) + wheel_drift_defect(t94) +
+        wheel_drift_defect(t96)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t27) +
-        wheel_drift_defect(compression_deviation[13]) + wheel_drift_defect(t110) +
-        wheel_drift_defect(t113)))
+    if (!wheel_drift_finite(wheel_drift_defect(t26) +
+        wheel_drift_defect(compression_deviation[13]) + wheel_drift_defect(t103) +
+        wheel_drift_defect(t105)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t29) +
-        wheel_drift_defect(compression_deviation[15]) + wheel_drift_defect(t120) +
+    if (!wheel_drift_finite(wheel_drift_defect(t28) +
+        wheel_drift_defect(compression_deviation[15]) + wheel_drift_defect(t112) +
+        wheel_drift_defect(t114)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    if (!wheel_drift_finite(wheel_drift_defect(t30) +
+        wheel_drift_defect(compression_deviation[17]) + wheel_drift_defect(t121) +
         wheel_drift_defect(t123)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t31) +
-        wheel_drift_defect(compression_deviation[17]) + wheel_drift_defect(t130) +
-        wheel_drift_defect(t133)))
+    if (!wheel_drift_finite(wheel_drift_defect(t32) +
+        wheel_drift_defect(compression_deviation[19]) + wheel_drift_defect(t130) +
+        wheel_drift_defect(t132)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t33) +
-        wheel_drift_defect(compression_deviation[19]) + wheel_drift_defect(t140) +
-        wheel_drift_defect(t143)))
+    if (!wheel_drift_finite(wheel_drift_defect(t34) +
+        wheel_drift_defect(compression_deviation[21]) + wheel_drift_defect(t139) +
+        wheel_drift_defect(t141)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t35) +
-        wheel_drift_defect(compression_deviation[21]) + wheel_drift_defect(t150) +
-        wheel_drift_defect(t153)))
+    if (!wheel_drift_finite(wheel_drift_defect(t36) +
+        wheel_drift_defect(compression_deviation[23]) + wheel_drift_defect(t148) +
+        wheel_drift_defect(t150)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t37) +
-        wheel_drift_defect(compression_deviation[23]) + wheel_drift_defect(t160) +
-        wheel_drift_defect(t163)))
+    if (!wheel_drift_finite(wheel_drift_defect(t38) +
+        wheel_drift_defect(compression_deviation[25]) + wheel_drift_defect(t157) +
+        wheel_drift_defect(t159)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t39) +
-        wheel_drift_defect(compression_deviation[25]) + wheel_drift_defect(t170) +
-        wheel_drift_defect(t173)))
+    if (!wheel_drift_finite(wheel_drift_defect(t40) +
+        wheel_drift_defect(compression_deviation[27]) + wheel_drift_defect(t166) +
+        wheel_drift_defect(t168)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if (!wheel_drift_finite(wheel_drift_defect(t41) +
-        wheel_drift_defect(compression_deviation[27]) + wheel_drift_defect(t180) +
-        wheel_drift_defect(t183)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t43) +
-        wheel_drift_defect(compression_deviation[29]) + wheel_drift_defect(t190) +
-        wheel_drift_defect(t193)))
+    if (!wheel_drift_finite(wheel_drift_defect(t42) +
+        wheel_drift_defect(compression_deviation[29]) + wheel_drift_defect(t175) +
+        wheel_drift_defect(t177)))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
     predicted_state[0] = t3;
     predicted_state[1] = filtered_state[1];
     predicted_covariance[0] = t10;
-    predicted_covariance[2] = t13;
-    predicted_compression_deviation[0] = t15;
+    predicted_covariance[2] = t12;
+    predicted_compression_deviation[0] = t14;
     predicted_compression_deviation[1] = compression_deviation[1];
-    predicted_compression_deviation[2] = t17;
+    predicted_compression_deviation[2] = t16;
     predicted_compression_deviation[3] = compression_deviation[3];
-    predicted_compression_deviation[4] = t19;
+    predicted_compression_deviation[4] = t18;
     predicted_compression_deviation[5] = compression_deviation[5];
-    predicted_compression_deviation[6] = t21;
+    predicted_compression_deviation[6] = t20;
     predicted_compression_deviation[7] = compression_deviation[7];
-    predicted_compression_deviation[8] = t23;
+    predicted_compression_deviation[8] = t22;
     predicted_compression_deviation[9] = compression_deviation[9];
-    predicted_compression_deviation[10] = t25;
+    predicted_compression_deviation[10] = t24;
     predicted_compression_deviation[11] = compression_deviation[11];
-    predicted_compression_deviation[12] = t27;
+    predicted_compression_deviation[12] = t26;
     predicted_compression_deviation[13] = compression_deviation[13];
-    predicted_compression_deviation[14] = t29;
+    predicted_compression_deviation[14] = t28;
     predicted_compression_deviation[15] = compression_deviation[15];
-    predicted_compression_deviation[16] = t31;
+    predicted_compression_deviation[16] = t30;
     predicted_compression_deviation[17] = compression_deviation[17];
-    predicted_compression_deviation[18] = t33;
+    predicted_compression_deviation[18] = t32;
     predicted_compression_deviation[19] = compression_deviation[19];
-    predicted_compression_deviation[20] = t35;
+    predicted_compression_deviation[20] = t34;
     predicted_compression_deviation[21] = compression_deviation[21];
-    predicted_compression_deviation[22] = t37;
+    predicted_compression_deviation[22] = t36;
     predicted_compression_deviation[23] = compression_deviation[23];
-    predicted_compression_deviation[24] = t39;
+    predicted_compression_deviation[24] = t38;
     predicted_compression_deviation[25] = compression_deviation[25];
-    predicted_compression_deviation[26] = t41;
+    predicted_compression_deviation[26] = t40;
     predicted_compression_deviation[27] = compression_deviation[27];
-    predicted_compression_deviation[28] = t43;
+    predicted_compression_deviation[28] = t42;
     predicted_compression_deviation[29] = compression_deviation[29];
-    predicted_compression_covariance[0] = t50;
-    predicted_compression_covariance[2] = t53;
-    predicted_compression_covariance[3] = t60;
-    predicted_compression_covariance[5] = t63;
-    predicted_compression_covariance[6] = t70;
-    predicted_compression_covariance[8] = t73;
-    predicted_compression_covariance[9] = t80;
-    predicted_compression_covariance[11] = t83;
-    predicted_compression_covariance[12] = t90;
-    predicted_compression_covariance[14] = t93;
-    predicted_compression_covariance[15] = t100;
-    predicted_compression_covariance[17] = t103;
-    predicted_compression_covariance[18] = t110;
-    predicted_compression_covariance[20] = t113;
-    predicted_compression_covariance[21] = t120;
-    predicted_compression_covariance[23] = t123;
-    predicted_compression_covariance[24] = t130;
-    predicted_compression_covariance[26] = t133;
-    predicted_compression_covariance[27] = t140;
-    predicted_compression_covariance[29] = t143;
-    predicted_compression_covariance[30] = t150;
-    predicted_compression_covariance[32] = t153;
-    predicted_compression_covariance[33] = t160;
-    predicted_compression_covariance[35] = t163;
-    predicted_compression_covariance[36] = t170;
-    predicted_compression_covariance[38] = t173;
-    predicted_compression_covariance[39] = t180;
-    predicted_compression_covariance[41] = t183;
-    predicted_compression_covariance[42] = t190;
-    predicted_compression_covariance[44] = t193;
+    predicted_compression_covariance[0] = t49;
+    predicted_compression_covariance[2] = t51;
+    predicted_compression_covariance[3] = t58;
+    predicted_compression_covariance[5] = t60;
+    predicted_compression_covariance[6] = t67;
+    predicted_compression_covariance[8] = t69;
+    predicted_compression_covariance[9] = t76;
+    predicted_compression_covariance[11] = t78;
+    predicted_compression_covariance[12] = t85;
+    predicted_compression_covariance[14] = t87;
+    predicted_compression_covariance[15] = t94;
+    predicted_compression_covariance[17] = t96;
+    predicted_compression_covariance[18] = t103;
+    predicted_compression_covariance[20] = t105;
+    predicted_compression_covariance[21] = t112;
+    predicted_compression_covariance[23] = t114;
+    predicted_compression_covariance[24] = t121;
+    predicted_compression_covariance[26] = t123;
+    predicted_compression_covariance[27] = t130;
+    predicted_compression_covariance[29] = t132;
+    predicted_compression_covariance[30] = t139;
+    predicted_compression_covariance[32] = t141;
+    predicted_compression_covariance[33] = t148;
+    predicted_compression_covariance[35] = t150;
+    predicted_compression_covariance[36] = t157;
+    predicted_compression_covariance[38] = t159;
+    predicted_compression_covariance[39] = t166;
+    predicted_compression_covariance[41] = t168;
+    predicted_compression_covariance[42] = t175;
+    predicted_compression_covariance[44] = t177;
     predicted_window_left[0] = left;
     predicted_collecting[0] = collecting[0];
     predicted_collecting[1] = collecting[1];
@@ -2009,11 +1991,6 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double deviation_compression4[2];
     double covariance_compression5[3];
     double deviation_compression5[2];
-    double innovation_compression6_0 = 0.0;
-    double innovation_compression6_1 = 0.0;
-    double innovation_compression6_2 = 0.0;
-    double innovation_compression6_3 = 0.0;
-    double mean_compression6[2];
     double covariance_compression6[3];
     double deviation_compression6[2];
     double innovation_compression7_0 = 0.0;
@@ -2052,33 +2029,38 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double innovation_compression11_4 = 0.0;
     double mean_compression11[2];
     double covariance_compression11[3];
+    double deviation_compression11[2];
     wheel_drift_status_t status;
-    status = wheel_drift_innovation_2(self->predicted_covariance,
-        self->predicted_compression_covariance, self->predicted_state, y, &innovation_0,
-        &innovation_1, &innovation_2, &innovation_3, &innovation_4, &innovation_5, mean_host,
-        covariance_host, &quadratic_host, &log_constant_host, &determinant_host_0, host_state,
-        self->predicted_compression_deviation, covariance_compression, deviation_compression,
+    if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
+    {
+        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
+    }
+    status = wheel_drift_correct_2(self->predicted_compression_covariance);
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_correct_2(&self->predicted_compression_covariance[15]);
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_correct_2(&self->predicted_compression_covariance[30]);
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+
+    /* innovation, row by row */
+    status = wheel_drift_innovation_2(self->predicted_state, y, &innovation_0, &innovation_1,
+        &innovation_2, &innovation_3, &innovation_4, &innovation_5, mean_host,
+        self->predicted_covariance, covariance_host, &quadratic_host, &log_constant_host,
+        &determinant_host_0, host_state, self->predicted_compression_deviation,
+        self->predicted_compression_covariance, covariance_compression, deviation_compression,
         covariance_compression1, deviation_compression1, covariance_compression2,
         deviation_compression2, covariance_compression3, deviation_compression3,
         covariance_compression4, deviation_compression4, covariance_compression5,
-        deviation_compression5, &innovation_compression6_0, &innovation_compression6_1, present);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[12],
-        &innovation_compression6_2, innovation_5, &innovation_compression6_3, mean_compression6,
-        &self->predicted_compression_covariance[18], covariance_compression6,
-        innovation_compression6_0, wheel_drift_row_of_y_2_numbers[6], present, ((present & 0x1u) !=
-        0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression6, mean_compression6,
-        self->predicted_compression_deviation[12], innovation_compression6_1,
-        innovation_compression6_2, innovation_compression6_3, mean_host, deviation_compression6,
-        wheel_drift_row_of_y_numbers[2], present, ((present & 0x8u) != 0u));
+        deviation_compression5, covariance_compression6, deviation_compression6, present);
     if (status != WHEEL_DRIFT_OK)
     {
         return status;
@@ -2087,13 +2069,13 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     /* innovation, row by row */
     if ((present & 0x2u) != 0u)
     {
-        const double t801 = 0.9921619208254787 * self->predicted_compression_deviation[14];
-        innovation_compression7_0 = innovation_1 - t801;
+        const double t0 = 0.9921619208254787 * self->predicted_compression_deviation[14];
+        innovation_compression7_0 = innovation_1 - t0;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t803 = 0.9903931860948796 * self->predicted_compression_deviation[14];
-        innovation_compression7_1 = innovation_2 - t803;
+        const double t1 = 0.9903931860948796 * self->predicted_compression_deviation[14];
+        innovation_compression7_1 = innovation_2 - t1;
     }
     status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[14],
         &innovation_compression7_2, innovation_5, &innovation_compression7_3, mean_compression7,
@@ -2116,13 +2098,13 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     /* innovation, row by row */
     if ((present & 0x2u) != 0u)
     {
-        const double t926 = 0.9921619208254787 * self->predicted_compression_deviation[16];
-        innovation_compression8_0 = innovation_1 - t926;
+        const double t2 = 0.9921619208254787 * self->predicted_compression_deviation[16];
+        innovation_compression8_0 = innovation_1 - t2;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t928 = 0.9903931860948796 * self->predicted_compression_deviation[16];
-        innovation_compression8_1 = innovation_3 - t928;
+        const double t3 = 0.9903931860948796 * self->predicted_compression_deviation[16];
+        innovation_compression8_1 = innovation_3 - t3;
     }
     status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[16],
         &innovation_compression8_2, innovation_5, &innovation_compression8_3, mean_compression8,
@@ -2145,13 +2127,13 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     /* innovation, row by row */
     if ((present & 0x4u) != 0u)
     {
-        const double t1051 = 0.9903931860948796 * self->predicted_compression_deviation[18];
-        innovation_compression9_0 = innovation_2 - t1051;
+        const double t4 = 0.9903931860948796 * self->predicted_compression_deviation[18];
+        innovation_compression9_0 = innovation_2 - t4;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t1053 = 0.9903931860948796 * self->predicted_compression_deviation[18];
-        innovation_compression9_1 = innovation_3 - t1053;
+        const double t5 = 0.9903931860948796 * self->predicted_compression_deviation[18];
+        innovation_compression9_1 = innovation_3 - t5;
     }
     status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[18],
         &innovation_compression9_2, innovation_5, &innovation_compression9_3, mean_compression9,
@@ -2215,24 +2197,40 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     {
         return status;
     }
-    status = wheel_drift_innovation_3(covariance_compression11, mean_compression11,
-        &self->predicted_compression_deviation[22], innovation_compression11_1,
-        innovation_compression11_2, innovation_compression11_3, innovation_compression11_4,
-        mean_host, innovation_0, innovation_2, innovation_3, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[36], innovation_1, host_state,
+    status = wheel_drift_row_of_y_4(covariance_compression11, mean_compression11,
+        self->predicted_compression_deviation[22], innovation_compression11_1,
+        wheel_drift_row_of_y_4_numbers[1], ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+    status = wheel_drift_row_of_y(covariance_compression11, mean_compression11,
+        self->predicted_compression_deviation[22], innovation_compression11_2,
+        innovation_compression11_3, innovation_compression11_4, mean_host, deviation_compression11,
+        wheel_drift_row_of_y_numbers[7], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK)
+    {
+        return status;
+    }
+
+    /* innovation, row by row */
+    status = wheel_drift_innovation_3(&self->predicted_compression_deviation[24], innovation_0,
+        innovation_2, innovation_3, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[36], mean_host, innovation_1, host_state,
         deviation_compression, deviation_compression1, deviation_compression2,
         deviation_compression3, deviation_compression4, deviation_compression5,
         deviation_compression6, deviation_compression7, deviation_compression8,
-        deviation_compression9, deviation_compression10, self->predicted_collecting,
-        self->predicted_covariance[0], determinant_host_0, log_constant_host, quadratic_host,
-        next->filtered_state, covariance_host, next->filtered_covariance,
-        next->compression_deviation, covariance_compression, next->compression_covariance,
-        covariance_compression1, covariance_compression2, covariance_compression3,
-        covariance_compression4, covariance_compression5, covariance_compression6,
-        covariance_compression7, covariance_compression8, covariance_compression9,
-        covariance_compression10, next->innovation, next->innovation_covariance, &next->nis,
-        &next->log_likelihood, self->predicted_window_left, &next->window_left, next->collecting,
-        next->test_statistic, next->test_dof, next->fault_declared, present);
+        deviation_compression9, deviation_compression10, deviation_compression11,
+        self->predicted_collecting, self->predicted_covariance[0], determinant_host_0,
+        log_constant_host, quadratic_host, next->filtered_state, covariance_host,
+        next->filtered_covariance, next->compression_deviation, covariance_compression,
+        next->compression_covariance, covariance_compression1, covariance_compression2,
+        covariance_compression3, covariance_compression4, covariance_compression5,
+        covariance_compression6, covariance_compression7, covariance_compression8,
+        covariance_compression9, covariance_compression10, covariance_compression11,
+        next->innovation, next->innovation_covariance, &next->nis, &next->log_likelihood,
+        self->predicted_window_left, &next->window_left, next->collecting, next->test_statistic,
+        next->test_dof, next->fault_declared, present);
     if (status != WHEEL_DRIFT_OK)
     {
         return status;
@@ -2276,14 +2274,14 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     wheel_drift_test_of_group(self->collecting[0], self->filtered_covariance,
         self->compression_covariance, difference_0, self->compression_deviation, shift_0, scale_0,
         &statistic_0, &dof_0, &threshold_0);
-    const double t24 = 1.0e-11 * scale_0[1];
-    const double t25 = difference_0[2] - t24;
-    if (t25 > 0.0)
+    const double t0 = 1.0e-11 * scale_0[1];
+    const double t1 = difference_0[2] - t0;
+    if (t1 > 0.0)
     {
         inverse_0_1 = 1.0 / difference_0[2];
-        const double t27 = shift_0[1] * inverse_0_1;
-        const double t28 = shift_0[1] * t27;
-        statistic_0 = statistic_0 + t28;
+        const double t2 = shift_0[1] * inverse_0_1;
+        const double t3 = shift_0[1] * t2;
+        statistic_0 = statistic_0 + t3;
         dof_0 = 2.0;
         threshold_0 = 13.815510557964274;
     }
@@ -2292,14 +2290,14 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     wheel_drift_test_of_group(self->collecting[1], self->filtered_covariance,
         &self->compression_covariance[3], difference_1, &self->compression_deviation[2], shift_1,
         scale_1, &statistic_1, &dof_1, &threshold_1);
-    const double t54 = 1.0e-11 * scale_1[1];
-    const double t55 = difference_1[2] - t54;
-    if (t55 > 0.0)
+    const double t4 = 1.0e-11 * scale_1[1];
+    const double t5 = difference_1[2] - t4;
+    if (t5 > 0.0)
     {
         inverse_1_1 = 1.0 / difference_1[2];
-        const double t57 = shift_1[1] * inverse_1_1;
-        const double t58 = shift_1[1] * t57;
-        statistic_1 = statistic_1 + t58;
+        const double t6 = shift_1[1] * inverse_1_1;
+        const double t7 = shift_1[1] * t6;
+        statistic_1 = statistic_1 + t7;
         dof_1 = 2.0;
         threshold_1 = 13.815510557964274;
     }
@@ -2310,11 +2308,13 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
         &statistic_3, &dof_3, &accepted_0, &rejected_0, statistic_0, threshold_0, &accepted_1,
         &rejected_1, statistic_1, threshold_1, &accepted_2, &rejected_2, &accepted_3, &rejected_3,
         self->filtered_state, closed_state, closed_covariance);
-    const double t202 = -2.5 - accepted_0;
-    const double t203 = t202 + accepted_1;
-    const double t204 = t203 + accepted_2;
-    const double t205 = t204 + accepted_3;
-    if (t205 > 0.0)
+
+    /* the host takes over: group 1, 2, 3 */
+    const double t8 = -2.5 - accepted_0;
+    const double t9 = t8 + accepted_1;
+    const double t10 = t9 + accepted_2;
+    const double t11 = t10 + accepted_3;
+    if (t11 > 0.0)
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[26];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[27];
@@ -2324,11 +2324,11 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     }
 
     /* the host takes over: group 0, 1, 2, 3 */
-    const double t208 = -3.5 + accepted_0;
-    const double t209 = t208 + accepted_1;
-    const double t210 = t209 + accepted_2;
-    const double t211 = t210 + accepted_3;
-    if (t211 > 0.0)
+    const double t12 = -3.5 + accepted_0;
+    const double t13 = t12 + accepted_1;
+    const double t14 = t13 + accepted_2;
+    const double t15 = t14 + accepted_3;
+    if (t15 > 0.0)
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[28];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[29];
@@ -2461,8 +2461,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
 
     /* samples left in the window */
     left = self->window_left - 1.0;
-    const double t4 = 0.5 - self->window_left;
-    if (t4 > 0.0)
+    const double t0 = 0.5 - self->window_left;
+    if (t0 > 0.0)
     {
         left = 97.0;
     }

@@ -15,48 +15,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
-    """A random record on which a recursion meets its closed forms.
+    """A random record on which a recursion meets its closed forms."""
 
-    Attributes
-    ----------
-    y : (T, p) ndarray
-        NaN where a row is missing.
-    u : (T, q) ndarray
-    parameters : mapping of str to (T,) ndarray
-    P0 : (n, n) ndarray
-        Prior covariance of this record: that of the spec, or a milder one, because the equations
-        are on trial here and not the digits that an extreme prior costs.
-    """
-
-    y: Array
-    u: Array
-    parameters: Mapping[str, Array]
+    y: Array  # (T, p): NaN where a row is missing
+    u: Array  # (T, q)
+    parameters: Mapping[str, Array]  # (T,)
+    #: (n, n): Prior covariance of this record: that of the spec, or a milder one, because the
+    #: equations are on trial here and not the digits that an extreme prior costs
     P0: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClosedForm:
-    """A statement about a recursion that an independent formula decides.
+    """A statement about a recursion that an independent formula decides."""
 
-    Attributes
-    ----------
-    claim, source : str
-        What holds, and where it comes from.
-    tolerance : callable
-        ``tolerance(spec, record)``: the largest relative error at which it is taken to hold.
-    expected : callable
-        ``expected(spec, record)`` gives ports by name with shape (T, ...), or of fewer samples if
-        the statement is about the first ones only, without any code of the recursion; None if the
-        statement is not about this spec. NaN = a missing row.
-    start : callable
-        ``start(spec, record)`` gives ports (unpacked) that replace the prior before the run.
-    steady : bool
-        The record has constant inputs, default parameters and no missing rows.
-    """
-
-    claim: str
+    claim: str  # claim, source: What holds, and where it comes from
     source: str
+    #: tolerance(spec, record): the largest relative error at which it is taken to hold
     tolerance: Callable[[Spec, Record], float]
+    #: expected(spec, record) gives ports by name with shape (T, ...), or of fewer samples if
+    #: the statement is about the first ones only, without any code of the recursion; None if
+    #: the statement is not about this spec. NaN = a missing row
     expected: Callable[[Spec, Record], Mapping[str, Array] | None]
+    #: start(spec, record) gives ports (unpacked) that replace the prior before the run
     start: Callable[[Spec, Record], Mapping[str, Array]] | None = None
-    steady: bool = False
+    steady: bool = False  # The record has constant inputs, default parameters and no missing rows

@@ -28,46 +28,33 @@ class Joint:
 
     All are linear in one vector z of uncorrelated unit variances: x[0], then gamma, v and w of each
     sample.
-
-    Attributes
-    ----------
-    state_mean, state_root : (T + 1, n), (T + 1, n, d) ndarray
-        x[k] = state_mean[k] + state_root[k] @ z.
-    measurement_mean, measurement_root : (T, p), (T, p, d) ndarray
-        y[k] = measurement_mean[k] + measurement_root[k] @ z.
     """
 
+    #: state_mean, state_root: (T + 1, n), (T + 1, n, d): x[k] = state_mean[k] + state_root[k] @
+    #: z
     state_mean: Array
     state_root: Array
+    #: measurement_mean, measurement_root: (T, p), (T, p, d): y[k] = measurement_mean[k] +
+    #: measurement_root[k] @ z
     measurement_mean: Array
     measurement_root: Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BatchResult:
-    """Linear minimum-variance estimates of one record; names and times as the ports of a filter.
+    """Linear minimum-variance estimates of one record; names and times as the ports of a filter."""
 
-    Attributes
-    ----------
-    filtered_state, filtered_covariance : (T, n), (T, n, n) ndarray
-        x(k|k) and its error covariance.
-    predicted_state, predicted_covariance : (T, n), (T, n, n) ndarray
-        x(k+1|k) and its error covariance.
-    innovation : (T, p) ndarray
-        y[k] - E[y[k] | y[0..k-1]]; NaN where y is.
-    innovation_covariance : (T, p, p) ndarray
-        Covariance of y[k] given the past, all rows.
-    nis, log_likelihood : (T,) ndarray
-        Normalised square and Gaussian log density of the innovation, finite rows only; 0 if there
-        are none.
-    """
-
+    #: filtered_state, filtered_covariance: (T, n), (T, n, n): x(k|k) and its error covariance
     filtered_state: Array
     filtered_covariance: Array
+    #: predicted_state, predicted_covariance: (T, n), (T, n, n): x(k+1|k) and its error
+    #: covariance
     predicted_state: Array
     predicted_covariance: Array
-    innovation: Array
-    innovation_covariance: Array
+    innovation: Array  # (T, p): y[k] - E[y[k] | y[0..k-1]]; NaN where y is
+    innovation_covariance: Array  # (T, p, p): Covariance of y[k] given the past, all rows
+    #: nis, log_likelihood: (T,): Normalised square and Gaussian log density of the innovation,
+    #: finite rows only; 0 if there are none
     nis: Array
     log_likelihood: Array
 
@@ -75,16 +62,7 @@ class BatchResult:
 def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
     """Write all states and measurements of a record in terms of what is random in it, eq. (1)-(3).
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples.
-    u : (T, q) ndarray or None
-        Inputs as commanded.
-
-    Returns
-    -------
-    Joint
+    Shapes: u (T, q).
     """
     T, n, p, q = system.length, system.nx, system.ny, system.nu
     u = system.inputs(u)
@@ -144,18 +122,7 @@ def batch_lmmse(system: LinearSystem, y: Array, u: Array | None) -> BatchResult:
     Where the joint covariance is singular the projection is the one on its range, with the rank
     decided on rows of unit variance.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples; meant for short records, the cost grows with T to the fourth.
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray or None
-        Inputs as commanded.
-
-    Returns
-    -------
-    BatchResult
+    Shapes: y (T, p); u (T, q).
     """
     T, n, p = system.length, system.nx, system.ny
     joint = joint_distribution(system, u)

@@ -23,62 +23,43 @@ from fkgen.oracle.plants.actuator import LinearSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CompressionResult:
-    """Host and compression filters over one record; names and times as the ports of a filter.
+    """Host and compression filters over one record; names and times as the ports of a filter."""
 
-    Attributes
-    ----------
-    filtered_state, filtered_covariance : (T, n), (T, n, n) ndarray
-        Of the host, after it has taken over what it accepts.
-    predicted_state, predicted_covariance : (T, n), (T, n, n) ndarray
-    compression_deviation, compression_covariance : (T, s n), (T, s, n, n) ndarray
-        Of every set of groups: its estimate minus the host's, and its covariance.
-    innovation, innovation_covariance : (T, p), (T, p, p) ndarray
-        Of all rows, with respect to the host.
-    nis, log_likelihood : (T,) ndarray
-        Of the rows of the host.
-    test_statistic, test_dof, fault_declared : (T, g) ndarray
-        NaN, 0 and 0 where no test is made.
-    faintest : (T, g) ndarray
-        Smallest share of a variance of the host that the compressed rows remove along a direction
-        that counts; NaN where no test is made. The statistic divides by it.
-    """
-
+    #: filtered_state, filtered_covariance: (T, n), (T, n, n): Of the host, after it has taken
+    #: over what it accepts
     filtered_state: Array
     filtered_covariance: Array
-    predicted_state: Array
+    predicted_state: Array  # predicted_state, predicted_covariance: (T, n), (T, n, n)
     predicted_covariance: Array
+    #: compression_deviation, compression_covariance: (T, s n), (T, s, n, n): Of every set of
+    #: groups: its estimate minus the host's, and its covariance
     compression_deviation: Array
     compression_covariance: Array
+    #: innovation, innovation_covariance: (T, p), (T, p, p): Of all rows, with respect to the
+    #: host
     innovation: Array
     innovation_covariance: Array
-    nis: Array
+    nis: Array  # nis, log_likelihood: (T,): Of the rows of the host
     log_likelihood: Array
+    #: test_statistic, test_dof, fault_declared: (T, g): NaN, 0 and 0 where no test is made
     test_statistic: Array
     test_dof: Array
     fault_declared: Array
+    #: (T, g): Smallest share of a variance of the host that the compressed rows remove along a
+    #: direction that counts; NaN where no test is made. The statistic divides by it
     faintest: Array
 
 
 @dataclass(frozen=True, kw_only=True)
 class Policy:
-    """When windows end, and what a test leads to.
+    """When windows end, and what a test leads to."""
 
-    Attributes
-    ----------
-    first : int
-        Sample at which the first window ends; 0: none does.
-    test : bool
-        Whether anything is rejected.
-    reacquire : int or None
-        Windows of rejections alone, in a row, from which on the host is inflated.
-    negligible : float
-        A component of the state counts if the compressed rows remove more than this share of the
-        host's variance of it, given those that count already; the largest share comes first.
-    """
-
-    first: int
-    test: bool = True
+    first: int  # Sample at which the first window ends; 0: none does
+    test: bool = True  # Whether anything is rejected
+    #: Windows of rejections alone, in a row, from which on the host is inflated
     reacquire: int | None = None
+    #: A component of the state counts if the compressed rows remove more than this share of the
+    #: host's variance of it, given those that count already; the largest share comes first
     negligible: float = 1e-11
 
 
@@ -99,14 +80,7 @@ def only(y: Array, rows: Iterable[int]) -> Array:
 def accepted_rows(soft: SoftFaults, y: Array, ends: Sequence[int], accepted: Array) -> Array:
     """The measurements that the host has taken over by the end of a record.
 
-    Parameters
-    ----------
-    soft : SoftFaults
-    y : (T, p) ndarray
-    ends : sequence of int
-        Samples at which windows end.
-    accepted : (len(ends), g) ndarray of bool
-        Which groups were accepted there.
+    Shapes: y (T, p); accepted (windows, groups).
     """
     result, begin = only(y, soft.host), 0
     for end, flags in zip(ends, accepted, strict=True):
@@ -122,21 +96,8 @@ def batch_compression(
 ) -> CompressionResult:
     """Filter a record as ``compression_full`` and ``dfcf`` have to.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples.
-    soft : SoftFaults
-        Host, groups, length of the windows and false alarm probability.
-    policy : Policy
-    y : (T, p) ndarray
-        NaN = missing.
-    u : (T, q) ndarray or None
-
-    References
-    ----------
-    Lee & Lee, Theorems 2 and 3, (50), (51), from their statement: the host is the Kalman filter of
-    its rows and of what it accepted.
+    Shapes: y (T, p); u (T, q). Lee & Lee, Theorems 2 and 3, (50), (51), from their statement: the
+    host is the Kalman filter of its rows and of what it accepted.
     """
     T, inputs = system.length, system.inputs(u)
     result = _empty(system, soft)

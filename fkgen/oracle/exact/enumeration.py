@@ -18,34 +18,27 @@ MOST_HISTORIES = 4**6
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EnumerationResult:
-    """Exact conditional moments of one record; names and times as the ports of a filter.
+    """Exact conditional moments of one record; names and times as the ports of a filter."""
 
-    Attributes
-    ----------
-    filtered_state, filtered_covariance : (T, n), (T, n, n) ndarray
-        Mean and covariance of x[k] given y[0..k], eq. (3).
-    predicted_state, predicted_covariance : (T, n), (T, n, n) ndarray
-        The same of x[k+1].
-    innovation, innovation_covariance : (T, p), (T, p, p) ndarray
-        y[k] - E[y[k] | y[0..k-1]], NaN where y is, and its covariance, all rows.
-    log_likelihood : (T,) ndarray
-        log p(y[k] | y[0..k-1]) of the finite rows; 0 if there are none.
-    mode_probability, predicted_mode_probability : (T, N) ndarray
-        Law of the mode at k and at k+1 given y[0..k].
-    mode_filtered_state, mode_filtered_covariance : (T, N, n), (T, N, n, n) ndarray
-        Mean and covariance of x[k] given y[0..k] and the mode at k; NaN where that mode has no
-        probability.
-    """
-
+    #: filtered_state, filtered_covariance: (T, n), (T, n, n): Mean and covariance of x[k] given
+    #: y[0..k], eq. (3)
     filtered_state: Array
     filtered_covariance: Array
+    #: predicted_state, predicted_covariance: (T, n), (T, n, n): The same of x[k+1]
     predicted_state: Array
     predicted_covariance: Array
+    #: innovation, innovation_covariance: (T, p), (T, p, p): y[k] - E[y[k] | y[0..k-1]], NaN
+    #: where y is, and its covariance, all rows
     innovation: Array
     innovation_covariance: Array
-    log_likelihood: Array
+    log_likelihood: Array  # (T,): log p(y[k] | y[0..k-1]) of the finite rows; 0 if there are none
+    #: mode_probability, predicted_mode_probability: (T, N): Law of the mode at k and at k+1
+    #: given y[0..k]
     mode_probability: Array
     predicted_mode_probability: Array
+    #: mode_filtered_state, mode_filtered_covariance: (T, N, n), (T, N, n, n): Mean and
+    #: covariance of x[k] given y[0..k] and the mode at k; NaN where that mode has no
+    #: probability
     mode_filtered_state: Array
     mode_filtered_covariance: Array
 
@@ -70,25 +63,7 @@ def enumerate_modes(
 ) -> EnumerationResult:
     """Sum over all histories of the conditions of a sensor.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T <= 6 samples; R positive definite, its actuators do not fail.
-    law : SensorLaw
-        The law of the modes.
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray or None
-        Known inputs.
-
-    Returns
-    -------
-    EnumerationResult
-
-    Raises
-    ------
-    DataError
-        If the record is longer.
+    Shapes: y (T, p); u (T, q).
     """
     return enumerate_jumps(sensed_modes(system, law), y, system.inputs(u))
 
@@ -96,27 +71,10 @@ def enumerate_modes(
 def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult:
     """Sum over all histories of the modes that have a probability.
 
-    Parameters
-    ----------
-    system : JumpSystem
-        The plant over T samples with at most 4096 histories; R positive definite. Mode k + 1 drives
-        the step from x[k] to x[k+1], with the matrices of sample k, and y[k+1].
-    y, u : (T, p), (T, q) ndarray
-        Measurements, NaN = missing; known inputs.
-
-    Returns
-    -------
-    EnumerationResult
-
-    Raises
-    ------
-    DataError
-        If the record is longer.
-
-    Notes
-    -----
     Given a history the plant is linear and Gaussian, so its Kalman filter is exact, and the
     posterior is the mixture of the filters weighted with prior probability times evidence.
+
+    Shapes: y, u (T, p), (T, q).
     """
     _refuse_long(system)
     T, N = system.length, system.count

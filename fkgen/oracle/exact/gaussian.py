@@ -25,15 +25,7 @@ def square_root(covariance: Array) -> Array:
     The eigenvalues are those of the correlation matrix, so that a variance of 1e-8 beside one of
     1e8 keeps its digits.
 
-    Parameters
-    ----------
-    covariance : (..., n, n) ndarray
-        Symmetric positive semidefinite; one matrix or a stack of them.
-
-    Returns
-    -------
-    (..., n, n) ndarray
-        ``root`` with ``root @ root.T == covariance``.
+    Shapes: covariance (..., n, n); returns (..., n, n).
     """
     deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
     unit = np.where(deviation > 0.0, deviation, 1.0)
@@ -48,20 +40,11 @@ def square_root(covariance: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Whitening:
-    """The directions that a vector ``y = mean + root @ z`` reveals about ``z``.
+    """The directions that a vector ``y = mean + root @ z`` reveals about ``z``."""
 
-    Attributes
-    ----------
-    directions : (d, r) ndarray
-        Orthonormal basis of the row space of ``root``.
-    weights : (r, m) ndarray
-        ``weights @ (y - mean)`` are the coordinates of ``z`` along the directions.
-    log_determinant : float
-        ``log det(root @ root.T)``, over the regular directions only where that is singular.
-    """
-
-    directions: Array
-    weights: Array
+    directions: Array  # (d, r): Orthonormal basis of the row space of root
+    weights: Array  # (r, m): weights @ (y - mean) are the coordinates of z along the directions
+    #: log det(root @ root.T), over the regular directions only where that is singular
     log_determinant: float
 
     @property
@@ -72,15 +55,7 @@ class Whitening:
     def unexplained(self, root: Array) -> Array:
         """Root of another vector's covariance when ``y`` is known.
 
-        Parameters
-        ----------
-        root : (a, d) ndarray
-            The other vector's root on the same ``z``.
-
-        Returns
-        -------
-        (a, d) ndarray
-            The root with its projection on the directions taken away.
+        Shapes: root (a, d); returns (a, d).
         """
         remainder: Array = root - (root @ self.directions) @ self.directions.T
         # A second pass removes what rounding left of a long vector along the directions.
@@ -90,16 +65,7 @@ class Whitening:
 def whiten(root: Array, *, negligible: Array | float = 0.0) -> Whitening:
     """Find what a vector reveals, with the rank decided on unit rows.
 
-    Parameters
-    ----------
-    root : (m, d) ndarray
-        Square root of the vector's covariance.
-    negligible : (m,) ndarray or float
-        Rows whose norm is not above this are known constants: they reveal nothing.
-
-    Returns
-    -------
-    Whitening
+    Shapes: root (m, d); negligible (m,).
     """
     norms = np.linalg.norm(root, axis=1)
     alive = norms > negligible
@@ -115,17 +81,7 @@ def whiten(root: Array, *, negligible: Array | float = 0.0) -> Whitening:
 def log_density(residual: Array, whitening: Whitening) -> float:
     """Log of the Gaussian density of ``y`` at a distance ``residual`` from its mean, eq. (15).
 
-    Parameters
-    ----------
-    residual : (m,) ndarray
-        ``y - mean``.
-    whitening : Whitening
-        Of the root of the covariance of ``y``.
-
-    Returns
-    -------
-    float
-        Natural logarithm; 0 for an empty vector.
+    Shapes: residual (m,).
     """
     coordinates = whitening.weights @ residual
     constant = whitening.rank * np.log(2.0 * np.pi) + whitening.log_determinant

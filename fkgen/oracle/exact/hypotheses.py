@@ -28,20 +28,7 @@ def batch_posterior(
     p(xi_i | Y_k) is proportional to p(xi_i) p(y_0, ..., y_k | xi_i) with the Gaussian density of
     all finite entries at once: no innovation, no filter and no recursion of weights appears.
 
-    Parameters
-    ----------
-    systems : sequence of N LinearSystem
-        One plant per hypothesis; R must be positive definite for the densities to be comparable.
-    prior : (N,) ndarray
-        Probabilities before the first sample.
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray or None
-        Inputs as commanded.
-
-    Returns
-    -------
-    (T, N) ndarray
+    Shapes: prior (N,); y (T, p); u (T, q); returns (T, N).
     """
     from scipy.special import logsumexp  # noqa: PLC0415 - slow to import
 
@@ -66,36 +53,25 @@ def batch_posterior(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MultipleModelResult:
-    """Estimates of a bank of filters; names and times as the ports of the family.
+    """Estimates of a bank of filters; names and times as the ports of the family."""
 
-    Attributes
-    ----------
-    mode_probability : (T, N) ndarray
-        p(xi_i | Y_k), eq. (14), as held after sample k.
-    success_rate_estimate : (T,) or (T, q) ndarray
-        Sum of p(xi_i | Y_k) xi_i; (T,) where one rate holds for all inputs.
-    filtered_state, filtered_covariance : (T, n), (T, n, n) ndarray
-        x(k|k) combined with p(xi_i | Y_k), its covariance with the spread of the means.
-    predicted_state, predicted_covariance : (T, n), (T, n, n) ndarray
-        x(k+1|k) combined with p(xi_i | Y_k), its covariance with the spread of the means.
-    paper_state : (T, n) ndarray
-        Eq. (18) as printed: x(k|k-1) combined with p(xi_i | Y_k).
-    innovation, innovation_covariance : (T, p), (T, p, p) ndarray
-        y[k] against the mixture of the hypotheses weighted with p(xi_i | Y_{k-1}); NaN where y is.
-    nis, log_likelihood : (T,) ndarray
-        Of the finite rows; 0 if there are none.
-    """
-
-    mode_probability: Array
+    mode_probability: Array  # (T, N): p(xi_i | Y_k), eq. (14), as held after sample k
+    #: (T,): Sum of p(xi_i | Y_k) xi_i; (T,) where one rate holds for all inputs
     success_rate_estimate: Array
+    #: filtered_state, filtered_covariance: (T, n), (T, n, n): x(k|k) combined with p(xi_i |
+    #: Y_k), its covariance with the spread of the means
     filtered_state: Array
     filtered_covariance: Array
+    #: predicted_state, predicted_covariance: (T, n), (T, n, n): x(k+1|k) combined with p(xi_i |
+    #: Y_k), its covariance with the spread of the means
     predicted_state: Array
     predicted_covariance: Array
-    paper_state: Array
+    paper_state: Array  # (T, n): Eq. (18) as printed: x(k|k-1) combined with p(xi_i | Y_k)
+    #: innovation, innovation_covariance: (T, p), (T, p, p): y[k] against the mixture of the
+    #: hypotheses weighted with p(xi_i | Y_{k-1}); NaN where y is
     innovation: Array
     innovation_covariance: Array
-    nis: Array
+    nis: Array  # nis, log_likelihood: (T,): Of the finite rows; 0 if there are none
     log_likelihood: Array
 
 
@@ -108,23 +84,7 @@ def textbook_mme(
     weight_floor: float,
     likelihood: Literal["mixture", "gaussian"],
 ) -> MultipleModelResult:
-    """Run one MKF per hypothesis and weigh them, in plain probabilities, eq. (14)-(18).
-
-    Parameters
-    ----------
-    systems, prior, y, u
-        As for `batch_posterior`; the floor is not applied to the prior.
-    weight_floor : float
-        eps of w <- eps + (1 - N eps) w after each sample that is not wholly missing; 0 is the
-        paper.
-    likelihood : {"mixture", "gaussian"}
-        Density of a sample: summed over the states of the actuators, or eq. (15). Pass
-        ``"gaussian"`` where the dependence is given by a covariance.
-
-    Returns
-    -------
-    MultipleModelResult
-    """
+    """Run one MKF per hypothesis and weigh them, in plain probabilities, eq. (14)-(18)."""
     u, mixture = systems[0].inputs(u), likelihood == "mixture"
     weights = np.asarray(prior, dtype=float)
     predictions = [(system.x0, system.P0) for system in systems]

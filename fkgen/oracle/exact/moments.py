@@ -31,46 +31,20 @@ INDEFINITE = 1e-9
 class FaultMoments:
     """Moments of gamma and delta; y = G (C x + D u) + v with Cov v = T R T, eq. (1)-(2).
 
-    Attributes
-    ----------
-    gamma : (T,) ndarray
-        E[gamma_k].
-    gamma_pair : (T, T) ndarray
-        E[gamma_k gamma_i].
-    delta : (T,) ndarray
-        E[delta_k].
-    root_delta : (T,) ndarray
-        E[sqrt(delta_k)]: the covariance of a faulty row's noise with a healthy one's.
-    rows : tuple of int
-        Rows of y that are subject to faults.
-
-    References
-    ----------
     Sigalov, Oshman, A New Formulation of Fault-Tolerant Estimation Problems and Some Solutions,
     sec. V.
     """
 
-    gamma: Array
-    gamma_pair: Array
-    delta: Array
+    gamma: Array  # (T,): E[gamma_k]
+    gamma_pair: Array  # (T, T): E[gamma_k gamma_i]
+    delta: Array  # (T,): E[delta_k]
+    #: (T,): E[sqrt(delta_k)]: the covariance of a faulty row's noise with a healthy one's
     root_delta: Array
-    rows: tuple[int, ...]
+    rows: tuple[int, ...]  # Rows of y that are subject to faults
 
     @classmethod
     def from_law(cls, law: SensorLaw, T: int) -> Self:
-        """Follow a chain of modes through T samples.
-
-        Parameters
-        ----------
-        law : SensorLaw
-            Kernel and initial law, noise factor, rows.
-        T : int
-            Number of samples.
-
-        Returns
-        -------
-        FaultMoments
-        """
+        """Follow a chain of modes through T samples."""
         laws = _laws(law.initial, law.kernel, T)
         again = (laws * GAMMA) @ _returns(law.kernel, T).T  # Pr(gamma_i = 1, gamma_(i + lag) = 1)
         sample = np.arange(T)
@@ -98,23 +72,7 @@ class FaultMoments:
     ) -> Self:
         """Take Lemma 2 for granted: E[gamma_k gamma_i] = p11(k) E[gamma_i] for all i < k.
 
-        Parameters
-        ----------
-        gamma_rate, gamma_persistence : float or (T,) ndarray
-            E[gamma_k] and p11(k); p11(0) is of no account.
-        delta_nominal_rate : float or (T,) ndarray
-            Pr(delta_k = 1).
-        T : int
-            Number of samples.
-        rows : tuple of int
-            Rows of y that are subject to faults.
-        noise_factor : float
-            The value C that delta takes beside 1.
-
-        Returns
-        -------
-        FaultMoments
-            Whether a process with these moments exists is asked where they are used.
+        Shapes: gamma_rate, gamma_persistence (T,); delta_nominal_rate (T,).
         """
         gamma, persistence, nominal = (
             np.array(np.broadcast_to(np.asarray(rate, dtype=float), (T,)))
@@ -131,24 +89,7 @@ class FaultMoments:
 
     @classmethod
     def from_spec(cls, spec: Spec, T: int) -> Self:
-        """Take the moments from the section ``faults.sensor`` of a spec, chain or numbers.
-
-        Parameters
-        ----------
-        spec : Spec
-            Its sensor faults.
-        T : int
-            Number of samples.
-
-        Returns
-        -------
-        FaultMoments
-
-        Raises
-        ------
-        DataError
-            If the spec has no law of sensor faults.
-        """
+        """Take the moments from the section ``faults.sensor`` of a spec, chain or numbers."""
         faults = spec.faults.sensor
         if faults is None or faults.moments is None:
             return cls.from_law(SensorLaw.from_spec(spec), T)
@@ -181,13 +122,7 @@ class FaultMoments:
 
     @property
     def gamma_root(self) -> Array:
-        """Square root of the covariance of gamma_0, ..., gamma_{T-1}, (T, T).
-
-        Raises
-        ------
-        DataError
-            If that is indefinite: no sequence of zeros and ones has these moments.
-        """
+        """Square root of the covariance of gamma_0, ..., gamma_{T-1}, (T, T)."""
         variance = self.gamma * (1.0 - self.gamma)
         random = variance > CERTAIN
         covariance = np.where(
@@ -229,23 +164,7 @@ def satisfies_lemma_2(
 
     Samples i at which gamma = 1 has no probability are not asked.
 
-    Parameters
-    ----------
-    kernel, initial : (4, 4), (4,) ndarray
-        Law of the modes.
-    horizon : int
-        Samples examined.
-
-    Returns
-    -------
-    holds : bool
-        Whether the difference is zero but for rounding.
-    difference : float
-        The largest one between two i, over all k.
-
-    References
-    ----------
-    Sigalov, Oshman, Lemma 2.
+    Shapes: kernel, initial (4, 4), (4,). Sigalov, Oshman, Lemma 2.
     """
     differences = [float(np.ptp(row)) for row in _conditionals(kernel, initial, horizon)]
     largest = max(differences, default=0.0)

@@ -23,33 +23,18 @@ NEGLIGIBLE = 1e-11
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PartialCompression:
-    """What a host and its compression filter agree on.
+    """What a host and its compression filter agree on."""
 
-    Attributes
-    ----------
-    host : tuple of int
-        Rows of y for the host filter; the others are for the compression filter.
-    T : (n, n) ndarray
-        Similarity transformation (38): the compression rows of C are phi [I 0] T.
-    window : int
-        Samples between host updates.
-    first : int
-        Sample of the first host update, which is no update if it is 0.
-    false_alarm : float or None
-        Probability of a false rejection; None rejects nothing.
-    maintenance : str
-        After a host update with gain K, ``"paper"`` takes h K z off Z, (44); ``"optimal"`` takes
-        off all of Z that is correlated with the innovation z.
-    reacquire : int or None
-        Rejections in a row from which on the host is inflated by what it rejects.
-    """
-
+    #: Rows of y for the host filter; the others are for the compression filter
     host: tuple[int, ...]
-    T: Array
-    window: int
-    first: int
-    false_alarm: float | None
+    T: Array  # (n, n): Similarity transformation (38): the compression rows of C are phi [I 0] T
+    window: int  # Samples between host updates
+    first: int  # Sample of the first host update, which is no update if it is 0
+    false_alarm: float | None  # Probability of a false rejection; None rejects nothing
+    #: After a host update with gain K, "paper" takes h K z off Z, (44); "optimal" takes off all
+    #: of Z that is correlated with the innovation z
     maintenance: Literal["optimal", "paper"]
+    #: Rejections in a row from which on the host is inflated by what it rejects
     reacquire: int | None = None
 
     def is_end(self, k: int) -> bool:
@@ -59,39 +44,29 @@ class PartialCompression:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PartialCompressionResult:
-    """One record; names and times as the ports of the filter, in the coordinates of the system.
+    """One record; names and times as the ports of the filter, in the coordinates of the system."""
 
-    Attributes
-    ----------
-    filtered_state, filtered_covariance : (T, n), (T, n, n) ndarray
-        Of the host, after its update by the compression filter where there is one.
-    predicted_state, predicted_covariance : (T, n), (T, n, n) ndarray
-    innovation, innovation_covariance : (T, p), (T, p, p) ndarray
-        Of all rows, with respect to the prediction of the host.
-    nis, log_likelihood : (T,) ndarray
-        Of the rows of the host.
-    test_statistic, test_dof, fault_declared : (T,) ndarray
-        NaN, 0 and 0 where no test is made.
-    compressed_measurement, compressed_noise : (T, m), (T, m, m) ndarray
-        Z and the covariance R of V = Z - e^1 before the host makes use of it; zeros without one.
-    compressed_cross_covariance : (T, m, n) ndarray
-        S = E[V e'].
-    """
-
+    #: filtered_state, filtered_covariance: (T, n), (T, n, n): Of the host, after its update by
+    #: the compression filter where there is one
     filtered_state: Array
     filtered_covariance: Array
-    predicted_state: Array
+    predicted_state: Array  # predicted_state, predicted_covariance: (T, n), (T, n, n)
     predicted_covariance: Array
+    #: innovation, innovation_covariance: (T, p), (T, p, p): Of all rows, with respect to the
+    #: prediction of the host
     innovation: Array
     innovation_covariance: Array
-    nis: Array
+    nis: Array  # nis, log_likelihood: (T,): Of the rows of the host
     log_likelihood: Array
+    #: test_statistic, test_dof, fault_declared: (T,): NaN, 0 and 0 where no test is made
     test_statistic: Array
     test_dof: Array
     fault_declared: Array
+    #: compressed_measurement, compressed_noise: (T, m), (T, m, m): Z and the covariance R of V
+    #: = Z - e^1 before the host makes use of it; zeros without one
     compressed_measurement: Array
     compressed_noise: Array
-    compressed_cross_covariance: Array
+    compressed_cross_covariance: Array  # (T, m, n): S = E[V e']
 
 
 def partial_compression(
@@ -99,18 +74,7 @@ def partial_compression(
 ) -> PartialCompressionResult:
     """Filter a record with host and compression filter.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        T samples of the plant; nothing fails in it.
-    design : PartialCompression
-    y : (T, p) ndarray
-        NaN where a row is missing.
-    u : (T, q) ndarray or None
-
-    References
-    ----------
-    Lee & Lee, compression filters, Theorem 4 and Appendix D.
+    Shapes: y (T, p); u (T, q). Lee & Lee, compression filters, Theorem 4 and Appendix D.
     """
     run = _Run(_transformed(system, design.T), design)
     inputs = system.inputs(u)

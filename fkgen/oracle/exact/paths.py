@@ -21,41 +21,27 @@ from fkgen.oracle.textbook.loss_tests import LossTest
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JumpResult:
-    """Estimates of one record; names and times as the ports of a filter.
+    """Estimates of one record; names and times as the ports of a filter."""
 
-    Attributes
-    ----------
-    filtered_state, filtered_covariance : (T, n), (T, n, n) ndarray
-        x(k|k) and its error covariance.
-    predicted_state, predicted_covariance : (T, n), (T, n, n) ndarray
-        x(k+1|k) and its error covariance.
-    innovation : (T, p) ndarray
-        NaN where y is.
-    innovation_covariance : (T, p, p) ndarray
-        Of all rows, given the past.
-    nis, log_likelihood : (T,) ndarray
-        Of the finite rows; 0 if there are none.
-    mode_law : (T, N) ndarray
-        Unconditional law of mode[k].
-    fault_declared, test_statistic, test_threshold, test_dof : (T,) ndarray
-        Of the test for losses; zeros without one, and where there is no row.
-    consecutive_rejections : (T,) ndarray
-    """
-
+    #: filtered_state, filtered_covariance: (T, n), (T, n, n): x(k|k) and its error covariance
     filtered_state: Array
     filtered_covariance: Array
+    #: predicted_state, predicted_covariance: (T, n), (T, n, n): x(k+1|k) and its error
+    #: covariance
     predicted_state: Array
     predicted_covariance: Array
-    innovation: Array
-    innovation_covariance: Array
-    nis: Array
+    innovation: Array  # (T, p): NaN where y is
+    innovation_covariance: Array  # (T, p, p): Of all rows, given the past
+    nis: Array  # nis, log_likelihood: (T,): Of the finite rows; 0 if there are none
     log_likelihood: Array
-    mode_law: Array
+    mode_law: Array  # (T, N): Unconditional law of mode[k]
+    #: fault_declared, test_statistic, test_threshold, test_dof: (T,): Of the test for losses;
+    #: zeros without one, and where there is no row
     fault_declared: Array
     test_statistic: Array
     test_threshold: Array
     test_dof: Array
-    consecutive_rejections: Array
+    consecutive_rejections: Array  # (T,)
 
     @classmethod
     def blank(cls, T: int, n: int, p: int, mode_law: Array) -> JumpResult:
@@ -90,14 +76,7 @@ def enumerate_paths(
 ) -> JumpResult:
     """Project every state on all measurements up to its sample.
 
-    Parameters
-    ----------
-    system : JumpSystem
-        The plant over T samples; the cost grows with N to the T.
-    y, u : (T, p), (T, q) ndarray
-        Measurements, NaN = missing, and inputs.
-    test : LossTest, optional
-        What it rejects is left out of all projections, as if it were missing.
+    Shapes: y, u (T, p), (T, q).
     """
     T, n, p = system.length, system.nx, system.ny
     vectors = _vectors(system, u)

@@ -30,26 +30,7 @@ def joint_moments(
 ) -> tuple[Array, Array]:
     """Mean and covariance of all states and measurements, pair of times by pair of times.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples; its actuators do not fail.
-    moments : FaultMoments
-        Moments of gamma and delta over the same samples.
-    u : (T, q) ndarray or None
-        Known inputs.
-
-    Returns
-    -------
-    mean : ((T + 1) n + T p,) ndarray
-        Of x[0], ..., x[T], y[0], ..., y[T-1].
-    covariance : ((T + 1) n + T p,) * 2 ndarray
-        Theirs, from Cov(x[k], x[i]), E[gamma_k gamma_i], E[delta_k] and E[sqrt(delta_k)].
-
-    Raises
-    ------
-    DataError
-        If the actuators fail or the samples differ in number.
+    Shapes: u (T, q).
     """
     require_sensor_faults_only(system, moments)
     T, n, p = system.length, system.nx, system.ny
@@ -97,23 +78,7 @@ def joint_uncertain(system: LinearSystem, moments: FaultMoments, u: Array | None
     With gamma = E[gamma] + L e a measurement is linear in z, in e and in all products e_a z_b. If e
     and z are independent, white and of unit variance, so are all of these together.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples; its actuators do not fail.
-    moments : FaultMoments
-        Moments of gamma and delta over the same samples.
-    u : (T, q) ndarray or None
-        Known inputs.
-
-    Returns
-    -------
-    Joint
-
-    Raises
-    ------
-    DataError
-        If the actuators fail, the samples differ in number, or no gamma has these moments.
+    Shapes: u (T, q).
     """
     require_sensor_faults_only(system, moments)
     T, n, p = system.length, system.nx, system.ny
@@ -148,27 +113,7 @@ def batch_uncertain(
 ) -> BatchResult:
     """Project each state on all measurements up to its time; the rank decided on unit rows.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples, some sixty at most; its actuators do not fail.
-    moments : FaultMoments
-        Moments of gamma and delta over the same samples.
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray or None
-        Known inputs.
-
-    Returns
-    -------
-    BatchResult
-        Affine estimates with the smallest mean square error; the log likelihood is that of Gaussian
-        innovations of the same two moments.
-
-    Raises
-    ------
-    DataError
-        If the actuators fail, the samples differ in number, or no gamma has these moments.
+    Shapes: y (T, p); u (T, q).
     """
     joint = joint_uncertain(system, moments, u)
     rows, past = [], _past(joint, y, 0)

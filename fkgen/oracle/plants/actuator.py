@@ -24,35 +24,24 @@ from fkgen.problem import Spec, evaluate
 class LinearSystem:
     """x[k+1] = A x + B g u + v,  y[k] = C x + D g u + w with one g = diag(gamma) for both, eq. (1).
 
-    Attributes
-    ----------
-    A, B, C, D : (T, n, n), (T, n, q), (T, p, n), (T, p, q) ndarray
-        The plant at each sample; q may be 0.
-    Q, R : (T, n, n), (T, p, p) ndarray
-        Covariances of v and w as they enter x and y (F V F' and G W G' of the paper).
-    x0, P0 : (n,), (n, n) ndarray
-        Mean and covariance of x[0], eq. (2).
-    rate : (T, q) ndarray
-        Mean of gamma; ones where nothing fails.
-    fault_covariance : (T, q, q) ndarray
-        Covariance of gamma; zeros where nothing fails.
-
-    References
-    ----------
     Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, eq.
     (1)-(3).
     """
 
+    #: A, B, C, D: (T, n, n), (T, n, q), (T, p, n), (T, p, q): The plant at each sample; q may
+    #: be 0
     A: Array
     B: Array
     C: Array
     D: Array
+    #: Q, R: (T, n, n), (T, p, p): Covariances of v and w as they enter x and y (F V F' and G W
+    #: G' of the paper)
     Q: Array
     R: Array
-    x0: Array
+    x0: Array  # x0, P0: (n,), (n, n): Mean and covariance of x[0], eq. (2)
     P0: Array
-    rate: Array
-    fault_covariance: Array
+    rate: Array  # (T, q): Mean of gamma; ones where nothing fails
+    fault_covariance: Array  # (T, q, q): Covariance of gamma; zeros where nothing fails
 
     def __post_init__(self) -> None:
         """Refuse shapes that do not fit, which NumPy would broadcast in silence."""
@@ -91,19 +80,7 @@ class LinearSystem:
     def inputs(self, u: Array | None) -> Array:
         """Check the inputs of a record and supply them for a plant that has none.
 
-        Parameters
-        ----------
-        u : (T, q) ndarray or None
-            None is allowed for q = 0.
-
-        Returns
-        -------
-        (T, q) ndarray
-
-        Raises
-        ------
-        DataError
-            If the shape is another one.
+        Shapes: u (T, q); returns (T, q).
         """
         expected = (self.length, self.nu)
         record = np.zeros((self.length, 0)) if u is None else np.asarray(u, dtype=float)
@@ -126,21 +103,7 @@ class LinearSystem:
     ) -> Self:
         """Sample the plant of a spec.
 
-        Parameters
-        ----------
-        spec : Spec
-            The plant and its actuator faults, if any.
-        T : int
-            Number of samples.
-        params : mapping of str to float or (T,) ndarray, optional
-            Run-time parameters; those not named keep their defaults.
-        rates : tuple of float, optional
-            One hypothesis in place of the spec's success rate: one rate for all inputs, or one per
-            input.
-
-        Returns
-        -------
-        LinearSystem
+        Shapes: params (T,).
         """
         samples, which = parameter_samples(spec, T, params)
         model = spec.model
@@ -234,16 +197,7 @@ def draw_gamma(system: LinearSystem, rng: np.random.Generator) -> Array:
     distribution is not determined by mean and covariance: a Gaussian vector of the same two moments
     takes its place, which a linear filter cannot tell apart.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        Gives mean and covariance of gamma.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    (T, q) ndarray
+    Shapes: returns (T, q).
     """
     T, q = system.rate.shape
     moments = np.hstack([system.rate, system.fault_covariance.reshape(T, q * q)])
@@ -276,18 +230,7 @@ def _draw(rate: Array, covariance: Array, count: int, rng: np.random.Generator) 
 def fault_covariance(dependence: str, rate: Array, given: Array | None = None) -> Array:
     """Covariance of ``gamma`` in one sample.
 
-    Parameters
-    ----------
-    dependence : {"common", "independent", "covariance"}
-        One coin for all inputs, one coin per input, or the covariance as given.
-    rate : (q,) ndarray
-        Success rate of each input.
-    given : (q, q) ndarray, optional
-        The covariance, where the dependence is ``"covariance"``.
-
-    Returns
-    -------
-    (q, q) ndarray
+    Shapes: rate (q,); given (q, q); returns (q, q).
     """
     if given is not None and dependence == "covariance":
         return given
@@ -310,15 +253,7 @@ def is_independent(covariance: Array) -> bool:
 def common_patterns(rate: Array) -> tuple[Array, Array]:
     """Both states of inputs that fail together.
 
-    Parameters
-    ----------
-    rate : (q,) ndarray
-        q equal success rates, q > 0.
-
-    Returns
-    -------
-    patterns : (2, q) ndarray
-    probabilities : (2,) ndarray
+    Shapes: rate (q,).
     """
     return np.array([np.zeros(rate.size), np.ones(rate.size)]), np.array([1.0 - rate[0], rate[0]])
 
@@ -326,15 +261,7 @@ def common_patterns(rate: Array) -> tuple[Array, Array]:
 def independent_patterns(rate: Array) -> tuple[Array, Array]:
     """All states of inputs that fail independently.
 
-    Parameters
-    ----------
-    rate : (q,) ndarray
-        Success rates.
-
-    Returns
-    -------
-    patterns : (2**q, q) ndarray
-    probabilities : (2**q,) ndarray
+    Shapes: rate (q,).
     """
     patterns = np.array(list(product((0.0, 1.0), repeat=rate.size))).reshape(-1, rate.size)
     return patterns, np.prod(np.where(patterns > 0.0, rate, 1.0 - rate), axis=1)
@@ -343,17 +270,7 @@ def independent_patterns(rate: Array) -> tuple[Array, Array]:
 def pair_patterns(rate: Array, covariance: Array) -> tuple[Array, Array]:
     """Enumerate two correlated inputs: Pr(both work) = Cov_12 + xi_1 xi_2.
 
-    Parameters
-    ----------
-    rate : (2,) ndarray
-        Success rates.
-    covariance : (2, 2) ndarray
-        Covariance of ``gamma``.
-
-    Returns
-    -------
-    patterns : (4, 2) ndarray
-    probabilities : (4,) ndarray
+    Shapes: rate (2,); covariance (2, 2).
     """
     both = covariance[0, 1] + rate[0] * rate[1]
     patterns = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])

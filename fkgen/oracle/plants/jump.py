@@ -19,35 +19,24 @@ _LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JumpSystem:
-    """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u) + v, with i = mode[k].
+    """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u) + v, with i = mode[k]."""
 
-    Attributes
-    ----------
-    A, B, C, D : (T, N, n, n), (T, N, n, q), (T, N, p, n), (T, N, p, q) ndarray
-        The plant at each sample in each mode; q may be 0.
-    Q, R : (T, N, n, n), (T, N, p, p) ndarray
-        Covariances of w and v.
-    c : (T, N, n) ndarray
-        Known offsets.
-    x0, P0 : (n,), (n, n) ndarray
-        Mean and covariance of x[0].
-    transition, initial : (N, N), (N,) ndarray
-        Pr(j at k+1 | i at k), and the law of mode[0].
-    arrival, arrival_initial : (2, 2), (2,) ndarray
-        The same for gamma, states (0, 1); independent of the modes.
-    """
-
+    #: A, B, C, D: (T, N, n, n), (T, N, n, q), (T, N, p, n), (T, N, p, q): The plant at each
+    #: sample in each mode; q may be 0
     A: Array
     B: Array
     C: Array
     D: Array
-    Q: Array
+    Q: Array  # Q, R: (T, N, n, n), (T, N, p, p): Covariances of w and v
     R: Array
-    c: Array
-    x0: Array
+    c: Array  # (T, N, n): Known offsets
+    x0: Array  # x0, P0: (n,), (n, n): Mean and covariance of x[0]
     P0: Array
+    #: transition, initial: (N, N), (N,): Pr(j at k+1 | i at k), and the law of mode[0]
     transition: Array
     initial: Array
+    #: arrival, arrival_initial: (2, 2), (2,): The same for gamma, states (0, 1); independent of
+    #: the modes
     arrival: Array
     arrival_initial: Array
 
@@ -101,19 +90,7 @@ class JumpSystem:
     ) -> Self:
         """Sample the plant of a spec.
 
-        Parameters
-        ----------
-        spec : Spec
-            With the section ``faults.jump``.
-        T : int
-            Number of samples.
-        params : mapping of str to float or (T,) ndarray, optional
-            Run-time parameters; those not named keep their defaults.
-
-        Raises
-        ------
-        DataError
-            If the spec has no such section.
+        Shapes: params (T,).
         """
         faults = spec.faults.jump
         if faults is None:
@@ -150,34 +127,20 @@ def lasting_law(transition: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JumpRecord:
-    """A simulated record.
+    """A simulated record."""
 
-    Attributes
-    ----------
-    y, x : (T, p), (T, n) ndarray
-        Measurements and the states behind them; a lost sample is noise alone.
-    mode : (T,) ndarray of int
-    arrived : (T,) ndarray of bool
-        gamma.
-    """
-
+    #: y, x: (T, p), (T, n): Measurements and the states behind them; a lost sample is noise
+    #: alone
     y: Array
     x: Array
-    mode: NDArray[np.int64]
-    arrived: NDArray[np.bool_]
+    mode: NDArray[np.int64]  # (T,)
+    arrived: NDArray[np.bool_]  # (T,): gamma
 
 
 def simulate_jumps(system: JumpSystem, u: Array, rng: np.random.Generator) -> JumpRecord:
     """Draw one record.
 
-    Parameters
-    ----------
-    system : JumpSystem
-        The plant; x[0], w and v are Gaussian.
-    u : (T, q) ndarray
-        Known inputs.
-    rng : numpy.random.Generator
-        Source of the random numbers.
+    Shapes: u (T, q).
     """
     T, n, p = system.length, system.nx, system.ny
     mode = draw_chain(system.transition, system.initial, T, rng)

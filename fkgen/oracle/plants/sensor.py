@@ -24,32 +24,15 @@ class SensorLaw:
 
     The modes are (1, 1), (1, C), (0, 1) and (0, C) as (gamma, delta), in this order.
 
-    Attributes
-    ----------
-    kernel : (4, 4) ndarray
-        Pr(mode at k+1 is j | mode at k is i), eq. (14); (11)-(13) are special cases.
-    initial : (4,) ndarray
-        Law of the mode at sample 0, before y[0].
-    noise_factor : float
-        The value C that delta takes beside 1.
-    rows : tuple of int
-        Rows of y that are subject to faults.
-
-    Raises
-    ------
-    DataError
-        If a shape is another one or probabilities do not sum to one.
-
-    References
-    ----------
     Sigalov, Oshman, A New Formulation of Fault-Tolerant Estimation Problems and Some Solutions,
     sec. II.
     """
 
+    #: (4, 4): Pr(mode at k+1 is j | mode at k is i), eq. (14); (11)-(13) are special cases
     kernel: Array
-    initial: Array
-    noise_factor: float
-    rows: tuple[int, ...]
+    initial: Array  # (4,): Law of the mode at sample 0, before y[0]
+    noise_factor: float  # The value C that delta takes beside 1
+    rows: tuple[int, ...]  # Rows of y that are subject to faults
 
     def __post_init__(self) -> None:
         """Refuse what is not a law of four modes."""
@@ -66,13 +49,7 @@ class SensorLaw:
 
     @classmethod
     def from_spec(cls, spec: Spec) -> Self:
-        """Take the law from the section ``faults.sensor`` of a spec.
-
-        Raises
-        ------
-        DataError
-            If the spec has no sensor faults, or gives them without the law of a chain.
-        """
+        """Take the law from the section ``faults.sensor`` of a spec."""
         faults = spec.faults.sensor
         if faults is None or not faults.kernel:
             raise DataError(
@@ -91,21 +68,7 @@ def mode_plant(
 ) -> tuple[Array, Array, Array]:
     """The measurement of one mode: y = G C x + G D u + v with Cov v = T R T, eq. (2).
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant; its actuators do not fail.
-    law : SensorLaw
-        Gives the rows and the noise factor.
-    k : int
-        Sample.
-    mode : int
-        0 to 3.
-
-    Returns
-    -------
-    tuple of (p, n), (p, q) and (p, p) ndarray
-        G C, G D and T R T.
+    Shapes: returns (p, n), (p, q) and (p, p).
     """
     gamma, delta = gamma_delta(law, np.array([mode]))
     signal, noise = np.ones(system.ny), np.ones(system.ny)
@@ -142,17 +105,7 @@ def sensed_modes(system: LinearSystem, law: SensorLaw) -> JumpSystem:
 def gamma_delta(law: SensorLaw, modes: NDArray[np.int64]) -> tuple[Array, Array]:
     """The fault indicators of modes.
 
-    Parameters
-    ----------
-    law : SensorLaw
-        Gives the noise factor.
-    modes : (T,) ndarray of int
-        0 to 3.
-
-    Returns
-    -------
-    tuple of two (T,) ndarray
-        gamma in {0, 1} and delta in {1, C}.
+    Shapes: modes (T,); returns (T,).
     """
     gamma = np.array([1.0, 1.0, 0.0, 0.0])[modes]
     delta = np.array([1.0, law.noise_factor, 1.0, law.noise_factor])[modes]
@@ -162,9 +115,7 @@ def gamma_delta(law: SensorLaw, modes: NDArray[np.int64]) -> tuple[Array, Array]
 def draw_modes(law: SensorLaw, T: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Draw the modes of T samples.
 
-    Returns
-    -------
-    (T,) ndarray of int
+    Shapes: returns (T,).
     """
     modes = np.zeros(T, dtype=np.int64)
     now = law.initial
@@ -179,23 +130,7 @@ def simulate_sensor(
 ) -> tuple[Array, NDArray[np.int64]]:
     """Draw one record of measurements and the modes behind it, eq. (1)-(2).
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant; x[0], w and v are Gaussian.
-    law : SensorLaw
-        The law of the modes.
-    u : (T, q) ndarray or None
-        Known inputs.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-
-    Returns
-    -------
-    y : (T, p) ndarray
-        Measurements.
-    modes : (T,) ndarray of int
-        Modes.
+    Shapes: u (T, q).
     """
     T, n, p = system.length, system.nx, system.ny
     u = system.inputs(u)
@@ -228,9 +163,7 @@ def nominal_share(law: SensorLaw) -> float:
 def aggregate(law: SensorLaw) -> tuple[Array, Array]:
     """Kernel and initial law of the three modes (1, 1), (1, C) and {gamma = 0}, sec. IV.
 
-    Returns
-    -------
-    tuple of (3, 3) and (3,) ndarray
+    Shapes: returns (3, 3) and (3,).
     """
     share = nominal_share(law)
     within = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, share, 1.0 - share]])
@@ -244,18 +177,6 @@ def is_lumpable(law: SensorLaw) -> tuple[bool, float]:
     That is so if (0, 1) and (0, C) have the same successors, and if gamma = 0 comes with delta = 1
     in the same share whatever the mode before it was, and at the start. Modes that cannot be
     reached from the initial law are not asked.
-
-    Parameters
-    ----------
-    law : SensorLaw
-        Kernel and initial law.
-
-    Returns
-    -------
-    lumpable : bool
-        Whether the size is zero but for rounding.
-    size : float
-        The largest difference between probabilities that ought to be equal.
     """
     share = nominal_share(law)
     visited = np.atleast_1d(_reaches(law.kernel)[law.initial > 0.0].any(axis=0))

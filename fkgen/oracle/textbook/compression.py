@@ -22,25 +22,13 @@ NO_ROW = 1e-10
 
 @dataclass(slots=True, kw_only=True)
 class PrintedCompression:
-    """Host filter and compression filter, stepped sample by sample: Lee & Lee, Theorem 3.
+    """Host filter and compression filter, stepped sample by sample: Lee & Lee, Theorem 3."""
 
-    Attributes
-    ----------
-    system : LinearSystem
-        The plant over T samples, without inputs; A regular.
-    soft : SoftFaults
-        One group.
-    x, P : (n,), (n, n) ndarray
-        A priori at first, a posteriori after `step`.
-    Z, H, R : (m,), (m, n), (m, m) ndarray
-        The compressed measurement; m = 0 before there is one.
-    """
-
-    system: LinearSystem
-    soft: SoftFaults
-    x: Array
+    system: LinearSystem  # The plant over T samples, without inputs; A regular
+    soft: SoftFaults  # One group
+    x: Array  # x, P: (n,), (n, n): A priori at first, a posteriori after `step`
     P: Array
-    Z: Array
+    Z: Array  # Z, H, R: (m,), (m, n), (m, m): The compressed measurement; m = 0 before there is one
     H: Array
     R: Array
 

@@ -19,41 +19,20 @@ from fkgen.oracle.textbook.riccati import constant_input_noise
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Gains:
-    """What a Kalman filter does at each of T samples.
+    """What a Kalman filter does at each of T samples."""
 
-    Attributes
-    ----------
-    K : (T, n, p) ndarray
-        Gain of x(k|k), eq. (4) with Q and with C of the sample; columns of missing rows are zero.
-    M : (T - 1, n, n) ndarray
-        (I - K[k+1] C[k+1]) A[k].
-    filtered : (T, n, n) ndarray
-        P(k|k).
-    innovation : (T, p, p) ndarray
-        S[k] of all rows.
-    """
-
+    #: (T, n, p): Gain of x(k|k), eq. (4) with Q and with C of the sample; columns of missing
+    #: rows are zero
     K: Array
-    M: Array
-    filtered: Array
-    innovation: Array
+    M: Array  # (T - 1, n, n): (I - K[k+1] C[k+1]) A[k]
+    filtered: Array  # (T, n, n): P(k|k)
+    innovation: Array  # (T, p, p): S[k] of all rows
 
 
 def gains(system: LinearSystem, u: Array | None = None, y: Array | None = None) -> Gains:
     """Run the Riccati recursion (3), (4) in matrices, in Joseph form.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        D = 0, or no random inputs: with both, x and y share noise and M is another matrix.
-    u : (T, q) ndarray, optional
-        Inputs, of which lost commands make noise; zero if left out.
-    y : (T, p) ndarray, optional
-        Record of which only the missing rows matter.
-
-    Returns
-    -------
-    Gains
+    Shapes: u (T, q); y (T, p).
     """
     T, n, p = system.length, system.nx, system.ny
     inputs = np.zeros((T, system.nu)) if u is None else u
@@ -84,21 +63,7 @@ def product(M: Array, lo: int, hi: int) -> Array:
 def after_pulse(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
     """Deviation at k0 + i of a pulse ``a`` at k0, eqs. (9) and (20).
 
-    Parameters
-    ----------
-    M : (T - 1, n, n) ndarray
-        `Gains.M` for a sensor, A for an input that plant and filter get.
-    entry : (T, n, m) ndarray
-        How the fault of sample k enters x(k|k): K[k] for a sensor, B[k-1] for an input of sample
-        k - 1.
-    k0, i : int
-        Sample of the pulse, and samples after it.
-    a : (m,) ndarray
-        Its size.
-
-    Returns
-    -------
-    (n,) ndarray
+    Shapes: M (T - 1, n, n); entry (T, n, m); a (m,); returns (n,).
     """
     moved: Array = product(M, k0, k0 + i - 1) @ entry[k0] @ a
     return moved
@@ -107,16 +72,7 @@ def after_pulse(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
 def within_step(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
     """Deviation at k0 + i of a step ``a`` that is on at k0, ..., k0 + i, eqs. (12) and (23).
 
-    Parameters
-    ----------
-    M, entry, k0, a
-        As for `after_pulse`.
-    i : int
-        The step has i + 1 samples so far.
-
-    Returns
-    -------
-    (n,) ndarray
+    Shapes: returns (n,).
     """
     total = entry[k0 + i].copy()
     for c in range(1, i + 1):
@@ -128,18 +84,7 @@ def within_step(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
 def after_step(M: Array, entry: Array, span: tuple[int, int], j: int, a: Array) -> Array:
     """Deviation j samples after the last faulty one, eqs. (15) and (26).
 
-    Parameters
-    ----------
-    M, entry, a
-        As for `after_pulse`.
-    span : pair of int
-        k0 and i: the step was on at k0, ..., k0 + i.
-    j : int
-        At least 0, which gives `within_step`.
-
-    Returns
-    -------
-    (n,) ndarray
+    Shapes: returns (n,).
     """
     k0, i = span
     moved: Array = product(M, k0 + i, k0 + i + j - 1) @ within_step(M, entry, k0, i, a)

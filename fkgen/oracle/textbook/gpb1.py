@@ -28,31 +28,22 @@ from fkgen.oracle.textbook.mixture import (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OneStepResult:
-    """Estimates of the one-step filter; names and times as the ports of the family.
+    """Estimates of the one-step filter; names and times as the ports of the family."""
 
-    Attributes
-    ----------
-    filtered_state, filtered_covariance : (T, n), (T, n, n) ndarray
-        x(k|k) and its covariance.
-    predicted_state, predicted_covariance : (T, n), (T, n, n) ndarray
-        x(k+1|k) and its covariance.
-    innovation, innovation_covariance : (T, p), (T, p, p) ndarray
-        y[k] against the mixture of the modes weighted with Pr(mode at k | y[0..k-1]), all rows;
-        NaN where y is.
-    nis, log_likelihood : (T,) ndarray
-        Of the finite rows; 0 if there are none.
-    mode_probability, predicted_mode_probability : (T, N) ndarray
-        Law of the mode at k and at k+1 given y[0..k].
-    """
-
+    #: filtered_state, filtered_covariance: (T, n), (T, n, n): x(k|k) and its covariance
     filtered_state: Array
     filtered_covariance: Array
+    #: predicted_state, predicted_covariance: (T, n), (T, n, n): x(k+1|k) and its covariance
     predicted_state: Array
     predicted_covariance: Array
+    #: innovation, innovation_covariance: (T, p), (T, p, p): y[k] against the mixture of the
+    #: modes weighted with Pr(mode at k | y[0..k-1]), all rows; NaN where y is
     innovation: Array
     innovation_covariance: Array
-    nis: Array
+    nis: Array  # nis, log_likelihood: (T,): Of the finite rows; 0 if there are none
     log_likelihood: Array
+    #: mode_probability, predicted_mode_probability: (T, N): Law of the mode at k and at k+1
+    #: given y[0..k]
     mode_probability: Array
     predicted_mode_probability: Array
 
@@ -67,24 +58,7 @@ def textbook_one_step(
 ) -> OneStepResult:
     """Run the one-step near-optimal filter, eq. (3)-(10), with x(k|k-1) and P(k|k-1) in eq. (9).
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant; R positive definite, its actuators do not fail.
-    law : SensorLaw
-        The law of the modes.
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray or None
-        Known inputs.
-    covariance : {"moment_matched", "weighted", "paper", "paper_nominal"}
-        What stands for P of eq. (7): covariance of the mixture (GPB1), the same without the spread
-        of the means, one Riccati equation per value of delta that knows of no other fault, or the
-        one of delta = 1 for both.
-
-    Returns
-    -------
-    OneStepResult
+    Shapes: y (T, p); u (T, q).
     """
     u = system.inputs(u)
     priors: list[Gaussian] = [(system.x0, system.P0)] * 4

@@ -32,36 +32,24 @@ from fkgen.oracle.textbook.mixture import (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class InteractingResult(OneStepResult):
-    """Estimates of the interacting-multiple-model filter.
+    """Estimates of the interacting-multiple-model filter."""
 
-    Attributes
-    ----------
-    mode_filtered_state, mode_filtered_covariance : (T, N, n), (T, N, n, n) ndarray
-        x(k|k) of every mode.
-    mode_state, mode_covariance : (T, N, n), (T, N, n, n) ndarray
-        x(k+1|k) of every mode at k+1, after mixing.
-    """
-
+    #: mode_filtered_state, mode_filtered_covariance: (T, N, n), (T, N, n, n): x(k|k) of every
+    #: mode
     mode_filtered_state: Array
     mode_filtered_covariance: Array
+    #: mode_state, mode_covariance: (T, N, n), (T, N, n, n): x(k+1|k) of every mode at k+1,
+    #: after mixing
     mode_state: Array
     mode_covariance: Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lumping:
-    """M modes, each a fixed mixture of N conditions that move alike.
+    """M modes, each a fixed mixture of N conditions that move alike."""
 
-    Attributes
-    ----------
-    shares : (M, N) ndarray
-        Pr(condition | mode).
-    kernel, initial : (M, M), (M,) ndarray
-        The chain of the modes.
-    """
-
-    shares: Array
-    kernel: Array
+    shares: Array  # (M, N): Pr(condition | mode)
+    kernel: Array  # kernel, initial: (M, M), (M,): The chain of the modes
     initial: Array
 
     @classmethod
@@ -75,26 +63,8 @@ def interacting(
 ) -> InteractingResult:
     """Run the interacting-multiple-model filter.
 
-    Parameters
-    ----------
-    system : JumpSystem
-        The plant in each condition; R positive definite. Mode k + 1 drives the step from x[k] to
-        x[k+1], with the matrices of sample k, and y[k+1].
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray
-        Known inputs.
-    lumping : Lumping, optional
-        How conditions make modes; every one is a mode by default.
-
-    Returns
-    -------
-    InteractingResult
-
-    References
-    ----------
-    Blom, Bar-Shalom, The interacting multiple model algorithm, 1988; Sigalov & Oshman, eq.
-    (15)-(18), where all modes move alike.
+    Shapes: y (T, p); u (T, q). Blom, Bar-Shalom, The interacting multiple model algorithm, 1988;
+    Sigalov & Oshman, eq. (15)-(18), where all modes move alike.
     """
     lumping = lumping or Lumping.none(system)
     members = [np.flatnonzero(row) for row in lumping.shares]
@@ -125,20 +95,7 @@ def interacting(
 def textbook_imm(
     system: LinearSystem, law: SensorLaw, y: Array, u: Array | None, *, modes: Literal[4, 3] = 4
 ) -> InteractingResult:
-    """Run the interacting-multiple-model filter over the conditions of a sensor, eq. (15)-(18).
-
-    Parameters
-    ----------
-    system, law, y, u
-        As for `textbook_one_step`.
-    modes : {4, 3}
-        All modes, or (1, 1), (1, C) and {gamma = 0}, the last with the mixture of its two
-        likelihoods in the constant share `nominal_share`.
-
-    Returns
-    -------
-    InteractingResult
-    """
+    """Run the interacting-multiple-model filter over the conditions of a sensor, eq. (15)-(18)."""
     lumping = silent_lumped(law) if modes == 3 else None
     return interacting(sensed_modes(system, law), y, system.inputs(u), lumping)
 

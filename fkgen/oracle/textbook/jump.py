@@ -47,28 +47,14 @@ def composite(system: JumpSystem) -> JumpSystem:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """The split plant at one sample: everything that the filter equations need.
+    """The split plant at one sample: everything that the filter equations need."""
 
-    Attributes
-    ----------
-    F, L : (M, M), (p, M) ndarray
-        z[k+1] = F z[k] + noise, E[y | z] = rho L z, M = N (n + 1).
-    moved : (M, M) ndarray
-        Second moment of z[k+1], block-diagonal.
-    now : (M, M) ndarray
-        Second moment of z[k], block-diagonal.
-    R : (p, p) ndarray
-        Mean covariance of v.
-    signal : (p, p) ndarray
-        Second moment of the signal.
-    """
-
-    F: Array
+    F: Array  # F, L: (M, M), (p, M): z[k+1] = F z[k] + noise, E[y | z] = rho L z, M = N (n + 1)
     L: Array
-    moved: Array
-    now: Array
-    R: Array
-    signal: Array
+    moved: Array  # (M, M): Second moment of z[k+1], block-diagonal
+    now: Array  # (M, M): Second moment of z[k], block-diagonal
+    R: Array  # (p, p): Mean covariance of v
+    signal: Array  # (p, p): Second moment of the signal
 
     @property
     def noise(self) -> Array:
@@ -128,26 +114,13 @@ def diagonal_blocks(matrix: Array, N: int) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SteadyState:
-    """A filter whose covariances have come to rest.
+    """A filter whose covariances have come to rest."""
 
-    Attributes
-    ----------
-    split : Split
-        The split plant with stationary moments.
-    covariance : (M, M) ndarray
-        Error covariance of z(k|k-1).
-    innovation_covariance : (p, p) ndarray
-    gain : (M, p) ndarray
-        From the innovation to the correction.
-    closed_loop_radius : float
-        Spectral radius of the error from sample to sample.
-    """
-
-    split: Split
-    covariance: Array
-    innovation_covariance: Array
-    gain: Array
-    closed_loop_radius: float
+    split: Split  # The split plant with stationary moments
+    covariance: Array  # (M, M): Error covariance of z(k|k-1)
+    innovation_covariance: Array  # (p, p)
+    gain: Array  # (M, p): From the innovation to the correction
+    closed_loop_radius: float  # Spectral radius of the error from sample to sample
 
     @property
     def filtered(self) -> Array:
@@ -194,17 +167,7 @@ def textbook_jumps(
 ) -> JumpResult:
     """Filter a record.
 
-    Parameters
-    ----------
-    system : JumpSystem
-        The plant; its arrivals are independent from sample to sample (else see `composite`).
-    y, u : (T, p), (T, q) ndarray
-        Measurements, NaN = missing, and inputs.
-    test : LossTest, optional
-        What it rejects is replaced by its prediction; what it accepts holds a signal. Its options
-        say when a lock-out starts the filter again.
-    steady : SteadyState, optional
-        Constants in place of all covariances, from sample 0 on.
+    Shapes: y, u (T, p), (T, q).
     """
     T, n, N, p = system.length, system.nx, system.count, system.ny
     rate, laws = float(system.arrival_initial[1]), system.mode_law()
@@ -307,15 +270,7 @@ def limiting_moments(system: JumpSystem) -> Array:
 
 
 def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | None:
-    """Find the limits of moments, covariance and gain; None if the equation has no solution.
-
-    Parameters
-    ----------
-    system : JumpSystem
-        Mean-square stable, without inputs, its chain ergodic; its first sample is taken.
-    rate : float
-        Pr(gamma = 1) as far as only that is known of gamma.
-    """
+    """Find the limits of moments, covariance and gain; None if the equation has no solution."""
     N, m = system.count, system.nx + 1
     moments = limiting_moments(system)
     split = split_at(system, np.zeros((1, 0)), 0, moments, moments[:, -1, -1])

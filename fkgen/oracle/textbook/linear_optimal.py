@@ -23,33 +23,26 @@ from fkgen.oracle.textbook.mkf import scaled_pseudo_inverse
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinearOptimalResult:
-    """Estimates of one record; names and times as the ports of a filter.
+    """Estimates of one record; names and times as the ports of a filter."""
 
-    Attributes
-    ----------
-    filtered_state, filtered_covariance : (T, n), (T, n, n) ndarray
-        xhat_k and C_k - V_k, its error covariance if Lemma 2 holds.
-    predicted_state, predicted_covariance : (T, n), (T, n, n) ndarray
-        The same one step ahead.
-    innovation, innovation_covariance : (T, p), (T, p, p) ndarray
-        y[k] - Pi (C x(k|k-1) + D u), NaN where y is, and its covariance, all rows.
-    state_gain, measurement_gain : (T, n, n), (T, n, p) ndarray
-        F1 and F2: xhat_k = F1 xhat_(k-1) + F2 y_k + offset; F1(0) multiplies x0.
-    offset : (T, n) ndarray
-        The part of the known inputs.
-    state_second_moment, estimate_second_moment : (T, n, n) ndarray
-        C_k = E[x_k x_k'] and V_k = E[xhat_k xhat_k'].
-    """
-
+    #: filtered_state, filtered_covariance: (T, n), (T, n, n): xhat_k and C_k - V_k, its error
+    #: covariance if Lemma 2 holds
     filtered_state: Array
     filtered_covariance: Array
+    #: predicted_state, predicted_covariance: (T, n), (T, n, n): The same one step ahead
     predicted_state: Array
     predicted_covariance: Array
+    #: innovation, innovation_covariance: (T, p), (T, p, p): y[k] - Pi (C x(k|k-1) + D u), NaN
+    #: where y is, and its covariance, all rows
     innovation: Array
     innovation_covariance: Array
+    #: state_gain, measurement_gain: (T, n, n), (T, n, p): F1 and F2: xhat_k = F1 xhat_(k-1) +
+    #: F2 y_k + offset; F1(0) multiplies x0
     state_gain: Array
     measurement_gain: Array
-    offset: Array
+    offset: Array  # (T, n): The part of the known inputs
+    #: state_second_moment, estimate_second_moment: (T, n, n): C_k = E[x_k x_k'] and V_k =
+    #: E[xhat_k xhat_k']
     state_second_moment: Array
     estimate_second_moment: Array
 
@@ -62,35 +55,10 @@ def linear_optimal(
     Known inputs and a mean of x[0] enter through a constant beside x: (x, 1). For a plant without
     them the matrices of (x, 1) fall apart into those of eq. (23) and the constant.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples; its actuators do not fail.
-    moments : FaultMoments
-        E[gamma_k], p11(k) and E[delta_k]; of the pairs only p11 is used.
-    y : (T, p) ndarray
-        Measurements; NaN = missing.
-    u : (T, q) ndarray or None
-        Known inputs.
-
-    Returns
-    -------
-    LinearOptimalResult
-
-    Raises
-    ------
-    DataError
-        If the actuators fail, the samples differ in number, or inputs or x0 are not zero while p11
-        is not E[gamma], which Lemma 2 does not cover.
-
-    Notes
-    -----
     A row that never fails asks for p11 = E[gamma], too, if C - V is to be the error covariance:
     gamma_i does not multiply what it says about gamma_k x_k, whose weight is E[gamma_k].
 
-    References
-    ----------
-    Sigalov, Oshman, eq. (19)-(23).
+    Shapes: y (T, p); u (T, q). Sigalov, Oshman, eq. (19)-(23).
     """
     require_sensor_faults_only(system, moments)
     u = system.inputs(u)
@@ -213,28 +181,7 @@ def true_covariance(
 
     Second moments of (x, xhat, 1) are carried for each mode at the present sample.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant over T samples; its actuators do not fail.
-    law : SensorLaw
-        The law of the modes that truly holds.
-    gains : tuple of (T, n, n) and (T, n, p) ndarray
-        F1 and F2: xhat_k = F1 xhat_(k-1) + F2 y_k + offset; F1(0) multiplies x0.
-    u : (T, q) ndarray or None
-        Known inputs.
-    offset : (T, n) ndarray, optional
-        Zero if left out.
-
-    Returns
-    -------
-    (T, n, n) ndarray
-        E[(xhat_k - x_k)(xhat_k - x_k)'].
-
-    Raises
-    ------
-    DataError
-        If the actuators fail.
+    Shapes: gains (T, n, n) and (T, n, p); u (T, q); offset (T, n); returns (T, n, n).
     """
     require_sensor_faults_only(system, FaultMoments.from_law(law, system.length))
     T, n, (F1, F2), u = system.length, system.nx, gains, system.inputs(u)

@@ -15,31 +15,16 @@ from fkgen.oracle.exact.gaussian import Array, log_density, square_root, whiten
 
 @dataclass(slots=True, kw_only=True)
 class LossTest:
-    """One of the rules, with what it remembers.
+    """One of the rules, with what it remembers."""
 
-    Attributes
-    ----------
-    options : options of the family
-        ``detector`` and its thresholds.
-    rate : float
-        Pr(a sample holds a signal), for ``llr``.
-    energies : list of float
-        Past |r|^2, for ``energy``.
-    """
-
-    options: Any
-    rate: float
-    energies: list[float] = field(default_factory=list)
+    options: Any  # detector and its thresholds
+    rate: float  # Pr(a sample holds a signal), for llr
+    energies: list[float] = field(default_factory=list)  # Past |r|^2, for energy
 
     def judge(self, y: Array, residual: Array, S: Array, R: Array) -> tuple[float, float]:
         """Statistic and threshold of one sample; a loss is declared if the first is larger.
 
-        Parameters
-        ----------
-        y, residual : (m,) ndarray
-            Rows present, and their difference from the prediction.
-        S, R : (m, m) ndarray
-            Covariance of the residual if there is a signal, of y if there is none.
+        Shapes: y, residual (m,); S, R (m, m).
         """
         match self.options.detector:
             case "nis":

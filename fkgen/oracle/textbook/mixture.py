@@ -26,14 +26,7 @@ class Matched:
 def matched(plant: tuple[Array, Array, Array], prior: Gaussian, y: Array, u: Array) -> Matched:
     """Update with the finite rows of y as if the mode were known, eq. (5), (6), (9).
 
-    Parameters
-    ----------
-    plant : tuple of (p, n), (p, q) and (p, p) ndarray
-        C, D and R of the mode.
-    prior : tuple of (n,) and (n, n) ndarray
-        x(k|k-1) and its covariance.
-    y, u : (p,) and (q,) ndarray
-        NaN = missing.
+    Shapes: plant (p, n), (p, q) and (p, p); prior (n,) and (n, n); y, u (p,) and (q,).
     """
     (C, D, R), (x, P) = plant, prior
     expected, S = C @ x + D @ u, C @ P @ C.T + R

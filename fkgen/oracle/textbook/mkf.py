@@ -24,22 +24,15 @@ MIXTURE_INPUTS = 4
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TextbookStep:
-    """One sample of one filter.
+    """One sample of one filter."""
 
-    Attributes
-    ----------
-    filtered_state, filtered_covariance : (n,), (n, n) ndarray
-        x(k|k), P(k|k).
-    predicted_state, predicted_covariance : (n,), (n, n) ndarray
-        x(k+1|k), P(k+1|k).
-    expected_measurement, innovation_covariance : (p,), (p, p) ndarray
-        Mean and covariance of y[k] given the past, all rows, eq. (4), (21).
-    """
-
-    filtered_state: Array
+    filtered_state: Array  # filtered_state, filtered_covariance: (n,), (n, n): x(k|k), P(k|k)
     filtered_covariance: Array
+    #: predicted_state, predicted_covariance: (n,), (n, n): x(k+1|k), P(k+1|k)
     predicted_state: Array
     predicted_covariance: Array
+    #: expected_measurement, innovation_covariance: (p,), (p, p): Mean and covariance of y[k]
+    #: given the past, all rows, eq. (4), (21)
     expected_measurement: Array
     innovation_covariance: Array
 
@@ -47,14 +40,7 @@ class TextbookStep:
 def scaled_pseudo_inverse(covariance: Array) -> Array:
     """Pseudo-inverse of a covariance with the rank decided on its correlation matrix.
 
-    Parameters
-    ----------
-    covariance : (m, m) ndarray
-        Symmetric positive semidefinite.
-
-    Returns
-    -------
-    (m, m) ndarray
+    Shapes: covariance (m, m); returns (m, m).
     """
     deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     scale = np.outer(*(np.where(deviation > 0.0, deviation, 1.0),) * 2)
@@ -69,22 +55,7 @@ def textbook_step(
 ) -> TextbookStep:
     """Filter and predict sample k by eq. (4), (11) and the stabilised form (9).
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant with one success rate.
-    k : int
-        Sample.
-    prediction : tuple of (n,) and (n, n) ndarray
-        x(k|k-1) and P(k|k-1).
-    y : (p,) ndarray
-        Measurement of the sample; NaN = missing row.
-    u : (q,) ndarray
-        Input of the sample.
-
-    Returns
-    -------
-    TextbookStep
+    Shapes: prediction (n,) and (n, n); y (p,); u (q,).
     """
     x, P = prediction
     A, B, C, D = system.A[k], system.B[k], system.C[k], system.D[k]
@@ -120,25 +91,7 @@ def log_likelihood(
 ) -> float:
     """Log of p(y[k] | Y[k-1], xi_i) over the finite rows.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant with one success rate.
-    k : int
-        Sample.
-    prediction : tuple of (n,) and (n, n) ndarray
-        x(k|k-1) and P(k|k-1) of this hypothesis.
-    y, u : (p,), (q,) ndarray
-        Measurement (NaN = missing row) and input of the sample.
-    mixture : bool
-        Sum over the states of the actuators instead of eq. (15), where they can be enumerated: one
-        coin for all inputs, or up to four independent inputs.
-
-    Returns
-    -------
-    float
-        Natural logarithm; 0 if no row is finite, -inf if the sample contradicts a singular
-        covariance.
+    Shapes: prediction (n,) and (n, n); y, u (p,), (q,).
     """
     from scipy.special import logsumexp  # noqa: PLC0415 - slow to import
 

@@ -25,26 +25,10 @@ def stationary_prediction(
 ) -> tuple[Array, float] | None:
     """Solve P = A P A' + Q - (A P C' + S) (C P C' + R)^-1 (A P C' + S)' with SciPy.
 
-    Parameters
-    ----------
-    A, C : (n, n), (p, n) ndarray
-        Time-invariant plant.
-    Q, R : (n, n), (p, p) ndarray
-        Covariances of process and measurement noise.
-    S : (n, p) ndarray, optional
-        Their cross covariance; zero if left out.
-
-    Returns
-    -------
-    covariance : (n, n) ndarray
-        Stationary P(k+1|k).
-    closed_loop_radius : float
-        Spectral radius of A - K C, below 1.
-
-    Notes
-    -----
     Returns None if there is no stabilising solution: a mode that is not stable and not seen in y,
     or one on the unit circle that no noise excites.
+
+    Shapes: A, C (n, n), (p, n); Q, R (n, n), (p, p); S (n, p).
     """
     from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - slow to import
 
@@ -61,20 +45,7 @@ def stationary_prediction_by_control(
 ) -> tuple[Array, float] | None:
     """Solve the same equation with python-control; arguments and result as `stationary_prediction`.
 
-    Parameters
-    ----------
-    A, C : (n, n), (p, n) ndarray
-        Time-invariant plant.
-    Q, R : (n, n), (p, p) ndarray
-        Covariances of process and measurement noise.
-    S : (n, p) ndarray, optional
-        Their cross covariance; zero if left out.
-
-    Returns
-    -------
-    tuple of (n, n) ndarray and float, or None
-        Stationary P(k+1|k) and the spectral radius of A - K C; None if there is no stabilising
-        solution.
+    Shapes: A, C (n, n), (p, n); Q, R (n, n), (p, p); S (n, p); returns (n, n).
     """
     import control  # noqa: PLC0415 - slow to import
 
@@ -108,19 +79,7 @@ def _accepted(
 def constant_input_noise(system: LinearSystem, u: Array, k: int = 0) -> tuple[Array, Array, Array]:
     """Find the noise at a constant input: failing actuators shake x and y together, eq. (12), (22).
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant; its sample k is taken.
-    u : (q,) ndarray
-        The constant input.
-    k : int
-        Sample.
-
-    Returns
-    -------
-    Q, R, S : (n, n), (p, p), (n, p) ndarray
-        Q + B N B', R + D N D' and B N D' with N = diag(u) Cov(gamma) diag(u).
+    Shapes: u (q,).
     """
     N = np.outer(u, u) * system.fault_covariance[k]
     B, D = system.B[k], system.D[k]

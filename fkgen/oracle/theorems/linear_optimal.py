@@ -19,30 +19,16 @@ from fkgen.oracle.theorems.mkf import Identity
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Step:
-    """One step of eq. (23), scalar or matrix, in symbols.
+    """One step of eq. (23), scalar or matrix, in symbols."""
 
-    Attributes
-    ----------
-    A, H : Matrix
-        Plant; H is `C` elsewhere in fkgen.
-    C, V : Matrix
-        C_(k+1) = E[x x'] at the new sample and V_k = E[xhat xhat'] at the last one.
-    R : Matrix
-        R E[delta].
-    g, p : Matrix
-        Diagonal matrices of E[gamma] and p11, ones at rows that do not fail.
-    pair : Matrix
-        E[G_i G_j].
-    """
-
-    A: Any
+    A: Any  # A, H: Plant; H is `C` elsewhere in fkgen
     H: Any
-    C: Any
+    C: Any  # C, V: C_(k+1) = E[x x'] at the new sample and V_k = E[xhat xhat'] at the last one
     V: Any
-    R: Any
-    g: Any
+    R: Any  # R E[delta]
+    g: Any  # g, p: Diagonal matrices of E[gamma] and p11, ones at rows that do not fail
     p: Any
-    pair: Any
+    pair: Any  # E[G_i G_j]
 
     @property
     def predicted(self) -> Any:

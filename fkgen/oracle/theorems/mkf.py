@@ -18,30 +18,18 @@ from typing import Any
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Setting:
-    """Symbols of one sample: plant, prediction error covariance and fault covariance.
+    """Symbols of one sample: plant, prediction error covariance and fault covariance."""
 
-    Attributes
-    ----------
-    A, B, C, D, P, Q, R : Matrix
-        Plant of eq. (1) and P[k]; P, Q, R symmetric.
-    U : Matrix
-        diag(u).
-    xi : Symbol
-        Success rate.
-    faults : Matrix
-        Cov(gamma): xi (1 - xi) for one input, free symbols for several.
-    """
-
-    A: Any
+    A: Any  # A, B, C, D, P, Q, R: Plant of eq. (1) and P[k]; P, Q, R symmetric
     B: Any
     C: Any
     D: Any
     P: Any
     Q: Any
     R: Any
-    U: Any
-    xi: Any
-    faults: Any
+    U: Any  # diag(u)
+    xi: Any  # Success rate
+    faults: Any  # Cov(gamma): xi (1 - xi) for one input, free symbols for several
 
     @property
     def N(self) -> Any:
@@ -94,17 +82,7 @@ class Setting:
 
 
 def setting(n: int = 2, p: int = 1, q: int = 1) -> Setting:
-    """Write down the symbols for n states, p measurements and q inputs.
-
-    Parameters
-    ----------
-    n, p, q : int
-        Dimensions.
-
-    Returns
-    -------
-    Setting
-    """
+    """Write down the symbols for n states, p measurements and q inputs."""
     import sympy  # noqa: PLC0415 - slow to import
 
     def general(name: str, rows: int, columns: int) -> Any:
@@ -135,21 +113,11 @@ PAPER = "Strandt, Schneider, Yaz"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Identity:
-    """One claim and the expression that must vanish if it is true.
+    """One claim and the expression that must vanish if it is true."""
 
-    Attributes
-    ----------
-    claim : str
-        What is claimed, in a sentence.
-    source : str
-        Where it stands.
-    residual : callable
-        Returns the SymPy matrices that must be zero.
-    """
-
-    claim: str
-    source: str
-    residual: Callable[[], tuple[Any, ...]]
+    claim: str  # What is claimed, in a sentence
+    source: str  # Where it stands
+    residual: Callable[[], tuple[Any, ...]]  # Returns the SymPy matrices that must be zero
 
     def holds(self) -> bool:
         """Whether every entry of the residual is identically zero."""

@@ -25,23 +25,12 @@ _CORTEX = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """Costs of one filter.
+    """Costs of one filter."""
 
-    Attributes
-    ----------
-    operations : int
-        Floating-point operations of a step, without those inside calls.
-    calls : int
-        Calls of elementary functions.
-    state : int
-        Bytes of an instance.
-    flash : dict of str to int
-        Bytes of code and constants by target; what could not be compiled or measured is missing.
-    """
-
-    operations: int
-    calls: int
-    state: int
+    operations: int  # Floating-point operations of a step, without those inside calls
+    calls: int  # Calls of elementary functions
+    state: int  # Bytes of an instance
+    #: Bytes of code and constants by target; what could not be compiled or measured is missing
     flash: dict[str, int]
 
     @property

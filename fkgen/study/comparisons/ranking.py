@@ -158,42 +158,20 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One filter in the table.
-
-    Attributes
-    ----------
-    label, family : str
-    relative : Estimate
-        Mean squared error over that of the genie, the mean over states.
-    rmse : dict of str to Estimate
-        Root of the mean squared error by state.
-    nees, nis : Estimate
-        Per dimension: 1 if the filter is right about itself.
-    detected : Estimate
-        Share of the faults that were declared before they ended.
-    delay : Estimate
-        Samples from the onset of those faults to their declaration.
-    false_alarms : Estimate
-        Share of samples without fault that were declared faulty.
-    footprint : Footprint
-    refused : int
-        Samples that the filter refused.
-    pareto : bool
-        No cheaper filter is as good.
-    """
+    """One filter in the table."""
 
     label: str
     family: str
-    relative: Estimate
-    rmse: dict[str, Estimate]
-    nees: Estimate
+    relative: Estimate  # Mean squared error over that of the genie, the mean over states
+    rmse: dict[str, Estimate]  # Root of the mean squared error by state
+    nees: Estimate  # nees, nis: Per dimension: 1 if the filter is right about itself
     nis: Estimate
-    detected: Estimate
-    delay: Estimate
-    false_alarms: Estimate
+    detected: Estimate  # Share of the faults that were declared before they ended
+    delay: Estimate  # Samples from the onset of those faults to their declaration
+    false_alarms: Estimate  # Share of samples without fault that were declared faulty
     footprint: Footprint
-    refused: int
-    pareto: bool
+    refused: int  # Samples that the filter refused
+    pareto: bool  # No cheaper filter is as good
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,14 +25,7 @@ _SAMPLES = "a number of samples, at least 1"
 def pulse(steps: int, start: int, amplitude: ArrayLike) -> Array:
     """A fault of one sample.
 
-    Parameters
-    ----------
-    steps : int
-        Length T of the record.
-    start : int
-        The faulty sample, 0 <= start < steps.
-    amplitude : (width,) array_like
-        In units of the signal; a number for width 1.
+    Shapes: amplitude (width,).
     """
     return step(steps, start, amplitude, stop=start + 1)
 
@@ -56,13 +49,6 @@ def ramp(
     """A fault that rises to ``amplitude`` within ``length`` samples and stays there.
 
     Sample ``start`` has amplitude / length, sample start + length - 1 the whole of it.
-
-    Parameters
-    ----------
-    steps, start, amplitude, stop
-        As for `step`.
-    length : int
-        Samples that the rise takes, at least 1.
     """
     whole("length", length, least=1, expected=_SAMPLES)
     rise = np.minimum(np.arange(1, _count(steps) + 1) / length, 1.0)
@@ -72,31 +58,13 @@ def ramp(
 def drift(steps: int, start: int, rate: ArrayLike, *, stop: int | None = None) -> Array:
     """A fault that grows by ``rate`` per sample: rate at ``start``, 2 rate after it, and so on.
 
-    Parameters
-    ----------
-    steps, start, stop
-        As for `step`.
-    rate : (width,) array_like
-        In units of the signal per sample; a number for width 1.
+    Shapes: rate (width,).
     """
     return _shaped(np.arange(1.0, _count(steps) + 1.0), start, rate, stop)
 
 
 def from_csv(path: str | os.PathLike[str], columns: Sequence[str]) -> Array:
-    """A profile from a CSV file with a header; a column that the file lacks is zero.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    columns : sequence of str
-        Names of the rows of y, or of the inputs, in their order.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, has none of the columns, or a field is no finite number.
-    """
+    """A profile from a CSV file with a header; a column that the file lacks is zero."""
     return np.stack(list(read_columns(path, columns).values()), axis=1)
 
 

@@ -40,21 +40,7 @@ class Table:
 
 
 def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
-    """Read the record that a spec asks for.
-
-    Parameters
-    ----------
-    path : path
-        A CSV file (commas, UTF-8) with a header. Measurements, inputs and parameters are the
-        columns with their names; a time column (``t``, ``t_s`` or ``time``) is optional.
-    spec : Spec
-        Says which columns there have to be.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read or lacks a column, or a field is not what its column demands.
-    """
+    """Read the record that a spec asks for."""
     reader = _Reader(str(path))
     wanted = [signal.name for signal in (*spec.model.outputs, *spec.model.inputs)]
     known = [parameter.name for parameter in spec.parameters]
