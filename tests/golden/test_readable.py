@@ -139,7 +139,7 @@ def test_no_line_is_longer_than_a_hundred_characters(path):
     assert [line for line in lines if len(line) > WIDTH] == []
 
 
-@pytest.mark.parametrize("scalar", ["double", "float"])
+@pytest.mark.parametrize("scalar", ["double", pytest.param("float", marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", spread.NAMES)
 def test_no_line_is_long_under_a_long_name_either(name, scalar):
     table = spread.specs(scalar)[name].to_dict()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from imm_plants import ALIKE, any_modes, jumping
 from plants import PARAMETERS, VARYING, random_model, run
@@ -124,9 +126,10 @@ EVERY = (*KINDS, "imm_jump")
 DRIVEN = tuple(name for name in KINDS if name not in {"linear_absorbing", "linear_moments"})
 
 
-def every(scalar="double", model=None):
+@cache
+def every(scalar="double"):
     """One spec of every kind by name: inputs, D, correlated rows of which one fails."""
-    model = random_model(71, 2, 2, 1, direct=True, correlated=True) if model is None else model
+    model = random_model(71, 2, 2, 1, direct=True, correlated=True)
     laws = PROBLEMS | {
         "absorbing": product([[0.7, 0.3], [0.0, 1.0]], [[0.8, 0.2]] * 2, initial=(0.2, 0.8)),
         "moments": {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from plants import (
     MOTOR,
@@ -36,6 +38,7 @@ CONSTANT_RATE_OF_X = {
 }
 
 
+@cache
 def specs(scalar="double"):
     """Specs by name."""
     code = {"scalar": scalar}

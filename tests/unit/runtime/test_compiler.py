@@ -60,6 +60,21 @@ def test_a_variable_may_hold_arguments(path, monkeypatch):
     assert find_compiler().command == (wrapper, "gcc", "-m64")
 
 
+def test_flags_of_the_variable_come_last_and_make_another_filter(
+    path, source, tmp_path, monkeypatch
+):
+    log = tmp_path / "log"
+    program(path, "cc", f'echo "$@" > {log}; exit 1')
+    monkeypatch.setenv("FKGEN_CFLAGS", "")
+    before = find_compiler().identity
+    monkeypatch.setenv("FKGEN_CFLAGS", "-O0 -g")
+    assert find_compiler().identity != before
+    with pytest.raises(CompilerError):
+        compile_shared(find_compiler(), source, tmp_path / "filter.so", flops=1)
+    words = log.read_text().split()
+    assert words.index("-O2") < words.index("-O0") < words.index("-g")
+
+
 def test_an_empty_variable_says_nothing(path, monkeypatch):
     expected = program(path, "cc")
     monkeypatch.setenv("FKGEN_CC", " ")
