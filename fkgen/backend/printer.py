@@ -280,7 +280,8 @@ class Printer(StatementPrinter):
             arguments.append("uint32_t present" if self.words == 1 else "const uint32_t *present")
         arguments += [f"int row_{i}" for i in range(routine.rows)]
         result = f"{self.name}_status_t" if "status" in needs else "void"
-        return f"{self.upper}_INLINE {result} {self.name}_{routine.name}({', '.join(arguments) or 'void'})"
+        head = f"{self.upper}_INLINE {result} {self.name}_{routine.name}"
+        return f"{head}({', '.join(arguments) or 'void'})"
 
     @property
     def outcome(self) -> str:

@@ -8,7 +8,7 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
-/* Without inlining, _step() would copy the whole instance between its two halves. */
+/* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define CAR_SPEED_INLINE static inline __attribute__((always_inline))
 #else
@@ -164,7 +164,7 @@ static const double car_speed_row_of_y_numbers[2][1] = {
 };
 
 /* row 2 of y, wheel_rl; row 3 of y, wheel_rr. */
-static car_speed_status_t car_speed_row_of_y(double *covariance, double *mean,
+CAR_SPEED_INLINE car_speed_status_t car_speed_row_of_y(double *covariance, double *mean,
     const double predicted_state, const double innovation, double *quadratic, double *log_constant,
     double *determinant_0, const double *numbers, int row_0)
 {
@@ -209,7 +209,7 @@ static car_speed_status_t car_speed_row_of_y(double *covariance, double *mean,
 }
 
 /* innovation, row by row. */
-static void car_speed_innovation(const double predicted_covariance, double *variance)
+CAR_SPEED_INLINE void car_speed_innovation(const double predicted_covariance, double *variance)
 {
     const double t0 = 0.9843852771361035 * predicted_covariance;
     variance[0] = t0 + 0.04;

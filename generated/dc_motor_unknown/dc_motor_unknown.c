@@ -8,7 +8,7 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
-/* Without inlining, _step() would copy the whole instance between its two halves. */
+/* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define DC_MOTOR_UNKNOWN_INLINE static inline __attribute__((always_inline))
 #else
@@ -238,7 +238,7 @@ static const double dc_motor_unknown_hypothesis_numbers[5][2] = {
 };
 
 /* hypothesis 0; hypothesis 1; hypothesis 2; hypothesis 3; hypothesis 4. */
-static dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
     const double *mode_state, double *innovation_0, const double u, double *innovation_1,
     double *mean, const double *mode_covariance, double *covariance, double *pivot_0,
     double *quadratic, double *log_constant, double *determinant_0, double *pivot_1,
@@ -376,7 +376,7 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
 }
 
 /* combination. */
-static void dc_motor_unknown_combination(const double *combined_innovation,
+DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined_innovation,
     const double whitening_inverse_combined_0, const double whitening_combined_0_1,
     const double whitening_inverse_combined_1, const double *weight, const double *mean_h0,
     const double *mean_h1, const double *mean_h2, const double *mean_h3, const double *mean_h4,
@@ -584,7 +584,7 @@ static void dc_motor_unknown_combination(const double *combined_innovation,
 }
 
 /* hypothesis 4. */
-static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
     const double *mode_state, const double u, const double *mode_covariance,
     const double determinant_h0_0, const double log_constant_h0, const double quadratic_h0,
     const double determinant_h1_0, const double log_constant_h1, const double quadratic_h1,
@@ -890,10 +890,10 @@ static dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
 }
 
 /* combined prediction. */
-static void dc_motor_unknown_combined_prediction(const double *mode_filtered_covariance,
-    const double u, const double *mode_deviation_cross, const double *mode_deviation_covariance,
-    double *moved_covariance, const double *mode_probability, const double *moved_state,
-    double *combined_state)
+DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combined_prediction(const double
+    *mode_filtered_covariance, const double u, const double *mode_deviation_cross,
+    const double *mode_deviation_covariance, double *moved_covariance,
+    const double *mode_probability, const double *moved_state, double *combined_state)
 {
     const double t0 = 0.9802 * mode_filtered_covariance[0];
     const double t1 = -0.0002 * mode_filtered_covariance[1];

@@ -8,7 +8,7 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
-/* Without inlining, _step() would copy the whole instance between its two halves. */
+/* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define FAULT_EFFECT_A_INLINE static inline __attribute__((always_inline))
 #else

@@ -8,7 +8,7 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
-/* Without inlining, _step() would copy the whole instance between its two halves. */
+/* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define GPS_GLITCH_INLINE static inline __attribute__((always_inline))
 #else
@@ -221,7 +221,7 @@ static int gps_glitch_present_rows(const double *y, uint32_t valid, uint32_t *pr
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
 /* mixing and prediction of every mode. */
-static void gps_glitch_mixing_and_prediction(const double *mixed_share,
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_share,
     const double *mode_filtered_state, double *mixed_mean, const double *mode_filtered_covariance,
     const double *mixed_apart_squared, double *mixed_covariance)
 {
@@ -268,8 +268,8 @@ static void gps_glitch_mixing_and_prediction(const double *mixed_share,
 }
 
 /* combination; mixing and prediction of every mode. */
-static void gps_glitch_part_2(const double *combined_0_1_mean, const double *combined_2_3_mean,
-    const double *combined_0_3_share, double *combined_0_3_mean,
+GPS_GLITCH_INLINE void gps_glitch_part_2(const double *combined_0_1_mean,
+    const double *combined_2_3_mean, const double *combined_0_3_share, double *combined_0_3_mean,
     const double *combined_0_1_covariance, const double *combined_2_3_covariance,
     double *combined_0_3_covariance)
 {
@@ -329,7 +329,7 @@ static const double gps_glitch_mode_numbers[2][2] = {
 };
 
 /* mode 0: signal, R; mode 1: signal, noise x 400. */
-static gps_glitch_status_t gps_glitch_mode(const double *mode_state, const double *y,
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, const double *y,
     double *innovation_0, double *innovation_1, double *innovation_2, const double *mode_covariance,
     double *variance, double *mean, double *covariance, double *log_density, const double *numbers,
     uint32_t present)
@@ -519,7 +519,7 @@ static const double gps_glitch_mode_2_numbers[2][6] = {
 };
 
 /* mode 2: no signal, R; mode 3: no signal, noise x 400. */
-static gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const double *y,
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const double *y,
     double *innovation_0, double *innovation_1, double *innovation_2, const double *mode_covariance,
     double *variance, double *mean, double *covariance, double *quadratic, double *log_constant,
     double *determinant_0, const double *numbers, uint32_t present)
@@ -626,9 +626,9 @@ static gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const dou
 }
 
 /* combination. */
-static void gps_glitch_combination(const double *weight, const double *mean, const double *mean_2,
-    double *combined_mean, const double *covariance, const double *covariance_2,
-    double *combined_covariance)
+GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double *mean,
+    const double *mean_2, double *combined_mean, const double *covariance,
+    const double *covariance_2, double *combined_covariance)
 {
     double combined_inverse;
     double combined_share[2];
@@ -691,9 +691,9 @@ static void gps_glitch_combination(const double *weight, const double *mean, con
 }
 
 /* mixing and prediction of every mode. */
-static void gps_glitch_mixing_and_prediction_2(const double *mixed_0_3_mean, double *moved_state,
-    const double *mixed_0_3_covariance, const double *Q, double *moved_covariance,
-    const gps_glitch_params_t *params)
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_0_3_mean,
+    double *moved_state, const double *mixed_0_3_covariance, const double *Q,
+    double *moved_covariance, const gps_glitch_params_t *params)
 {
     const double t0 = params->dt * mixed_0_3_mean[1];
     moved_state[0] = mixed_0_3_mean[0] + t0;
@@ -724,8 +724,8 @@ static const double gps_glitch_law_of_the_next_numbers[3][4] = {
 };
 
 /* law of the next mode, and mixing weights. */
-static void gps_glitch_law_of_the_next(const double *mode_probability, double *mode_prediction,
-    double *mixing, const double *numbers)
+GPS_GLITCH_INLINE void gps_glitch_law_of_the_next(const double *mode_probability,
+    double *mode_prediction, double *mixing, const double *numbers)
 {
     double mode_prediction_inverse;
     const double t0 = numbers[0] * mode_probability[0];
@@ -747,8 +747,8 @@ static void gps_glitch_law_of_the_next(const double *mode_probability, double *m
 }
 
 /* mixing and prediction of every mode. */
-static void gps_glitch_mixing_and_prediction_3(const double *mixing_0, double *mixed_0_share,
-    const double *mode_filtered_state, double *mixed_apart_squared)
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixing_0,
+    double *mixed_0_share, const double *mode_filtered_state, double *mixed_apart_squared)
 {
     double mixed_0_inverse;
     double mixed_apart[3];
@@ -769,10 +769,11 @@ static void gps_glitch_mixing_and_prediction_3(const double *mixing_0, double *m
 }
 
 /* innovation of the mixture. */
-static void gps_glitch_innovation_of_the_mixture(const double *predicted_mode_probability,
-    const double *variance_m0, const double *variance_m1, const double *variance_m2,
-    const double *variance_m3, const double *predicted_y_m0, const double *predicted_y_m1,
-    const double *predicted_y_m2, const double *predicted_y_m3, double *combined_variance)
+GPS_GLITCH_INLINE void gps_glitch_innovation_of_the_mixture(const double
+    *predicted_mode_probability, const double *variance_m0, const double *variance_m1,
+    const double *variance_m2, const double *variance_m3, const double *predicted_y_m0,
+    const double *predicted_y_m1, const double *predicted_y_m2, const double *predicted_y_m3,
+    double *combined_variance)
 {
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
     const double t1 = predicted_mode_probability[1] * variance_m1[0];
@@ -912,7 +913,7 @@ static void gps_glitch_innovation_of_the_mixture(const double *predicted_mode_pr
 }
 
 /* combination. */
-static void gps_glitch_combination_2(const double *combined_innovation,
+GPS_GLITCH_INLINE void gps_glitch_combination_2(const double *combined_innovation,
     const double whitening_inverse_combined_0, const double whitening_combined_0_1,
     const double whitening_inverse_combined_1, const double whitening_combined_0_2,
     const double whitening_combined_1_2, const double whitening_inverse_combined_2,
@@ -1005,7 +1006,7 @@ static void gps_glitch_combination_2(const double *combined_innovation,
 }
 
 /* mixing and prediction of every mode. */
-static gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double *path_share_3,
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double *path_share_3,
     const double *mixing_0, const double *mode_filtered_state,
     const double *mode_filtered_covariance, const double *Q, const double *mixing_1,
     const double *mixing_2, const double mode_prediction_0, const double mode_prediction_1,

@@ -8,7 +8,7 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
-/* Without inlining, _step() would copy the whole instance between its two halves. */
+/* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define MARKOV_JUMP_INLINE static inline __attribute__((always_inline))
 #else
@@ -184,8 +184,8 @@ static const double markov_jump_propagate_2_numbers[2][5] = {
 };
 
 /* propagate. */
-static void markov_jump_propagate_2(const double *mode_second_moment, double *moved_moment,
-    const double *numbers)
+MARKOV_JUMP_INLINE void markov_jump_propagate_2(const double *mode_second_moment,
+    double *moved_moment, const double *numbers)
 {
     const double t0 = 0.97 * mode_second_moment[0];
     const double t1 = t0 + mode_second_moment[1];
@@ -235,7 +235,7 @@ static const double markov_jump_propagate_3_numbers[2][9] = {
 };
 
 /* propagate. */
-static void markov_jump_propagate_3(const double *mode_law, double *plant_noise,
+MARKOV_JUMP_INLINE void markov_jump_propagate_3(const double *mode_law, double *plant_noise,
     const double *numbers)
 {
     const double t0 = numbers[0] * mode_law[0];
@@ -271,10 +271,11 @@ static void markov_jump_propagate_3(const double *mode_law, double *plant_noise,
 }
 
 /* innovation, row by row. */
-static markov_jump_status_t markov_jump_innovation(const double y, const double *augmented_state,
-    double *innovation_0, double *mean, const double *augmented_covariance, double *covariance,
-    const double mean_noise, double *pivot_0, double *quadratic, double *log_constant,
-    double *determinant_0, double *rows_present, double *quadratic_lost, double *log_constant_lost,
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
+    const double *augmented_state, double *innovation_0, double *mean,
+    const double *augmented_covariance, double *covariance, const double mean_noise,
+    double *pivot_0, double *quadratic, double *log_constant, double *determinant_0,
+    double *rows_present, double *quadratic_lost, double *log_constant_lost,
     double *determinant_lost_0, uint32_t present)
 {
     double inverse_0 = 0.0;
@@ -509,9 +510,9 @@ static markov_jump_status_t markov_jump_innovation(const double y, const double 
 }
 
 /* every mode's step. */
-static void markov_jump_every_mode_s_step(const double *mode_second_moment, double *moved_moment_2,
-    const double *mode_law, double *plant_noise_0, double *plant_noise_1, double *plant_noise_2,
-    const double *augmented_filtered_state, double *moved_state,
+MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step(const double *mode_second_moment,
+    double *moved_moment_2, const double *mode_law, double *plant_noise_0, double *plant_noise_1,
+    double *plant_noise_2, const double *augmented_filtered_state, double *moved_state,
     const double *augmented_filtered_covariance, double *carried_8)
 {
     markov_jump_propagate_2(mode_second_moment, moved_moment_2, markov_jump_propagate_2_numbers[1]);
@@ -738,13 +739,13 @@ static void markov_jump_every_mode_s_step(const double *mode_second_moment, doub
 }
 
 /* prediction of the next sample. */
-static markov_jump_status_t markov_jump_prediction_of_the_next(const double *moved_covariance,
-    const double *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
-    const double *plant_noise_1, const double *carried_10, const double *plant_noise_0,
-    const double *carried_11, const double *plant_noise_2, const double *carried_9,
-    const double *moved_state, double *predicted_mode_second_moment, double *predicted_mode_law,
-    double *augmented_state, double *augmented_covariance, double *predicted_state,
-    double *predicted_covariance)
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const double
+    *moved_covariance, const double *moved_moment_0, const double *moved_moment_1,
+    const double *moved_moment_2, const double *plant_noise_1, const double *carried_10,
+    const double *plant_noise_0, const double *carried_11, const double *plant_noise_2,
+    const double *carried_9, const double *moved_state, double *predicted_mode_second_moment,
+    double *predicted_mode_law, double *augmented_state, double *augmented_covariance,
+    double *predicted_state, double *predicted_covariance)
 {
     const double t0 = -0.04 * moved_covariance[0];
     const double t1 = 0.8200000000000001 * moved_covariance[12];
@@ -1000,12 +1001,13 @@ static markov_jump_status_t markov_jump_prediction_of_the_next(const double *mov
 }
 
 /* prediction of the next sample. */
-static markov_jump_status_t markov_jump_prediction_of_the_next_2(const double *moved_covariance,
-    const double *carried_10, const double *moved_moment_0, const double *moved_moment_1,
-    const double *moved_moment_2, const double *plant_noise_0, const double *plant_noise_1,
-    const double *plant_noise_2, const double *carried_9, const double *moved_state,
-    double *predicted_mode_second_moment, double *predicted_mode_law, double *augmented_state,
-    double *augmented_covariance, double *predicted_state, double *predicted_covariance)
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_2(const double
+    *moved_covariance, const double *carried_10, const double *moved_moment_0,
+    const double *moved_moment_1, const double *moved_moment_2, const double *plant_noise_0,
+    const double *plant_noise_1, const double *plant_noise_2, const double *carried_9,
+    const double *moved_state, double *predicted_mode_second_moment, double *predicted_mode_law,
+    double *augmented_state, double *augmented_covariance, double *predicted_state,
+    double *predicted_covariance)
 {
     double carried_11[17];
     markov_jump_status_t status;
@@ -1235,7 +1237,7 @@ static markov_jump_status_t markov_jump_prediction_of_the_next_2(const double *m
 }
 
 /* prediction of the next sample. */
-static void markov_jump_prediction_of_the_next_3(const double *mode_second_moment,
+MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_3(const double *mode_second_moment,
     double *moved_moment_0, double *moved_moment_1, double *moved_moment_2, const double *mode_law,
     double *plant_noise_0, double *plant_noise_1, double *plant_noise_2,
     const double *augmented_filtered_state, double *moved_state,
@@ -1413,11 +1415,11 @@ static void markov_jump_prediction_of_the_next_3(const double *mode_second_momen
 }
 
 /* propagate. */
-static void markov_jump_propagate_4(const double *mode_second_moment, double *moved_moment_0,
-    double *moved_moment_1, double *moved_moment_2, const double *mode_law, double *plant_noise_0,
-    double *plant_noise_1, double *plant_noise_2, const double *augmented_filtered_state,
-    double *moved_state, const double *augmented_filtered_covariance, double *moved_covariance,
-    double *carried_9)
+MARKOV_JUMP_INLINE void markov_jump_propagate_4(const double *mode_second_moment,
+    double *moved_moment_0, double *moved_moment_1, double *moved_moment_2, const double *mode_law,
+    double *plant_noise_0, double *plant_noise_1, double *plant_noise_2,
+    const double *augmented_filtered_state, double *moved_state,
+    const double *augmented_filtered_covariance, double *moved_covariance, double *carried_9)
 {
     markov_jump_prediction_of_the_next_3(mode_second_moment, moved_moment_0, moved_moment_1,
         moved_moment_2, mode_law, plant_noise_0, plant_noise_1, plant_noise_2,

@@ -8,7 +8,7 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
-/* Without inlining, _step() would copy the whole instance between its two halves. */
+/* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define SENSOR_FAULTS_2_INLINE static inline __attribute__((always_inline))
 #else
@@ -221,9 +221,10 @@ static const double sensor_faults_2_mode_numbers[2][1] = {
 };
 
 /* mode 0: signal, R; mode 1: signal, noise x 10. */
-static sensor_faults_2_status_t sensor_faults_2_mode(const double y, const double predicted_state,
-    double *innovation_0, double *mean, const double predicted_covariance, double *covariance,
-    double *pivot_0, double *log_density, const double *numbers, uint32_t present)
+SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_mode(const double y,
+    const double predicted_state, double *innovation_0, double *mean,
+    const double predicted_covariance, double *covariance, double *pivot_0, double *log_density,
+    const double *numbers, uint32_t present)
 {
     double inverse_0 = 0.0;
     double quadratic = 0.0;

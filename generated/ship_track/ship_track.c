@@ -8,7 +8,7 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
-/* Without inlining, _step() would copy the whole instance between its two halves. */
+/* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define SHIP_TRACK_INLINE static inline __attribute__((always_inline))
 #else
@@ -298,7 +298,7 @@ static int ship_track_present_rows(const double *y, uint32_t valid, uint32_t *pr
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
 /* row 2 of y, report_speed_east. */
-static ship_track_status_t ship_track_row_of_y(const double pivot_1, double *mean,
+SHIP_TRACK_INLINE ship_track_status_t ship_track_row_of_y(const double pivot_1, double *mean,
     const double mode_state, const double innovation_1, double *quadratic, double *log_constant,
     double *determinant_0, double *covariance, uint32_t present)
 {
@@ -360,7 +360,7 @@ static ship_track_status_t ship_track_row_of_y(const double pivot_1, double *mea
 }
 
 /* mode 0: the model; mode 1: with its own A, Q; mode 2: with its own A, Q. */
-static ship_track_status_t ship_track_mode(const double *y, const double *mode_state,
+SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const double *mode_state,
     double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
     const double *mode_covariance, double *variance, double *mean, double *covariance,
     double *quadratic, double *log_constant, double *determinant_0, uint32_t present)
@@ -581,9 +581,9 @@ static ship_track_status_t ship_track_mode(const double *y, const double *mode_s
 }
 
 /* mixing and prediction of every mode; part 2. */
-static void ship_track_part_3(const double *mixed_0_0_1_mean, const double *mode_filtered_state,
-    const double *mixed_0_0_2_share, double *mixed_0_0_2_mean, const double *mixed_0_0_1_covariance,
-    const double *covariance, double *mixed_0_0_2_covariance)
+SHIP_TRACK_INLINE void ship_track_part_3(const double *mixed_0_0_1_mean,
+    const double *mode_filtered_state, const double *mixed_0_0_2_share, double *mixed_0_0_2_mean,
+    const double *mixed_0_0_1_covariance, const double *covariance, double *mixed_0_0_2_covariance)
 {
     double mixed_0_0_2_apart[4];
     mixed_0_0_2_apart[0] = mixed_0_0_1_mean[0] - mode_filtered_state[0];
@@ -660,7 +660,7 @@ static void ship_track_part_3(const double *mixed_0_0_1_mean, const double *mode
 }
 
 /* combination; combined prediction. */
-static void ship_track_part_2(const double *mean_m0, const double *mean_m1,
+SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *mean_m1,
     const double *combined_0_1_share, const double *covariance, const double *covariance_2,
     const double *mean_m2, const double *combined_0_2_share, double *combined_0_2_mean,
     const double *covariance_3, double *combined_0_2_covariance)
@@ -751,7 +751,7 @@ static void ship_track_part_2(const double *mean_m0, const double *mean_m1,
 }
 
 /* mixing and prediction of every mode. */
-static void ship_track_mixing_and_prediction(const double *mixed_0_1_share,
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction(const double *mixed_0_1_share,
     const double *mode_filtered_state, double *mixed_0_1_mean,
     const double *mode_filtered_covariance, const double *mixed_apart_0_1_squared,
     double *mixed_0_1_covariance)
@@ -822,10 +822,10 @@ static void ship_track_mixing_and_prediction(const double *mixed_0_1_share,
 }
 
 /* innovation of the mixture. */
-static void ship_track_innovation_of_the_mixture(const double *predicted_mode_probability,
-    const double *variance_m0, const double *variance_m1, const double *variance_m2,
-    const double *predicted_y_m0, const double *predicted_y_m1, const double *predicted_y_m2,
-    double *combined_variance)
+SHIP_TRACK_INLINE void ship_track_innovation_of_the_mixture(const double
+    *predicted_mode_probability, const double *variance_m0, const double *variance_m1,
+    const double *variance_m2, const double *predicted_y_m0, const double *predicted_y_m1,
+    const double *predicted_y_m2, double *combined_variance)
 {
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
     const double t1 = predicted_mode_probability[1] * variance_m1[0];
@@ -984,7 +984,7 @@ static void ship_track_innovation_of_the_mixture(const double *predicted_mode_pr
 }
 
 /* combination. */
-static void ship_track_combination(const double *combined_innovation,
+SHIP_TRACK_INLINE void ship_track_combination(const double *combined_innovation,
     const double whitening_inverse_combined_0, const double whitening_combined_0_1,
     const double whitening_inverse_combined_1, const double whitening_combined_0_2,
     const double whitening_combined_1_2, const double whitening_inverse_combined_2,
@@ -1101,7 +1101,7 @@ static void ship_track_combination(const double *combined_innovation,
 }
 
 /* mixing and prediction of every mode. */
-static void ship_track_mixing_and_prediction_2(const double *mode_probability,
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mode_probability,
     const double mode_prediction_inverse_0, double *mode_prediction_1, const double *log_weight,
     double *log_path_largest_1, double *path_share_total_1, double *mode_prediction_2,
     double *log_path_largest_2, double *path_share_total_2, const double *mode_filtered_state,
@@ -1351,7 +1351,7 @@ static void ship_track_mixing_and_prediction_2(const double *mode_probability,
 }
 
 /* law of the next mode, and mixing weights. */
-static ship_track_status_t ship_track_law_of_the_next(const double *mode_probability,
+SHIP_TRACK_INLINE ship_track_status_t ship_track_law_of_the_next(const double *mode_probability,
     double *mode_prediction_0, double *mode_prediction_1, const double *log_weight,
     double *log_path_largest_1, double *path_share_total_1, double *mode_prediction_2,
     double *log_path_largest_2, double *path_share_total_2, const double *mode_filtered_state,

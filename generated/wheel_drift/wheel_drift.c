@@ -8,7 +8,7 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
-/* Without inlining, _step() would copy the whole instance between its two halves. */
+/* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define WHEEL_DRIFT_INLINE static inline __attribute__((always_inline))
 #else
@@ -158,8 +158,9 @@ static int wheel_drift_present_rows(const double *y, uint32_t valid, uint32_t *p
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
 /* row 4 of y, ublox: compression filter; row 2 of y, wheel_rl: compression filter. */
-static wheel_drift_status_t wheel_drift_row_of_y_5(const double numbers_2, double *covariance,
-    double *mean, const double predicted_compression_deviation, const double innovation, int row_0)
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_5(const double numbers_2,
+    double *covariance, double *mean, const double predicted_compression_deviation,
+    const double innovation, int row_0)
 {
     double cross[2];
     double pivot;
@@ -225,7 +226,7 @@ static const double wheel_drift_row_of_y_numbers[11][1] = {
 };
 
 /* row 4 of y, ublox: compression filter. */
-static wheel_drift_status_t wheel_drift_row_of_y(double *covariance, double *mean,
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y(double *covariance, double *mean,
     const double predicted_compression_deviation, const double innovation,
     const double innovation_2, const double innovation_3, const double *mean_host,
     double *deviation, const double *numbers, uint32_t present, int row_0)
@@ -341,7 +342,7 @@ static const double wheel_drift_row_of_y_2_numbers[15][1] = {
 
 /* row 0 of y, wheel_fl: compression filter; row 1 of y, wheel_fr: compression filter; row 2 of y,
  * wheel_rl: compression filter; row 3 of y, wheel_rr: compression filter. */
-static wheel_drift_status_t wheel_drift_row_of_y_2(const double innovation_4,
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_2(const double innovation_4,
     const double *predicted_compression_deviation, double *innovation, const double innovation_5,
     double *innovation_2, double *mean, const double *predicted_compression_covariance,
     double *covariance, const double innovation_0, const double *numbers, uint32_t present,
@@ -416,7 +417,7 @@ static const double wheel_drift_row_of_y_3_numbers[4][1] = {
 };
 
 /* row 5 of y, qcom: compression filter. */
-static wheel_drift_status_t wheel_drift_row_of_y_3(double *covariance, double *mean,
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_3(double *covariance, double *mean,
     const double *predicted_compression_deviation, const double innovation_1,
     const double innovation_2, const double *mean_host, double *deviation, const double innovation,
     double *innovation_0, const double *numbers, uint32_t present, int row_0)
@@ -522,7 +523,7 @@ static const double wheel_drift_row_of_y_4_numbers[6][1] = {
 };
 
 /* row 2 of y, wheel_rl: compression filter; row 3 of y, wheel_rr: compression filter. */
-static wheel_drift_status_t wheel_drift_row_of_y_4(double *covariance, double *mean,
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_4(double *covariance, double *mean,
     const double predicted_compression_deviation, const double innovation, const double *numbers,
     int row_0)
 {
@@ -537,9 +538,10 @@ static wheel_drift_status_t wheel_drift_row_of_y_4(double *covariance, double *m
 }
 
 /* test of group 0; test of group 1; test of group 2; test of group 3. */
-static void wheel_drift_test_of_group(const double collecting, const double *filtered_covariance,
-    const double *compression_covariance, double *difference, const double *compression_deviation,
-    double *shift, double *scale, double *statistic, double *dof, double *threshold)
+WHEEL_DRIFT_INLINE void wheel_drift_test_of_group(const double collecting,
+    const double *filtered_covariance, const double *compression_covariance, double *difference,
+    const double *compression_deviation, double *shift, double *scale, double *statistic,
+    double *dof, double *threshold)
 {
     double inverse_0 = 0.0;
     double share_0_1 = 0.0;
@@ -602,7 +604,7 @@ static const double wheel_drift_innovation_numbers[5][1] = {
 };
 
 /* innovation, row by row. */
-static void wheel_drift_innovation(const double predicted_compression_deviation,
+WHEEL_DRIFT_INLINE void wheel_drift_innovation(const double predicted_compression_deviation,
     const double innovation, double *innovation_0, const double innovation_2, double *innovation_1,
     const double innovation_3, double *innovation_2_2, const double *numbers, int row_0, int row_1,
     int row_2)
@@ -626,7 +628,8 @@ static void wheel_drift_innovation(const double predicted_compression_deviation,
 }
 
 /* correct. */
-static wheel_drift_status_t wheel_drift_correct_2(const double *predicted_compression_covariance)
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct_2(const double
+    *predicted_compression_covariance)
 {
     if (!((predicted_compression_covariance[0] >= 0.0) && (predicted_compression_covariance[2] >=
         0.0)))
@@ -657,9 +660,9 @@ static wheel_drift_status_t wheel_drift_correct_2(const double *predicted_compre
 }
 
 /* innovation, row by row. */
-static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_state, const double *y,
-    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
-    double *innovation_4, double *innovation_5, double *mean_host,
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_state,
+    const double *y, double *innovation_0, double *innovation_1, double *innovation_2,
+    double *innovation_3, double *innovation_4, double *innovation_5, double *mean_host,
     const double *predicted_covariance, double *covariance_host, double *quadratic_host,
     double *log_constant_host, double *determinant_host_0, double *host_state,
     const double *predicted_compression_deviation, const double *predicted_compression_covariance,
@@ -971,9 +974,9 @@ static wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_sta
 }
 
 /* innovation, row by row. */
-static wheel_drift_status_t wheel_drift_innovation_3(const double *predicted_compression_deviation,
-    const double innovation_0, const double innovation_2, const double innovation_3,
-    const double innovation_4, const double innovation_5,
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_3(const double
+    *predicted_compression_deviation, const double innovation_0, const double innovation_2,
+    const double innovation_3, const double innovation_4, const double innovation_5,
     const double *predicted_compression_covariance, const double *mean_host,
     const double innovation_1, const double *host_state, const double *deviation_compression,
     const double *deviation_compression1, const double *deviation_compression2,
@@ -1320,12 +1323,13 @@ static wheel_drift_status_t wheel_drift_innovation_3(const double *predicted_com
 }
 
 /* test of group 2. */
-static void wheel_drift_test_of_group_2(const double *collecting, const double *filtered_covariance,
-    const double *compression_covariance, const double *compression_deviation, double *statistic_2,
-    double *dof_2, double *statistic_3, double *dof_3, double *accepted_0, double *rejected_0,
-    const double statistic_0, const double threshold_0, double *accepted_1, double *rejected_1,
-    const double statistic_1, const double threshold_1, double *accepted_2, double *rejected_2,
-    double *accepted_3, double *rejected_3, const double *filtered_state, double *closed_state,
+WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
+    const double *filtered_covariance, const double *compression_covariance,
+    const double *compression_deviation, double *statistic_2, double *dof_2, double *statistic_3,
+    double *dof_3, double *accepted_0, double *rejected_0, const double statistic_0,
+    const double threshold_0, double *accepted_1, double *rejected_1, const double statistic_1,
+    const double threshold_1, double *accepted_2, double *rejected_2, double *accepted_3,
+    double *rejected_3, const double *filtered_state, double *closed_state,
     double *closed_covariance)
 {
     double difference_2[3] = { 0.0 };
@@ -1600,7 +1604,7 @@ static void wheel_drift_test_of_group_2(const double *collecting, const double *
 }
 
 /* prediction of the next sample. */
-static wheel_drift_status_t wheel_drift_prediction_of_the_next(const double A,
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next(const double A,
     const double *filtered_state, const double u, const double *filtered_covariance,
     const double *Q, const double *compression_deviation, const double *compression_covariance,
     double *predicted_state, double *predicted_covariance, double *predicted_compression_deviation,

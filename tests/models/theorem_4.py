@@ -8,8 +8,11 @@ import numpy as np
 class Theorem4:
     """Host and compression filter in the coordinates of (39), h = [I 0]; G q G' comes as Q.
 
-    Acceptance is the caller's: `update` is called, or `discard`.
+    Acceptance is the caller's: `update` is called, or `discard`. ``condition`` is the worst
+    condition number of what was inverted: each inverse costs so many roundings.
     """
+
+    condition = 1.0
 
     def __init__(self, x, P, m, *, maintenance="paper"):
         self.x, self.P, self.m, self.maintenance = x, P, m, maintenance
@@ -37,11 +40,11 @@ class Theorem4:
 
     def host(self, h, r, y):
         z, s = y - h @ self.x, h @ self.P @ h.T + r
-        K = self.P @ h.T @ np.linalg.inv(s)
+        K = self.P @ h.T @ self._inverse(s)
         if self.alive:
             change = K[: self.m]
             if self.maintenance == "optimal":
-                L = self.S @ h.T @ np.linalg.inv(s)
+                L = self.S @ h.T @ self._inverse(s)
                 self.R = self.R - L @ s @ L.T
                 change = change + L
             self.Z = self.Z - change @ z
@@ -49,14 +52,14 @@ class Theorem4:
         self.x, self.P = self.x + K @ z, self.P - K @ h @ self.P
 
     def compress(self, phi, r, y):
-        back = np.linalg.inv(phi)
+        back = self._inverse(phi)
         z, r = back @ y - self.x[: self.m], back @ r @ back.T
         if not self.alive:
             self.alive, self.Z, self.R, self.S = True, z, r, np.zeros_like(self.S)
             return
-        R = np.linalg.inv(np.linalg.inv(self.R) + np.linalg.inv(r))
-        self.Z = R @ (np.linalg.inv(self.R) @ self.Z + np.linalg.inv(r) @ z)
-        self.S = R @ np.linalg.inv(self.R) @ self.S
+        R = self._inverse(self._inverse(self.R) + self._inverse(r))
+        self.Z = R @ (self._inverse(self.R) @ self.Z + self._inverse(r) @ z)
+        self.S = R @ self._inverse(self.R) @ self.S
         self.R = R
 
     def statistic(self):
@@ -64,9 +67,13 @@ class Theorem4:
 
     def update(self):
         h = np.eye(self.m, len(self.x))
-        K = (self.P @ h.T + self.S.T) @ np.linalg.inv(self._W())
+        K = (self.P @ h.T + self.S.T) @ self._inverse(self._W())
         self.x, self.P = self.x + K @ self.Z, self.P - K @ (self.S + h @ self.P)
         self.discard()
+
+    def _inverse(self, matrix):
+        self.condition = max(self.condition, np.linalg.cond(matrix))
+        return np.linalg.inv(matrix)
 
     def _W(self):
         m = self.m

@@ -74,6 +74,7 @@ def printed(system, design, y, u, accepted):
     others = [i for i in range(system.ny) if i not in hosts]
     m = len(others)
     filters = Theorem4(T @ system.x0, T @ system.P0 @ T.T, m, maintenance=design.maintenance)
+    rows = []
     for k in range(len(y)):
         C, free = system.C[k] @ back, y[k] - system.D[k] @ u[k]
         if not np.isnan(y[k, hosts]).any():
@@ -87,9 +88,10 @@ def printed(system, design, y, u, accepted):
                 filters.update()
             filters.discard()
         row |= {"x": back @ filters.x, "P": back @ filters.P @ back.T}
-        yield row
+        rows.append(row)
         filters.propagate(T @ system.A[k] @ back, T @ system.Q[k] @ T.T)
         filters.x = filters.x + T @ system.B[k] @ u[k]
+    return filters, rows
 
 
 @pytest.mark.parametrize("maintenance", ["optimal", "paper"])
@@ -100,7 +102,10 @@ def test_errors_made_of_primitive_noises_have_the_moments_of_theorem_4(n, m, hos
     for seed in range(6):
         given = problem(seed, n, m, hosts, maintenance=maintenance, false_alarm=0.4)
         found = partial_compression(*given)
-        rows = list(printed(*given, accepted=found.fault_declared == 0.0))
+        filters, rows = printed(*given, accepted=found.fault_declared == 0.0)
+        # The printed equations invert matrices: an inverse loses as many digits as its condition
+        # number has. A hundred roundings of that size; what is well conditioned, 1e-11.
+        allowed = max(1e-11, 100.0 * np.finfo(float).eps * filters.condition)
         for name, port in {
             "x": "filtered_state",
             "P": "filtered_covariance",
@@ -111,7 +116,7 @@ def test_errors_made_of_primitive_noises_have_the_moments_of_theorem_4(n, m, hos
         }.items():
             expected = np.array([row[name] for row in rows])
             error = np.abs(np.nan_to_num(getattr(found, port)) - expected).max()
-            assert error < ROUNDING * max(1.0, np.abs(expected).max()), name
+            assert error < allowed * max(1.0, np.abs(expected).max()), name
 
 
 def test_some_windows_of_the_random_problems_are_rejected_and_some_accepted():

@@ -1,0 +1,88 @@
+"""Routines are found where a program does the same more than once, and say exactly what it did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import spread
+from plants import motor
+
+from fkgen.backend import routines
+from fkgen.backend.ir import Assign, Call, Literal, Operate, Operator, Temp, walk
+from fkgen.backend.lower import lower
+from fkgen.backend.routines import form_of, lines_of, outline, stored
+from fkgen.families import family
+
+
+def program_of(spec):
+    return lower(family(spec.filter.family).build(spec))
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return program_of(motor("mme"))
+
+
+def calls_of(body):
+    return [node for node in walk(body) if isinstance(node, Call)]
+
+
+def test_every_hypothesis_of_a_bank_is_a_call_of_one_routine(bank):
+    outlined = outline(bank)
+    names = [call.routine for call in calls_of(outlined.phases[0].body)]
+    assert max(names.count(name) for name in names) >= 4
+
+
+def test_calls_of_one_routine_differ_in_numbers_or_arrays(bank):
+    for routine in outline(bank).routines:
+        if len(routine.constants) > 1 and routine.constants[0]:
+            assert len(set(routine.constants)) > 1
+
+
+@pytest.mark.parametrize("name", ["kf_wide", "mme_independent", "dfcf_groups", "cpcf"])
+def test_no_function_is_longer_than_a_reader_bears(name):
+    outlined = outline(program_of(spread.specs("double")[name]))
+    for body in [p.body for p in outlined.phases] + [r.body for r in outlined.routines]:
+        assert lines_of(body) <= 400
+
+
+def test_a_call_with_the_row_or_the_array_of_another_says_something_else(bank):
+    outlined = outline(bank)
+    routine = next(r for r in outlined.routines if len(r.constants) > 1 and r.constants[0])
+    own = {local.name: local.name for local in routine.locals}
+    bodies = [p.body for p in outlined.phases] + [r.body for r in outlined.routines]
+    one, other = [c for body in bodies for c in calls_of(body) if c.routine == routine.name][:2]
+    honest = form_of(expanded(routine, one, own))
+    assert form_of(expanded(routine, replace(one, constants=other.constants), own)) != honest
+    assert form_of(expanded(routine, replace(one, arguments=other.arguments), own)) != honest
+
+
+def test_the_same_statements_on_other_arrays_have_one_form():
+    def statements(array, number):
+        element = routines.Element(routines.Space.LOCAL, array, 0)
+        return (
+            Operate(Temp(3), Operator.MUL, (element, Literal(number))),
+            Assign(replace(element, index=1), Temp(3)),
+        )
+
+    one, other = form_of(statements("a", 2.0)), form_of(statements("b", 5.0))
+    assert one.shape == other.shape
+    assert (one.literals, other.literals) == ((2.0,), (5.0,))
+
+
+def test_a_result_that_is_read_again_keeps_its_temporary():
+    element = routines.Element(routines.Space.LOCAL, "a", 0)
+    product = Operate(Temp(0), Operator.MUL, (Literal(2.0), Literal(3.0)))
+    once = (product, Assign(element, Temp(0)))
+    assert [type(node).__name__ for node in stored(once)] == ["Store"]
+    twice = (*once, Assign(replace(element, index=1), Temp(0)))
+    assert len(stored(twice)) == 3
+    overwritten = (
+        product,
+        Operate(Temp(1), Operator.ADD, (element, Literal(1.0))),
+        Assign(element, Temp(0)),
+        Assign(replace(element, index=1), Temp(1)),
+    )
+    kinds = [type(node).__name__ for node in stored(overwritten)]
+    assert kinds == ["Operate", "Store", "Assign"]
