@@ -134,6 +134,15 @@ def test_every_folded_product_is_the_product_that_it_names():
 @pytest.mark.parametrize(
     "path", sorted((ROOT / "generated").glob("*/*.[ch]")), ids=lambda p: p.name
 )
+def test_no_function_is_longer_than_400_lines(path):
+    lines = path.read_text().splitlines()
+    braces = [i for i, line in enumerate(lines) if line in {"{", "}"}]
+    assert all(b - a < 400 for a, b in zip(braces[::2], braces[1::2], strict=True))
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "generated").glob("*/*.[ch]")), ids=lambda p: p.name
+)
 def test_no_line_is_longer_than_a_hundred_characters(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     assert [line for line in lines if len(line) > WIDTH] == []

@@ -11,7 +11,7 @@ from plants import motor
 from fkgen.backend import routines
 from fkgen.backend.ir import Assign, Call, Literal, Operate, Operator, Temp, walk
 from fkgen.backend.lower import lower
-from fkgen.backend.routines import form_of, lines_of, outline, stored
+from fkgen.backend.routines import expanded, form_of, lines_of, outline, stored
 from fkgen.families import family
 
 
