@@ -47,6 +47,8 @@ SHORTEST = 16
 OVERHEAD = 12
 #: Lines of one function before it is cut, so that it stays below 400 with what is around them.
 LONGEST = 300
+#: Lines of a program beyond which the search would take longer than the compiler: it stays as it is.
+LARGEST = 8000
 
 Chunk = tuple[Statement, ...]
 Variable = tuple[Space, str]
@@ -244,13 +246,13 @@ def outline(program: CProgram) -> Outline:
         _Function(verb, _chunks(phase), list(phase.locals))
         for verb, phase in zip(verbs, program.phases, strict=True)
     ]
-    book = _Book(functions)
+    book = _Book(functions if sum(lines_of(f.body) for f in functions) <= LARGEST else [])
     while runs := book.repeated():
         book.take(runs)
     for function in list(book.functions):
         book.cut(function)
     phases = tuple(
-        replace(phase, body=stored(function.body), locals=tuple(function.locals), chunks=())
+        replace(phase, body=stored(function.body), locals=book.locals(function), chunks=())
         for phase, function in zip(program.phases, functions, strict=True)
     )
     return Outline(phases, book.routines())
@@ -378,6 +380,21 @@ class _Book:
             name = f"{stem}_{count}"
         return name
 
+    @staticmethod
+    def locals(function: _Function) -> tuple[Local, ...]:
+        """Locals; those that calls write begin at 0: compilers do not follow a refusal."""
+        passed = {
+            element.name
+            for node in walk(function.body)
+            if isinstance(node, Call)
+            for element in node.arguments
+            if element.space is Space.LOCAL
+        }
+        return tuple(
+            replace(local, initial=0.0) if local.name in passed and local.initial is None else local
+            for local in function.locals
+        )
+
     def routines(self) -> tuple[Routine, ...]:
         """All routines, callees first."""
         ordered: dict[str, Routine] = {}
@@ -387,7 +404,7 @@ class _Book:
             for node in walk(body.body):
                 if isinstance(node, Call) and node.routine not in ordered:
                     visit(node.routine)
-            ordered[name] = replace(routine, body=stored(body.body), locals=tuple(body.locals))
+            ordered[name] = replace(routine, body=stored(body.body), locals=self.locals(body))
 
         for name in self.bodies:
             if name not in ordered:
@@ -652,12 +669,13 @@ def _own_elements(node: Statement) -> Iterator[Element]:
 def _halves(chunk: Chunk, name: str) -> tuple[list[Chunk], int]:
     """Two parts of a chunk, the first short enough, cut where the fewest numbers cross."""
     made = {o.target.index: i for i, o in enumerate(chunk) if isinstance(o, Operate | Copy)}
+    early = {temp: i for temp, i in made.items() if i < LONGEST}
     last: dict[int, int] = {}
     for i, node in enumerate(chunk):
         last |= {o.index: i for o in operands(node) if isinstance(o, Temp)}
 
     def crossing(cut: int) -> list[int]:
-        return [temp for temp, i in made.items() if i < cut <= last.get(temp, -1)]
+        return [temp for temp, i in early.items() if i < cut <= last.get(temp, -1)]
 
     cut = min(range(LONGEST // 2, LONGEST - 40), key=lambda at: (len(crossing(at)), -at))
     carried = {temp: i for i, temp in enumerate(crossing(cut))}

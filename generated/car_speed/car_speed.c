@@ -248,9 +248,9 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     double innovation_3 = 0.0;
     double innovation_4 = 0.0;
     double innovation_5 = 0.0;
-    double variance[21];
-    double mean[2];
-    double covariance[3];
+    double variance[21] = { 0.0 };
+    double mean[2] = { 0.0 };
+    double covariance[3] = { 0.0 };
     double cross_0[2];
     double pivot_0;
     double inverse_0 = 0.0;

@@ -606,20 +606,20 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
 {
     double innovation_h4_0 = 0.0;
     double innovation_h4_1 = 0.0;
-    double mean_h4[3];
-    double covariance_h4[6];
-    double pivot_h4_0;
+    double mean_h4[3] = { 0.0 };
+    double covariance_h4[6] = { 0.0 };
+    double pivot_h4_0 = 0.0;
     double quadratic_h4 = 0.0;
     double log_constant_h4 = 0.0;
     double determinant_h4_0 = 1.0;
-    double pivot_h4_1;
+    double pivot_h4_1 = 0.0;
     double log_likelihood_h0;
     double log_likelihood_h1;
     double log_likelihood_h2;
     double log_likelihood_h3;
     double log_likelihood_h4;
-    double weight[5];
-    double log_weight_now[5];
+    double weight[5] = { 0.0 };
+    double log_weight_now[5] = { 0.0 };
     double log_joint[5] = { 0.0 };
     double log_largest = 0.0;
     double share_of_largest[5] = { 0.0 };
@@ -632,11 +632,11 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
     double predicted_y_h2[2];
     double predicted_y_h3[2];
     double predicted_y_h4[2];
-    double combined_variance[3];
-    double combined_innovation[2];
+    double combined_variance[3] = { 0.0 };
+    double combined_innovation[2] = { 0.0 };
     double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1;
+    double whitening_combined_0_1 = 0.0;
     double whitening_pivot_combined_1;
     double whitening_inverse_combined_1 = 0.0;
     dc_motor_unknown_status_t status;
@@ -1168,40 +1168,40 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
 {
     double innovation_h0_0 = 0.0;
     double innovation_h0_1 = 0.0;
-    double mean_h0[3];
-    double covariance_h0[6];
-    double pivot_h0_0;
+    double mean_h0[3] = { 0.0 };
+    double covariance_h0[6] = { 0.0 };
+    double pivot_h0_0 = 0.0;
     double quadratic_h0 = 0.0;
     double log_constant_h0 = 0.0;
     double determinant_h0_0 = 1.0;
-    double pivot_h0_1;
+    double pivot_h0_1 = 0.0;
     double innovation_h1_0 = 0.0;
     double innovation_h1_1 = 0.0;
-    double mean_h1[3];
-    double covariance_h1[6];
-    double pivot_h1_0;
+    double mean_h1[3] = { 0.0 };
+    double covariance_h1[6] = { 0.0 };
+    double pivot_h1_0 = 0.0;
     double quadratic_h1 = 0.0;
     double log_constant_h1 = 0.0;
     double determinant_h1_0 = 1.0;
-    double pivot_h1_1;
+    double pivot_h1_1 = 0.0;
     double innovation_h2_0 = 0.0;
     double innovation_h2_1 = 0.0;
-    double mean_h2[3];
-    double covariance_h2[6];
-    double pivot_h2_0;
+    double mean_h2[3] = { 0.0 };
+    double covariance_h2[6] = { 0.0 };
+    double pivot_h2_0 = 0.0;
     double quadratic_h2 = 0.0;
     double log_constant_h2 = 0.0;
     double determinant_h2_0 = 1.0;
-    double pivot_h2_1;
+    double pivot_h2_1 = 0.0;
     double innovation_h3_0 = 0.0;
     double innovation_h3_1 = 0.0;
-    double mean_h3[3];
-    double covariance_h3[6];
-    double pivot_h3_0;
+    double mean_h3[3] = { 0.0 };
+    double covariance_h3[6] = { 0.0 };
+    double pivot_h3_0 = 0.0;
     double quadratic_h3 = 0.0;
     double log_constant_h3 = 0.0;
     double determinant_h3_0 = 1.0;
-    double pivot_h3_1;
+    double pivot_h3_1 = 0.0;
     dc_motor_unknown_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0)))
     {
@@ -1309,9 +1309,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(const
     dc_motor_unknown_t *self, const double *u, dc_motor_unknown_t *next)
 {
-    double moved_state[10];
-    double moved_covariance[15];
-    double combined_state[2];
+    double moved_state[10] = { 0.0 };
+    double moved_covariance[15] = { 0.0 };
+    double combined_state[2] = { 0.0 };
     const double t0 = 0.9802 * self->mode_filtered_state[0];
     const double t1 = -0.0002 * self->mode_filtered_state[1];
     const double t2 = t0 + t1;

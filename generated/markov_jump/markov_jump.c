@@ -1009,7 +1009,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_2(con
     double *augmented_state, double *augmented_covariance, double *predicted_state,
     double *predicted_covariance)
 {
-    double carried_11[17];
+    double carried_11[17] = { 0.0 };
     markov_jump_status_t status;
     const double t0 = 0.9299999999999999 * moved_covariance[38];
     const double t1 = 0.039999999999999994 * moved_covariance[41];
@@ -1243,7 +1243,7 @@ MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_3(const double *mode_
     const double *augmented_filtered_state, double *moved_state,
     const double *augmented_filtered_covariance, double *moved_covariance)
 {
-    double carried_8[31];
+    double carried_8[31] = { 0.0 };
     markov_jump_propagate_2(mode_second_moment, moved_moment_0, markov_jump_propagate_2_numbers[0]);
     const double t0 = 0.9409 * mode_second_moment[6];
     const double t1 = 1.94 * mode_second_moment[7];
@@ -1583,11 +1583,11 @@ MARKOV_JUMP_INLINE void markov_jump_propagate_4(const double *mode_second_moment
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t *self,
     const double *y, uint32_t present, markov_jump_t *next)
 {
-    double mean_noise;
+    double mean_noise = 0.0;
     double innovation_0 = 0.0;
-    double mean[9];
-    double covariance[45];
-    double pivot_0;
+    double mean[9] = { 0.0 };
+    double covariance[45] = { 0.0 };
+    double pivot_0 = 0.0;
     double quadratic = 0.0;
     double log_constant = 0.0;
     double determinant_0 = 1.0;
@@ -1882,16 +1882,16 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_t *self,
     markov_jump_t *next)
 {
-    double moved_moment_0[6];
-    double moved_moment_1[6];
-    double moved_moment_2[6];
-    double plant_noise_0[6];
-    double plant_noise_1[6];
-    double plant_noise_2[6];
-    double moved_state[9];
-    double moved_covariance[45];
-    double carried_9[26];
-    double carried_10[12];
+    double moved_moment_0[6] = { 0.0 };
+    double moved_moment_1[6] = { 0.0 };
+    double moved_moment_2[6] = { 0.0 };
+    double plant_noise_0[6] = { 0.0 };
+    double plant_noise_1[6] = { 0.0 };
+    double plant_noise_2[6] = { 0.0 };
+    double moved_state[9] = { 0.0 };
+    double moved_covariance[45] = { 0.0 };
+    double carried_9[26] = { 0.0 };
+    double carried_10[12] = { 0.0 };
     markov_jump_status_t status;
     markov_jump_propagate_4(self->mode_second_moment, moved_moment_0, moved_moment_1,
         moved_moment_2, self->mode_law, plant_noise_0, plant_noise_1, plant_noise_2,

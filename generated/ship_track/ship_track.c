@@ -367,7 +367,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const dou
 {
     double pivot_0;
     double inverse_0 = 0.0;
-    double pivot_1;
+    double pivot_1 = 0.0;
     double pivot_2;
     double inverse_2 = 0.0;
     double pivot_3;
@@ -667,8 +667,8 @@ SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *me
 {
     double apart_0_1[4];
     double apart_0_1_squared[10];
-    double combined_0_1_mean[4];
-    double combined_0_1_covariance[10];
+    double combined_0_1_mean[4] = { 0.0 };
+    double combined_0_1_covariance[10] = { 0.0 };
     apart_0_1[0] = mean_m0[0] - mean_m1[0];
     apart_0_1[1] = mean_m0[1] - mean_m1[1];
     apart_0_1[2] = mean_m0[2] - mean_m1[2];
@@ -1116,19 +1116,19 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mode_pro
     double log_path_2[2];
     double path_share_2[2];
     double path_share_inverse_2;
-    double mixed_0_0_2_share[2];
+    double mixed_0_0_2_share[2] = { 0.0 };
     double mixed_0_0_1_inverse;
-    double mixed_0_0_1_share[2];
+    double mixed_0_0_1_share[2] = { 0.0 };
     double mixed_apart_0_1[4];
-    double mixed_apart_0_1_squared[10];
-    double mixed_0_0_1_mean[4];
-    double mixed_0_0_1_covariance[10];
-    double mixed_0_0_2_mean[4];
-    double mixed_0_0_2_covariance[10];
+    double mixed_apart_0_1_squared[10] = { 0.0 };
+    double mixed_0_0_1_mean[4] = { 0.0 };
+    double mixed_0_0_1_covariance[10] = { 0.0 };
+    double mixed_0_0_2_mean[4] = { 0.0 };
+    double mixed_0_0_2_covariance[10] = { 0.0 };
     double mixed_1_0_1_inverse;
-    double mixed_1_0_1_share[2];
-    double mixed_1_0_1_mean[4];
-    double mixed_1_0_1_covariance[10];
+    double mixed_1_0_1_share[2] = { 0.0 };
+    double mixed_1_0_1_mean[4] = { 0.0 };
+    double mixed_1_0_1_covariance[10] = { 0.0 };
     const double t0 = 0.9 * mode_probability[0];
     mixing_0[0] = t0 * mode_prediction_inverse_0;
     const double t1 = 0.15 * mode_probability[1];
@@ -1360,10 +1360,10 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_law_of_the_next(const double *m
     double *moved_covariance_2, double *predicted_0_2_share, double *predicted_0_1_inverse,
     const ship_track_params_t *params)
 {
-    double A[16];
-    double Q[16];
-    double mode_prediction_inverse_0;
-    double mixed_2_0_2_share[2];
+    double A[16] = { 0.0 };
+    double Q[16] = { 0.0 };
+    double mode_prediction_inverse_0 = 0.0;
+    double mixed_2_0_2_share[2] = { 0.0 };
     double mixed_2_0_2_apart[4];
     double mixed_2_0_2_mean[4];
     double mixed_2_0_2_covariance[10];
@@ -1638,9 +1638,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double innovation_m0_1 = 0.0;
     double innovation_m0_2 = 0.0;
     double innovation_m0_3 = 0.0;
-    double variance_m0[10];
-    double mean_m0[4];
-    double covariance_m0[10];
+    double variance_m0[10] = { 0.0 };
+    double mean_m0[4] = { 0.0 };
+    double covariance_m0[10] = { 0.0 };
     double quadratic_m0 = 0.0;
     double log_constant_m0 = 0.0;
     double determinant_m0_0 = 1.0;
@@ -1649,9 +1649,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double innovation_m1_1 = 0.0;
     double innovation_m1_2 = 0.0;
     double innovation_m1_3 = 0.0;
-    double variance_m1[10];
-    double mean_m1[4];
-    double covariance_m1[10];
+    double variance_m1[10] = { 0.0 };
+    double mean_m1[4] = { 0.0 };
+    double covariance_m1[10] = { 0.0 };
     double quadratic_m1 = 0.0;
     double log_constant_m1 = 0.0;
     double determinant_m1_0 = 1.0;
@@ -1660,15 +1660,15 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double innovation_m2_1 = 0.0;
     double innovation_m2_2 = 0.0;
     double innovation_m2_3 = 0.0;
-    double variance_m2[10];
-    double mean_m2[4];
-    double covariance_m2[10];
+    double variance_m2[10] = { 0.0 };
+    double mean_m2[4] = { 0.0 };
+    double covariance_m2[10] = { 0.0 };
     double quadratic_m2 = 0.0;
     double log_constant_m2 = 0.0;
     double determinant_m2_0 = 1.0;
     double log_density_m2;
-    double weight[3];
-    double log_weight_now[3];
+    double weight[3] = { 0.0 };
+    double log_weight_now[3] = { 0.0 };
     double log_evidence = 0.0;
     double log_joint[3] = { 0.0 };
     double log_largest = 0.0;
@@ -1676,30 +1676,30 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double share_total = 0.0;
     double share_total_inverse = 0.0;
     double log_share_total = 0.0;
-    double predicted_y_m0[4];
-    double predicted_y_m1[4];
-    double predicted_y_m2[4];
-    double combined_variance[10];
-    double combined_innovation[4];
+    double predicted_y_m0[4] = { 0.0 };
+    double predicted_y_m1[4] = { 0.0 };
+    double predicted_y_m2[4] = { 0.0 };
+    double combined_variance[10] = { 0.0 };
+    double combined_innovation[4] = { 0.0 };
     double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1;
-    double whitening_combined_0_2;
-    double whitening_combined_0_3;
+    double whitening_combined_0_1 = 0.0;
+    double whitening_combined_0_2 = 0.0;
+    double whitening_combined_0_3 = 0.0;
     double whitening_pivot_combined_1;
     double whitening_inverse_combined_1 = 0.0;
-    double whitening_combined_1_2;
-    double whitening_combined_1_3;
+    double whitening_combined_1_2 = 0.0;
+    double whitening_combined_1_3 = 0.0;
     double whitening_pivot_combined_2;
     double whitening_inverse_combined_2 = 0.0;
-    double whitening_combined_2_3;
+    double whitening_combined_2_3 = 0.0;
     double whitening_pivot_combined_3;
     double whitening_inverse_combined_3 = 0.0;
-    double combined_0_2_share[2];
+    double combined_0_2_share[2] = { 0.0 };
     double combined_0_1_inverse;
-    double combined_0_1_share[2];
-    double combined_0_2_mean[4];
-    double combined_0_2_covariance[10];
+    double combined_0_1_share[2] = { 0.0 };
+    double combined_0_2_mean[4] = { 0.0 };
+    double combined_0_2_covariance[10] = { 0.0 };
     ship_track_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[9] >= 0.0)))
@@ -1943,24 +1943,24 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
 SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *self,
     const ship_track_params_t *params, ship_track_t *next)
 {
-    double mode_prediction_0;
-    double mode_prediction_1;
-    double log_path_largest_1;
-    double path_share_total_1;
-    double mode_prediction_2;
-    double log_path_largest_2;
-    double path_share_total_2;
-    double moved_state_0[4];
-    double moved_covariance_0[10];
-    double moved_state_1[4];
-    double moved_covariance_1[10];
-    double moved_state_2[4];
-    double moved_covariance_2[10];
-    double predicted_0_2_share[2];
-    double predicted_0_1_inverse;
-    double predicted_0_1_share[2];
-    double predicted_0_2_mean[4];
-    double predicted_0_2_covariance[10];
+    double mode_prediction_0 = 0.0;
+    double mode_prediction_1 = 0.0;
+    double log_path_largest_1 = 0.0;
+    double path_share_total_1 = 0.0;
+    double mode_prediction_2 = 0.0;
+    double log_path_largest_2 = 0.0;
+    double path_share_total_2 = 0.0;
+    double moved_state_0[4] = { 0.0 };
+    double moved_covariance_0[10] = { 0.0 };
+    double moved_state_1[4] = { 0.0 };
+    double moved_covariance_1[10] = { 0.0 };
+    double moved_state_2[4] = { 0.0 };
+    double moved_covariance_2[10] = { 0.0 };
+    double predicted_0_2_share[2] = { 0.0 };
+    double predicted_0_1_inverse = 0.0;
+    double predicted_0_1_share[2] = { 0.0 };
+    double predicted_0_2_mean[4] = { 0.0 };
+    double predicted_0_2_covariance[10] = { 0.0 };
     ship_track_status_t status;
     status = ship_track_law_of_the_next(self->mode_probability, &mode_prediction_0,
         &mode_prediction_1, self->log_weight, &log_path_largest_1, &path_share_total_1,
