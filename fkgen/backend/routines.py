@@ -47,7 +47,7 @@ SHORTEST = 16
 OVERHEAD = 12
 #: Lines of one function before it is cut, so that it stays below 400 with what is around them.
 LONGEST = 300
-#: Lines of a program beyond which the search would take longer than the compiler: it stays as it is.
+#: Lines beyond which a program stays as it is: the search would take longer than the compiler.
 LARGEST = 8000
 
 Chunk = tuple[Statement, ...]
