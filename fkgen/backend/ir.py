@@ -86,7 +86,15 @@ class Element:
     index: int | None
 
 
-Operand = Temp | Literal | Element
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """``operator(arguments)`` inside another operation: its value goes nowhere else."""
+
+    operator: Operator
+    arguments: tuple[Operand, ...]
+
+
+Operand = Temp | Literal | Element | Expression
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +102,6 @@ class Operate:
     """``target = operator(arguments)``."""
 
     target: Temp
-    operator: Operator
-    arguments: tuple[Operand, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Store:
-    """``target := operator(arguments)``: an operation whose result goes nowhere else."""
-
-    target: Element
     operator: Operator
     arguments: tuple[Operand, ...]
 
@@ -175,7 +174,7 @@ class Call:
     rows: tuple[Row, ...]
 
 
-Statement = Operate | Store | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
+Statement = Operate | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,14 +366,19 @@ def walk(body: tuple[Statement, ...]) -> Iterator[Statement]:
 
 
 def operands(node: Statement) -> tuple[Operand, ...]:
-    """What a statement reads itself (not its body)."""
+    """What a statement reads itself (not its body), that of its expressions too."""
     match node:
-        case Operate(_, _, arguments) | Store(_, _, arguments):
-            return arguments
-        case Require(values, _, _):
-            return values
+        case Operate(_, _, read) | Require(read, _, _) | Call(_, read, _, _):
+            return tuple(leaf for each in read for leaf in leaves(each))
         case Copy(_, value) | Assign(_, value) | IfPositive(value, _):
-            return (value,)
-        case Call(_, arguments, _, _):
-            return arguments
+            return tuple(leaves(value))
     return ()
+
+
+def leaves(operand: Operand) -> Iterator[Operand]:
+    """What an operand is made of, if it is an expression; itself if not."""
+    if isinstance(operand, Expression):
+        for argument in operand.arguments:
+            yield from leaves(argument)
+    else:
+        yield operand

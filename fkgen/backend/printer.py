@@ -13,6 +13,7 @@ from fkgen.backend.ir import (
     Copy,
     CProgram,
     Element,
+    Expression,
     Heading,
     IfPositive,
     IfPresent,
@@ -28,11 +29,11 @@ from fkgen.backend.ir import (
     Scalar,
     Space,
     Statement,
-    Store,
     Temp,
     operands,
     walk,
 )
+from fkgen.backend.lines import WIDTH
 from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind, Port, Status
 
@@ -105,6 +106,10 @@ class StatementPrinter:
         """Test whether a row of y is present."""
         return f"row_{row.index} != 0" if isinstance(row, RowArgument) else self.bit(row)
 
+    def fits(self, node: Statement, depth: int) -> bool:
+        """Whether a statement stands on one line."""
+        return len(self.statement(node, depth)) <= WIDTH
+
     def block(self, body: tuple[Statement, ...], depth: int = 1) -> str:
         """Statements with indentation."""
         return "\n".join(self.statement(node, depth) for node in body)
@@ -116,29 +121,38 @@ class StatementPrinter:
 
     @statement.register
     def _(self, node: Operate, depth: int) -> str:
-        value = self._operation(node)
+        value = self._operation(Expression(node.operator, node.arguments))
         return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
 
-    @statement.register
-    def _(self, node: Store, depth: int) -> str:
-        return f"{_indent(depth)}{self.operand(node.target)} = {self._operation(node)};"
-
-    def _operation(self, node: Operate | Store) -> str:
-        a = [self.operand(argument) for argument in node.arguments]
-        match node.operator:
+    def _operation(self, node: Expression) -> str:
+        """An operation; what stands inside has parentheses, but for sums and products in a row."""
+        a, zero = [self.operand(argument) for argument in node.arguments], self.literal(0.0)
+        first, operator = node.arguments[0], node.operator
+        match operator:
             case Operator.NEG:
-                value = f"-{a[0]}"
+                text = f"-{a[0]}"
             case Operator.ABS:
-                value = f"({a[0]} > {self.literal(0.0)}) ? {a[0]} : ({self.literal(0.0)} - {a[0]})"
+                text = f"({a[0]} > {zero}) ? {a[0]} : ({zero} - {a[0]})"
             case Operator.MAX:
-                value = f"({a[0]} > {a[1]}) ? {a[0]} : {a[1]}"
+                text = f"({a[0]} > {a[1]}) ? {a[0]} : {a[1]}"
             case Operator.MIN:
-                value = f"({a[0]} < {a[1]}) ? {a[0]} : {a[1]}"
-            case operator if operator in _INFIX:
-                value = f"{a[0]} {_INFIX[operator]} {a[1]}"
-            case operator:
-                value = f"{self.elementary}_{operator.value}({', '.join(a)})"
-        return value
+                text = f"({a[0]} < {a[1]}) ? {a[0]} : {a[1]}"
+            case Operator.ADD | Operator.MUL if (
+                isinstance(first, Expression) and first.operator is operator
+            ):
+                text = f"{self._operation(first)} {_INFIX[operator]} {a[1]}"
+            case _ if operator in _INFIX:
+                text = f"{a[0]} {_INFIX[operator]} {a[1]}"
+            case _:
+                inner = [self._bare(argument) for argument in node.arguments]
+                text = f"{self.elementary}_{operator.value}({', '.join(inner)})"
+        return text
+
+    def _bare(self, operand: Operand) -> str:
+        """An operand where nothing stands beside it."""
+        if isinstance(operand, Expression):
+            return self._operation(operand)
+        return self.operand(operand)
 
     @statement.register
     def _(self, node: Copy, depth: int) -> str:
@@ -147,7 +161,7 @@ class StatementPrinter:
 
     @statement.register
     def _(self, node: Assign, depth: int) -> str:
-        return f"{_indent(depth)}{self.operand(node.target)} = {self.operand(node.value)};"
+        return f"{_indent(depth)}{self.operand(node.target)} = {self._bare(node.value)};"
 
     @statement.register
     def _(self, node: Require, depth: int) -> str:
@@ -221,6 +235,9 @@ class StatementPrinter:
                 return f"t{index}"
             case Literal(value):
                 return self.names.get(value) or self.literal(value)
+            case Expression(operator):
+                text = self._operation(operand)
+                return text if operator.is_function else f"({text})"
             case Element(space, name, index):
                 prefix = {Space.PARAMETER: "params->", Space.SELF: "self->", Space.NEXT: "next->"}
                 place = "" if index is None else f"[{index}]"

@@ -9,6 +9,7 @@ from pathlib import Path
 import jinja2
 
 from fkgen.backend.execute import self_test_vectors
+from fkgen.backend.expressions import joined
 from fkgen.backend.functions import (
     INLINED,
     argument_doc,
@@ -74,7 +75,8 @@ def filled(template: str, context: dict[str, object]) -> str:
 
 
 def _context(program: CProgram) -> dict[str, object]:
-    c, outlined = Printer(program), outline(program)
+    c = Printer(program)
+    outlined = joined(outline(program), c.fits)
     c.take(outlined.routines)
     vectors, starts = self_test_vectors(program), _starts(program)
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")

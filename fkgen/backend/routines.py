@@ -8,7 +8,7 @@ a table of constants and bits. The statements and their order stay, and so do th
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,6 +20,7 @@ from fkgen.backend.ir import (
     Copy,
     CProgram,
     Element,
+    Expression,
     Heading,
     IfPositive,
     IfPresent,
@@ -34,7 +35,6 @@ from fkgen.backend.ir import (
     RowArgument,
     Space,
     Statement,
-    Store,
     Temp,
     operands,
     walk,
@@ -81,6 +81,8 @@ class _Reader:
             case Literal(value):
                 self.literals.append(value)
                 return "#"
+            case Expression(operator, arguments):
+                return operator, tuple(map(self.operand, arguments))
             case Element(Space.PARAMETER):
                 return operand
         key = operand.space, operand.name
@@ -117,8 +119,11 @@ def form_of(statements: Sequence[Statement]) -> Form:
     return Form(shape, variables, tuple(reader.literals), tuple(reader.rows))
 
 
-class _Writer:
-    """Walks statements in the same order and puts other operands and rows into their places."""
+class Writer:
+    """Walks statements in the same order and puts other operands and rows into their places.
+
+    Values are numbered anew.
+    """
 
     def __init__(
         self,
@@ -131,6 +136,9 @@ class _Writer:
         self._temps: dict[int, Temp] = {}
 
     def operand(self, operand: Any) -> Any:
+        """An operand."""
+        if isinstance(operand, Expression):
+            return replace(operand, arguments=tuple(map(self.operand, operand.arguments)))
         if isinstance(operand, Temp) and operand.index in self._known:
             return self._known[operand.index]
         if isinstance(operand, Temp):
@@ -138,16 +146,15 @@ class _Writer:
         return self._operand(operand)
 
     def many(self, nodes: Sequence[Statement]) -> Chunk:
+        """Statements in a row."""
         return tuple(map(self.statement, nodes))
 
     def statement(self, node: Statement) -> Statement:  # noqa: PLR0911 - one per node
+        """One statement."""
         match node:
             case Operate(target, operator, arguments):
                 values = tuple(map(self.operand, arguments))
                 return Operate(self.operand(target), operator, values)
-            case Store(target, operator, arguments):
-                values = tuple(map(self.operand, arguments))
-                return Store(self.operand(target), operator, values)
             case Copy(target, value):
                 kept = self.operand(value)
                 return Copy(self.operand(target), kept)
@@ -252,7 +259,7 @@ def outline(program: CProgram) -> Outline:
     for function in list(book.functions):
         book.cut(function)
     phases = tuple(
-        replace(phase, body=stored(function.body), locals=book.locals(function), chunks=())
+        replace(phase, body=function.body, locals=book.locals(function), chunks=())
         for phase, function in zip(program.phases, functions, strict=True)
     )
     return Outline(phases, book.routines())
@@ -404,7 +411,7 @@ class _Book:
             for node in walk(body.body):
                 if isinstance(node, Call) and node.routine not in ordered:
                     visit(node.routine)
-            ordered[name] = replace(routine, body=stored(body.body), locals=self.locals(body))
+            ordered[name] = replace(routine, body=body.body, locals=self.locals(body))
 
         for name in self.bodies:
             if name not in ordered:
@@ -536,7 +543,7 @@ class _Draft:
             at = next(rows)
             return row if at is None else RowArgument(at)
 
-        writer, run = _Writer(operand, row), self.runs[0]
+        writer, run = Writer(operand, row), self.runs[0]
         chunks = run.function.chunks[run.start : run.start + run.length]
         return [writer.many(chunk) for chunk in chunks]
 
@@ -594,7 +601,7 @@ def expanded(routine: Routine, call: Call, locals_: dict[str, str]) -> Chunk:
     def row(row: Row) -> Row:
         return call.rows[row.index] if isinstance(row, RowArgument) else row
 
-    return _Writer(operand, row).many(routine.body)
+    return Writer(operand, row).many(routine.body)
 
 
 def _uses(
@@ -630,36 +637,6 @@ def _titles(runs: list[_Run]) -> list[str]:
     return [headings[0] for headings in each]
 
 
-def stored(body: Chunk) -> Chunk:
-    """Let operations whose result goes to one place, and nowhere else, store it themselves."""
-    uses = Counter(o.index for node in walk(body) for o in operands(node) if isinstance(o, Temp))
-    return _Writer(lambda operand: operand, lambda row: row).many(_stored(body, uses))
-
-
-def _stored(body: Chunk, uses: Counter[int]) -> Chunk:
-    nodes: dict[int, Statement] = dict(enumerate(body))
-    origin = {n.target.index: i for i, n in enumerate(body) if isinstance(n, Operate)}
-    last: dict[Element, int] = {}  # where an element was used last
-    for i, node in enumerate(body):
-        if isinstance(node, IfPresent | IfPositive):
-            nodes[i] = replace(node, body=_stored(node.body, uses))
-        if isinstance(node, Assign) and isinstance(node.value, Temp):
-            at = origin.get(node.value.index)
-            source = None if at is None else body[at]
-            if at is not None and isinstance(source, Operate) and uses[node.value.index] == 1:
-                called = any(isinstance(each, Call) for each in walk(body[at:i]))
-                if not called and last.get(node.target, -1) <= at:
-                    nodes[at] = Store(node.target, source.operator, source.arguments)
-                    del nodes[i]
-        last |= dict.fromkeys(_elements(node), i)
-    return tuple(nodes[i] for i in sorted(nodes))
-
-
-def _elements(node: Statement) -> Iterator[Element]:
-    for inner in walk((node,)):
-        yield from _own_elements(inner)
-
-
 def _own_elements(node: Statement) -> Iterator[Element]:
     yield from (o for o in operands(node) if isinstance(o, Element))
     if isinstance(node, Assign):
@@ -683,5 +660,5 @@ def _halves(chunk: Chunk, name: str) -> tuple[list[Chunk], int]:
     place = {temp: Element(Space.LOCAL, name, i) for temp, i in carried.items()}
     keep = tuple(Assign(element, Temp(temp)) for temp, element in place.items())
     known = {temp: place.get(temp, Temp(temp)) for temp in made}
-    rest = _Writer(lambda operand: operand, lambda row: row, known).many(chunk[cut:])
+    rest = Writer(lambda operand: operand, lambda row: row, known).many(chunk[cut:])
     return [(*chunk[:cut], *keep), rest], size
