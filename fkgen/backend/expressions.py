@@ -1,18 +1,19 @@
 """Statements of one operation each, joined to expressions as long as a line holds.
 
-A value that is used once stands where it is used, if nothing that it is made of has changed until
-then. Operations, their order within an expression and their rounding stay: the bits do.
+A value that only the next statement uses stands there. Operations, their order and their rounding
+stay, and so do the bits.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from fkgen.backend.ir import (
     Assign,
     Call,
+    CopyArray,
     Element,
     Expression,
     IfPositive,
@@ -22,13 +23,15 @@ from fkgen.backend.ir import (
     Operator,
     Statement,
     Temp,
-    leaves,
     operands,
     walk,
 )
 from fkgen.backend.routines import Outline, Writer
 
 Body = tuple[Statement, ...]
+
+#: Elements in a row that are worth a call.
+LEAST_COPIED = 6
 
 #: Printed as a question that names its arguments twice: they stay names, and so does the result.
 _ASKING = {Operator.ABS, Operator.MAX, Operator.MIN}
@@ -40,8 +43,8 @@ def joined(found: Outline, fits: Callable[[Statement, int], bool]) -> Outline:
     def body(body: Body) -> Body:
         temps = (o.index for n in walk(body) for o in operands(n) if isinstance(o, Temp))
         uses = Counter(temps)
-        nodes = _Joiner(uses, fits).body(_stored(body, uses), 1)
-        return Writer(lambda operand: operand, lambda row: row).many(nodes)
+        nodes = _joined(_stored(body, uses), uses, fits, 1)
+        return _copied(Writer(lambda operand: operand, lambda row: row).many(nodes))
 
     return Outline(
         phases=tuple(replace(phase, body=body(phase.body)) for phase in found.phases),
@@ -77,52 +80,21 @@ def _elements(node: Statement) -> Iterator[Element]:
             yield inner.target
 
 
-@dataclass(frozen=True, slots=True)
-class _Joiner:
-    """Walks a function and puts values into the statements that use them."""
-
-    uses: Counter[int]
-    fits: Callable[[Statement, int], bool]
-
-    def body(self, body: Body, depth: int) -> Body:
-        """One body; no value moves into a condition or out of it."""
-        nodes: dict[int, Statement] = {}
-        known: dict[Temp, tuple[int, Expression]] = {}  # where a value is made, and of what
-        for i, node in enumerate(body):
-            if isinstance(node, IfPresent | IfPositive):
-                nodes[i] = replace(node, body=self.body(node.body, depth + 1))
-            else:
-                nodes[i], used = self._statement(node, depth, known)
-                for temp in used:
-                    del nodes[known[temp][0]]
-            inside = list(walk((node,)))
-            changed = {each.target for each in inside if isinstance(each, Assign)}
-            called = any(isinstance(each, Call) for each in inside)
-            known = {
-                temp: (at, value)
-                for temp, (at, value) in known.items()
-                if not any(called or element in changed for element in _elements_of(value))
-            }
-            match nodes[i]:
-                case Operate(target, operator, arguments) if operator not in _ASKING:
-                    if self.uses[target.index] == 1:
-                        known[target] = i, Expression(operator, arguments)
-        return tuple(nodes[i] for i in sorted(nodes))
-
-    def _statement(
-        self, node: Statement, depth: int, known: Mapping[Temp, tuple[int, Expression]]
-    ) -> tuple[Statement, list[Temp]]:
-        """A statement with as many values in place as its line holds, and which."""
-        used: list[Temp] = []
-        if not isinstance(node, Operate | Assign) or _asks(node):
-            return node, used
-        for temp in operands(node):
-            if isinstance(temp, Temp) and temp in known:
-                longer = _with(node, temp, known[temp][1])
-                if self.fits(longer, depth):
-                    node = longer
-                    used.append(temp)
-        return node, used
+def _joined(
+    body: Body, uses: Counter[int], fits: Callable[[Statement, int], bool], depth: int
+) -> Body:
+    """Put values into the statement right after them, the last one first."""
+    nodes: list[Statement] = []
+    for each in body:
+        node = each
+        if isinstance(node, IfPresent | IfPositive):
+            node = replace(node, body=_joined(node.body, uses, fits, depth + 1))
+        elif isinstance(node, Operate | Assign) and not _asks(node):
+            while nodes and (longer := _with(node, nodes[-1], uses)) and fits(longer, depth):
+                node = longer
+                nodes.pop()
+        nodes.append(node)
+    return tuple(nodes)
 
 
 def _asks(node: Operate | Assign) -> bool:
@@ -132,16 +104,48 @@ def _asks(node: Operate | Assign) -> bool:
     return False
 
 
-def _elements_of(value: Operand) -> Iterator[Element]:
-    return (leaf for leaf in leaves(value) if isinstance(leaf, Element))
+def _with(node: Operate | Assign, before: Statement, uses: Counter[int]) -> Operate | Assign | None:
+    """A statement with the value of the one before it in place of its name."""
+    if not isinstance(before, Operate) or _asks(before) or uses[before.target.index] > 1:
+        return None
+    if before.target not in operands(node):
+        return None
 
-
-def _with(node: Operate | Assign, temp: Temp, value: Expression) -> Operate | Assign:
     def put(operand: Operand) -> Operand:
         if isinstance(operand, Expression):
             return Expression(operand.operator, tuple(map(put, operand.arguments)))
-        return value if operand == temp else operand
+        if operand == before.target:
+            return Expression(before.operator, before.arguments)
+        return operand
 
     if isinstance(node, Assign):
         return Assign(node.target, put(node.value))
     return Operate(node.target, node.operator, tuple(map(put, node.arguments)))
+
+
+def _copied(body: Body) -> Body:
+    """Elements that are copied one after the other, as copies of arrays."""
+    nodes: list[Statement] = []
+    run: list[tuple[Element, Element]] = []
+
+    def close() -> None:
+        long = len(run) >= LEAST_COPIED
+        nodes.extend([CopyArray(*run[0], len(run))] if long else [Assign(*pair) for pair in run])
+        run.clear()
+
+    for node in body:
+        match node:
+            case Assign(Element(index=int()) as to, Element(index=int()) as source):
+                if run and (to, source) != tuple(map(_next, run[-1])):
+                    close()
+                run.append((to, source))
+                continue
+        close()
+        inside = isinstance(node, IfPresent | IfPositive)
+        nodes.append(replace(node, body=_copied(node.body)) if inside else node)
+    close()
+    return tuple(nodes)
+
+
+def _next(element: Element) -> Element:
+    return replace(element, index=element.index + 1)

@@ -123,6 +123,15 @@ class Assign:
 
 
 @dataclass(frozen=True, slots=True)
+class CopyArray:
+    """``target[i] := source[i]`` for ``size`` elements from those named on; two arrays."""
+
+    target: Element
+    source: Element
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
 class Require:
     """Return ``status`` unless all ``values`` are of this kind."""
 
@@ -174,7 +183,7 @@ class Call:
     rows: tuple[Row, ...]
 
 
-Statement = Operate | Copy | Assign | Require | IfPresent | IfPositive | Heading | Call
+Statement = Operate | Copy | CopyArray | Assign | Require | IfPresent | IfPositive | Heading | Call
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,6 +379,8 @@ def operands(node: Statement) -> tuple[Operand, ...]:
     match node:
         case Operate(_, _, read) | Require(read, _, _) | Call(_, read, _, _):
             return tuple(leaf for each in read for leaf in leaves(each))
+        case CopyArray(_, source, _):
+            return (source,)
         case Copy(_, value) | Assign(_, value) | IfPositive(value, _):
             return tuple(leaves(value))
     return ()

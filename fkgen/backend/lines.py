@@ -21,6 +21,20 @@ _REMARK = re.compile(r"^(?P<code> *\S.*?)(?P<open>/\*\*?<?) (?P<text>.*) \*/$")
 _COMMENT = re.compile(r"^(?P<open> *(?:/\*\*?|\*)) (?P<text>.*)$")
 
 
+#: ``if (...)``, and nothing but a return in its braces.
+_GUARD = re.compile(r"^( *)(if \(.*\))\n\1\{\n *(return .*;)\n\1\}$", re.MULTILINE)
+
+
+def guards_joined(text: str) -> str:
+    """Text with every guard clause on one line, where it fits."""
+
+    def joined(match: re.Match[str]) -> str:
+        line = f"{match[1]}{match[2]} {{ {match[3]} }}"
+        return line if len(line) <= WIDTH else match[0]
+
+    return _GUARD.sub(joined, text)
+
+
 def folded(line: str) -> list[str]:
     """One line of C as lines of at most 100 characters."""
     if len(line) <= WIDTH or line.startswith("#"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import singledispatchmethod
 from typing import Any
 
@@ -11,6 +12,7 @@ from fkgen.backend.ir import (
     Assign,
     Call,
     Copy,
+    CopyArray,
     CProgram,
     Element,
     Expression,
@@ -158,6 +160,11 @@ class StatementPrinter:
     def _(self, node: Copy, depth: int) -> str:
         value = self.operand(node.value)
         return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
+
+    @statement.register
+    def _(self, node: CopyArray, depth: int) -> str:
+        source, target = self._address(node.source), self._address(node.target)
+        return f"{_indent(depth)}{self.name}_copy({source}, {target}, {node.size});"
 
     @statement.register
     def _(self, node: Assign, depth: int) -> str:
@@ -317,6 +324,11 @@ class Printer(StatementPrinter):
 def shared_prefix(scalar: Scalar) -> str:
     """Prefix of elementary functions of which all filters of a program share one copy."""
     return f"fkgen_{scalar}"
+
+
+def copies_arrays(bodies: Iterable[tuple[Statement, ...]]) -> bool:
+    """Whether arrays are copied."""
+    return any(isinstance(node, CopyArray) for body in bodies for node in walk(body))
 
 
 def tests_finiteness(phases: tuple[Phase, ...]) -> bool:

@@ -22,8 +22,8 @@ from fkgen.backend.functions import (
     valid_argument,
 )
 from fkgen.backend.ir import CProgram, Operator
-from fkgen.backend.lines import filled_lines, folded, model_lines, unit_text
-from fkgen.backend.printer import Printer
+from fkgen.backend.lines import filled_lines, folded, guards_joined, model_lines, unit_text
+from fkgen.backend.printer import Printer, copies_arrays
 from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
 from fkgen.symbolic.interface import Port, Status
@@ -67,8 +67,9 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
 def filled(template: str, context: dict[str, object]) -> str:
     """A template filled in, without gaps, blanks at the end of lines and long lines."""
     text = environment().get_template(template).render(context)
-    lines = [line.rstrip() for line in text.splitlines()]
-    if template.endswith((".c.j2", ".h.j2")):
+    code = template.endswith((".c.j2", ".h.j2"))
+    lines = [line.rstrip() for line in (guards_joined(text) if code else text).splitlines()]
+    if code:
         lines = [part for line in lines for part in folded(line)]
     kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
     return "\n".join(kept).rstrip() + "\n"
@@ -107,6 +108,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "valid_argument": valid_argument(c),
         "phases": phases_of(c, outlined.phases),
         "routines": outlined.routines,
+        "copies": copies_arrays(each.body for each in (*outlined.phases, *outlined.routines)),
         "calls_that_refuse": c.calls_that_refuse,
         "inlined": program.flops <= INLINED,
         "functions": functions_of(c),
