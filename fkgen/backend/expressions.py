@@ -44,7 +44,7 @@ def joined(found: Outline, fits: Callable[[Statement, int], bool]) -> Outline:
         temps = (o.index for n in walk(body) for o in operands(n) if isinstance(o, Temp))
         uses = Counter(temps)
         nodes = _joined(_stored(body, uses), uses, fits, 1)
-        return _copied(Writer(lambda operand: operand, lambda row: row).many(nodes))
+        return _copied(Writer(lambda operand: operand).many(nodes))
 
     return Outline(
         phases=tuple(replace(phase, body=body(phase.body)) for phase in found.phases),
@@ -141,11 +141,13 @@ def _copied(body: Body) -> Body:
                 run.append((to, source))
                 continue
         close()
-        inside = isinstance(node, IfPresent | IfPositive)
-        nodes.append(replace(node, body=_copied(node.body)) if inside else node)
+        if isinstance(node, IfPresent | IfPositive):
+            nodes.append(replace(node, body=_copied(node.body)))
+        else:
+            nodes.append(node)
     close()
     return tuple(nodes)
 
 
 def _next(element: Element) -> Element:
-    return replace(element, index=element.index + 1)
+    return replace(element, index=(element.index or 0) + 1)

@@ -151,6 +151,21 @@ Row = int | RowArgument
 
 
 @dataclass(frozen=True, slots=True)
+class TableArgument:
+    """A row of constants of another routine that the caller of a routine names."""
+
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A row of the constants of a routine."""
+
+    routine: str
+    row: int
+
+
+@dataclass(frozen=True, slots=True)
 class IfPresent:
     """Run ``body`` if this row of y is present (any row, if None)."""
 
@@ -175,12 +190,16 @@ class Heading:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """Run a routine: where its arguments begin, its row of constants, the rows of y it is about."""
+    """Run a routine: where its arguments begin, its row of constants, the rows of y it is about.
+
+    ``tables`` are rows of constants for the routines that it calls.
+    """
 
     routine: str
     arguments: tuple[Element, ...]
-    constants: int
+    constants: Table | TableArgument | None
     rows: tuple[Row, ...]
+    tables: tuple[Table | TableArgument, ...] = ()
 
 
 Statement = Operate | Copy | CopyArray | Assign | Require | IfPresent | IfPositive | Heading | Call
@@ -217,6 +236,7 @@ class Routine:
     arguments: tuple[Argument, ...]
     constants: tuple[tuple[float, ...], ...]
     rows: int
+    tables: int
     locals: tuple[Local, ...]
     body: tuple[Statement, ...]
 
@@ -233,7 +253,8 @@ class Phase:
     reads_input: bool
     reads_parameters: bool
     unless: str | None = None
-    chunks: tuple[int, ...] = ()  # where in the body each block begins
+    #: Where in the body each block begins, and the section that it belongs to
+    chunks: tuple[tuple[int, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,7 +398,7 @@ def walk(body: tuple[Statement, ...]) -> Iterator[Statement]:
 def operands(node: Statement) -> tuple[Operand, ...]:
     """What a statement reads itself (not its body), that of its expressions too."""
     match node:
-        case Operate(_, _, read) | Require(read, _, _) | Call(_, read, _, _):
+        case Operate(_, _, read) | Require(read, _, _) | Call(_, read):
             return tuple(leaf for each in read for leaf in leaves(each))
         case CopyArray(_, source, _):
             return (source,)

@@ -139,6 +139,7 @@ class _Group:
     before: list[Statement]
     value: Operand | None
     statements: list[Statement]
+    section: str = ""
     begins: list[int] = field(default_factory=list)
 
     def closed(self) -> tuple[Statement, ...]:
@@ -165,10 +166,12 @@ class _Lowering:
 
     def take(self, block: sym.Block) -> None:
         """Append a block; blocks in a row under one condition share it."""
-        if block.title != self.title and block.title:
-            self.groups.append(_Group(None, [], None, [Heading(block.title)]))
-            self.title = block.title
-        if not self.groups or not _same(self.groups[-1].condition, block.when):
+        title = f"{block.section}: {block.title}" if block.section else block.title
+        if title and title != self.title:
+            self.groups.append(_Group(None, [], None, [Heading(title)], block.section))
+            self.title = title
+        last = self.groups[-1] if self.groups else None
+        if last is None or last.section != block.section or not _same(last.condition, block.when):
             self.groups.append(self._group(block))
         group = self.groups[-1]
         group.begins.append(len(group.statements))
@@ -182,15 +185,16 @@ class _Lowering:
         """Everything taken so far."""
         return tuple(node for group in self.groups for node in group.closed())
 
-    def chunks(self) -> tuple[int, ...]:
-        """Where in the body blocks begin; those under one condition are one."""
-        at, result = 0, []
+    def chunks(self) -> tuple[tuple[int, str], ...]:
+        """Where in the body blocks begin, and their sections; those under one condition are one."""
+        at = 0
+        result: dict[int, str] = {}
         for group in self.groups:
             closed = group.closed()
             inside = group.begins if closed == tuple(group.statements) else [0]
-            result += [at + begin for begin in inside or [0]]
+            result |= {at + begin: group.section for begin in inside or [0]}
             at += len(closed)
-        return tuple(dict.fromkeys(result))
+        return tuple(result.items())
 
     def _group(self, block: sym.Block) -> _Group:
         before: list[Statement] = []
@@ -198,7 +202,7 @@ class _Lowering:
         value = None
         if threshold is not None:
             value = self._instructions(threshold, block, before)[0][0]
-        return _Group(block.when, before, value, [])
+        return _Group(block.when, before, value, [], block.section)
 
     def _instructions(
         self, function: ca.Function, block: sym.Block, out: list[Statement]

@@ -31,6 +31,8 @@ from fkgen.backend.ir import (
     Scalar,
     Space,
     Statement,
+    Table,
+    TableArgument,
     Temp,
     operands,
     walk,
@@ -111,6 +113,12 @@ class StatementPrinter:
     def fits(self, node: Statement, depth: int) -> bool:
         """Whether a statement stands on one line."""
         return len(self.statement(node, depth)) <= WIDTH
+
+    def table(self, table: Table | TableArgument) -> str:
+        """A row of constants."""
+        if isinstance(table, TableArgument):
+            return f"numbers_of_{table.index}"
+        return f"{self.name}_{table.routine}_numbers[{table.row}]"
 
     def block(self, body: tuple[Statement, ...], depth: int = 1) -> str:
         """Statements with indentation."""
@@ -209,8 +217,9 @@ class StatementPrinter:
             self.operand(element) if argument.single else self._address(element)
             for argument, element in zip(routine.arguments, node.arguments, strict=True)
         ]
-        if routine.constants[0]:
-            given.append(f"{self.name}_{routine.name}_numbers[{node.constants}]")
+        if node.constants is not None:
+            given.append(self.table(node.constants))
+        given += map(self.table, node.tables)
         needs = self.needs[routine.name]
         given += [name for name in ("params", "present") if name in needs]
         given += [
@@ -298,6 +307,7 @@ class Printer(StatementPrinter):
             arguments.append(f"{const}{self.real} {pointer}{each.name}")
         if routine.constants[0]:
             arguments.append(f"const {self.real} *numbers")
+        arguments += [f"const {self.real} *numbers_of_{i}" for i in range(routine.tables)]
         if "params" in needs:
             arguments.append(f"const {self.name}_params_t *params")
         if "present" in needs:

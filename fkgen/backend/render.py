@@ -108,7 +108,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "valid_argument": valid_argument(c),
         "phases": phases_of(c, outlined.phases),
         "routines": outlined.routines,
-        "copies": copies_arrays(each.body for each in (*outlined.phases, *outlined.routines)),
+        "copies": copies_arrays(outlined.bodies),
         "calls_that_refuse": c.calls_that_refuse,
         "inlined": program.flops <= INLINED,
         "functions": functions_of(c),

@@ -8,7 +8,7 @@ a table of constants and bits. The statements and their order stay, and so do th
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -35,6 +35,8 @@ from fkgen.backend.ir import (
     RowArgument,
     Space,
     Statement,
+    Table,
+    TableArgument,
     Temp,
     operands,
     walk,
@@ -42,13 +44,16 @@ from fkgen.backend.ir import (
 from fkgen.errors import InternalError
 
 #: Fewer lines than this are not worth a call.
-SHORTEST = 16
+SHORTEST = 8
 #: A routine is worth its prototype, its braces and its calls.
-OVERHEAD = 12
+OVERHEAD = 6
 #: Lines of one function before it is cut, so that it stays below 400 with what is around them.
 LONGEST = 300
 #: Lines beyond which a program stays as it is: the search would take longer than the compiler.
 LARGEST = 8000
+
+#: So often something is done, and so many statements it has, where it becomes a block of its own.
+MANY = 3
 
 Chunk = tuple[Statement, ...]
 Variable = tuple[Space, str]
@@ -63,6 +68,7 @@ class Form:
     variables: tuple[tuple[Variable, int | None], ...]
     literals: tuple[float, ...]
     rows: tuple[Row, ...]
+    tables: tuple[Table | TableArgument, ...]
 
 
 class _Reader:
@@ -73,6 +79,7 @@ class _Reader:
         self.variables: dict[Variable, tuple[int, int | None]] = {}
         self.literals: list[float] = []
         self.rows: list[Row] = []
+        self.tables: list[Table | TableArgument] = []
 
     def operand(self, operand: Operand) -> Any:
         match operand:
@@ -105,9 +112,10 @@ class _Reader:
                 return "present", row is None, tuple(map(self.statement, body))
             case IfPositive(value, body):
                 return "positive", self.operand(value), tuple(map(self.statement, body))
-            case Call(routine, arguments, constants, rows):
+            case Call(routine, arguments, constants, rows, tables):
                 self.rows += rows
-                return routine, constants, tuple(map(self.operand, arguments))
+                self.tables += (*(() if constants is None else (constants,)), *tables)
+                return routine, tuple(map(self.operand, arguments))
         return "heading"
 
 
@@ -116,7 +124,8 @@ def form_of(statements: Sequence[Statement]) -> Form:
     reader = _Reader()
     shape = tuple(map(reader.statement, statements))
     variables = tuple((key, base) for key, (_, base) in reader.variables.items())
-    return Form(shape, variables, tuple(reader.literals), tuple(reader.rows))
+    tables = tuple(reader.tables)
+    return Form(shape, variables, tuple(reader.literals), tuple(reader.rows), tables)
 
 
 class Writer:
@@ -128,10 +137,11 @@ class Writer:
     def __init__(
         self,
         operand: Callable[[Operand], Operand],
-        row: Callable[[Row], Row],
+        row: Callable[[Row], Row] = lambda row: row,
+        table: Callable[[Table | TableArgument], Table | TableArgument] = lambda table: table,
         known: Mapping[int, Temp | Element] | None = None,
     ) -> None:
-        self._operand, self._row = operand, row
+        self._operand, self._row, self._table = operand, row, table
         self._known = known or {}
         self._temps: dict[int, Temp] = {}
 
@@ -167,9 +177,11 @@ class Writer:
                 return IfPresent(None if row is None else self._row(row), self.many(body))
             case IfPositive(value, body):
                 return IfPositive(self.operand(value), self.many(body))
-            case Call(routine, arguments, constants, rows):
+            case Call(routine, arguments, constants, rows, tables):
+                values = tuple(map(self.operand, arguments))
                 own = tuple(map(self._row, rows))
-                return Call(routine, tuple(map(self.operand, arguments)), constants, own)
+                first = None if constants is None else self._table(constants)
+                return Call(routine, values, first, own, tuple(map(self._table, tables)))
         return node
 
 
@@ -180,10 +192,25 @@ class _Function:
     name: str
     chunks: list[Chunk]
     locals: list[Local]
+    sections: list[str]
     forms: list[Form] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.forms = [form_of(chunk) for chunk in self.chunks]
+
+    def whole(self, start: int, end: int) -> bool:
+        """Whether chunks are part of one section, or whole sections."""
+        sections = self.sections
+        within = len(set(sections[start:end])) == 1
+        begins = start == 0 or sections[start - 1] != sections[start]
+        return within or (begins and (sections[end:] or [""])[0] != sections[end - 1])
+
+    def put(self, start: int, length: int, chunks: list[Chunk]) -> None:
+        """Other chunks in place of some."""
+        where = slice(start, start + length)
+        self.chunks[where] = chunks
+        self.forms[where] = [form_of(chunk) for chunk in chunks]
+        self.sections[where] = [self.sections[start]] * len(chunks)
 
     def users(self, name: str) -> set[int]:
         """Which chunks use a local."""
@@ -201,8 +228,7 @@ class _Function:
                 name = f"carried_{len(self.locals)}"
                 pieces, size = _halves(chunk, name)
                 self.locals.append(Local(name, size, None))
-                self.chunks[at : at + 1] = pieces
-                self.forms[at : at + 1] = [form_of(piece) for piece in pieces]
+                self.put(at, 1, pieces)
                 continue
             at += 1
 
@@ -245,15 +271,22 @@ class Outline:
     phases: tuple[Phase, ...]
     routines: tuple[Routine, ...]
 
+    @property
+    def bodies(self) -> tuple[Chunk, ...]:
+        """The statements of all functions."""
+        return (
+            *(phase.body for phase in self.phases),
+            *(routine.body for routine in self.routines),
+        )
+
 
 def outline(program: CProgram) -> Outline:
     """Rewrite the phases of a program with calls."""
     verbs = ["correct", *(["close_window"] if program.closing else []), "propagate"]
-    functions = [
-        _Function(verb, _chunks(phase), list(phase.locals))
-        for verb, phase in zip(verbs, program.phases, strict=True)
-    ]
-    book = _Book(functions if sum(lines_of(f.body) for f in functions) <= LARGEST else [])
+    if sum(lines_of(phase.body) for phase in program.phases) > LARGEST:
+        return Outline(program.phases, ())
+    functions = [_function(*each) for each in zip(verbs, program.phases, strict=True)]
+    book = _Book(functions)
     while runs := book.repeated():
         book.take(runs)
     for function in list(book.functions):
@@ -265,9 +298,53 @@ def outline(program: CProgram) -> Outline:
     return Outline(phases, book.routines())
 
 
-def _chunks(phase: Phase) -> list[Chunk]:
-    ends = (*phase.chunks[1:], len(phase.body))
-    return [phase.body[a:b] for a, b in zip(phase.chunks, ends, strict=True)]
+def _function(verb: str, phase: Phase) -> _Function:
+    ends = (*(at for at, _ in phase.chunks[1:]), len(phase.body))
+    chunks: list[Chunk] = []
+    sections: list[str] = []
+    for (start, section), end in zip(phase.chunks, ends, strict=True):
+        pieces = _apart(phase.body[start:end])
+        chunks += pieces
+        sections += [section] * len(pieces)
+    return _Function(verb, chunks, list(phase.locals), sections)
+
+
+def _apart(chunk: Chunk) -> list[Chunk]:
+    """What a chunk does several times with other numbers, one after the other."""
+    if any(isinstance(node, Copy | IfPresent | IfPositive) for node in chunk):
+        return [chunk]
+    written = {node.target for node in chunk if isinstance(node, Assign)}
+    computed = (o for node in chunk if isinstance(node, Operate) for o in node.arguments)
+    parts = [] if written & set(computed) else _independent(chunk)
+    shapes = Counter(form_of(part).shape for part in parts)
+    apart = [p for p in parts if len(p) >= MANY and shapes[form_of(p).shape] >= MANY]
+    moved = {id(node) for part in apart for node in part}
+    rest = tuple(node for node in chunk if id(node) not in moved)
+    guards = [node for part in (rest, *apart) for node in part if isinstance(node, Require)]
+    if not apart or guards != [node for node in chunk if isinstance(node, Require)]:
+        return [chunk]
+    return [rest, *apart] if rest else apart
+
+
+def _independent(chunk: Chunk) -> list[Chunk]:
+    """Statements in groups that share no value that is computed or asked for."""
+    parent = list(range(len(chunk)))
+
+    def root(i: int) -> int:
+        while parent[i] != i:
+            parent[i] = i = parent[parent[i]]
+        return i
+
+    owner: dict[Any, int] = {}
+    for i, node in enumerate(chunk):
+        keys = [o for o in operands(node) if isinstance(o, Temp) or not isinstance(node, Operate)]
+        keys += [node.target] if isinstance(node, Operate) else []
+        for key in keys:
+            parent[root(i)] = root(owner.setdefault(key, i))
+    groups: dict[int, list[Statement]] = defaultdict(list)
+    for i, node in enumerate(chunk):
+        groups[root(i)].append(node)
+    return list(map(tuple, groups.values()))
 
 
 def lines_of(statements: Chunk) -> int:
@@ -313,7 +390,11 @@ class _Book:
                 for g, j in same[a + 1 :]:
                     one, other = self.functions[f].forms[i:], self.functions[g].forms[j:]
                     length = _alike(one[: j - i] if f == g else one, other)
-                    while length > 1 and one[length - 1].shape == ("heading",):
+                    while length > 1 and (
+                        one[length - 1].shape == ("heading",)
+                        or not self.functions[f].whole(i, i + length)
+                        or not self.functions[g].whole(j, j + length)
+                    ):
                         length -= 1
                     yield f, i, length
 
@@ -324,7 +405,8 @@ class _Book:
         for f, function in enumerate(self.functions):
             at = 0
             while at + run.length <= len(function.forms):
-                if _alike(forms, function.forms[at : at + run.length]) == run.length:
+                same = _alike(forms, function.forms[at : at + run.length]) == run.length
+                if same and function.whole(at, at + run.length):
                     seen.add((f, at, run.length))
                     found.append(_Run(function, at, run.length))
                     at += run.length
@@ -338,15 +420,15 @@ class _Book:
         arguments = {name: routine.arguments for name, (routine, _) in self.bodies.items()}
         draft = _Draft(runs, self._name(titles), titles, arguments)
         routine, calls = draft.routine, draft.calls
-        body = _Function(routine.name, draft.chunks, list(routine.locals))
+        first, end = runs[0], runs[0].start + runs[0].length
+        sections = first.function.sections[first.start : end]
+        body = _Function(routine.name, draft.chunks, list(routine.locals), sections)
         headed = [isinstance(run.statements[0], Heading) for run in runs]
         for run, call, title, with_title in sorted(
             zip(runs, calls, titles, headed, strict=True), key=lambda each: -each[0].start
         ):
             text = (Heading(title), call) if with_title else (call,)
-            where = slice(run.start, run.start + run.length)
-            run.function.chunks[where] = [text]
-            run.function.forms[where] = [form_of(text)]
+            run.function.put(run.start, run.length, [text])
         for function in {id(run.function): run.function for run in runs}.values():
             function.locals = [local for local in function.locals if function.users(local.name)]
         self.functions.append(body)
@@ -470,6 +552,7 @@ class _Draft:
             self._place(slot)
         self.columns = _Columns([form.literals for form in self.forms])
         self.row_columns = _Columns([form.rows for form in self.forms])
+        self.table_columns = _Columns([form.tables for form in self.forms])
         self.chunks = self._chunks()
         self.routine = Routine(
             name=name,
@@ -477,11 +560,18 @@ class _Draft:
             arguments=tuple(self.arguments),
             constants=self.columns.table,
             rows=len(self.row_columns.table[0]),
+            tables=len(self.table_columns.table[0]),
             locals=tuple(self.locals),
             body=tuple(node for chunk in self.chunks for node in chunk),
         )
         self.calls = [
-            Call(name, tuple(bound), i, tuple(self.row_columns.table[i]))
+            Call(
+                name,
+                tuple(bound),
+                Table(name, i) if self.columns.table[0] else None,
+                tuple(self.row_columns.table[i]),
+                tuple(self.table_columns.table[i]),
+            )
             for i, bound in enumerate(self.bindings)
         ]
         for form, call in zip(self.forms, self.calls, strict=True):
@@ -530,6 +620,7 @@ class _Draft:
 
     def _chunks(self) -> list[Chunk]:
         literals, rows = iter(self.columns.places), iter(self.row_columns.places)
+        tables = iter(self.table_columns.places)
 
         def operand(operand: Operand) -> Operand:
             if isinstance(operand, Literal):
@@ -543,7 +634,11 @@ class _Draft:
             at = next(rows)
             return row if at is None else RowArgument(at)
 
-        writer, run = Writer(operand, row), self.runs[0]
+        def table(table: Table | TableArgument) -> Table | TableArgument:
+            at = next(tables)
+            return table if at is None else TableArgument(at)
+
+        writer, run = Writer(operand, row, table), self.runs[0]
         chunks = run.function.chunks[run.start : run.start + run.length]
         return [writer.many(chunk) for chunk in chunks]
 
@@ -566,7 +661,7 @@ class _Columns:
         self.places: list[int | None] = []
         for each in zip(*values, strict=True):
             key = tuple(map(repr, each))
-            if len(set(key)) == 1 and not isinstance(each[0], RowArgument):
+            if len(set(key)) == 1 and not isinstance(each[0], RowArgument | TableArgument):
                 self.places.append(None)
                 continue
             if key not in columns:
@@ -591,9 +686,9 @@ def expanded(routine: Routine, call: Call, locals_: dict[str, str]) -> Chunk:
                     return begin
                 return replace(begin, index=begin.index + index)
             case Element(Space.CONSTANT, "numbers", index) if (
-                index is not None and routine.constants[0]
+                isinstance(call.constants, Table) and index is not None and routine.constants[0]
             ):
-                return Literal(routine.constants[call.constants][index])
+                return Literal(routine.constants[call.constants.row][index])
             case Element(Space.LOCAL, name, _):
                 return replace(operand, name=locals_[name])
         return operand
@@ -601,7 +696,10 @@ def expanded(routine: Routine, call: Call, locals_: dict[str, str]) -> Chunk:
     def row(row: Row) -> Row:
         return call.rows[row.index] if isinstance(row, RowArgument) else row
 
-    return Writer(operand, row).many(routine.body)
+    def table(table: Table | TableArgument) -> Table | TableArgument:
+        return call.tables[table.index] if isinstance(table, TableArgument) else table
+
+    return Writer(operand, row, table).many(routine.body)
 
 
 def _uses(
@@ -660,5 +758,5 @@ def _halves(chunk: Chunk, name: str) -> tuple[list[Chunk], int]:
     place = {temp: Element(Space.LOCAL, name, i) for temp, i in carried.items()}
     keep = tuple(Assign(element, Temp(temp)) for temp, element in place.items())
     known = {temp: place.get(temp, Temp(temp)) for temp in made}
-    rest = Writer(lambda operand: operand, lambda row: row, known).many(chunk[cut:])
+    rest = Writer(lambda operand: operand, known=known).many(chunk[cut:])
     return [(*chunk[:cut], *keep), rest], size

@@ -23,14 +23,14 @@ class Script:
         self._variables: list[Variable] = []
         self._blocks: list[Block] = []
         self._condition: Condition | None = None
-        self._title = ""
+        self._titles: list[str] = []
 
     @contextmanager
     def titled(self, title: str) -> Iterator[None]:
-        """Give the blocks written inside a heading in the C code."""
-        before, self._title = self._title, title
+        """Give the blocks written inside a heading in the C code; under another one, a section."""
+        self._titles.append(title)
         yield
-        self._title = before
+        self._titles.pop()
 
     @contextmanager
     def when(self, row: int | None, positive: ca.SX | None = None) -> Iterator[None]:
@@ -66,7 +66,9 @@ class Script:
         for name, value in dense.items():
             if value.shape != self._symbols[name].shape:
                 raise InternalError(f"{name} is {self._symbols[name].shape}, given {value.shape}")
-        self._blocks.append(Block(self._title, dense, self._condition, tuple(guards)))
+        *sections, title = self._titles or [""]
+        block = Block(title, dense, self._condition, tuple(guards), section="; ".join(sections))
+        self._blocks.append(block)
 
     def let(self, name: str, value: ca.SX, initial: float | None = None) -> ca.SX:
         """Name an intermediate value, so that it is computed once; constants stay as they are."""

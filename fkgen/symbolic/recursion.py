@@ -57,6 +57,7 @@ class Block:
     when: Condition | None = None
     guards: tuple[Guard, ...] = ()
     reads: tuple[str, ...] = ()
+    section: str = ""  # What the title stands under
 
     def function(self, symbols: Mapping[str, ca.SX]) -> ca.Function:
         """The assigned values in order, then the guards, as one CasADi function of what is read."""

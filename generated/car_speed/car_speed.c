@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define CAR_SPEED_INLINE static inline __attribute__((always_inline))
@@ -30,14 +35,8 @@ static double car_speed_log(double x)
     car_speed_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -123,10 +122,7 @@ static int car_speed_finite_input(const double *u)
     int i;
     for (i = 0; i < CAR_SPEED_NU; ++i)
     {
-        if (!car_speed_finite(car_speed_defect(u[i])))
-        {
-            return 0;
-        }
+        if (!car_speed_finite(car_speed_defect(u[i]))) { return 0; }
     }
     return 1;
 }
@@ -157,6 +153,19 @@ static int car_speed_present_rows(const double *y, uint32_t valid, uint32_t *pre
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
+/* Copy the elements of an array to another. */
+CAR_SPEED_INLINE void car_speed_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
 /* What differs between the calls of car_speed_row_of_y, a row for each. */
 static const double car_speed_row_of_y_numbers[2][1] = {
     { 0.9921619208254787 },
@@ -173,69 +182,52 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_row_of_y(double *covariance, doubl
     double inverse = 0.0;
     cross[0] = numbers[0] * covariance[0];
     cross[1] = numbers[0] * covariance[1];
-    const double t0 = numbers[0] * cross[0];
-    pivot = t0 + 0.04;
+    pivot = (numbers[0] * cross[0]) + 0.04;
     if (row_0 != 0)
     {
-        if (!(pivot > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot > 0.0)) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
         inverse = 1.0 / pivot;
-        const double t1 = mean[0] - predicted_state;
-        const double t2 = numbers[0] * t1;
-        const double t3 = innovation - t2;
-        const double t4 = t3 * inverse;
-        const double t5 = t3 * t4;
-        quadratic[0] = quadratic[0] + t5;
+        const double t0 = innovation - (numbers[0] * (mean[0] - predicted_state));
+        const double t1 = t0 * inverse;
+        quadratic[0] = quadratic[0] + (t0 * t1);
         log_constant[0] = log_constant[0] + CAR_SPEED_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot;
-        const double t6 = cross[0] * t4;
-        mean[0] = mean[0] + t6;
-        const double t7 = cross[1] * t4;
-        mean[1] = mean[1] + t7;
-        const double t8 = cross[0] * inverse;
-        const double t9 = t8 * cross[0];
-        covariance[0] = covariance[0] - t9;
-        const double t10 = cross[1] * inverse;
-        const double t11 = t10 * cross[0];
-        covariance[1] = covariance[1] - t11;
-        const double t12 = t10 * cross[1];
-        covariance[2] = covariance[2] - t12;
+        mean[0] = mean[0] + (cross[0] * t1);
+        mean[1] = mean[1] + (cross[1] * t1);
+        covariance[0] = covariance[0] - (cross[0] * inverse * cross[0]);
+        const double t2 = cross[1] * inverse;
+        covariance[1] = covariance[1] - (t2 * cross[0]);
+        covariance[2] = covariance[2] - (t2 * cross[1]);
     }
 
     /* row 2 of y, wheel_rl */
     return CAR_SPEED_OK;
 }
 
-/* innovation, row by row. */
-CAR_SPEED_INLINE void car_speed_innovation(const double predicted_covariance, double *variance)
+/* results of the update. */
+CAR_SPEED_INLINE void car_speed_results_of_the_update(const double determinant_0,
+    const double log_constant, const double determinant_1, const double quadratic,
+    const double *mean, double *filtered_state, const double *covariance,
+    double *filtered_covariance, const double innovation_0, double *innovation,
+    const double innovation_1, const double innovation_2, const double innovation_3,
+    const double innovation_4, const double innovation_5, const double *variance,
+    double *innovation_covariance, double *nis, double *log_likelihood)
 {
-    const double t0 = 0.9843852771361035 * predicted_covariance;
-    variance[0] = t0 + 0.04;
-    variance[1] = 0.9843852771361035 * predicted_covariance;
-    const double t1 = 0.9843852771361035 * predicted_covariance;
-    variance[2] = t1 + 0.04;
-    variance[3] = 0.9826304058883615 * predicted_covariance;
-    variance[4] = 0.9826304058883615 * predicted_covariance;
-    const double t2 = 0.9808786630631667 * predicted_covariance;
-    variance[5] = t2 + 0.04;
-    variance[6] = 0.9826304058883615 * predicted_covariance;
-    variance[7] = 0.9826304058883615 * predicted_covariance;
-    variance[8] = 0.9808786630631667 * predicted_covariance;
-    const double t3 = 0.9808786630631667 * predicted_covariance;
-    variance[9] = t3 + 0.04;
-    variance[10] = 0.9921619208254787 * predicted_covariance;
-    variance[11] = 0.9921619208254787 * predicted_covariance;
-    variance[12] = 0.9903931860948796 * predicted_covariance;
-    variance[13] = 0.9903931860948796 * predicted_covariance;
-    variance[14] = predicted_covariance + 0.25;
-    variance[15] = 0.9921619208254787 * predicted_covariance;
-    variance[16] = 0.9921619208254787 * predicted_covariance;
-    variance[17] = 0.9903931860948796 * predicted_covariance;
-    variance[18] = 0.9903931860948796 * predicted_covariance;
-    variance[20] = predicted_covariance + 9.0;
-    variance[19] = predicted_covariance;
+    const double t0 = log_constant + car_speed_log(determinant_0) + car_speed_log(determinant_1);
+    log_likelihood[0] = -0.5 * (quadratic + t0);
+    filtered_state[0] = mean[0];
+    filtered_state[1] = mean[1];
+    filtered_covariance[0] = covariance[0];
+    filtered_covariance[1] = covariance[1];
+    filtered_covariance[2] = covariance[2];
+    innovation[0] = innovation_0;
+    innovation[1] = innovation_1;
+    innovation[2] = innovation_2;
+    innovation[3] = innovation_3;
+    innovation[4] = innovation_4;
+    innovation[5] = innovation_5;
+    car_speed_copy(variance, innovation_covariance, 21);
+    nis[0] = quadratic;
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -274,23 +266,19 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t0 = 0.9921619208254787 * self->predicted_state[0];
-        innovation_0 = y[0] - t0;
+        innovation_0 = y[0] - (0.9921619208254787 * self->predicted_state[0]);
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t1 = 0.9921619208254787 * self->predicted_state[0];
-        innovation_1 = y[1] - t1;
+        innovation_1 = y[1] - (0.9921619208254787 * self->predicted_state[0]);
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t2 = 0.9903931860948796 * self->predicted_state[0];
-        innovation_2 = y[2] - t2;
+        innovation_2 = y[2] - (0.9903931860948796 * self->predicted_state[0]);
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t3 = 0.9903931860948796 * self->predicted_state[0];
-        innovation_3 = y[3] - t3;
+        innovation_3 = y[3] - (0.9903931860948796 * self->predicted_state[0]);
     }
     if ((present & 0x10u) != 0u)
     {
@@ -300,7 +288,27 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     {
         innovation_5 = y[5] - self->predicted_state[0];
     }
-    car_speed_innovation(self->predicted_covariance[0], variance);
+    variance[1] = 0.9843852771361035 * self->predicted_covariance[0];
+    variance[3] = 0.9826304058883615 * self->predicted_covariance[0];
+    variance[4] = 0.9826304058883615 * self->predicted_covariance[0];
+    variance[6] = 0.9826304058883615 * self->predicted_covariance[0];
+    variance[7] = 0.9826304058883615 * self->predicted_covariance[0];
+    variance[8] = 0.9808786630631667 * self->predicted_covariance[0];
+    variance[10] = 0.9921619208254787 * self->predicted_covariance[0];
+    variance[11] = 0.9921619208254787 * self->predicted_covariance[0];
+    variance[12] = 0.9903931860948796 * self->predicted_covariance[0];
+    variance[13] = 0.9903931860948796 * self->predicted_covariance[0];
+    variance[14] = self->predicted_covariance[0] + 0.25;
+    variance[15] = 0.9921619208254787 * self->predicted_covariance[0];
+    variance[16] = 0.9921619208254787 * self->predicted_covariance[0];
+    variance[17] = 0.9903931860948796 * self->predicted_covariance[0];
+    variance[18] = 0.9903931860948796 * self->predicted_covariance[0];
+    variance[20] = self->predicted_covariance[0] + 9.0;
+    variance[19] = self->predicted_covariance[0];
+    variance[0] = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
+    variance[2] = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
+    variance[5] = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
+    variance[9] = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
     covariance[0] = self->predicted_covariance[0];
@@ -310,29 +318,19 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     /* row 0 of y, wheel_fl */
     cross_0[0] = 0.9921619208254787 * self->predicted_covariance[0];
     cross_0[1] = 0.9921619208254787 * self->predicted_covariance[1];
-    const double t4 = 0.9921619208254787 * cross_0[0];
-    pivot_0 = t4 + 0.04;
+    pivot_0 = (0.9921619208254787 * cross_0[0]) + 0.04;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0 > 0.0)) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0;
-        const double t5 = innovation_0 * inverse_0;
-        quadratic = innovation_0 * t5;
-        const double t6 = cross_0[0] * t5;
-        mean[0] = self->predicted_state[0] + t6;
-        const double t7 = cross_0[1] * t5;
-        mean[1] = self->predicted_state[1] + t7;
-        const double t8 = cross_0[0] * inverse_0;
-        const double t9 = t8 * cross_0[0];
-        covariance[0] = self->predicted_covariance[0] - t9;
-        const double t10 = cross_0[1] * inverse_0;
-        const double t11 = t10 * cross_0[0];
-        covariance[1] = self->predicted_covariance[1] - t11;
-        const double t12 = t10 * cross_0[1];
-        covariance[2] = self->predicted_covariance[2] - t12;
+        const double t0 = innovation_0 * inverse_0;
+        quadratic = innovation_0 * t0;
+        mean[0] = self->predicted_state[0] + (cross_0[0] * t0);
+        mean[1] = self->predicted_state[1] + (cross_0[1] * t0);
+        covariance[0] = self->predicted_covariance[0] - (cross_0[0] * inverse_0 * cross_0[0]);
+        const double t1 = cross_0[1] * inverse_0;
+        covariance[1] = self->predicted_covariance[1] - (t1 * cross_0[0]);
+        covariance[2] = self->predicted_covariance[2] - (t1 * cross_0[1]);
         log_constant = CAR_SPEED_LOG_2_PI;
         determinant_0 = pivot_0;
     }
@@ -341,47 +339,29 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     status = car_speed_row_of_y(covariance, mean, self->predicted_state[0], innovation_1,
         &quadratic, &log_constant, &determinant_0, car_speed_row_of_y_numbers[0],
         ((present & 0x2u) != 0u));
-    if (status != CAR_SPEED_OK)
-    {
-        return status;
-    }
+    if (status != CAR_SPEED_OK) { return status; }
     status = car_speed_row_of_y(covariance, mean, self->predicted_state[0], innovation_2,
         &quadratic, &log_constant, &determinant_0, car_speed_row_of_y_numbers[1],
         ((present & 0x4u) != 0u));
-    if (status != CAR_SPEED_OK)
-    {
-        return status;
-    }
+    if (status != CAR_SPEED_OK) { return status; }
     cross_3[0] = 0.9903931860948796 * covariance[0];
     cross_3[1] = 0.9903931860948796 * covariance[1];
-    const double t13 = 0.9903931860948796 * cross_3[0];
-    pivot_3 = t13 + 0.04;
+    pivot_3 = (0.9903931860948796 * cross_3[0]) + 0.04;
     if ((present & 0x8u) != 0u)
     {
-        if (!(pivot_3 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_3 > 0.0)) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
         inverse_3 = 1.0 / pivot_3;
-        const double t14 = mean[0] - self->predicted_state[0];
-        const double t15 = 0.9903931860948796 * t14;
-        const double t16 = innovation_3 - t15;
-        const double t17 = t16 * inverse_3;
-        const double t18 = t16 * t17;
-        quadratic = quadratic + t18;
+        const double t2 = 0.9903931860948796 * (mean[0] - self->predicted_state[0]);
+        const double t3 = innovation_3 - t2;
+        const double t4 = t3 * inverse_3;
+        quadratic = quadratic + (t3 * t4);
         log_constant = log_constant + CAR_SPEED_LOG_2_PI;
-        const double t19 = cross_3[0] * t17;
-        mean[0] = mean[0] + t19;
-        const double t20 = cross_3[1] * t17;
-        mean[1] = mean[1] + t20;
-        const double t21 = cross_3[0] * inverse_3;
-        const double t22 = t21 * cross_3[0];
-        covariance[0] = covariance[0] - t22;
-        const double t23 = cross_3[1] * inverse_3;
-        const double t24 = t23 * cross_3[0];
-        covariance[1] = covariance[1] - t24;
-        const double t25 = t23 * cross_3[1];
-        covariance[2] = covariance[2] - t25;
+        mean[0] = mean[0] + (cross_3[0] * t4);
+        mean[1] = mean[1] + (cross_3[1] * t4);
+        covariance[0] = covariance[0] - (cross_3[0] * inverse_3 * cross_3[0]);
+        const double t5 = cross_3[1] * inverse_3;
+        covariance[1] = covariance[1] - (t5 * cross_3[0]);
+        covariance[2] = covariance[2] - (t5 * cross_3[1]);
         determinant_1 = pivot_3;
     }
 
@@ -389,64 +369,42 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     pivot_4 = covariance[0] + 0.25;
     if ((present & 0x10u) != 0u)
     {
-        if (!(pivot_4 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_4 > 0.0)) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
         inverse_4 = 1.0 / pivot_4;
-        const double t26 = mean[0] - self->predicted_state[0];
-        const double t27 = innovation_4 - t26;
-        const double t28 = t27 * inverse_4;
-        const double t29 = t27 * t28;
-        quadratic = quadratic + t29;
+        const double t6 = innovation_4 - (mean[0] - self->predicted_state[0]);
+        const double t7 = t6 * inverse_4;
+        quadratic = quadratic + (t6 * t7);
         log_constant = log_constant + CAR_SPEED_LOG_2_PI;
         determinant_1 = determinant_1 * pivot_4;
-        const double t30 = covariance[0] * t28;
-        mean[0] = mean[0] + t30;
-        const double t31 = covariance[1] * t28;
-        mean[1] = mean[1] + t31;
-        const double t32 = covariance[0] * inverse_4;
-        const double t33 = t32 * covariance[0];
-        const double t34 = covariance[0] - t33;
-        const double t35 = covariance[1] * inverse_4;
-        const double t36 = t35 * covariance[0];
-        const double t37 = covariance[1] - t36;
-        const double t38 = t35 * covariance[1];
-        covariance[2] = covariance[2] - t38;
-        covariance[0] = t34;
-        covariance[1] = t37;
+        mean[0] = mean[0] + (covariance[0] * t7);
+        mean[1] = mean[1] + (covariance[1] * t7);
+        const double t8 = covariance[0] - (covariance[0] * inverse_4 * covariance[0]);
+        const double t9 = covariance[1] * inverse_4;
+        const double t10 = covariance[1] - (t9 * covariance[0]);
+        covariance[2] = covariance[2] - (t9 * covariance[1]);
+        covariance[0] = t8;
+        covariance[1] = t10;
     }
 
     /* row 5 of y, qcom */
     pivot_5 = covariance[0] + 9.0;
     if ((present & 0x20u) != 0u)
     {
-        if (!(pivot_5 > 0.0))
-        {
-            return CAR_SPEED_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_5 > 0.0)) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
         inverse_5 = 1.0 / pivot_5;
-        const double t39 = mean[0] - self->predicted_state[0];
-        const double t40 = innovation_5 - t39;
-        const double t41 = t40 * inverse_5;
-        const double t42 = t40 * t41;
-        quadratic = quadratic + t42;
+        const double t11 = innovation_5 - (mean[0] - self->predicted_state[0]);
+        const double t12 = t11 * inverse_5;
+        quadratic = quadratic + (t11 * t12);
         log_constant = log_constant + CAR_SPEED_LOG_2_PI;
         determinant_1 = determinant_1 * pivot_5;
-        const double t43 = covariance[0] * t41;
-        mean[0] = mean[0] + t43;
-        const double t44 = covariance[1] * t41;
-        mean[1] = mean[1] + t44;
-        const double t45 = covariance[0] * inverse_5;
-        const double t46 = t45 * covariance[0];
-        const double t47 = covariance[0] - t46;
-        const double t48 = covariance[1] * inverse_5;
-        const double t49 = t48 * covariance[0];
-        const double t50 = covariance[1] - t49;
-        const double t51 = t48 * covariance[1];
-        covariance[2] = covariance[2] - t51;
-        covariance[0] = t47;
-        covariance[1] = t50;
+        mean[0] = mean[0] + (covariance[0] * t12);
+        mean[1] = mean[1] + (covariance[1] * t12);
+        const double t13 = covariance[0] - (covariance[0] * inverse_5 * covariance[0]);
+        const double t14 = covariance[1] * inverse_5;
+        const double t15 = covariance[1] - (t14 * covariance[0]);
+        covariance[2] = covariance[2] - (t14 * covariance[1]);
+        covariance[0] = t13;
+        covariance[1] = t15;
     }
     if (!car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1])))
     {
@@ -454,45 +412,10 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     }
 
     /* results of the update */
-    const double t52 = car_speed_log(determinant_0);
-    const double t53 = log_constant + t52;
-    const double t54 = car_speed_log(determinant_1);
-    const double t55 = t53 + t54;
-    const double t56 = quadratic + t55;
-    next->log_likelihood = -0.5 * t56;
-    next->filtered_state[0] = mean[0];
-    next->filtered_state[1] = mean[1];
-    next->filtered_covariance[0] = covariance[0];
-    next->filtered_covariance[1] = covariance[1];
-    next->filtered_covariance[2] = covariance[2];
-    next->innovation[0] = innovation_0;
-    next->innovation[1] = innovation_1;
-    next->innovation[2] = innovation_2;
-    next->innovation[3] = innovation_3;
-    next->innovation[4] = innovation_4;
-    next->innovation[5] = innovation_5;
-    next->innovation_covariance[0] = variance[0];
-    next->innovation_covariance[1] = variance[1];
-    next->innovation_covariance[2] = variance[2];
-    next->innovation_covariance[3] = variance[3];
-    next->innovation_covariance[4] = variance[4];
-    next->innovation_covariance[5] = variance[5];
-    next->innovation_covariance[6] = variance[6];
-    next->innovation_covariance[7] = variance[7];
-    next->innovation_covariance[8] = variance[8];
-    next->innovation_covariance[9] = variance[9];
-    next->innovation_covariance[10] = variance[10];
-    next->innovation_covariance[11] = variance[11];
-    next->innovation_covariance[12] = variance[12];
-    next->innovation_covariance[13] = variance[13];
-    next->innovation_covariance[14] = variance[14];
-    next->innovation_covariance[15] = variance[15];
-    next->innovation_covariance[16] = variance[16];
-    next->innovation_covariance[17] = variance[17];
-    next->innovation_covariance[18] = variance[18];
-    next->innovation_covariance[19] = variance[19];
-    next->innovation_covariance[20] = variance[20];
-    next->nis = quadratic;
+    car_speed_results_of_the_update(determinant_0, log_constant, determinant_1, quadratic, mean,
+        next->filtered_state, covariance, next->filtered_covariance, innovation_0, next->innovation,
+        innovation_1, innovation_2, innovation_3, innovation_4, innovation_5, variance,
+        next->innovation_covariance, &next->nis, &next->log_likelihood);
     return CAR_SPEED_OK;
 }
 
@@ -505,35 +428,25 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     A = -params->dt;
     Q[0] = 0.0225 * params->dt;
     Q[1] = 0.010000000000000002 * params->dt;
-    if (!((Q[0] >= 0.0) && (Q[1] >= 0.0)))
-    {
-        return CAR_SPEED_PARAMETER_OUT_OF_RANGE;
-    }
+    if (!((Q[0] >= 0.0) && (Q[1] >= 0.0))) { return CAR_SPEED_PARAMETER_OUT_OF_RANGE; }
 
     /* prediction of the next sample */
-    const double t0 = A * self->filtered_state[1];
-    const double t1 = self->filtered_state[0] + t0;
-    const double t2 = params->dt * u[0];
-    const double t3 = t1 + t2;
-    const double t4 = A * self->filtered_covariance[1];
-    const double t5 = self->filtered_covariance[0] + t4;
-    const double t6 = A * self->filtered_covariance[2];
-    const double t7 = self->filtered_covariance[1] + t6;
-    const double t8 = t7 * A;
-    const double t9 = t5 + t8;
-    const double t10 = t9 + Q[0];
-    const double t11 = self->filtered_covariance[2] * A;
-    next->predicted_covariance[1] = self->filtered_covariance[1] + t11;
-    const double t12 = self->filtered_covariance[2] + Q[1];
-    if (!car_speed_finite(car_speed_defect(t3) + car_speed_defect(self->filtered_state[1]) +
-        car_speed_defect(t10) + car_speed_defect(t12)))
+    const double t0 = self->filtered_state[0] + (A * self->filtered_state[1]) + (params->dt * u[0]);
+    const double t1 = self->filtered_covariance[0] + (A * self->filtered_covariance[1]);
+    const double t2 = (self->filtered_covariance[1] + (A * self->filtered_covariance[2])) * A;
+    const double t3 = t1 + t2 + Q[0];
+    const double t4 = self->filtered_covariance[2] * A;
+    next->predicted_covariance[1] = self->filtered_covariance[1] + t4;
+    const double t5 = self->filtered_covariance[2] + Q[1];
+    if (!car_speed_finite(car_speed_defect(t0) + car_speed_defect(self->filtered_state[1]) +
+        car_speed_defect(t3) + car_speed_defect(t5)))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
-    next->predicted_state[0] = t3;
+    next->predicted_state[0] = t0;
     next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_covariance[0] = t10;
-    next->predicted_covariance[2] = t12;
+    next->predicted_covariance[0] = t3;
+    next->predicted_covariance[2] = t5;
     return CAR_SPEED_OK;
 }
 
@@ -551,10 +464,7 @@ static void car_speed_fill(double *to, int size, const double *from, int period)
 
 car_speed_status_t car_speed_init(car_speed_t *self)
 {
-    if (self == NULL)
-    {
-        return CAR_SPEED_NULL_POINTER;
-    }
+    if (self == NULL) { return CAR_SPEED_NULL_POINTER; }
     car_speed_fill(self->predicted_state, 2, car_speed_zero_0, 1);
     car_speed_fill(self->predicted_covariance, 3, car_speed_predicted_covariance_0, 3);
     car_speed_fill(self->filtered_state, 2, car_speed_zero_0, 1);
@@ -568,10 +478,7 @@ car_speed_status_t car_speed_init(car_speed_t *self)
 
 car_speed_status_t car_speed_params_init(car_speed_params_t *params)
 {
-    if (params == NULL)
-    {
-        return CAR_SPEED_NULL_POINTER;
-    }
+    if (params == NULL) { return CAR_SPEED_NULL_POINTER; }
     params->dt = 0.01;
     return CAR_SPEED_OK;
 }
@@ -588,20 +495,11 @@ car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t 
     {
         return CAR_SPEED_NULL_POINTER;
     }
-    if (!car_speed_finite_input(u))
-    {
-        return CAR_SPEED_INPUT_NOT_FINITE;
-    }
-    if (!car_speed_present_rows(y, valid, &present))
-    {
-        return CAR_SPEED_INPUT_NOT_FINITE;
-    }
+    if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
+    if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
     next = *self;
     status = car_speed_correct(self, y, present, &next);
-    if (status != CAR_SPEED_OK)
-    {
-        return status;
-    }
+    if (status != CAR_SPEED_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
 }
@@ -611,20 +509,11 @@ car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t
 {
     car_speed_t next;
     car_speed_status_t status;
-    if ((self == NULL) || (params == NULL) || (u == NULL))
-    {
-        return CAR_SPEED_NULL_POINTER;
-    }
-    if (!car_speed_finite_input(u))
-    {
-        return CAR_SPEED_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (params == NULL) || (u == NULL)) { return CAR_SPEED_NULL_POINTER; }
+    if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
     next = *self;
     status = car_speed_propagate(self, params, u, &next);
-    if (status != CAR_SPEED_OK)
-    {
-        return status;
-    }
+    if (status != CAR_SPEED_OK) { return status; }
     *self = next;
     return CAR_SPEED_OK;
 }
@@ -639,24 +528,12 @@ car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *p
     {
         return CAR_SPEED_NULL_POINTER;
     }
-    if (!car_speed_finite_input(u))
-    {
-        return CAR_SPEED_INPUT_NOT_FINITE;
-    }
-    if (!car_speed_present_rows(y, valid, &present))
-    {
-        return CAR_SPEED_INPUT_NOT_FINITE;
-    }
+    if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
+    if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
     status = car_speed_correct(self, y, present, &next);
-    if (status != CAR_SPEED_OK)
-    {
-        return status;
-    }
+    if (status != CAR_SPEED_OK) { return status; }
     status = car_speed_propagate(&next, params, u, &next);
-    if (status != CAR_SPEED_OK)
-    {
-        return status;
-    }
+    if (status != CAR_SPEED_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
 }

@@ -76,10 +76,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -99,19 +96,13 @@ car_speed_status_t car_speed_selftest(void)
     const double *expected = final;
     car_speed_params_t params;
     int k;
-    if (car_speed_init(&filter) != CAR_SPEED_OK)
-    {
-        return CAR_SPEED_NULL_POINTER;
-    }
+    if (car_speed_init(&filter) != CAR_SPEED_OK) { return CAR_SPEED_NULL_POINTER; }
     (void)car_speed_params_init(&params);
     for (k = 0; k < SAMPLES; ++k)
     {
         const car_speed_status_t status = car_speed_step(&filter, &params, input[k], measurement[k],
             valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], CAR_SPEED_NX))
         {
             return CAR_SPEED_SELFTEST_FAILED;
@@ -119,10 +110,7 @@ car_speed_status_t car_speed_selftest(void)
     }
     for (k = 0; k < MEMBERS; ++k)
     {
-        if (!same(member[k].value, expected, member[k].size))
-        {
-            return CAR_SPEED_SELFTEST_FAILED;
-        }
+        if (!same(member[k].value, expected, member[k].size)) { return CAR_SPEED_SELFTEST_FAILED; }
         expected += member[k].size;
     }
     return CAR_SPEED_OK;

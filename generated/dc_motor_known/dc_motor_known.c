@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define DC_MOTOR_KNOWN_INLINE static inline __attribute__((always_inline))
@@ -30,14 +35,8 @@ static double dc_motor_known_log(double x)
     dc_motor_known_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -129,10 +128,7 @@ static int dc_motor_known_finite_input(const double *u)
     int i;
     for (i = 0; i < DC_MOTOR_KNOWN_NU; ++i)
     {
-        if (!dc_motor_known_finite(dc_motor_known_defect(u[i])))
-        {
-            return 0;
-        }
+        if (!dc_motor_known_finite(dc_motor_known_defect(u[i]))) { return 0; }
     }
     return 1;
 }
@@ -182,10 +178,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
         return DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE;
     }
     const double t0 = 1.0 - params->xi;
-    if (!((params->xi >= 0.0) && (t0 >= 0.0)))
-    {
-        return DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE;
-    }
+    if (!((params->xi >= 0.0) && (t0 >= 0.0))) { return DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE; }
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
@@ -202,29 +195,21 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     pivot_0 = self->predicted_covariance[2] + 5.0e-06;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0 > 0.0))
-        {
-            return DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0 > 0.0)) { return DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0;
         const double t1 = innovation_0 * inverse_0;
         quadratic = innovation_0 * t1;
-        const double t2 = self->predicted_covariance[1] * t1;
-        mean[0] = self->predicted_state[0] + t2;
-        const double t3 = self->predicted_covariance[2] * t1;
-        mean[1] = self->predicted_state[1] + t3;
-        const double t4 = self->predicted_covariance[1] * inverse_0;
-        const double t5 = t4 * self->predicted_covariance[1];
-        covariance[0] = self->predicted_covariance[0] - t5;
-        const double t6 = self->predicted_covariance[2] * inverse_0;
-        const double t7 = t6 * self->predicted_covariance[1];
-        covariance[1] = self->predicted_covariance[1] - t7;
-        const double t8 = t6 * self->predicted_covariance[2];
-        covariance[2] = self->predicted_covariance[2] - t8;
+        mean[0] = self->predicted_state[0] + (self->predicted_covariance[1] * t1);
+        mean[1] = self->predicted_state[1] + (self->predicted_covariance[2] * t1);
+        const double t2 = self->predicted_covariance[1] * inverse_0;
+        covariance[0] = self->predicted_covariance[0] - (t2 * self->predicted_covariance[1]);
+        const double t3 = self->predicted_covariance[2] * inverse_0;
+        covariance[1] = self->predicted_covariance[1] - (t3 * self->predicted_covariance[1]);
+        covariance[2] = self->predicted_covariance[2] - (t3 * self->predicted_covariance[2]);
         log_constant = DC_MOTOR_KNOWN_LOG_2_PI;
         determinant_0 = pivot_0;
-        update_gain[0] = t4;
-        update_gain[1] = t6;
+        update_gain[0] = t2;
+        update_gain[1] = t3;
     }
     if (!dc_motor_known_finite(dc_motor_known_defect(mean[0]) + dc_motor_known_defect(mean[1])))
     {
@@ -232,10 +217,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     }
 
     /* results of the update */
-    const double t9 = dc_motor_known_log(determinant_0);
-    const double t10 = log_constant + t9;
-    const double t11 = quadratic + t10;
-    next->log_likelihood = -0.5 * t11;
+    next->log_likelihood = -0.5 * (quadratic + (log_constant + dc_motor_known_log(determinant_0)));
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_covariance[0] = covariance[0];
@@ -254,67 +236,41 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const dc_motor_known_params_t *params, const double *u, dc_motor_known_t *next)
 {
     const double t0 = 1.0 - params->xi;
-    if (!((params->xi >= 0.0) && (t0 >= 0.0)))
-    {
-        return DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE;
-    }
+    if (!((params->xi >= 0.0) && (t0 >= 0.0))) { return DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE; }
 
     /* prediction of the next sample */
-    const double t1 = 0.9802 * self->filtered_state[0];
-    const double t2 = -0.0002 * self->filtered_state[1];
-    const double t3 = t1 + t2;
-    const double t4 = params->xi * u[0];
-    const double t5 = 0.0198 * t4;
-    const double t6 = t3 + t5;
-    const double t7 = 0.0094 * self->filtered_state[0];
-    const double t8 = 0.9048 * self->filtered_state[1];
-    const double t9 = t7 + t8;
-    const double t10 = 0.0001 * t4;
-    const double t11 = t9 + t10;
-    const double t12 = 0.96079204 * self->filtered_covariance[0];
-    const double t13 = -0.00039208 * self->filtered_covariance[1];
-    const double t14 = t12 + t13;
-    const double t15 = 4.0e-08 * self->filtered_covariance[2];
-    const double t16 = t14 + t15;
-    const double t17 = t16 + 0.0001;
-    const double t18 = 0.0198 * u[0];
-    const double t19 = 1.0 - params->xi;
-    const double t20 = params->xi * t19;
-    const double t21 = t18 * t20;
-    const double t22 = t21 * t18;
-    const double t23 = t17 + t22;
-    const double t24 = 0.00921388 * self->filtered_covariance[0];
-    const double t25 = 0.88688308 * self->filtered_covariance[1];
-    const double t26 = t24 + t25;
-    const double t27 = -0.00018096000000000003 * self->filtered_covariance[2];
-    const double t28 = t26 + t27;
-    const double t29 = 0.0001 * u[0];
-    const double t30 = t29 * t20;
-    const double t31 = t30 * t18;
-    next->predicted_covariance[1] = t28 + t31;
-    const double t32 = 8.836e-05 * self->filtered_covariance[0];
-    const double t33 = 0.017010240000000003 * self->filtered_covariance[1];
-    const double t34 = t32 + t33;
-    const double t35 = 0.8186630400000001 * self->filtered_covariance[2];
-    const double t36 = t34 + t35;
-    const double t37 = t36 + 0.0001;
-    const double t38 = t30 * t29;
-    const double t39 = t37 + t38;
-    const double t40 = 0.9802 * self->filtered_gain[0];
-    const double t41 = -0.0002 * self->filtered_gain[1];
-    next->gain[0] = t40 + t41;
-    const double t42 = 0.0094 * self->filtered_gain[0];
-    const double t43 = 0.9048 * self->filtered_gain[1];
-    next->gain[1] = t42 + t43;
-    if (!dc_motor_known_finite(dc_motor_known_defect(t6) + dc_motor_known_defect(t11) +
-        dc_motor_known_defect(t23) + dc_motor_known_defect(t39)))
+    const double t1 = (0.9802 * self->filtered_state[0]) + (-0.0002 * self->filtered_state[1]);
+    const double t2 = params->xi * u[0];
+    const double t3 = t1 + (0.0198 * t2);
+    const double t4 = (0.0094 * self->filtered_state[0]) + (0.9048 * self->filtered_state[1]);
+    const double t5 = t4 + (0.0001 * t2);
+    const double t6 = 0.96079204 * self->filtered_covariance[0];
+    const double t7 = t6 + (-0.00039208 * self->filtered_covariance[1]);
+    const double t8 = t7 + (4.0e-08 * self->filtered_covariance[2]) + 0.0001;
+    const double t9 = 0.0198 * u[0];
+    const double t10 = params->xi * (1.0 - params->xi);
+    const double t11 = t8 + (t9 * t10 * t9);
+    const double t12 = 0.00921388 * self->filtered_covariance[0];
+    const double t13 = t12 + (0.88688308 * self->filtered_covariance[1]);
+    const double t14 = t13 + (-0.00018096000000000003 * self->filtered_covariance[2]);
+    const double t15 = 0.0001 * u[0];
+    const double t16 = t15 * t10;
+    next->predicted_covariance[1] = t14 + (t16 * t9);
+    const double t17 = 8.836e-05 * self->filtered_covariance[0];
+    const double t18 = t17 + (0.017010240000000003 * self->filtered_covariance[1]);
+    const double t19 = t18 + (0.8186630400000001 * self->filtered_covariance[2]) + 0.0001;
+    const double t20 = t19 + (t16 * t15);
+    next->gain[0] = (0.9802 * self->filtered_gain[0]) + (-0.0002 * self->filtered_gain[1]);
+    next->gain[1] = (0.0094 * self->filtered_gain[0]) + (0.9048 * self->filtered_gain[1]);
+    if (!dc_motor_known_finite(dc_motor_known_defect(t3) + dc_motor_known_defect(t5) +
+        dc_motor_known_defect(t11) + dc_motor_known_defect(t20)))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
-    next->predicted_state[0] = t6;
-    next->predicted_state[1] = t11;
-    next->predicted_covariance[0] = t23;
-    next->predicted_covariance[2] = t39;
+    next->predicted_state[0] = t3;
+    next->predicted_state[1] = t5;
+    next->predicted_covariance[0] = t11;
+    next->predicted_covariance[2] = t20;
     return DC_MOTOR_KNOWN_OK;
 }
 
@@ -332,10 +288,7 @@ static void dc_motor_known_fill(double *to, int size, const double *from, int pe
 
 dc_motor_known_status_t dc_motor_known_init(dc_motor_known_t *self)
 {
-    if (self == NULL)
-    {
-        return DC_MOTOR_KNOWN_NULL_POINTER;
-    }
+    if (self == NULL) { return DC_MOTOR_KNOWN_NULL_POINTER; }
     dc_motor_known_fill(self->predicted_state, 2, dc_motor_known_zero_0, 1);
     dc_motor_known_fill(self->predicted_covariance, 3, dc_motor_known_predicted_covariance_0, 1);
     dc_motor_known_fill(self->filtered_state, 2, dc_motor_known_zero_0, 1);
@@ -351,10 +304,7 @@ dc_motor_known_status_t dc_motor_known_init(dc_motor_known_t *self)
 
 dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *params)
 {
-    if (params == NULL)
-    {
-        return DC_MOTOR_KNOWN_NULL_POINTER;
-    }
+    if (params == NULL) { return DC_MOTOR_KNOWN_NULL_POINTER; }
     params->xi = 0.7;
     return DC_MOTOR_KNOWN_OK;
 }
@@ -371,20 +321,14 @@ dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self,
     {
         return DC_MOTOR_KNOWN_NULL_POINTER;
     }
-    if (!dc_motor_known_finite_input(u))
-    {
-        return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
-    }
+    if (!dc_motor_known_finite_input(u)) { return DC_MOTOR_KNOWN_INPUT_NOT_FINITE; }
     if (!dc_motor_known_present_rows(y, valid, &present))
     {
         return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
     }
     next = *self;
     status = dc_motor_known_correct(self, params, y, present, &next);
-    if (status != DC_MOTOR_KNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
 }
@@ -394,20 +338,11 @@ dc_motor_known_status_t dc_motor_known_predict(dc_motor_known_t *self,
 {
     dc_motor_known_t next;
     dc_motor_known_status_t status;
-    if ((self == NULL) || (params == NULL) || (u == NULL))
-    {
-        return DC_MOTOR_KNOWN_NULL_POINTER;
-    }
-    if (!dc_motor_known_finite_input(u))
-    {
-        return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (params == NULL) || (u == NULL)) { return DC_MOTOR_KNOWN_NULL_POINTER; }
+    if (!dc_motor_known_finite_input(u)) { return DC_MOTOR_KNOWN_INPUT_NOT_FINITE; }
     next = *self;
     status = dc_motor_known_propagate(self, params, u, &next);
-    if (status != DC_MOTOR_KNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
     *self = next;
     return DC_MOTOR_KNOWN_OK;
 }
@@ -422,24 +357,15 @@ dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
     {
         return DC_MOTOR_KNOWN_NULL_POINTER;
     }
-    if (!dc_motor_known_finite_input(u))
-    {
-        return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
-    }
+    if (!dc_motor_known_finite_input(u)) { return DC_MOTOR_KNOWN_INPUT_NOT_FINITE; }
     if (!dc_motor_known_present_rows(y, valid, &present))
     {
         return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
     }
     status = dc_motor_known_correct(self, params, y, present, &next);
-    if (status != DC_MOTOR_KNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
     status = dc_motor_known_propagate(&next, params, u, &next);
-    if (status != DC_MOTOR_KNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_KNOWN_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
 }

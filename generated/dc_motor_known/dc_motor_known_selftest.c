@@ -74,10 +74,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -98,19 +95,13 @@ dc_motor_known_status_t dc_motor_known_selftest(void)
     const double *expected = final;
     dc_motor_known_params_t params;
     int k;
-    if (dc_motor_known_init(&filter) != DC_MOTOR_KNOWN_OK)
-    {
-        return DC_MOTOR_KNOWN_NULL_POINTER;
-    }
+    if (dc_motor_known_init(&filter) != DC_MOTOR_KNOWN_OK) { return DC_MOTOR_KNOWN_NULL_POINTER; }
     (void)dc_motor_known_params_init(&params);
     for (k = 0; k < SAMPLES; ++k)
     {
         const dc_motor_known_status_t status = dc_motor_known_step(&filter, &params, input[k],
             measurement[k], valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], DC_MOTOR_KNOWN_NX))
         {
             return DC_MOTOR_KNOWN_SELFTEST_FAILED;

@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define DC_MOTOR_UNKNOWN_INLINE static inline __attribute__((always_inline))
@@ -38,14 +43,8 @@ static double dc_motor_unknown_log(double x)
     dc_motor_unknown_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -95,18 +94,9 @@ static double dc_motor_unknown_exp(double x)
 {
     double y, part, r;
     int32_t k, half;
-    if (x > 709.782712893384)
-    {
-        return DBL_MAX * 2.0;
-    }
-    if (x < -745.1332191019411)
-    {
-        return 0.0;
-    }
-    if (!(x <= DBL_MAX))
-    {
-        return x;
-    }
+    if (x > 709.782712893384) { return DBL_MAX * 2.0; }
+    if (x < -745.1332191019411) { return 0.0; }
+    if (!(x <= DBL_MAX)) { return x; }
     r = x * 1.4426950408889634;
     r = r + ((x >= 0.0) ? 0.5 : -0.5);
     k = (int32_t)r;
@@ -194,10 +184,7 @@ static int dc_motor_unknown_finite_input(const double *u)
     int i;
     for (i = 0; i < DC_MOTOR_UNKNOWN_NU; ++i)
     {
-        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(u[i])))
-        {
-            return 0;
-        }
+        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(u[i]))) { return 0; }
     }
     return 1;
 }
@@ -237,7 +224,9 @@ static const double dc_motor_unknown_hypothesis_numbers[5][2] = {
     { 0.9, 0.08999999999999998 }
 };
 
-/* hypothesis 0; hypothesis 1; hypothesis 2; hypothesis 3; hypothesis 4. */
+/* hypothesis 0: innovation, row by row; hypothesis 1: innovation, row by row; hypothesis 2:
+ * innovation, row by row; hypothesis 3: innovation, row by row; hypothesis 4: innovation, row by
+ * row. */
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis(const double *y,
     const double *mode_state, double *innovation_0, const double u, double *innovation_1,
     double *mean, const double *mode_covariance, double *covariance, double *pivot_0,
@@ -248,15 +237,14 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis(co
     double cross_1[3];
     double inverse_1 = 0.0;
 
-    /* innovation, row by row */
+    /* hypothesis 0: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
         innovation_0[0] = y[0] - mode_state[1];
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t0 = numbers[0] * u;
-        innovation_1[0] = y[1] - t0;
+        innovation_1[0] = y[1] - (numbers[0] * u);
     }
 
     /* hypothesis 0 */
@@ -270,39 +258,27 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis(co
     covariance[4] = 0.0;
     covariance[5] = numbers[1];
 
-    /* row 0 of y, speed_measured */
+    /* hypothesis 0: row 0 of y, speed_measured */
     pivot_0[0] = mode_covariance[2] + 5.0e-06;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0[0] > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0[0] > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0[0];
-        const double t1 = innovation_0[0] * inverse_0;
-        quadratic[0] = innovation_0[0] * t1;
-        const double t2 = mode_covariance[1] * t1;
-        mean[0] = mode_state[0] + t2;
-        const double t3 = mode_covariance[2] * t1;
-        mean[1] = mode_state[1] + t3;
-        const double t4 = mode_covariance[1] * inverse_0;
-        const double t5 = t4 * mode_covariance[1];
-        const double t6 = mode_covariance[0] - t5;
-        const double t7 = 5.0e-06 * t4;
-        const double t8 = mode_covariance[2] * inverse_0;
-        const double t9 = t8 * mode_covariance[1];
-        const double t10 = mode_covariance[1] - t9;
-        const double t11 = t7 - t10;
-        const double t12 = t11 * t4;
-        covariance[0] = t6 + t12;
-        const double t13 = 5.0e-06 * t8;
-        const double t14 = t8 * mode_covariance[2];
-        const double t15 = mode_covariance[2] - t14;
-        const double t16 = t13 - t15;
-        const double t17 = t16 * t4;
-        covariance[1] = t10 + t17;
-        const double t18 = t16 * t8;
-        covariance[2] = t15 + t18;
+        const double t0 = innovation_0[0] * inverse_0;
+        quadratic[0] = innovation_0[0] * t0;
+        mean[0] = mode_state[0] + (mode_covariance[1] * t0);
+        mean[1] = mode_state[1] + (mode_covariance[2] * t0);
+        const double t1 = mode_covariance[1] * inverse_0;
+        const double t2 = mode_covariance[0] - (t1 * mode_covariance[1]);
+        const double t3 = 5.0e-06 * t1;
+        const double t4 = mode_covariance[2] * inverse_0;
+        const double t5 = mode_covariance[1] - (t4 * mode_covariance[1]);
+        covariance[0] = t2 + ((t3 - t5) * t1);
+        const double t6 = 5.0e-06 * t4;
+        const double t7 = mode_covariance[2] - (t4 * mode_covariance[2]);
+        const double t8 = t6 - t7;
+        covariance[1] = t5 + (t8 * t1);
+        covariance[2] = t7 + (t8 * t4);
         log_constant[0] = DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_0[0] = pivot_0[0];
         mean[2] = 0.0;
@@ -311,66 +287,124 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis(co
         covariance[5] = numbers[1];
     }
 
-    /* row 1 of y, voltage_measured */
+    /* hypothesis 0: row 1 of y, voltage_measured */
     cross_1[0] = covariance[3] * u;
     cross_1[1] = covariance[4] * u;
     cross_1[2] = covariance[5] * u;
-    const double t19 = u * cross_1[2];
-    pivot_1[0] = t19 + 0.01;
+    pivot_1[0] = (u * cross_1[2]) + 0.01;
     if ((present & 0x2u) != 0u)
     {
-        if (!(pivot_1[0] > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_1[0] > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
         inverse_1 = 1.0 / pivot_1[0];
-        const double t20 = innovation_1[0] * inverse_1;
-        const double t21 = innovation_1[0] * t20;
-        quadratic[0] = quadratic[0] + t21;
+        const double t9 = innovation_1[0] * inverse_1;
+        quadratic[0] = quadratic[0] + (innovation_1[0] * t9);
         log_constant[0] = log_constant[0] + DC_MOTOR_UNKNOWN_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_1[0];
-        const double t22 = cross_1[0] * t20;
-        mean[0] = mean[0] + t22;
-        const double t23 = cross_1[1] * t20;
-        mean[1] = mean[1] + t23;
-        const double t24 = cross_1[2] * t20;
-        mean[2] = mean[2] + t24;
-        const double t25 = cross_1[0] * inverse_1;
-        const double t26 = t25 * cross_1[0];
-        const double t27 = covariance[0] - t26;
-        const double t28 = 0.01 * t25;
-        const double t29 = cross_1[2] * inverse_1;
-        const double t30 = t29 * cross_1[0];
-        const double t31 = covariance[3] - t30;
-        const double t32 = t31 * u;
-        const double t33 = t28 - t32;
-        const double t34 = t33 * t25;
-        covariance[0] = t27 + t34;
-        const double t35 = cross_1[1] * inverse_1;
-        const double t36 = t35 * cross_1[0];
-        const double t37 = covariance[1] - t36;
-        const double t38 = 0.01 * t35;
-        const double t39 = t29 * cross_1[1];
-        const double t40 = covariance[4] - t39;
-        const double t41 = t40 * u;
-        const double t42 = t38 - t41;
-        const double t43 = t42 * t25;
-        covariance[1] = t37 + t43;
-        const double t44 = t35 * cross_1[1];
-        const double t45 = covariance[2] - t44;
-        const double t46 = t42 * t35;
-        covariance[2] = t45 + t46;
-        const double t47 = 0.01 * t29;
-        const double t48 = t29 * cross_1[2];
-        const double t49 = covariance[5] - t48;
-        const double t50 = t49 * u;
-        const double t51 = t47 - t50;
-        const double t52 = t51 * t25;
-        covariance[3] = t31 + t52;
-        const double t53 = t51 * t35;
-        covariance[4] = t40 + t53;
-        const double t54 = t51 * t29;
-        covariance[5] = t49 + t54;
+        mean[0] = mean[0] + (cross_1[0] * t9);
+        mean[1] = mean[1] + (cross_1[1] * t9);
+        mean[2] = mean[2] + (cross_1[2] * t9);
+        const double t10 = cross_1[0] * inverse_1;
+        const double t11 = covariance[0] - (t10 * cross_1[0]);
+        const double t12 = 0.01 * t10;
+        const double t13 = cross_1[2] * inverse_1;
+        const double t14 = covariance[3] - (t13 * cross_1[0]);
+        covariance[0] = t11 + ((t12 - (t14 * u)) * t10);
+        const double t15 = cross_1[1] * inverse_1;
+        const double t16 = covariance[1] - (t15 * cross_1[0]);
+        const double t17 = 0.01 * t15;
+        const double t18 = covariance[4] - (t13 * cross_1[1]);
+        const double t19 = t17 - (t18 * u);
+        covariance[1] = t16 + (t19 * t10);
+        covariance[2] = (covariance[2] - (t15 * cross_1[1])) + (t19 * t15);
+        const double t20 = 0.01 * t13;
+        const double t21 = covariance[5] - (t13 * cross_1[2]);
+        const double t22 = t20 - (t21 * u);
+        covariance[3] = t14 + (t22 * t10);
+        covariance[4] = t18 + (t22 * t15);
+        covariance[5] = t21 + (t22 * t13);
+    }
+    return DC_MOTOR_UNKNOWN_OK;
+}
+
+/* combined prediction. */
+DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combined_prediction(const double
+    *mode_filtered_covariance, const double u, const double *mode_deviation_cross,
+    const double mode_deviation_covariance, double *moved_covariance)
+{
+    const double t0 = 0.9802 * mode_filtered_covariance[0];
+    const double t1 = t0 + (-0.0002 * mode_filtered_covariance[1]);
+    const double t2 = 0.0198 * u;
+    const double t3 = 0.9802 * (t1 + (t2 * mode_deviation_cross[0]));
+    const double t4 = 0.9802 * mode_filtered_covariance[1];
+    const double t5 = t4 + (-0.0002 * mode_filtered_covariance[2]);
+    const double t6 = t3 + (-0.0002 * (t5 + (t2 * mode_deviation_cross[1])));
+    const double t7 = (0.9802 * mode_deviation_cross[0]) + (-0.0002 * mode_deviation_cross[1]);
+    moved_covariance[0] = t6 + ((t7 + (t2 * mode_deviation_covariance)) * t2) + 0.0001;
+    const double t8 = 0.0094 * mode_filtered_covariance[0];
+    const double t9 = t8 + (0.9048 * mode_filtered_covariance[1]);
+    const double t10 = 0.0001 * u;
+    const double t11 = t9 + (t10 * mode_deviation_cross[0]);
+    const double t12 = 0.9802 * t11;
+    const double t13 = 0.0094 * mode_filtered_covariance[1];
+    const double t14 = t13 + (0.9048 * mode_filtered_covariance[2]);
+    const double t15 = t14 + (t10 * mode_deviation_cross[1]);
+    const double t16 = t12 + (-0.0002 * t15);
+    const double t17 = (0.0094 * mode_deviation_cross[0]) + (0.9048 * mode_deviation_cross[1]);
+    const double t18 = t17 + (t10 * mode_deviation_covariance);
+    moved_covariance[1] = t16 + (t18 * t2);
+    moved_covariance[2] = (0.0094 * t11) + (0.9048 * t15) + (t18 * t10) + 0.0001;
+}
+
+/* What differs between the calls of dc_motor_unknown_propagate_2, a row for each. */
+static const double dc_motor_unknown_propagate_2_numbers[5][2] = {
+    { 0.0019800000000000004, 1.0e-05 },
+    { 0.00594, 3.0e-05 },
+    { 0.0099, 5.0e-05 },
+    { 0.01386, 7.0e-05 },
+    { 0.017820000000000003, 9.0e-05 }
+};
+
+/* propagate. */
+DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_propagate_2(const double *mode_filtered_state,
+    const double u, const double mode_deviation, double *moved_state, const double *numbers)
+{
+    const double t0 = (0.9802 * mode_filtered_state[0]) + (-0.0002 * mode_filtered_state[1]);
+    moved_state[0] = t0 + (numbers[0] * u) + (0.0198 * u * mode_deviation);
+    const double t1 = (0.0094 * mode_filtered_state[0]) + (0.9048 * mode_filtered_state[1]);
+    moved_state[1] = t1 + (numbers[1] * u) + (0.0001 * u * mode_deviation);
+}
+
+/* hypothesis 0: innovation, row by row; hypothesis 2: innovation, row by row. */
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
+    const double *mode_state, double *innovation_0, const double u, double *innovation_1,
+    double *mean, const double *mode_covariance, double *covariance, double *pivot_0,
+    double *quadratic, double *log_constant, double *determinant_0, double *pivot_1,
+    double *innovation_0_2, double *innovation_1_2, double *mean_2, double *covariance_2,
+    double *pivot_0_2, double *quadratic_2, double *log_constant_2, double *determinant_0_2,
+    double *pivot_1_2, const double *numbers_of_0, const double *numbers_of_1, uint32_t present)
+{
+    dc_motor_unknown_status_t status;
+
+    /* hypothesis 0: innovation, row by row */
+    status = dc_motor_unknown_hypothesis(y, mode_state, innovation_0, u, innovation_1, mean,
+        mode_covariance, covariance, pivot_0, quadratic, log_constant, determinant_0, pivot_1,
+        numbers_of_0, present);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean[0]) +
+        dc_motor_unknown_defect(mean[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
+
+    /* hypothesis 1: innovation, row by row */
+    status = dc_motor_unknown_hypothesis(y, &mode_state[2], innovation_0_2, u, innovation_1_2,
+        mean_2, &mode_covariance[3], covariance_2, pivot_0_2, quadratic_2, log_constant_2,
+        determinant_0_2, pivot_1_2, numbers_of_1, present);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_2[0]) +
+        dc_motor_unknown_defect(mean_2[1])))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
     return DC_MOTOR_UNKNOWN_OK;
 }
@@ -391,140 +425,65 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined
 {
     const double t0 = combined_innovation[0] * combined_innovation[0];
     const double t1 = t0 * whitening_inverse_combined_0;
-    const double t2 = whitening_combined_0_1 * combined_innovation[0];
-    const double t3 = combined_innovation[1] - t2;
-    const double t4 = t3 * t3;
-    const double t5 = t4 * whitening_inverse_combined_1;
-    nis[0] = t1 + t5;
-    const double t6 = weight[0] * mean_h0[0];
-    const double t7 = weight[1] * mean_h1[0];
-    const double t8 = t6 + t7;
-    const double t9 = weight[2] * mean_h2[0];
-    const double t10 = t8 + t9;
-    const double t11 = weight[3] * mean_h3[0];
-    const double t12 = t10 + t11;
-    const double t13 = weight[4] * mean_h4[0];
-    const double t14 = t12 + t13;
-    const double t15 = weight[0] * mean_h0[1];
-    const double t16 = weight[1] * mean_h1[1];
-    const double t17 = t15 + t16;
-    const double t18 = weight[2] * mean_h2[1];
-    const double t19 = t17 + t18;
-    const double t20 = weight[3] * mean_h3[1];
-    const double t21 = t19 + t20;
-    const double t22 = weight[4] * mean_h4[1];
-    const double t23 = t21 + t22;
-    const double t24 = weight[0] * covariance_h0[0];
-    const double t25 = weight[1] * covariance_h1[0];
-    const double t26 = t24 + t25;
-    const double t27 = weight[2] * covariance_h2[0];
-    const double t28 = t26 + t27;
-    const double t29 = weight[3] * covariance_h3[0];
-    const double t30 = t28 + t29;
-    const double t31 = weight[4] * covariance_h4[0];
-    const double t32 = t30 + t31;
-    const double t33 = mean_h0[0] - t14;
-    const double t34 = weight[0] * t33;
-    const double t35 = t34 * t33;
-    const double t36 = mean_h1[0] - t14;
-    const double t37 = weight[1] * t36;
-    const double t38 = t37 * t36;
-    const double t39 = t35 + t38;
-    const double t40 = mean_h2[0] - t14;
-    const double t41 = weight[2] * t40;
-    const double t42 = t41 * t40;
-    const double t43 = t39 + t42;
-    const double t44 = mean_h3[0] - t14;
-    const double t45 = weight[3] * t44;
-    const double t46 = t45 * t44;
-    const double t47 = t43 + t46;
-    const double t48 = mean_h4[0] - t14;
-    const double t49 = weight[4] * t48;
-    const double t50 = t49 * t48;
-    const double t51 = t47 + t50;
-    filtered_covariance[0] = t32 + t51;
-    const double t52 = weight[0] * covariance_h0[1];
-    const double t53 = weight[1] * covariance_h1[1];
-    const double t54 = t52 + t53;
-    const double t55 = weight[2] * covariance_h2[1];
-    const double t56 = t54 + t55;
-    const double t57 = weight[3] * covariance_h3[1];
-    const double t58 = t56 + t57;
-    const double t59 = weight[4] * covariance_h4[1];
-    const double t60 = t58 + t59;
-    const double t61 = mean_h0[1] - t23;
-    const double t62 = weight[0] * t61;
-    const double t63 = t62 * t33;
-    const double t64 = mean_h1[1] - t23;
-    const double t65 = weight[1] * t64;
-    const double t66 = t65 * t36;
-    const double t67 = t63 + t66;
-    const double t68 = mean_h2[1] - t23;
-    const double t69 = weight[2] * t68;
-    const double t70 = t69 * t40;
-    const double t71 = t67 + t70;
-    const double t72 = mean_h3[1] - t23;
-    const double t73 = weight[3] * t72;
-    const double t74 = t73 * t44;
-    const double t75 = t71 + t74;
-    const double t76 = mean_h4[1] - t23;
-    const double t77 = weight[4] * t76;
-    const double t78 = t77 * t48;
-    const double t79 = t75 + t78;
-    filtered_covariance[1] = t60 + t79;
-    const double t80 = weight[0] * covariance_h0[2];
-    const double t81 = weight[1] * covariance_h1[2];
-    const double t82 = t80 + t81;
-    const double t83 = weight[2] * covariance_h2[2];
-    const double t84 = t82 + t83;
-    const double t85 = weight[3] * covariance_h3[2];
-    const double t86 = t84 + t85;
-    const double t87 = weight[4] * covariance_h4[2];
-    const double t88 = t86 + t87;
-    const double t89 = t62 * t61;
-    const double t90 = t65 * t64;
-    const double t91 = t89 + t90;
-    const double t92 = t69 * t68;
-    const double t93 = t91 + t92;
-    const double t94 = t73 * t72;
-    const double t95 = t93 + t94;
-    const double t96 = t77 * t76;
-    const double t97 = t95 + t96;
-    filtered_covariance[2] = t88 + t97;
-    const double t98 = weight[0] * mode_state[0];
-    const double t99 = weight[1] * mode_state[2];
-    const double t100 = t98 + t99;
-    const double t101 = weight[2] * mode_state[4];
-    const double t102 = t100 + t101;
-    const double t103 = weight[3] * mode_state[6];
-    const double t104 = t102 + t103;
-    const double t105 = weight[4] * mode_state[8];
-    paper_state[0] = t104 + t105;
-    const double t106 = weight[0] * mode_state[1];
-    const double t107 = weight[1] * mode_state[3];
-    const double t108 = t106 + t107;
-    const double t109 = weight[2] * mode_state[5];
-    const double t110 = t108 + t109;
-    const double t111 = weight[3] * mode_state[7];
-    const double t112 = t110 + t111;
-    const double t113 = weight[4] * mode_state[9];
-    paper_state[1] = t112 + t113;
-    const double t114 = 0.1 * weight[0];
-    const double t115 = 0.3 * weight[1];
-    const double t116 = t114 + t115;
-    const double t117 = 0.5 * weight[2];
-    const double t118 = t116 + t117;
-    const double t119 = 0.7 * weight[3];
-    const double t120 = t118 + t119;
-    const double t121 = 0.9 * weight[4];
-    success_rate_estimate[0] = t120 + t121;
+    const double t2 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    nis[0] = t1 + (t2 * t2 * whitening_inverse_combined_1);
+    const double t3 = (weight[0] * mean_h0[0]) + (weight[1] * mean_h1[0]);
+    const double t4 = t3 + (weight[2] * mean_h2[0]) + (weight[3] * mean_h3[0]);
+    const double t5 = t4 + (weight[4] * mean_h4[0]);
+    const double t6 = (weight[0] * mean_h0[1]) + (weight[1] * mean_h1[1]);
+    const double t7 = t6 + (weight[2] * mean_h2[1]) + (weight[3] * mean_h3[1]);
+    const double t8 = t7 + (weight[4] * mean_h4[1]);
+    const double t9 = (weight[0] * covariance_h0[0]) + (weight[1] * covariance_h1[0]);
+    const double t10 = t9 + (weight[2] * covariance_h2[0]) + (weight[3] * covariance_h3[0]);
+    const double t11 = t10 + (weight[4] * covariance_h4[0]);
+    const double t12 = mean_h0[0] - t5;
+    const double t13 = weight[0] * t12 * t12;
+    const double t14 = mean_h1[0] - t5;
+    const double t15 = t13 + (weight[1] * t14 * t14);
+    const double t16 = mean_h2[0] - t5;
+    const double t17 = t15 + (weight[2] * t16 * t16);
+    const double t18 = mean_h3[0] - t5;
+    const double t19 = t17 + (weight[3] * t18 * t18);
+    const double t20 = mean_h4[0] - t5;
+    filtered_covariance[0] = t11 + (t19 + (weight[4] * t20 * t20));
+    const double t21 = (weight[0] * covariance_h0[1]) + (weight[1] * covariance_h1[1]);
+    const double t22 = t21 + (weight[2] * covariance_h2[1]) + (weight[3] * covariance_h3[1]);
+    const double t23 = t22 + (weight[4] * covariance_h4[1]);
+    const double t24 = mean_h0[1] - t8;
+    const double t25 = weight[0] * t24;
+    const double t26 = t25 * t12;
+    const double t27 = mean_h1[1] - t8;
+    const double t28 = weight[1] * t27;
+    const double t29 = t26 + (t28 * t14);
+    const double t30 = mean_h2[1] - t8;
+    const double t31 = weight[2] * t30;
+    const double t32 = t29 + (t31 * t16);
+    const double t33 = mean_h3[1] - t8;
+    const double t34 = weight[3] * t33;
+    const double t35 = t32 + (t34 * t18);
+    const double t36 = mean_h4[1] - t8;
+    const double t37 = weight[4] * t36;
+    filtered_covariance[1] = t23 + (t35 + (t37 * t20));
+    const double t38 = (weight[0] * covariance_h0[2]) + (weight[1] * covariance_h1[2]);
+    const double t39 = t38 + (weight[2] * covariance_h2[2]) + (weight[3] * covariance_h3[2]);
+    const double t40 = t39 + (weight[4] * covariance_h4[2]);
+    const double t41 = (t25 * t24) + (t28 * t27) + (t31 * t30) + (t34 * t33) + (t37 * t36);
+    filtered_covariance[2] = t40 + t41;
+    const double t42 = (weight[0] * mode_state[0]) + (weight[1] * mode_state[2]);
+    const double t43 = t42 + (weight[2] * mode_state[4]) + (weight[3] * mode_state[6]);
+    paper_state[0] = t43 + (weight[4] * mode_state[8]);
+    const double t44 = (weight[0] * mode_state[1]) + (weight[1] * mode_state[3]);
+    const double t45 = t44 + (weight[2] * mode_state[5]) + (weight[3] * mode_state[7]);
+    paper_state[1] = t45 + (weight[4] * mode_state[9]);
+    const double t46 = (0.1 * weight[0]) + (0.3 * weight[1]) + (0.5 * weight[2]);
+    success_rate_estimate[0] = t46 + (0.7 * weight[3]) + (0.9 * weight[4]);
     innovation[0] = combined_innovation[0];
     innovation[1] = combined_innovation[1];
     innovation_covariance[0] = combined_variance[0];
     innovation_covariance[1] = combined_variance[1];
     innovation_covariance[2] = combined_variance[2];
-    filtered_state[0] = t14;
-    filtered_state[1] = t23;
+    filtered_state[0] = t5;
+    filtered_state[1] = t8;
     mode_filtered_state[0] = mean_h0[0];
     mode_filtered_state[1] = mean_h0[1];
     mode_filtered_state[2] = mean_h1[0];
@@ -583,8 +542,8 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined
     log_likelihood[0] = log_evidence;
 }
 
-/* hypothesis 4. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
+/* hypothesis 4: innovation, row by row. */
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(const double *y,
     const double *mode_state, const double u, const double *mode_covariance,
     const double determinant_h0_0, const double log_constant_h0, const double quadratic_h0,
     const double determinant_h1_0, const double log_constant_h1, const double quadratic_h1,
@@ -641,14 +600,11 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
     double whitening_inverse_combined_1 = 0.0;
     dc_motor_unknown_status_t status;
 
-    /* hypothesis 4 */
+    /* hypothesis 4: innovation, row by row */
     status = dc_motor_unknown_hypothesis(y, &mode_state[8], &innovation_h4_0, u, &innovation_h4_1,
         mean_h4, mode_covariance, covariance_h4, &pivot_h4_0, &quadratic_h4, &log_constant_h4,
         &determinant_h4_0, &pivot_h4_1, dc_motor_unknown_hypothesis_numbers[4], present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h4[0]) +
         dc_motor_unknown_defect(mean_h4[1])))
     {
@@ -656,26 +612,16 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
     }
 
     /* weights of the hypotheses */
-    const double t0 = dc_motor_unknown_log(determinant_h0_0);
-    const double t1 = log_constant_h0 + t0;
-    const double t2 = quadratic_h0 + t1;
-    log_likelihood_h0 = -0.5 * t2;
-    const double t3 = dc_motor_unknown_log(determinant_h1_0);
-    const double t4 = log_constant_h1 + t3;
-    const double t5 = quadratic_h1 + t4;
-    log_likelihood_h1 = -0.5 * t5;
-    const double t6 = dc_motor_unknown_log(determinant_h2_0);
-    const double t7 = log_constant_h2 + t6;
-    const double t8 = quadratic_h2 + t7;
-    log_likelihood_h2 = -0.5 * t8;
-    const double t9 = dc_motor_unknown_log(determinant_h3_0);
-    const double t10 = log_constant_h3 + t9;
-    const double t11 = quadratic_h3 + t10;
-    log_likelihood_h3 = -0.5 * t11;
-    const double t12 = dc_motor_unknown_log(determinant_h4_0);
-    const double t13 = log_constant_h4 + t12;
-    const double t14 = quadratic_h4 + t13;
-    log_likelihood_h4 = -0.5 * t14;
+    const double t0 = quadratic_h0 + (log_constant_h0 + dc_motor_unknown_log(determinant_h0_0));
+    log_likelihood_h0 = -0.5 * t0;
+    const double t1 = quadratic_h1 + (log_constant_h1 + dc_motor_unknown_log(determinant_h1_0));
+    log_likelihood_h1 = -0.5 * t1;
+    const double t2 = quadratic_h2 + (log_constant_h2 + dc_motor_unknown_log(determinant_h2_0));
+    log_likelihood_h2 = -0.5 * t2;
+    const double t3 = quadratic_h3 + (log_constant_h3 + dc_motor_unknown_log(determinant_h3_0));
+    log_likelihood_h3 = -0.5 * t3;
+    const double t4 = quadratic_h4 + (log_constant_h4 + dc_motor_unknown_log(determinant_h4_0));
+    log_likelihood_h4 = -0.5 * t4;
     weight[0] = mode_probability[0];
     weight[1] = mode_probability[1];
     weight[2] = mode_probability[2];
@@ -693,29 +639,19 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
         log_joint[2] = log_weight[2] + log_likelihood_h2;
         log_joint[3] = log_weight[3] + log_likelihood_h3;
         log_joint[4] = log_weight[4] + log_likelihood_h4;
-        const double t15 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t16 = (t15 > log_joint[2]) ? t15 : log_joint[2];
-        const double t17 = (t16 > log_joint[3]) ? t16 : log_joint[3];
-        log_largest = (t17 > log_joint[4]) ? t17 : log_joint[4];
-        const double t18 = log_joint[0] - log_largest;
-        share_of_largest[0] = dc_motor_unknown_exp(t18);
-        const double t19 = log_joint[1] - log_largest;
-        share_of_largest[1] = dc_motor_unknown_exp(t19);
-        const double t20 = log_joint[2] - log_largest;
-        share_of_largest[2] = dc_motor_unknown_exp(t20);
-        const double t21 = log_joint[3] - log_largest;
-        share_of_largest[3] = dc_motor_unknown_exp(t21);
-        const double t22 = log_joint[4] - log_largest;
-        share_of_largest[4] = dc_motor_unknown_exp(t22);
-        const double t23 = share_of_largest[0] + share_of_largest[1];
-        const double t24 = t23 + share_of_largest[2];
-        const double t25 = t24 + share_of_largest[3];
-        share_total = t25 + share_of_largest[4];
-        const double t26 = log_largest - DC_MOTOR_UNKNOWN_LEAST_LOG_DENSITY;
-        if (!(t26 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-        }
+        const double t5 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t6 = (t5 > log_joint[2]) ? t5 : log_joint[2];
+        const double t7 = (t6 > log_joint[3]) ? t6 : log_joint[3];
+        log_largest = (t7 > log_joint[4]) ? t7 : log_joint[4];
+        share_of_largest[0] = dc_motor_unknown_exp(log_joint[0] - log_largest);
+        share_of_largest[1] = dc_motor_unknown_exp(log_joint[1] - log_largest);
+        share_of_largest[2] = dc_motor_unknown_exp(log_joint[2] - log_largest);
+        share_of_largest[3] = dc_motor_unknown_exp(log_joint[3] - log_largest);
+        share_of_largest[4] = dc_motor_unknown_exp(log_joint[4] - log_largest);
+        const double t8 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
+        share_total = t8 + share_of_largest[3] + share_of_largest[4];
+        const double t9 = log_largest - DC_MOTOR_UNKNOWN_LEAST_LOG_DENSITY;
+        if (!(t9 > 0.0)) { return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE; }
         if (!dc_motor_unknown_finite(dc_motor_unknown_defect(share_total)))
         {
             return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
@@ -727,21 +663,16 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
         weight[2] = share_of_largest[2] * share_total_inverse;
         weight[3] = share_of_largest[3] * share_total_inverse;
         weight[4] = share_of_largest[4] * share_total_inverse;
-        const double t27 = log_joint[0] - log_largest;
-        const double t28 = t27 - log_share_total;
-        log_weight_now[0] = (t28 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t28 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t29 = log_joint[1] - log_largest;
-        const double t30 = t29 - log_share_total;
-        log_weight_now[1] = (t30 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t30 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t31 = log_joint[2] - log_largest;
-        const double t32 = t31 - log_share_total;
-        log_weight_now[2] = (t32 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t32 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t33 = log_joint[3] - log_largest;
-        const double t34 = t33 - log_share_total;
-        log_weight_now[3] = (t34 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t34 : DC_MOTOR_UNKNOWN_LOG_ZERO;
-        const double t35 = log_joint[4] - log_largest;
-        const double t36 = t35 - log_share_total;
-        log_weight_now[4] = (t36 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t36 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t10 = (log_joint[0] - log_largest) - log_share_total;
+        log_weight_now[0] = (t10 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t10 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t11 = (log_joint[1] - log_largest) - log_share_total;
+        log_weight_now[1] = (t11 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t11 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t12 = (log_joint[2] - log_largest) - log_share_total;
+        log_weight_now[2] = (t12 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t12 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t13 = (log_joint[3] - log_largest) - log_share_total;
+        log_weight_now[3] = (t13 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t13 : DC_MOTOR_UNKNOWN_LOG_ZERO;
+        const double t14 = (log_joint[4] - log_largest) - log_share_total;
+        log_weight_now[4] = (t14 > DC_MOTOR_UNKNOWN_LOG_ZERO) ? t14 : DC_MOTOR_UNKNOWN_LOG_ZERO;
         log_evidence = log_largest + log_share_total;
     }
 
@@ -756,127 +687,73 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
     predicted_y_h3[0] = mode_state[7];
     predicted_y_h4[1] = 0.9 * u;
     predicted_y_h4[0] = mode_state[9];
-    const double t37 = mode_probability[0] * pivot_h0_0;
-    const double t38 = mode_probability[1] * pivot_h1_0;
-    const double t39 = t37 + t38;
-    const double t40 = mode_probability[2] * pivot_h2_0;
-    const double t41 = t39 + t40;
-    const double t42 = mode_probability[3] * pivot_h3_0;
-    const double t43 = t41 + t42;
-    const double t44 = mode_probability[4] * pivot_h4_0;
-    const double t45 = t43 + t44;
-    const double t46 = mode_probability[0] * predicted_y_h0[0];
-    const double t47 = mode_probability[1] * predicted_y_h1[0];
-    const double t48 = t46 + t47;
-    const double t49 = mode_probability[2] * predicted_y_h2[0];
-    const double t50 = t48 + t49;
-    const double t51 = mode_probability[3] * predicted_y_h3[0];
-    const double t52 = t50 + t51;
-    const double t53 = mode_probability[4] * predicted_y_h4[0];
-    const double t54 = t52 + t53;
-    const double t55 = predicted_y_h0[0] - t54;
-    const double t56 = mode_probability[0] * t55;
-    const double t57 = t56 * t55;
-    const double t58 = predicted_y_h1[0] - t54;
-    const double t59 = mode_probability[1] * t58;
-    const double t60 = t59 * t58;
-    const double t61 = t57 + t60;
-    const double t62 = predicted_y_h2[0] - t54;
-    const double t63 = mode_probability[2] * t62;
-    const double t64 = t63 * t62;
-    const double t65 = t61 + t64;
-    const double t66 = predicted_y_h3[0] - t54;
-    const double t67 = mode_probability[3] * t66;
-    const double t68 = t67 * t66;
-    const double t69 = t65 + t68;
-    const double t70 = predicted_y_h4[0] - t54;
-    const double t71 = mode_probability[4] * t70;
-    const double t72 = t71 * t70;
-    const double t73 = t69 + t72;
-    combined_variance[0] = t45 + t73;
-    const double t74 = mode_probability[0] * predicted_y_h0[1];
-    const double t75 = mode_probability[1] * predicted_y_h1[1];
-    const double t76 = t74 + t75;
-    const double t77 = mode_probability[2] * predicted_y_h2[1];
-    const double t78 = t76 + t77;
-    const double t79 = mode_probability[3] * predicted_y_h3[1];
-    const double t80 = t78 + t79;
-    const double t81 = mode_probability[4] * predicted_y_h4[1];
-    const double t82 = t80 + t81;
-    const double t83 = predicted_y_h0[1] - t82;
-    const double t84 = mode_probability[0] * t83;
-    const double t85 = t84 * t55;
-    const double t86 = predicted_y_h1[1] - t82;
-    const double t87 = mode_probability[1] * t86;
-    const double t88 = t87 * t58;
-    const double t89 = t85 + t88;
-    const double t90 = predicted_y_h2[1] - t82;
-    const double t91 = mode_probability[2] * t90;
-    const double t92 = t91 * t62;
-    const double t93 = t89 + t92;
-    const double t94 = predicted_y_h3[1] - t82;
-    const double t95 = mode_probability[3] * t94;
-    const double t96 = t95 * t66;
-    const double t97 = t93 + t96;
-    const double t98 = predicted_y_h4[1] - t82;
-    const double t99 = mode_probability[4] * t98;
-    const double t100 = t99 * t70;
-    combined_variance[1] = t97 + t100;
-    const double t101 = mode_probability[0] * pivot_h0_1;
-    const double t102 = mode_probability[1] * pivot_h1_1;
-    const double t103 = t101 + t102;
-    const double t104 = mode_probability[2] * pivot_h2_1;
-    const double t105 = t103 + t104;
-    const double t106 = mode_probability[3] * pivot_h3_1;
-    const double t107 = t105 + t106;
-    const double t108 = mode_probability[4] * pivot_h4_1;
-    const double t109 = t107 + t108;
-    const double t110 = t84 * t83;
-    const double t111 = t87 * t86;
-    const double t112 = t110 + t111;
-    const double t113 = t91 * t90;
-    const double t114 = t112 + t113;
-    const double t115 = t95 * t94;
-    const double t116 = t114 + t115;
-    const double t117 = t99 * t98;
-    const double t118 = t116 + t117;
-    combined_variance[2] = t109 + t118;
-    const double t119 = mode_probability[0] * innovation_h0_0;
-    const double t120 = mode_probability[1] * innovation_h1_0;
-    const double t121 = t119 + t120;
-    const double t122 = mode_probability[2] * innovation_h2_0;
-    const double t123 = t121 + t122;
-    const double t124 = mode_probability[3] * innovation_h3_0;
-    const double t125 = t123 + t124;
-    const double t126 = mode_probability[4] * innovation_h4_0;
-    combined_innovation[0] = t125 + t126;
-    const double t127 = mode_probability[0] * innovation_h0_1;
-    const double t128 = mode_probability[1] * innovation_h1_1;
-    const double t129 = t127 + t128;
-    const double t130 = mode_probability[2] * innovation_h2_1;
-    const double t131 = t129 + t130;
-    const double t132 = mode_probability[3] * innovation_h3_1;
-    const double t133 = t131 + t132;
-    const double t134 = mode_probability[4] * innovation_h4_1;
-    combined_innovation[1] = t133 + t134;
+    const double t15 = (mode_probability[0] * pivot_h0_0) + (mode_probability[1] * pivot_h1_0);
+    const double t16 = t15 + (mode_probability[2] * pivot_h2_0);
+    const double t17 = t16 + (mode_probability[3] * pivot_h3_0);
+    const double t18 = t17 + (mode_probability[4] * pivot_h4_0);
+    const double t19 = mode_probability[0] * predicted_y_h0[0];
+    const double t20 = t19 + (mode_probability[1] * predicted_y_h1[0]);
+    const double t21 = t20 + (mode_probability[2] * predicted_y_h2[0]);
+    const double t22 = t21 + (mode_probability[3] * predicted_y_h3[0]);
+    const double t23 = t22 + (mode_probability[4] * predicted_y_h4[0]);
+    const double t24 = predicted_y_h0[0] - t23;
+    const double t25 = mode_probability[0] * t24 * t24;
+    const double t26 = predicted_y_h1[0] - t23;
+    const double t27 = t25 + (mode_probability[1] * t26 * t26);
+    const double t28 = predicted_y_h2[0] - t23;
+    const double t29 = t27 + (mode_probability[2] * t28 * t28);
+    const double t30 = predicted_y_h3[0] - t23;
+    const double t31 = t29 + (mode_probability[3] * t30 * t30);
+    const double t32 = predicted_y_h4[0] - t23;
+    combined_variance[0] = t18 + (t31 + (mode_probability[4] * t32 * t32));
+    const double t33 = mode_probability[0] * predicted_y_h0[1];
+    const double t34 = t33 + (mode_probability[1] * predicted_y_h1[1]);
+    const double t35 = t34 + (mode_probability[2] * predicted_y_h2[1]);
+    const double t36 = t35 + (mode_probability[3] * predicted_y_h3[1]);
+    const double t37 = t36 + (mode_probability[4] * predicted_y_h4[1]);
+    const double t38 = predicted_y_h0[1] - t37;
+    const double t39 = mode_probability[0] * t38;
+    const double t40 = t39 * t24;
+    const double t41 = predicted_y_h1[1] - t37;
+    const double t42 = mode_probability[1] * t41;
+    const double t43 = t40 + (t42 * t26);
+    const double t44 = predicted_y_h2[1] - t37;
+    const double t45 = mode_probability[2] * t44;
+    const double t46 = t43 + (t45 * t28);
+    const double t47 = predicted_y_h3[1] - t37;
+    const double t48 = mode_probability[3] * t47;
+    const double t49 = t46 + (t48 * t30);
+    const double t50 = predicted_y_h4[1] - t37;
+    const double t51 = mode_probability[4] * t50;
+    combined_variance[1] = t49 + (t51 * t32);
+    const double t52 = (mode_probability[0] * pivot_h0_1) + (mode_probability[1] * pivot_h1_1);
+    const double t53 = t52 + (mode_probability[2] * pivot_h2_1);
+    const double t54 = t53 + (mode_probability[3] * pivot_h3_1);
+    const double t55 = t54 + (mode_probability[4] * pivot_h4_1);
+    const double t56 = (t39 * t38) + (t42 * t41) + (t45 * t44) + (t48 * t47);
+    combined_variance[2] = t55 + (t56 + (t51 * t50));
+    const double t57 = mode_probability[0] * innovation_h0_0;
+    const double t58 = t57 + (mode_probability[1] * innovation_h1_0);
+    const double t59 = t58 + (mode_probability[2] * innovation_h2_0);
+    const double t60 = t59 + (mode_probability[3] * innovation_h3_0);
+    combined_innovation[0] = t60 + (mode_probability[4] * innovation_h4_0);
+    const double t61 = mode_probability[0] * innovation_h0_1;
+    const double t62 = t61 + (mode_probability[1] * innovation_h1_1);
+    const double t63 = t62 + (mode_probability[2] * innovation_h2_1);
+    const double t64 = t63 + (mode_probability[3] * innovation_h3_1);
+    combined_innovation[1] = t64 + (mode_probability[4] * innovation_h4_1);
     whitening_pivot_combined_0 = combined_variance[0];
     if ((present & 0x1u) != 0u)
     {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_0 > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
     whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
-    const double t135 = whitening_combined_0_1 * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t135;
+    const double t65 = whitening_combined_0_1 * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t65;
     if ((present & 0x2u) != 0u)
     {
-        if (!(whitening_pivot_combined_1 > 0.0))
-        {
-            return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_1 > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
     }
     dc_motor_unknown_combination(combined_innovation, whitening_inverse_combined_0,
@@ -887,279 +764,6 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
         mode_filtered_covariance, mode_deviation, mode_deviation_covariance, mode_deviation_cross,
         mode_probability_2, log_weight_now, log_weight_2, log_evidence, log_likelihood);
     return DC_MOTOR_UNKNOWN_OK;
-}
-
-/* combined prediction. */
-DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combined_prediction(const double
-    *mode_filtered_covariance, const double u, const double *mode_deviation_cross,
-    const double *mode_deviation_covariance, double *moved_covariance,
-    const double *mode_probability, const double *moved_state, double *combined_state)
-{
-    const double t0 = 0.9802 * mode_filtered_covariance[0];
-    const double t1 = -0.0002 * mode_filtered_covariance[1];
-    const double t2 = t0 + t1;
-    const double t3 = 0.0198 * u;
-    const double t4 = t3 * mode_deviation_cross[0];
-    const double t5 = t2 + t4;
-    const double t6 = 0.9802 * t5;
-    const double t7 = 0.9802 * mode_filtered_covariance[1];
-    const double t8 = -0.0002 * mode_filtered_covariance[2];
-    const double t9 = t7 + t8;
-    const double t10 = t3 * mode_deviation_cross[1];
-    const double t11 = t9 + t10;
-    const double t12 = -0.0002 * t11;
-    const double t13 = t6 + t12;
-    const double t14 = 0.9802 * mode_deviation_cross[0];
-    const double t15 = -0.0002 * mode_deviation_cross[1];
-    const double t16 = t14 + t15;
-    const double t17 = t3 * mode_deviation_covariance[0];
-    const double t18 = t16 + t17;
-    const double t19 = t18 * t3;
-    const double t20 = t13 + t19;
-    moved_covariance[0] = t20 + 0.0001;
-    const double t21 = 0.0094 * mode_filtered_covariance[0];
-    const double t22 = 0.9048 * mode_filtered_covariance[1];
-    const double t23 = t21 + t22;
-    const double t24 = 0.0001 * u;
-    const double t25 = t24 * mode_deviation_cross[0];
-    const double t26 = t23 + t25;
-    const double t27 = 0.9802 * t26;
-    const double t28 = 0.0094 * mode_filtered_covariance[1];
-    const double t29 = 0.9048 * mode_filtered_covariance[2];
-    const double t30 = t28 + t29;
-    const double t31 = t24 * mode_deviation_cross[1];
-    const double t32 = t30 + t31;
-    const double t33 = -0.0002 * t32;
-    const double t34 = t27 + t33;
-    const double t35 = 0.0094 * mode_deviation_cross[0];
-    const double t36 = 0.9048 * mode_deviation_cross[1];
-    const double t37 = t35 + t36;
-    const double t38 = t24 * mode_deviation_covariance[0];
-    const double t39 = t37 + t38;
-    const double t40 = t39 * t3;
-    moved_covariance[1] = t34 + t40;
-    const double t41 = 0.0094 * t26;
-    const double t42 = 0.9048 * t32;
-    const double t43 = t41 + t42;
-    const double t44 = t39 * t24;
-    const double t45 = t43 + t44;
-    moved_covariance[2] = t45 + 0.0001;
-    const double t46 = 0.9802 * mode_filtered_covariance[3];
-    const double t47 = -0.0002 * mode_filtered_covariance[4];
-    const double t48 = t46 + t47;
-    const double t49 = 0.0198 * u;
-    const double t50 = t49 * mode_deviation_cross[2];
-    const double t51 = t48 + t50;
-    const double t52 = 0.9802 * t51;
-    const double t53 = 0.9802 * mode_filtered_covariance[4];
-    const double t54 = -0.0002 * mode_filtered_covariance[5];
-    const double t55 = t53 + t54;
-    const double t56 = t49 * mode_deviation_cross[3];
-    const double t57 = t55 + t56;
-    const double t58 = -0.0002 * t57;
-    const double t59 = t52 + t58;
-    const double t60 = 0.9802 * mode_deviation_cross[2];
-    const double t61 = -0.0002 * mode_deviation_cross[3];
-    const double t62 = t60 + t61;
-    const double t63 = t49 * mode_deviation_covariance[1];
-    const double t64 = t62 + t63;
-    const double t65 = t64 * t49;
-    const double t66 = t59 + t65;
-    moved_covariance[3] = t66 + 0.0001;
-    const double t67 = 0.0094 * mode_filtered_covariance[3];
-    const double t68 = 0.9048 * mode_filtered_covariance[4];
-    const double t69 = t67 + t68;
-    const double t70 = 0.0001 * u;
-    const double t71 = t70 * mode_deviation_cross[2];
-    const double t72 = t69 + t71;
-    const double t73 = 0.9802 * t72;
-    const double t74 = 0.0094 * mode_filtered_covariance[4];
-    const double t75 = 0.9048 * mode_filtered_covariance[5];
-    const double t76 = t74 + t75;
-    const double t77 = t70 * mode_deviation_cross[3];
-    const double t78 = t76 + t77;
-    const double t79 = -0.0002 * t78;
-    const double t80 = t73 + t79;
-    const double t81 = 0.0094 * mode_deviation_cross[2];
-    const double t82 = 0.9048 * mode_deviation_cross[3];
-    const double t83 = t81 + t82;
-    const double t84 = t70 * mode_deviation_covariance[1];
-    const double t85 = t83 + t84;
-    const double t86 = t85 * t49;
-    moved_covariance[4] = t80 + t86;
-    const double t87 = 0.0094 * t72;
-    const double t88 = 0.9048 * t78;
-    const double t89 = t87 + t88;
-    const double t90 = t85 * t70;
-    const double t91 = t89 + t90;
-    moved_covariance[5] = t91 + 0.0001;
-    const double t92 = 0.9802 * mode_filtered_covariance[6];
-    const double t93 = -0.0002 * mode_filtered_covariance[7];
-    const double t94 = t92 + t93;
-    const double t95 = 0.0198 * u;
-    const double t96 = t95 * mode_deviation_cross[4];
-    const double t97 = t94 + t96;
-    const double t98 = 0.9802 * t97;
-    const double t99 = 0.9802 * mode_filtered_covariance[7];
-    const double t100 = -0.0002 * mode_filtered_covariance[8];
-    const double t101 = t99 + t100;
-    const double t102 = t95 * mode_deviation_cross[5];
-    const double t103 = t101 + t102;
-    const double t104 = -0.0002 * t103;
-    const double t105 = t98 + t104;
-    const double t106 = 0.9802 * mode_deviation_cross[4];
-    const double t107 = -0.0002 * mode_deviation_cross[5];
-    const double t108 = t106 + t107;
-    const double t109 = t95 * mode_deviation_covariance[2];
-    const double t110 = t108 + t109;
-    const double t111 = t110 * t95;
-    const double t112 = t105 + t111;
-    moved_covariance[6] = t112 + 0.0001;
-    const double t113 = 0.0094 * mode_filtered_covariance[6];
-    const double t114 = 0.9048 * mode_filtered_covariance[7];
-    const double t115 = t113 + t114;
-    const double t116 = 0.0001 * u;
-    const double t117 = t116 * mode_deviation_cross[4];
-    const double t118 = t115 + t117;
-    const double t119 = 0.9802 * t118;
-    const double t120 = 0.0094 * mode_filtered_covariance[7];
-    const double t121 = 0.9048 * mode_filtered_covariance[8];
-    const double t122 = t120 + t121;
-    const double t123 = t116 * mode_deviation_cross[5];
-    const double t124 = t122 + t123;
-    const double t125 = -0.0002 * t124;
-    const double t126 = t119 + t125;
-    const double t127 = 0.0094 * mode_deviation_cross[4];
-    const double t128 = 0.9048 * mode_deviation_cross[5];
-    const double t129 = t127 + t128;
-    const double t130 = t116 * mode_deviation_covariance[2];
-    const double t131 = t129 + t130;
-    const double t132 = t131 * t95;
-    moved_covariance[7] = t126 + t132;
-    const double t133 = 0.0094 * t118;
-    const double t134 = 0.9048 * t124;
-    const double t135 = t133 + t134;
-    const double t136 = t131 * t116;
-    const double t137 = t135 + t136;
-    moved_covariance[8] = t137 + 0.0001;
-    const double t138 = 0.9802 * mode_filtered_covariance[9];
-    const double t139 = -0.0002 * mode_filtered_covariance[10];
-    const double t140 = t138 + t139;
-    const double t141 = 0.0198 * u;
-    const double t142 = t141 * mode_deviation_cross[6];
-    const double t143 = t140 + t142;
-    const double t144 = 0.9802 * t143;
-    const double t145 = 0.9802 * mode_filtered_covariance[10];
-    const double t146 = -0.0002 * mode_filtered_covariance[11];
-    const double t147 = t145 + t146;
-    const double t148 = t141 * mode_deviation_cross[7];
-    const double t149 = t147 + t148;
-    const double t150 = -0.0002 * t149;
-    const double t151 = t144 + t150;
-    const double t152 = 0.9802 * mode_deviation_cross[6];
-    const double t153 = -0.0002 * mode_deviation_cross[7];
-    const double t154 = t152 + t153;
-    const double t155 = t141 * mode_deviation_covariance[3];
-    const double t156 = t154 + t155;
-    const double t157 = t156 * t141;
-    const double t158 = t151 + t157;
-    moved_covariance[9] = t158 + 0.0001;
-    const double t159 = 0.0094 * mode_filtered_covariance[9];
-    const double t160 = 0.9048 * mode_filtered_covariance[10];
-    const double t161 = t159 + t160;
-    const double t162 = 0.0001 * u;
-    const double t163 = t162 * mode_deviation_cross[6];
-    const double t164 = t161 + t163;
-    const double t165 = 0.9802 * t164;
-    const double t166 = 0.0094 * mode_filtered_covariance[10];
-    const double t167 = 0.9048 * mode_filtered_covariance[11];
-    const double t168 = t166 + t167;
-    const double t169 = t162 * mode_deviation_cross[7];
-    const double t170 = t168 + t169;
-    const double t171 = -0.0002 * t170;
-    const double t172 = t165 + t171;
-    const double t173 = 0.0094 * mode_deviation_cross[6];
-    const double t174 = 0.9048 * mode_deviation_cross[7];
-    const double t175 = t173 + t174;
-    const double t176 = t162 * mode_deviation_covariance[3];
-    const double t177 = t175 + t176;
-    const double t178 = t177 * t141;
-    moved_covariance[10] = t172 + t178;
-    const double t179 = 0.0094 * t164;
-    const double t180 = 0.9048 * t170;
-    const double t181 = t179 + t180;
-    const double t182 = t177 * t162;
-    const double t183 = t181 + t182;
-    moved_covariance[11] = t183 + 0.0001;
-    const double t184 = 0.9802 * mode_filtered_covariance[12];
-    const double t185 = -0.0002 * mode_filtered_covariance[13];
-    const double t186 = t184 + t185;
-    const double t187 = 0.0198 * u;
-    const double t188 = t187 * mode_deviation_cross[8];
-    const double t189 = t186 + t188;
-    const double t190 = 0.9802 * t189;
-    const double t191 = 0.9802 * mode_filtered_covariance[13];
-    const double t192 = -0.0002 * mode_filtered_covariance[14];
-    const double t193 = t191 + t192;
-    const double t194 = t187 * mode_deviation_cross[9];
-    const double t195 = t193 + t194;
-    const double t196 = -0.0002 * t195;
-    const double t197 = t190 + t196;
-    const double t198 = 0.9802 * mode_deviation_cross[8];
-    const double t199 = -0.0002 * mode_deviation_cross[9];
-    const double t200 = t198 + t199;
-    const double t201 = t187 * mode_deviation_covariance[4];
-    const double t202 = t200 + t201;
-    const double t203 = t202 * t187;
-    const double t204 = t197 + t203;
-    moved_covariance[12] = t204 + 0.0001;
-    const double t205 = 0.0094 * mode_filtered_covariance[12];
-    const double t206 = 0.9048 * mode_filtered_covariance[13];
-    const double t207 = t205 + t206;
-    const double t208 = 0.0001 * u;
-    const double t209 = t208 * mode_deviation_cross[8];
-    const double t210 = t207 + t209;
-    const double t211 = 0.9802 * t210;
-    const double t212 = 0.0094 * mode_filtered_covariance[13];
-    const double t213 = 0.9048 * mode_filtered_covariance[14];
-    const double t214 = t212 + t213;
-    const double t215 = t208 * mode_deviation_cross[9];
-    const double t216 = t214 + t215;
-    const double t217 = -0.0002 * t216;
-    const double t218 = t211 + t217;
-    const double t219 = 0.0094 * mode_deviation_cross[8];
-    const double t220 = 0.9048 * mode_deviation_cross[9];
-    const double t221 = t219 + t220;
-    const double t222 = t208 * mode_deviation_covariance[4];
-    const double t223 = t221 + t222;
-    const double t224 = t223 * t187;
-    moved_covariance[13] = t218 + t224;
-    const double t225 = 0.0094 * t210;
-    const double t226 = 0.9048 * t216;
-    const double t227 = t225 + t226;
-    const double t228 = t223 * t208;
-    const double t229 = t227 + t228;
-    moved_covariance[14] = t229 + 0.0001;
-
-    /* combined prediction */
-    const double t230 = mode_probability[0] * moved_state[0];
-    const double t231 = mode_probability[1] * moved_state[2];
-    const double t232 = t230 + t231;
-    const double t233 = mode_probability[2] * moved_state[4];
-    const double t234 = t232 + t233;
-    const double t235 = mode_probability[3] * moved_state[6];
-    const double t236 = t234 + t235;
-    const double t237 = mode_probability[4] * moved_state[8];
-    combined_state[0] = t236 + t237;
-    const double t238 = mode_probability[0] * moved_state[1];
-    const double t239 = mode_probability[1] * moved_state[3];
-    const double t240 = t238 + t239;
-    const double t241 = mode_probability[2] * moved_state[5];
-    const double t242 = t240 + t241;
-    const double t243 = mode_probability[3] * moved_state[7];
-    const double t244 = t242 + t243;
-    const double t245 = mode_probability[4] * moved_state[9];
-    combined_state[1] = t244 + t245;
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -1224,68 +828,26 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
     }
 
-    /* hypothesis 0 */
-    status = dc_motor_unknown_hypothesis(y, self->mode_state, &innovation_h0_0, u[0],
+    /* hypothesis 0: innovation, row by row */
+    status = dc_motor_unknown_hypothesis_2(y, self->mode_state, &innovation_h0_0, u[0],
         &innovation_h0_1, mean_h0, self->mode_covariance, covariance_h0, &pivot_h0_0, &quadratic_h0,
-        &log_constant_h0, &determinant_h0_0, &pivot_h0_1, dc_motor_unknown_hypothesis_numbers[0],
+        &log_constant_h0, &determinant_h0_0, &pivot_h0_1, &innovation_h1_0, &innovation_h1_1,
+        mean_h1, covariance_h1, &pivot_h1_0, &quadratic_h1, &log_constant_h1, &determinant_h1_0,
+        &pivot_h1_1, dc_motor_unknown_hypothesis_numbers[0], dc_motor_unknown_hypothesis_numbers[1],
         present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h0[0]) +
-        dc_motor_unknown_defect(mean_h0[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
 
-    /* hypothesis 1 */
-    status = dc_motor_unknown_hypothesis(y, &self->mode_state[2], &innovation_h1_0, u[0],
-        &innovation_h1_1, mean_h1, &self->mode_covariance[3], covariance_h1, &pivot_h1_0,
-        &quadratic_h1, &log_constant_h1, &determinant_h1_0, &pivot_h1_1,
-        dc_motor_unknown_hypothesis_numbers[1], present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h1[0]) +
-        dc_motor_unknown_defect(mean_h1[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
-    /* hypothesis 2 */
-    status = dc_motor_unknown_hypothesis(y, &self->mode_state[4], &innovation_h2_0, u[0],
+    /* hypothesis 2: innovation, row by row */
+    status = dc_motor_unknown_hypothesis_2(y, &self->mode_state[4], &innovation_h2_0, u[0],
         &innovation_h2_1, mean_h2, &self->mode_covariance[6], covariance_h2, &pivot_h2_0,
-        &quadratic_h2, &log_constant_h2, &determinant_h2_0, &pivot_h2_1,
-        dc_motor_unknown_hypothesis_numbers[2], present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h2[0]) +
-        dc_motor_unknown_defect(mean_h2[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-
-    /* hypothesis 3 */
-    status = dc_motor_unknown_hypothesis(y, &self->mode_state[6], &innovation_h3_0, u[0],
-        &innovation_h3_1, mean_h3, &self->mode_covariance[9], covariance_h3, &pivot_h3_0,
-        &quadratic_h3, &log_constant_h3, &determinant_h3_0, &pivot_h3_1,
+        &quadratic_h2, &log_constant_h2, &determinant_h2_0, &pivot_h2_1, &innovation_h3_0,
+        &innovation_h3_1, mean_h3, covariance_h3, &pivot_h3_0, &quadratic_h3, &log_constant_h3,
+        &determinant_h3_0, &pivot_h3_1, dc_motor_unknown_hypothesis_numbers[2],
         dc_motor_unknown_hypothesis_numbers[3], present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_h3[0]) +
-        dc_motor_unknown_defect(mean_h3[1])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
 
-    /* hypothesis 4 */
-    status = dc_motor_unknown_hypothesis_2(y, self->mode_state, u[0], &self->mode_covariance[12],
+    /* hypothesis 4: innovation, row by row */
+    status = dc_motor_unknown_hypothesis_3(y, self->mode_state, u[0], &self->mode_covariance[12],
         determinant_h0_0, log_constant_h0, quadratic_h0, determinant_h1_0, log_constant_h1,
         quadratic_h1, determinant_h2_0, log_constant_h2, quadratic_h2, determinant_h3_0,
         log_constant_h3, quadratic_h3, self->mode_probability, self->log_weight, pivot_h0_0,
@@ -1298,10 +860,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
         next->mode_filtered_covariance, next->mode_deviation, next->mode_deviation_covariance,
         next->mode_deviation_cross, next->mode_probability, next->log_weight, &next->log_likelihood,
         present);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -1311,232 +870,146 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
 {
     double moved_state[10] = { 0.0 };
     double moved_covariance[15] = { 0.0 };
-    double combined_state[2] = { 0.0 };
-    const double t0 = 0.9802 * self->mode_filtered_state[0];
-    const double t1 = -0.0002 * self->mode_filtered_state[1];
-    const double t2 = t0 + t1;
-    const double t3 = 0.0019800000000000004 * u[0];
-    const double t4 = t2 + t3;
-    const double t5 = 0.0198 * u[0];
-    const double t6 = t5 * self->mode_deviation[0];
-    moved_state[0] = t4 + t6;
-    const double t7 = 0.0094 * self->mode_filtered_state[0];
-    const double t8 = 0.9048 * self->mode_filtered_state[1];
-    const double t9 = t7 + t8;
-    const double t10 = 1.0e-05 * u[0];
-    const double t11 = t9 + t10;
-    const double t12 = 0.0001 * u[0];
-    const double t13 = t12 * self->mode_deviation[0];
-    moved_state[1] = t11 + t13;
-    const double t14 = 0.9802 * self->mode_filtered_state[2];
-    const double t15 = -0.0002 * self->mode_filtered_state[3];
-    const double t16 = t14 + t15;
-    const double t17 = 0.00594 * u[0];
-    const double t18 = t16 + t17;
-    const double t19 = 0.0198 * u[0];
-    const double t20 = t19 * self->mode_deviation[1];
-    moved_state[2] = t18 + t20;
-    const double t21 = 0.0094 * self->mode_filtered_state[2];
-    const double t22 = 0.9048 * self->mode_filtered_state[3];
-    const double t23 = t21 + t22;
-    const double t24 = 3.0e-05 * u[0];
-    const double t25 = t23 + t24;
-    const double t26 = 0.0001 * u[0];
-    const double t27 = t26 * self->mode_deviation[1];
-    moved_state[3] = t25 + t27;
-    const double t28 = 0.9802 * self->mode_filtered_state[4];
-    const double t29 = -0.0002 * self->mode_filtered_state[5];
-    const double t30 = t28 + t29;
-    const double t31 = 0.0099 * u[0];
-    const double t32 = t30 + t31;
-    const double t33 = 0.0198 * u[0];
-    const double t34 = t33 * self->mode_deviation[2];
-    moved_state[4] = t32 + t34;
-    const double t35 = 0.0094 * self->mode_filtered_state[4];
-    const double t36 = 0.9048 * self->mode_filtered_state[5];
-    const double t37 = t35 + t36;
-    const double t38 = 5.0e-05 * u[0];
-    const double t39 = t37 + t38;
-    const double t40 = 0.0001 * u[0];
-    const double t41 = t40 * self->mode_deviation[2];
-    moved_state[5] = t39 + t41;
-    const double t42 = 0.9802 * self->mode_filtered_state[6];
-    const double t43 = -0.0002 * self->mode_filtered_state[7];
-    const double t44 = t42 + t43;
-    const double t45 = 0.01386 * u[0];
-    const double t46 = t44 + t45;
-    const double t47 = 0.0198 * u[0];
-    const double t48 = t47 * self->mode_deviation[3];
-    moved_state[6] = t46 + t48;
-    const double t49 = 0.0094 * self->mode_filtered_state[6];
-    const double t50 = 0.9048 * self->mode_filtered_state[7];
-    const double t51 = t49 + t50;
-    const double t52 = 7.0e-05 * u[0];
-    const double t53 = t51 + t52;
-    const double t54 = 0.0001 * u[0];
-    const double t55 = t54 * self->mode_deviation[3];
-    moved_state[7] = t53 + t55;
-    const double t56 = 0.9802 * self->mode_filtered_state[8];
-    const double t57 = -0.0002 * self->mode_filtered_state[9];
-    const double t58 = t56 + t57;
-    const double t59 = 0.017820000000000003 * u[0];
-    const double t60 = t58 + t59;
-    const double t61 = 0.0198 * u[0];
-    const double t62 = t61 * self->mode_deviation[4];
-    moved_state[8] = t60 + t62;
-    const double t63 = 0.0094 * self->mode_filtered_state[8];
-    const double t64 = 0.9048 * self->mode_filtered_state[9];
-    const double t65 = t63 + t64;
-    const double t66 = 9.0e-05 * u[0];
-    const double t67 = t65 + t66;
-    const double t68 = 0.0001 * u[0];
-    const double t69 = t68 * self->mode_deviation[4];
-    moved_state[9] = t67 + t69;
+    double combined_state[2];
+    dc_motor_unknown_propagate_2(self->mode_filtered_state, u[0], self->mode_deviation[0],
+        moved_state, dc_motor_unknown_propagate_2_numbers[0]);
+    dc_motor_unknown_propagate_2(&self->mode_filtered_state[2], u[0], self->mode_deviation[1],
+        &moved_state[2], dc_motor_unknown_propagate_2_numbers[1]);
+    dc_motor_unknown_propagate_2(&self->mode_filtered_state[4], u[0], self->mode_deviation[2],
+        &moved_state[4], dc_motor_unknown_propagate_2_numbers[2]);
+    dc_motor_unknown_propagate_2(&self->mode_filtered_state[6], u[0], self->mode_deviation[3],
+        &moved_state[6], dc_motor_unknown_propagate_2_numbers[3]);
+    dc_motor_unknown_propagate_2(&self->mode_filtered_state[8], u[0], self->mode_deviation[4],
+        &moved_state[8], dc_motor_unknown_propagate_2_numbers[4]);
+
+    /* combined prediction */
     dc_motor_unknown_combined_prediction(self->mode_filtered_covariance, u[0],
-        self->mode_deviation_cross, self->mode_deviation_covariance, moved_covariance,
-        self->mode_probability, moved_state, combined_state);
-    const double t70 = self->mode_probability[0] * moved_covariance[0];
-    const double t71 = self->mode_probability[1] * moved_covariance[3];
-    const double t72 = t70 + t71;
-    const double t73 = self->mode_probability[2] * moved_covariance[6];
-    const double t74 = t72 + t73;
-    const double t75 = self->mode_probability[3] * moved_covariance[9];
-    const double t76 = t74 + t75;
-    const double t77 = self->mode_probability[4] * moved_covariance[12];
-    const double t78 = t76 + t77;
-    const double t79 = moved_state[0] - combined_state[0];
-    const double t80 = self->mode_probability[0] * t79;
-    const double t81 = t80 * t79;
-    const double t82 = moved_state[2] - combined_state[0];
-    const double t83 = self->mode_probability[1] * t82;
-    const double t84 = t83 * t82;
-    const double t85 = t81 + t84;
-    const double t86 = moved_state[4] - combined_state[0];
-    const double t87 = self->mode_probability[2] * t86;
-    const double t88 = t87 * t86;
-    const double t89 = t85 + t88;
-    const double t90 = moved_state[6] - combined_state[0];
-    const double t91 = self->mode_probability[3] * t90;
-    const double t92 = t91 * t90;
-    const double t93 = t89 + t92;
-    const double t94 = moved_state[8] - combined_state[0];
-    const double t95 = self->mode_probability[4] * t94;
-    const double t96 = t95 * t94;
-    const double t97 = t93 + t96;
-    const double t98 = t78 + t97;
-    const double t99 = self->mode_probability[0] * moved_covariance[1];
-    const double t100 = self->mode_probability[1] * moved_covariance[4];
-    const double t101 = t99 + t100;
-    const double t102 = self->mode_probability[2] * moved_covariance[7];
-    const double t103 = t101 + t102;
-    const double t104 = self->mode_probability[3] * moved_covariance[10];
-    const double t105 = t103 + t104;
-    const double t106 = self->mode_probability[4] * moved_covariance[13];
-    const double t107 = t105 + t106;
-    const double t108 = moved_state[1] - combined_state[1];
-    const double t109 = self->mode_probability[0] * t108;
-    const double t110 = t109 * t79;
-    const double t111 = moved_state[3] - combined_state[1];
-    const double t112 = self->mode_probability[1] * t111;
-    const double t113 = t112 * t82;
-    const double t114 = t110 + t113;
-    const double t115 = moved_state[5] - combined_state[1];
-    const double t116 = self->mode_probability[2] * t115;
-    const double t117 = t116 * t86;
-    const double t118 = t114 + t117;
-    const double t119 = moved_state[7] - combined_state[1];
-    const double t120 = self->mode_probability[3] * t119;
-    const double t121 = t120 * t90;
-    const double t122 = t118 + t121;
-    const double t123 = moved_state[9] - combined_state[1];
-    const double t124 = self->mode_probability[4] * t123;
-    const double t125 = t124 * t94;
-    const double t126 = t122 + t125;
-    next->predicted_covariance[1] = t107 + t126;
-    const double t127 = self->mode_probability[0] * moved_covariance[2];
-    const double t128 = self->mode_probability[1] * moved_covariance[5];
-    const double t129 = t127 + t128;
-    const double t130 = self->mode_probability[2] * moved_covariance[8];
-    const double t131 = t129 + t130;
-    const double t132 = self->mode_probability[3] * moved_covariance[11];
-    const double t133 = t131 + t132;
-    const double t134 = self->mode_probability[4] * moved_covariance[14];
-    const double t135 = t133 + t134;
-    const double t136 = t109 * t108;
-    const double t137 = t112 * t111;
-    const double t138 = t136 + t137;
-    const double t139 = t116 * t115;
-    const double t140 = t138 + t139;
-    const double t141 = t120 * t119;
-    const double t142 = t140 + t141;
-    const double t143 = t124 * t123;
-    const double t144 = t142 + t143;
-    const double t145 = t135 + t144;
+        self->mode_deviation_cross, self->mode_deviation_covariance[0], moved_covariance);
+    dc_motor_unknown_combined_prediction(&self->mode_filtered_covariance[3], u[0],
+        &self->mode_deviation_cross[2], self->mode_deviation_covariance[1], &moved_covariance[3]);
+    dc_motor_unknown_combined_prediction(&self->mode_filtered_covariance[6], u[0],
+        &self->mode_deviation_cross[4], self->mode_deviation_covariance[2], &moved_covariance[6]);
+    dc_motor_unknown_combined_prediction(&self->mode_filtered_covariance[9], u[0],
+        &self->mode_deviation_cross[6], self->mode_deviation_covariance[3], &moved_covariance[9]);
+    dc_motor_unknown_combined_prediction(&self->mode_filtered_covariance[12], u[0],
+        &self->mode_deviation_cross[8], self->mode_deviation_covariance[4], &moved_covariance[12]);
+    const double t0 = self->mode_probability[0] * moved_state[0];
+    const double t1 = t0 + (self->mode_probability[1] * moved_state[2]);
+    const double t2 = t1 + (self->mode_probability[2] * moved_state[4]);
+    const double t3 = t2 + (self->mode_probability[3] * moved_state[6]);
+    combined_state[0] = t3 + (self->mode_probability[4] * moved_state[8]);
+    const double t4 = self->mode_probability[0] * moved_state[1];
+    const double t5 = t4 + (self->mode_probability[1] * moved_state[3]);
+    const double t6 = t5 + (self->mode_probability[2] * moved_state[5]);
+    const double t7 = t6 + (self->mode_probability[3] * moved_state[7]);
+    combined_state[1] = t7 + (self->mode_probability[4] * moved_state[9]);
+    const double t8 = self->mode_probability[0] * moved_covariance[0];
+    const double t9 = t8 + (self->mode_probability[1] * moved_covariance[3]);
+    const double t10 = t9 + (self->mode_probability[2] * moved_covariance[6]);
+    const double t11 = t10 + (self->mode_probability[3] * moved_covariance[9]);
+    const double t12 = t11 + (self->mode_probability[4] * moved_covariance[12]);
+    const double t13 = moved_state[0] - combined_state[0];
+    const double t14 = self->mode_probability[0] * t13 * t13;
+    const double t15 = moved_state[2] - combined_state[0];
+    const double t16 = t14 + (self->mode_probability[1] * t15 * t15);
+    const double t17 = moved_state[4] - combined_state[0];
+    const double t18 = t16 + (self->mode_probability[2] * t17 * t17);
+    const double t19 = moved_state[6] - combined_state[0];
+    const double t20 = t18 + (self->mode_probability[3] * t19 * t19);
+    const double t21 = moved_state[8] - combined_state[0];
+    const double t22 = t12 + (t20 + (self->mode_probability[4] * t21 * t21));
+    const double t23 = self->mode_probability[0] * moved_covariance[1];
+    const double t24 = t23 + (self->mode_probability[1] * moved_covariance[4]);
+    const double t25 = t24 + (self->mode_probability[2] * moved_covariance[7]);
+    const double t26 = t25 + (self->mode_probability[3] * moved_covariance[10]);
+    const double t27 = t26 + (self->mode_probability[4] * moved_covariance[13]);
+    const double t28 = moved_state[1] - combined_state[1];
+    const double t29 = self->mode_probability[0] * t28;
+    const double t30 = t29 * t13;
+    const double t31 = moved_state[3] - combined_state[1];
+    const double t32 = self->mode_probability[1] * t31;
+    const double t33 = t30 + (t32 * t15);
+    const double t34 = moved_state[5] - combined_state[1];
+    const double t35 = self->mode_probability[2] * t34;
+    const double t36 = t33 + (t35 * t17);
+    const double t37 = moved_state[7] - combined_state[1];
+    const double t38 = self->mode_probability[3] * t37;
+    const double t39 = t36 + (t38 * t19);
+    const double t40 = moved_state[9] - combined_state[1];
+    const double t41 = self->mode_probability[4] * t40;
+    next->predicted_covariance[1] = t27 + (t39 + (t41 * t21));
+    const double t42 = self->mode_probability[0] * moved_covariance[2];
+    const double t43 = t42 + (self->mode_probability[1] * moved_covariance[5]);
+    const double t44 = t43 + (self->mode_probability[2] * moved_covariance[8]);
+    const double t45 = t44 + (self->mode_probability[3] * moved_covariance[11]);
+    const double t46 = t45 + (self->mode_probability[4] * moved_covariance[14]);
+    const double t47 = (t29 * t28) + (t32 * t31) + (t35 * t34) + (t38 * t37);
+    const double t48 = t46 + (t47 + (t41 * t40));
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(combined_state[0]) +
-        dc_motor_unknown_defect(combined_state[1]) + dc_motor_unknown_defect(t98) +
-        dc_motor_unknown_defect(t145)))
+        dc_motor_unknown_defect(combined_state[1]) + dc_motor_unknown_defect(t22) +
+        dc_motor_unknown_defect(t48)))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    next->mode_covariance[1] = moved_covariance[1];
+    next->mode_covariance[4] = moved_covariance[4];
+    next->mode_covariance[7] = moved_covariance[7];
+    next->mode_covariance[10] = moved_covariance[10];
+    next->mode_covariance[13] = moved_covariance[13];
+    next->predicted_state[0] = combined_state[0];
+    next->predicted_state[1] = combined_state[1];
+    next->predicted_covariance[0] = t22;
+    next->predicted_covariance[2] = t48;
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[0]) +
         dc_motor_unknown_defect(moved_state[1]) + dc_motor_unknown_defect(moved_covariance[0]) +
         dc_motor_unknown_defect(moved_covariance[2])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    next->mode_state[0] = moved_state[0];
+    next->mode_state[1] = moved_state[1];
+    next->mode_covariance[0] = moved_covariance[0];
+    next->mode_covariance[2] = moved_covariance[2];
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[2]) +
         dc_motor_unknown_defect(moved_state[3]) + dc_motor_unknown_defect(moved_covariance[3]) +
         dc_motor_unknown_defect(moved_covariance[5])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    next->mode_state[2] = moved_state[2];
+    next->mode_state[3] = moved_state[3];
+    next->mode_covariance[3] = moved_covariance[3];
+    next->mode_covariance[5] = moved_covariance[5];
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[4]) +
         dc_motor_unknown_defect(moved_state[5]) + dc_motor_unknown_defect(moved_covariance[6]) +
         dc_motor_unknown_defect(moved_covariance[8])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    next->mode_state[4] = moved_state[4];
+    next->mode_state[5] = moved_state[5];
+    next->mode_covariance[6] = moved_covariance[6];
+    next->mode_covariance[8] = moved_covariance[8];
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[6]) +
         dc_motor_unknown_defect(moved_state[7]) + dc_motor_unknown_defect(moved_covariance[9]) +
         dc_motor_unknown_defect(moved_covariance[11])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    next->mode_state[6] = moved_state[6];
+    next->mode_state[7] = moved_state[7];
+    next->mode_covariance[9] = moved_covariance[9];
+    next->mode_covariance[11] = moved_covariance[11];
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[8]) +
         dc_motor_unknown_defect(moved_state[9]) + dc_motor_unknown_defect(moved_covariance[12]) +
         dc_motor_unknown_defect(moved_covariance[14])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    next->mode_state[0] = moved_state[0];
-    next->mode_state[1] = moved_state[1];
-    next->mode_state[2] = moved_state[2];
-    next->mode_state[3] = moved_state[3];
-    next->mode_state[4] = moved_state[4];
-    next->mode_state[5] = moved_state[5];
-    next->mode_state[6] = moved_state[6];
-    next->mode_state[7] = moved_state[7];
     next->mode_state[8] = moved_state[8];
     next->mode_state[9] = moved_state[9];
-    next->mode_covariance[0] = moved_covariance[0];
-    next->mode_covariance[1] = moved_covariance[1];
-    next->mode_covariance[2] = moved_covariance[2];
-    next->mode_covariance[3] = moved_covariance[3];
-    next->mode_covariance[4] = moved_covariance[4];
-    next->mode_covariance[5] = moved_covariance[5];
-    next->mode_covariance[6] = moved_covariance[6];
-    next->mode_covariance[7] = moved_covariance[7];
-    next->mode_covariance[8] = moved_covariance[8];
-    next->mode_covariance[9] = moved_covariance[9];
-    next->mode_covariance[10] = moved_covariance[10];
-    next->mode_covariance[11] = moved_covariance[11];
     next->mode_covariance[12] = moved_covariance[12];
-    next->mode_covariance[13] = moved_covariance[13];
     next->mode_covariance[14] = moved_covariance[14];
-    next->predicted_state[0] = combined_state[0];
-    next->predicted_state[1] = combined_state[1];
-    next->predicted_covariance[0] = t98;
-    next->predicted_covariance[2] = t145;
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -1554,10 +1027,7 @@ static void dc_motor_unknown_fill(double *to, int size, const double *from, int 
 
 dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self)
 {
-    if (self == NULL)
-    {
-        return DC_MOTOR_UNKNOWN_NULL_POINTER;
-    }
+    if (self == NULL) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
     dc_motor_unknown_fill(self->predicted_state, 2, dc_motor_unknown_zero_0, 1);
     dc_motor_unknown_fill(self->predicted_covariance, 3, dc_motor_unknown_predicted_covariance_0,
         1);
@@ -1590,24 +1060,15 @@ dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, cons
     dc_motor_unknown_t next;
     uint32_t present;
     dc_motor_unknown_status_t status;
-    if ((self == NULL) || (u == NULL) || (y == NULL))
-    {
-        return DC_MOTOR_UNKNOWN_NULL_POINTER;
-    }
-    if (!dc_motor_unknown_finite_input(u))
-    {
-        return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (u == NULL) || (y == NULL)) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
+    if (!dc_motor_unknown_finite_input(u)) { return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE; }
     if (!dc_motor_unknown_present_rows(y, valid, &present))
     {
         return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
     }
     next = *self;
     status = dc_motor_unknown_correct(self, u, y, present, &next);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_UNKNOWN_OK : DC_MOTOR_UNKNOWN_SKIPPED;
 }
@@ -1616,20 +1077,11 @@ dc_motor_unknown_status_t dc_motor_unknown_predict(dc_motor_unknown_t *self, con
 {
     dc_motor_unknown_t next;
     dc_motor_unknown_status_t status;
-    if ((self == NULL) || (u == NULL))
-    {
-        return DC_MOTOR_UNKNOWN_NULL_POINTER;
-    }
-    if (!dc_motor_unknown_finite_input(u))
-    {
-        return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (u == NULL)) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
+    if (!dc_motor_unknown_finite_input(u)) { return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE; }
     next = *self;
     status = dc_motor_unknown_propagate(self, u, &next);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     *self = next;
     return DC_MOTOR_UNKNOWN_OK;
 }
@@ -1640,28 +1092,16 @@ dc_motor_unknown_status_t dc_motor_unknown_step(dc_motor_unknown_t *self, const 
     dc_motor_unknown_t next;
     uint32_t present;
     dc_motor_unknown_status_t status;
-    if ((self == NULL) || (u == NULL) || (y == NULL))
-    {
-        return DC_MOTOR_UNKNOWN_NULL_POINTER;
-    }
-    if (!dc_motor_unknown_finite_input(u))
-    {
-        return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (u == NULL) || (y == NULL)) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
+    if (!dc_motor_unknown_finite_input(u)) { return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE; }
     if (!dc_motor_unknown_present_rows(y, valid, &present))
     {
         return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
     }
     status = dc_motor_unknown_correct(self, u, y, present, &next);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     status = dc_motor_unknown_propagate(&next, u, &next);
-    if (status != DC_MOTOR_UNKNOWN_OK)
-    {
-        return status;
-    }
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_UNKNOWN_OK : DC_MOTOR_UNKNOWN_SKIPPED;
 }

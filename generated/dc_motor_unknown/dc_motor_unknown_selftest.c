@@ -106,10 +106,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -141,10 +138,7 @@ dc_motor_unknown_status_t dc_motor_unknown_selftest(void)
     {
         const dc_motor_unknown_status_t status = dc_motor_unknown_step(&filter, input[k],
             measurement[k], valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], DC_MOTOR_UNKNOWN_NX))
         {
             return DC_MOTOR_UNKNOWN_SELFTEST_FAILED;

@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define FAULT_EFFECT_A_INLINE static inline __attribute__((always_inline))
@@ -30,14 +35,8 @@ static double fault_effect_a_log(double x)
     fault_effect_a_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -123,10 +122,7 @@ static int fault_effect_a_finite_input(const double *u)
     int i;
     for (i = 0; i < FAULT_EFFECT_A_NU; ++i)
     {
-        if (!fault_effect_a_finite(fault_effect_a_defect(u[i])))
-        {
-            return 0;
-        }
+        if (!fault_effect_a_finite(fault_effect_a_defect(u[i]))) { return 0; }
     }
     return 1;
 }
@@ -157,6 +153,19 @@ static int fault_effect_a_present_rows(const double *y, uint32_t valid, uint32_t
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
+/* Copy the elements of an array to another. */
+FAULT_EFFECT_A_INLINE void fault_effect_a_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
 FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault_effect_a_t *self,
     const double *y, uint32_t present, fault_effect_a_t *next)
@@ -186,73 +195,43 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t0 = 0.9 * self->predicted_state[0];
-        const double t1 = -0.9 * self->predicted_state[2];
-        const double t2 = t0 + t1;
-        innovation_0 = y[0] - t2;
+        const double t0 = (0.9 * self->predicted_state[0]) + (-0.9 * self->predicted_state[2]);
+        innovation_0 = y[0] - t0;
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t3 = 0.05 * self->predicted_state[1];
-        innovation_1 = y[1] - t3;
+        innovation_1 = y[1] - (0.05 * self->predicted_state[1]);
     }
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
     mean[2] = self->predicted_state[2];
-    covariance[0] = self->predicted_covariance[0];
-    covariance[1] = self->predicted_covariance[1];
-    covariance[2] = self->predicted_covariance[2];
-    covariance[3] = self->predicted_covariance[3];
-    covariance[4] = self->predicted_covariance[4];
-    covariance[5] = self->predicted_covariance[5];
+    fault_effect_a_copy(self->predicted_covariance, covariance, 6);
 
     /* row 0 of y, Y1 */
-    const double t4 = 0.9 * self->predicted_covariance[0];
-    const double t5 = -0.9 * self->predicted_covariance[3];
-    cross_0[0] = t4 + t5;
-    const double t6 = 0.9 * self->predicted_covariance[1];
-    const double t7 = -0.9 * self->predicted_covariance[4];
-    cross_0[1] = t6 + t7;
-    const double t8 = 0.9 * self->predicted_covariance[3];
-    const double t9 = -0.9 * self->predicted_covariance[5];
-    cross_0[2] = t8 + t9;
+    cross_0[0] = (0.9 * self->predicted_covariance[0]) + (-0.9 * self->predicted_covariance[3]);
+    cross_0[1] = (0.9 * self->predicted_covariance[1]) + (-0.9 * self->predicted_covariance[4]);
+    cross_0[2] = (0.9 * self->predicted_covariance[3]) + (-0.9 * self->predicted_covariance[5]);
     coupling_0 = 0.05 * cross_0[1];
-    const double t10 = 0.9 * cross_0[0];
-    const double t11 = -0.9 * cross_0[2];
-    const double t12 = t10 + t11;
-    pivot_0 = t12 + 0.0001;
+    pivot_0 = (0.9 * cross_0[0]) + (-0.9 * cross_0[2]) + 0.0001;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0 > 0.0))
-        {
-            return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0 > 0.0)) { return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0;
-        const double t13 = innovation_0 * inverse_0;
+        const double t1 = innovation_0 * inverse_0;
         factor_0 = coupling_0 * inverse_0;
-        quadratic = innovation_0 * t13;
-        const double t14 = cross_0[0] * t13;
-        mean[0] = self->predicted_state[0] + t14;
-        const double t15 = cross_0[1] * t13;
-        mean[1] = self->predicted_state[1] + t15;
-        const double t16 = cross_0[2] * t13;
-        mean[2] = self->predicted_state[2] + t16;
-        const double t17 = cross_0[0] * inverse_0;
-        const double t18 = t17 * cross_0[0];
-        covariance[0] = self->predicted_covariance[0] - t18;
-        const double t19 = cross_0[1] * inverse_0;
-        const double t20 = t19 * cross_0[0];
-        covariance[1] = self->predicted_covariance[1] - t20;
-        const double t21 = t19 * cross_0[1];
-        covariance[2] = self->predicted_covariance[2] - t21;
-        const double t22 = cross_0[2] * inverse_0;
-        const double t23 = t22 * cross_0[0];
-        covariance[3] = self->predicted_covariance[3] - t23;
-        const double t24 = t22 * cross_0[1];
-        covariance[4] = self->predicted_covariance[4] - t24;
-        const double t25 = t22 * cross_0[2];
-        covariance[5] = self->predicted_covariance[5] - t25;
-        weight_0 = t13;
+        quadratic = innovation_0 * t1;
+        mean[0] = self->predicted_state[0] + (cross_0[0] * t1);
+        mean[1] = self->predicted_state[1] + (cross_0[1] * t1);
+        mean[2] = self->predicted_state[2] + (cross_0[2] * t1);
+        covariance[0] = self->predicted_covariance[0] - (cross_0[0] * inverse_0 * cross_0[0]);
+        const double t2 = cross_0[1] * inverse_0;
+        covariance[1] = self->predicted_covariance[1] - (t2 * cross_0[0]);
+        covariance[2] = self->predicted_covariance[2] - (t2 * cross_0[1]);
+        const double t3 = cross_0[2] * inverse_0;
+        covariance[3] = self->predicted_covariance[3] - (t3 * cross_0[0]);
+        covariance[4] = self->predicted_covariance[4] - (t3 * cross_0[1]);
+        covariance[5] = self->predicted_covariance[5] - (t3 * cross_0[2]);
+        weight_0 = t1;
         log_constant = FAULT_EFFECT_A_LOG_2_PI;
         determinant_0 = pivot_0;
     }
@@ -261,43 +240,27 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     cross_1[0] = 0.05 * covariance[1];
     cross_1[1] = 0.05 * covariance[2];
     cross_1[2] = 0.05 * covariance[4];
-    const double t26 = 0.05 * cross_1[1];
-    pivot_1 = t26 + 0.01;
+    pivot_1 = (0.05 * cross_1[1]) + 0.01;
     if ((present & 0x2u) != 0u)
     {
-        if (!(pivot_1 > 0.0))
-        {
-            return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_1 > 0.0)) { return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE; }
         inverse_1 = 1.0 / pivot_1;
-        const double t27 = coupling_0 * weight_0;
-        const double t28 = innovation_1 - t27;
-        const double t29 = t28 * inverse_1;
-        const double t30 = t28 * t29;
-        quadratic = quadratic + t30;
+        const double t4 = innovation_1 - (coupling_0 * weight_0);
+        const double t5 = t4 * inverse_1;
+        quadratic = quadratic + (t4 * t5);
         log_constant = log_constant + FAULT_EFFECT_A_LOG_2_PI;
         determinant_0 = determinant_0 * pivot_1;
-        const double t31 = cross_1[0] * t29;
-        mean[0] = mean[0] + t31;
-        const double t32 = cross_1[1] * t29;
-        mean[1] = mean[1] + t32;
-        const double t33 = cross_1[2] * t29;
-        mean[2] = mean[2] + t33;
-        const double t34 = cross_1[0] * inverse_1;
-        const double t35 = t34 * cross_1[0];
-        covariance[0] = covariance[0] - t35;
-        const double t36 = cross_1[1] * inverse_1;
-        const double t37 = t36 * cross_1[0];
-        covariance[1] = covariance[1] - t37;
-        const double t38 = t36 * cross_1[1];
-        covariance[2] = covariance[2] - t38;
-        const double t39 = cross_1[2] * inverse_1;
-        const double t40 = t39 * cross_1[0];
-        covariance[3] = covariance[3] - t40;
-        const double t41 = t39 * cross_1[1];
-        covariance[4] = covariance[4] - t41;
-        const double t42 = t39 * cross_1[2];
-        covariance[5] = covariance[5] - t42;
+        mean[0] = mean[0] + (cross_1[0] * t5);
+        mean[1] = mean[1] + (cross_1[1] * t5);
+        mean[2] = mean[2] + (cross_1[2] * t5);
+        covariance[0] = covariance[0] - (cross_1[0] * inverse_1 * cross_1[0]);
+        const double t6 = cross_1[1] * inverse_1;
+        covariance[1] = covariance[1] - (t6 * cross_1[0]);
+        covariance[2] = covariance[2] - (t6 * cross_1[1]);
+        const double t7 = cross_1[2] * inverse_1;
+        covariance[3] = covariance[3] - (t7 * cross_1[0]);
+        covariance[4] = covariance[4] - (t7 * cross_1[1]);
+        covariance[5] = covariance[5] - (t7 * cross_1[2]);
     }
     if (!fault_effect_a_finite(fault_effect_a_defect(mean[0]) + fault_effect_a_defect(mean[1]) +
         fault_effect_a_defect(mean[2])))
@@ -306,21 +269,12 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     }
 
     /* results of the update */
-    const double t43 = coupling_0 * factor_0;
-    next->innovation_covariance[2] = pivot_1 + t43;
-    const double t44 = fault_effect_a_log(determinant_0);
-    const double t45 = log_constant + t44;
-    const double t46 = quadratic + t45;
-    next->log_likelihood = -0.5 * t46;
+    next->innovation_covariance[2] = pivot_1 + (coupling_0 * factor_0);
+    next->log_likelihood = -0.5 * (quadratic + (log_constant + fault_effect_a_log(determinant_0)));
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_state[2] = mean[2];
-    next->filtered_covariance[0] = covariance[0];
-    next->filtered_covariance[1] = covariance[1];
-    next->filtered_covariance[2] = covariance[2];
-    next->filtered_covariance[3] = covariance[3];
-    next->filtered_covariance[4] = covariance[4];
-    next->filtered_covariance[5] = covariance[5];
+    fault_effect_a_copy(covariance, next->filtered_covariance, 6);
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
     next->innovation_covariance[0] = pivot_0;
@@ -333,53 +287,36 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
 FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fault_effect_a_t *self,
     const double *u, fault_effect_a_t *next)
 {
-    const double t0 = 0.99 * self->filtered_state[0];
-    const double t1 = 0.1 * self->filtered_state[1];
-    const double t2 = t0 + t1;
-    const double t3 = 0.99 * self->filtered_state[1];
-    const double t4 = -0.1 * self->filtered_state[2];
-    const double t5 = t3 + t4;
-    const double t6 = 0.99 * self->filtered_state[2];
-    const double t7 = t6 + u[0];
-    const double t8 = 0.9801 * self->filtered_covariance[0];
-    const double t9 = 0.198 * self->filtered_covariance[1];
-    const double t10 = t8 + t9;
-    const double t11 = 0.010000000000000002 * self->filtered_covariance[2];
-    const double t12 = t10 + t11;
-    const double t13 = t12 + 0.25;
-    const double t14 = 0.9801 * self->filtered_covariance[1];
-    const double t15 = 0.099 * self->filtered_covariance[2];
-    const double t16 = t14 + t15;
-    const double t17 = -0.099 * self->filtered_covariance[3];
-    const double t18 = t16 + t17;
-    const double t19 = -0.010000000000000002 * self->filtered_covariance[4];
-    next->predicted_covariance[1] = t18 + t19;
-    const double t20 = 0.9801 * self->filtered_covariance[2];
-    const double t21 = -0.198 * self->filtered_covariance[4];
-    const double t22 = t20 + t21;
-    const double t23 = 0.010000000000000002 * self->filtered_covariance[5];
-    const double t24 = t22 + t23;
-    const double t25 = t24 + 0.01;
-    const double t26 = 0.9801 * self->filtered_covariance[3];
-    const double t27 = 0.099 * self->filtered_covariance[4];
-    next->predicted_covariance[3] = t26 + t27;
-    const double t28 = 0.9801 * self->filtered_covariance[4];
-    const double t29 = -0.099 * self->filtered_covariance[5];
-    next->predicted_covariance[4] = t28 + t29;
-    const double t30 = 0.9801 * self->filtered_covariance[5];
-    const double t31 = t30 + 0.36;
-    if (!fault_effect_a_finite(fault_effect_a_defect(t2) + fault_effect_a_defect(t5) +
-        fault_effect_a_defect(t7) + fault_effect_a_defect(t13) + fault_effect_a_defect(t25) +
-        fault_effect_a_defect(t31)))
+    const double t0 = (0.99 * self->filtered_state[0]) + (0.1 * self->filtered_state[1]);
+    const double t1 = (0.99 * self->filtered_state[1]) + (-0.1 * self->filtered_state[2]);
+    const double t2 = (0.99 * self->filtered_state[2]) + u[0];
+    const double t3 = 0.9801 * self->filtered_covariance[0];
+    const double t4 = t3 + (0.198 * self->filtered_covariance[1]);
+    const double t5 = t4 + (0.010000000000000002 * self->filtered_covariance[2]) + 0.25;
+    const double t6 = 0.9801 * self->filtered_covariance[1];
+    const double t7 = t6 + (0.099 * self->filtered_covariance[2]);
+    const double t8 = t7 + (-0.099 * self->filtered_covariance[3]);
+    next->predicted_covariance[1] = t8 + (-0.010000000000000002 * self->filtered_covariance[4]);
+    const double t9 = 0.9801 * self->filtered_covariance[2];
+    const double t10 = t9 + (-0.198 * self->filtered_covariance[4]);
+    const double t11 = t10 + (0.010000000000000002 * self->filtered_covariance[5]) + 0.01;
+    const double t12 = 0.9801 * self->filtered_covariance[3];
+    next->predicted_covariance[3] = t12 + (0.099 * self->filtered_covariance[4]);
+    const double t13 = 0.9801 * self->filtered_covariance[4];
+    next->predicted_covariance[4] = t13 + (-0.099 * self->filtered_covariance[5]);
+    const double t14 = (0.9801 * self->filtered_covariance[5]) + 0.36;
+    if (!fault_effect_a_finite(fault_effect_a_defect(t0) + fault_effect_a_defect(t1) +
+        fault_effect_a_defect(t2) + fault_effect_a_defect(t5) + fault_effect_a_defect(t11) +
+        fault_effect_a_defect(t14)))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }
-    next->predicted_state[0] = t2;
-    next->predicted_state[1] = t5;
-    next->predicted_state[2] = t7;
-    next->predicted_covariance[0] = t13;
-    next->predicted_covariance[2] = t25;
-    next->predicted_covariance[5] = t31;
+    next->predicted_state[0] = t0;
+    next->predicted_state[1] = t1;
+    next->predicted_state[2] = t2;
+    next->predicted_covariance[0] = t5;
+    next->predicted_covariance[2] = t11;
+    next->predicted_covariance[5] = t14;
     return FAULT_EFFECT_A_OK;
 }
 
@@ -397,10 +334,7 @@ static void fault_effect_a_fill(double *to, int size, const double *from, int pe
 
 fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self)
 {
-    if (self == NULL)
-    {
-        return FAULT_EFFECT_A_NULL_POINTER;
-    }
+    if (self == NULL) { return FAULT_EFFECT_A_NULL_POINTER; }
     fault_effect_a_fill(self->predicted_state, 3, fault_effect_a_zero_0, 1);
     fault_effect_a_fill(self->predicted_covariance, 6, fault_effect_a_predicted_covariance_0, 6);
     fault_effect_a_fill(self->filtered_state, 3, fault_effect_a_zero_0, 1);
@@ -420,24 +354,15 @@ fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const doub
     fault_effect_a_t next;
     uint32_t present;
     fault_effect_a_status_t status;
-    if ((self == NULL) || (u == NULL) || (y == NULL))
-    {
-        return FAULT_EFFECT_A_NULL_POINTER;
-    }
-    if (!fault_effect_a_finite_input(u))
-    {
-        return FAULT_EFFECT_A_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (u == NULL) || (y == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
+    if (!fault_effect_a_finite_input(u)) { return FAULT_EFFECT_A_INPUT_NOT_FINITE; }
     if (!fault_effect_a_present_rows(y, valid, &present))
     {
         return FAULT_EFFECT_A_INPUT_NOT_FINITE;
     }
     next = *self;
     status = fault_effect_a_correct(self, y, present, &next);
-    if (status != FAULT_EFFECT_A_OK)
-    {
-        return status;
-    }
+    if (status != FAULT_EFFECT_A_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_SKIPPED;
 }
@@ -446,20 +371,11 @@ fault_effect_a_status_t fault_effect_a_predict(fault_effect_a_t *self, const dou
 {
     fault_effect_a_t next;
     fault_effect_a_status_t status;
-    if ((self == NULL) || (u == NULL))
-    {
-        return FAULT_EFFECT_A_NULL_POINTER;
-    }
-    if (!fault_effect_a_finite_input(u))
-    {
-        return FAULT_EFFECT_A_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (u == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
+    if (!fault_effect_a_finite_input(u)) { return FAULT_EFFECT_A_INPUT_NOT_FINITE; }
     next = *self;
     status = fault_effect_a_propagate(self, u, &next);
-    if (status != FAULT_EFFECT_A_OK)
-    {
-        return status;
-    }
+    if (status != FAULT_EFFECT_A_OK) { return status; }
     *self = next;
     return FAULT_EFFECT_A_OK;
 }
@@ -470,28 +386,16 @@ fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double
     fault_effect_a_t next;
     uint32_t present;
     fault_effect_a_status_t status;
-    if ((self == NULL) || (u == NULL) || (y == NULL))
-    {
-        return FAULT_EFFECT_A_NULL_POINTER;
-    }
-    if (!fault_effect_a_finite_input(u))
-    {
-        return FAULT_EFFECT_A_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (u == NULL) || (y == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
+    if (!fault_effect_a_finite_input(u)) { return FAULT_EFFECT_A_INPUT_NOT_FINITE; }
     if (!fault_effect_a_present_rows(y, valid, &present))
     {
         return FAULT_EFFECT_A_INPUT_NOT_FINITE;
     }
     status = fault_effect_a_correct(self, y, present, &next);
-    if (status != FAULT_EFFECT_A_OK)
-    {
-        return status;
-    }
+    if (status != FAULT_EFFECT_A_OK) { return status; }
     status = fault_effect_a_propagate(&next, u, &next);
-    if (status != FAULT_EFFECT_A_OK)
-    {
-        return status;
-    }
+    if (status != FAULT_EFFECT_A_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_SKIPPED;
 }

@@ -72,10 +72,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -94,18 +91,12 @@ fault_effect_a_status_t fault_effect_a_selftest(void)
     };
     const double *expected = final;
     int k;
-    if (fault_effect_a_init(&filter) != FAULT_EFFECT_A_OK)
-    {
-        return FAULT_EFFECT_A_NULL_POINTER;
-    }
+    if (fault_effect_a_init(&filter) != FAULT_EFFECT_A_OK) { return FAULT_EFFECT_A_NULL_POINTER; }
     for (k = 0; k < SAMPLES; ++k)
     {
         const fault_effect_a_status_t status = fault_effect_a_step(&filter, input[k],
             measurement[k], valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], FAULT_EFFECT_A_NX))
         {
             return FAULT_EFFECT_A_SELFTEST_FAILED;

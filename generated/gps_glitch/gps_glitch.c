@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define GPS_GLITCH_INLINE static inline __attribute__((always_inline))
@@ -38,14 +43,8 @@ static double gps_glitch_log(double x)
     gps_glitch_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -95,18 +94,9 @@ static double gps_glitch_exp(double x)
 {
     double y, part, r;
     int32_t k, half;
-    if (x > 709.782712893384)
-    {
-        return DBL_MAX * 2.0;
-    }
-    if (x < -745.1332191019411)
-    {
-        return 0.0;
-    }
-    if (!(x <= DBL_MAX))
-    {
-        return x;
-    }
+    if (x > 709.782712893384) { return DBL_MAX * 2.0; }
+    if (x < -745.1332191019411) { return 0.0; }
+    if (!(x <= DBL_MAX)) { return x; }
     r = x * 1.4426950408889634;
     r = r + ((x >= 0.0) ? 0.5 : -0.5);
     k = (int32_t)r;
@@ -220,51 +210,49 @@ static int gps_glitch_present_rows(const double *y, uint32_t valid, uint32_t *pr
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
+/* Copy the elements of an array to another. */
+GPS_GLITCH_INLINE void gps_glitch_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
 /* mixing and prediction of every mode. */
 GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_share,
     const double *mode_filtered_state, double *mixed_mean, const double *mode_filtered_covariance,
     const double *mixed_apart_squared, double *mixed_covariance)
 {
     const double t0 = mixed_share[0] * mode_filtered_state[0];
-    const double t1 = mixed_share[1] * mode_filtered_state[3];
-    mixed_mean[0] = t0 + t1;
-    const double t2 = mixed_share[0] * mode_filtered_state[1];
-    const double t3 = mixed_share[1] * mode_filtered_state[4];
-    mixed_mean[1] = t2 + t3;
-    const double t4 = mixed_share[0] * mode_filtered_state[2];
-    const double t5 = mixed_share[1] * mode_filtered_state[5];
-    mixed_mean[2] = t4 + t5;
-    const double t6 = mixed_share[0] * mode_filtered_covariance[0];
-    const double t7 = mixed_share[1] * mode_filtered_covariance[6];
-    const double t8 = t6 + t7;
-    const double t9 = mixed_share[0] * mixed_share[1];
-    const double t10 = t9 * mixed_apart_squared[0];
-    mixed_covariance[0] = t8 + t10;
-    const double t11 = mixed_share[0] * mode_filtered_covariance[1];
-    const double t12 = mixed_share[1] * mode_filtered_covariance[7];
-    const double t13 = t11 + t12;
-    const double t14 = t9 * mixed_apart_squared[1];
-    mixed_covariance[1] = t13 + t14;
-    const double t15 = mixed_share[0] * mode_filtered_covariance[2];
-    const double t16 = mixed_share[1] * mode_filtered_covariance[8];
-    const double t17 = t15 + t16;
-    const double t18 = t9 * mixed_apart_squared[2];
-    mixed_covariance[2] = t17 + t18;
-    const double t19 = mixed_share[0] * mode_filtered_covariance[3];
-    const double t20 = mixed_share[1] * mode_filtered_covariance[9];
-    const double t21 = t19 + t20;
-    const double t22 = t9 * mixed_apart_squared[3];
-    mixed_covariance[3] = t21 + t22;
-    const double t23 = mixed_share[0] * mode_filtered_covariance[4];
-    const double t24 = mixed_share[1] * mode_filtered_covariance[10];
-    const double t25 = t23 + t24;
-    const double t26 = t9 * mixed_apart_squared[4];
-    mixed_covariance[4] = t25 + t26;
-    const double t27 = mixed_share[0] * mode_filtered_covariance[5];
-    const double t28 = mixed_share[1] * mode_filtered_covariance[11];
-    const double t29 = t27 + t28;
-    const double t30 = t9 * mixed_apart_squared[5];
-    mixed_covariance[5] = t29 + t30;
+    mixed_mean[0] = t0 + (mixed_share[1] * mode_filtered_state[3]);
+    const double t1 = mixed_share[0] * mode_filtered_state[1];
+    mixed_mean[1] = t1 + (mixed_share[1] * mode_filtered_state[4]);
+    const double t2 = mixed_share[0] * mode_filtered_state[2];
+    mixed_mean[2] = t2 + (mixed_share[1] * mode_filtered_state[5]);
+    const double t3 = mixed_share[0] * mode_filtered_covariance[0];
+    const double t4 = t3 + (mixed_share[1] * mode_filtered_covariance[6]);
+    const double t5 = mixed_share[0] * mixed_share[1];
+    mixed_covariance[0] = t4 + (t5 * mixed_apart_squared[0]);
+    const double t6 = mixed_share[0] * mode_filtered_covariance[1];
+    const double t7 = t6 + (mixed_share[1] * mode_filtered_covariance[7]);
+    mixed_covariance[1] = t7 + (t5 * mixed_apart_squared[1]);
+    const double t8 = mixed_share[0] * mode_filtered_covariance[2];
+    const double t9 = t8 + (mixed_share[1] * mode_filtered_covariance[8]);
+    mixed_covariance[2] = t9 + (t5 * mixed_apart_squared[2]);
+    const double t10 = mixed_share[0] * mode_filtered_covariance[3];
+    const double t11 = t10 + (mixed_share[1] * mode_filtered_covariance[9]);
+    mixed_covariance[3] = t11 + (t5 * mixed_apart_squared[3]);
+    const double t12 = mixed_share[0] * mode_filtered_covariance[4];
+    const double t13 = t12 + (mixed_share[1] * mode_filtered_covariance[10]);
+    mixed_covariance[4] = t13 + (t5 * mixed_apart_squared[4]);
+    const double t14 = mixed_share[0] * mode_filtered_covariance[5];
+    const double t15 = t14 + (mixed_share[1] * mode_filtered_covariance[11]);
+    mixed_covariance[5] = t15 + (t5 * mixed_apart_squared[5]);
 }
 
 /* combination; mixing and prediction of every mode. */
@@ -278,48 +266,32 @@ GPS_GLITCH_INLINE void gps_glitch_part_2(const double *combined_0_1_mean,
     combined_0_3_apart[1] = combined_0_1_mean[1] - combined_2_3_mean[1];
     combined_0_3_apart[2] = combined_0_1_mean[2] - combined_2_3_mean[2];
     const double t0 = combined_0_3_share[0] * combined_0_1_mean[0];
-    const double t1 = combined_0_3_share[1] * combined_2_3_mean[0];
-    combined_0_3_mean[0] = t0 + t1;
-    const double t2 = combined_0_3_share[0] * combined_0_1_mean[1];
-    const double t3 = combined_0_3_share[1] * combined_2_3_mean[1];
-    combined_0_3_mean[1] = t2 + t3;
-    const double t4 = combined_0_3_share[0] * combined_0_1_mean[2];
-    const double t5 = combined_0_3_share[1] * combined_2_3_mean[2];
-    combined_0_3_mean[2] = t4 + t5;
-    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[0];
-    const double t7 = combined_0_3_share[1] * combined_2_3_covariance[0];
-    const double t8 = t6 + t7;
-    const double t9 = combined_0_3_share[0] * combined_0_3_share[1];
-    const double t10 = t9 * combined_0_3_apart[0];
-    const double t11 = t10 * combined_0_3_apart[0];
-    combined_0_3_covariance[0] = t8 + t11;
-    const double t12 = combined_0_3_share[0] * combined_0_1_covariance[1];
-    const double t13 = combined_0_3_share[1] * combined_2_3_covariance[1];
-    const double t14 = t12 + t13;
-    const double t15 = t9 * combined_0_3_apart[1];
-    const double t16 = t15 * combined_0_3_apart[0];
-    combined_0_3_covariance[1] = t14 + t16;
-    const double t17 = combined_0_3_share[0] * combined_0_1_covariance[2];
-    const double t18 = combined_0_3_share[1] * combined_2_3_covariance[2];
-    const double t19 = t17 + t18;
-    const double t20 = t15 * combined_0_3_apart[1];
-    combined_0_3_covariance[2] = t19 + t20;
-    const double t21 = combined_0_3_share[0] * combined_0_1_covariance[3];
-    const double t22 = combined_0_3_share[1] * combined_2_3_covariance[3];
-    const double t23 = t21 + t22;
-    const double t24 = t9 * combined_0_3_apart[2];
-    const double t25 = t24 * combined_0_3_apart[0];
-    combined_0_3_covariance[3] = t23 + t25;
-    const double t26 = combined_0_3_share[0] * combined_0_1_covariance[4];
-    const double t27 = combined_0_3_share[1] * combined_2_3_covariance[4];
-    const double t28 = t26 + t27;
-    const double t29 = t24 * combined_0_3_apart[1];
-    combined_0_3_covariance[4] = t28 + t29;
-    const double t30 = combined_0_3_share[0] * combined_0_1_covariance[5];
-    const double t31 = combined_0_3_share[1] * combined_2_3_covariance[5];
-    const double t32 = t30 + t31;
-    const double t33 = t24 * combined_0_3_apart[2];
-    combined_0_3_covariance[5] = t32 + t33;
+    combined_0_3_mean[0] = t0 + (combined_0_3_share[1] * combined_2_3_mean[0]);
+    const double t1 = combined_0_3_share[0] * combined_0_1_mean[1];
+    combined_0_3_mean[1] = t1 + (combined_0_3_share[1] * combined_2_3_mean[1]);
+    const double t2 = combined_0_3_share[0] * combined_0_1_mean[2];
+    combined_0_3_mean[2] = t2 + (combined_0_3_share[1] * combined_2_3_mean[2]);
+    const double t3 = combined_0_3_share[0] * combined_0_1_covariance[0];
+    const double t4 = t3 + (combined_0_3_share[1] * combined_2_3_covariance[0]);
+    const double t5 = combined_0_3_share[0] * combined_0_3_share[1];
+    combined_0_3_covariance[0] = t4 + (t5 * combined_0_3_apart[0] * combined_0_3_apart[0]);
+    const double t6 = combined_0_3_share[0] * combined_0_1_covariance[1];
+    const double t7 = t6 + (combined_0_3_share[1] * combined_2_3_covariance[1]);
+    const double t8 = t5 * combined_0_3_apart[1];
+    combined_0_3_covariance[1] = t7 + (t8 * combined_0_3_apart[0]);
+    const double t9 = combined_0_3_share[0] * combined_0_1_covariance[2];
+    const double t10 = t9 + (combined_0_3_share[1] * combined_2_3_covariance[2]);
+    combined_0_3_covariance[2] = t10 + (t8 * combined_0_3_apart[1]);
+    const double t11 = combined_0_3_share[0] * combined_0_1_covariance[3];
+    const double t12 = t11 + (combined_0_3_share[1] * combined_2_3_covariance[3]);
+    const double t13 = t5 * combined_0_3_apart[2];
+    combined_0_3_covariance[3] = t12 + (t13 * combined_0_3_apart[0]);
+    const double t14 = combined_0_3_share[0] * combined_0_1_covariance[4];
+    const double t15 = t14 + (combined_0_3_share[1] * combined_2_3_covariance[4]);
+    combined_0_3_covariance[4] = t15 + (t13 * combined_0_3_apart[1]);
+    const double t16 = combined_0_3_share[0] * combined_0_1_covariance[5];
+    const double t17 = t16 + (combined_0_3_share[1] * combined_2_3_covariance[5]);
+    combined_0_3_covariance[5] = t17 + (t13 * combined_0_3_apart[2]);
 }
 
 /* What differs between the calls of gps_glitch_mode, a row for each. */
@@ -328,7 +300,8 @@ static const double gps_glitch_mode_numbers[2][2] = {
     { 1600.0, 900.0 }
 };
 
-/* mode 0: signal, R; mode 1: signal, noise x 400. */
+/* mode 0: signal, R: innovation, row by row; mode 1: signal, noise x 400: innovation, row by
+ * row. */
 GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, const double *y,
     double *innovation_0, double *innovation_1, double *innovation_2, const double *mode_covariance,
     double *variance, double *mean, double *covariance, double *log_density, const double *numbers,
@@ -345,11 +318,10 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     double pivot_2;
     double inverse_2 = 0.0;
 
-    /* innovation, row by row */
+    /* mode 0: signal, R: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t0 = mode_state[0] + mode_state[2];
-        innovation_0[0] = y[0] - t0;
+        innovation_0[0] = y[0] - (mode_state[0] + mode_state[2]);
     }
     if ((present & 0x2u) != 0u)
     {
@@ -361,10 +333,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     }
 
     /* mode 0: signal, R */
-    const double t1 = mode_covariance[0] + mode_covariance[3];
-    const double t2 = mode_covariance[3] + mode_covariance[5];
-    const double t3 = t1 + t2;
-    variance[0] = t3 + 0.25;
+    const double t0 = mode_covariance[0] + mode_covariance[3];
+    variance[0] = t0 + (mode_covariance[3] + mode_covariance[5]) + 0.25;
     variance[1] = mode_covariance[0] + mode_covariance[3];
     variance[2] = mode_covariance[0] + numbers[0];
     variance[3] = mode_covariance[1] + mode_covariance[4];
@@ -373,142 +343,90 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     mean[0] = mode_state[0];
     mean[1] = mode_state[1];
     mean[2] = mode_state[2];
-    covariance[0] = mode_covariance[0];
-    covariance[1] = mode_covariance[1];
-    covariance[2] = mode_covariance[2];
-    covariance[3] = mode_covariance[3];
-    covariance[4] = mode_covariance[4];
-    covariance[5] = mode_covariance[5];
+    gps_glitch_copy(mode_covariance, covariance, 6);
 
-    /* row 0 of y, baro */
+    /* mode 0: signal, R: row 0 of y, baro */
     cross_0[0] = mode_covariance[0] + mode_covariance[3];
     cross_0[1] = mode_covariance[1] + mode_covariance[4];
     cross_0[2] = mode_covariance[3] + mode_covariance[5];
-    const double t4 = cross_0[0] + cross_0[2];
-    pivot_0 = t4 + 0.25;
+    pivot_0 = cross_0[0] + cross_0[2] + 0.25;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0;
-        const double t5 = innovation_0[0] * inverse_0;
-        quadratic = innovation_0[0] * t5;
-        const double t6 = cross_0[0] * t5;
-        mean[0] = mode_state[0] + t6;
-        const double t7 = cross_0[1] * t5;
-        mean[1] = mode_state[1] + t7;
-        const double t8 = cross_0[2] * t5;
-        mean[2] = mode_state[2] + t8;
-        const double t9 = cross_0[0] * inverse_0;
-        const double t10 = t9 * cross_0[0];
-        covariance[0] = mode_covariance[0] - t10;
-        const double t11 = cross_0[1] * inverse_0;
-        const double t12 = t11 * cross_0[0];
-        covariance[1] = mode_covariance[1] - t12;
-        const double t13 = t11 * cross_0[1];
-        covariance[2] = mode_covariance[2] - t13;
-        const double t14 = cross_0[2] * inverse_0;
-        const double t15 = t14 * cross_0[0];
-        covariance[3] = mode_covariance[3] - t15;
-        const double t16 = t14 * cross_0[1];
-        covariance[4] = mode_covariance[4] - t16;
-        const double t17 = t14 * cross_0[2];
-        covariance[5] = mode_covariance[5] - t17;
+        const double t1 = innovation_0[0] * inverse_0;
+        quadratic = innovation_0[0] * t1;
+        mean[0] = mode_state[0] + (cross_0[0] * t1);
+        mean[1] = mode_state[1] + (cross_0[1] * t1);
+        mean[2] = mode_state[2] + (cross_0[2] * t1);
+        covariance[0] = mode_covariance[0] - (cross_0[0] * inverse_0 * cross_0[0]);
+        const double t2 = cross_0[1] * inverse_0;
+        covariance[1] = mode_covariance[1] - (t2 * cross_0[0]);
+        covariance[2] = mode_covariance[2] - (t2 * cross_0[1]);
+        const double t3 = cross_0[2] * inverse_0;
+        covariance[3] = mode_covariance[3] - (t3 * cross_0[0]);
+        covariance[4] = mode_covariance[4] - (t3 * cross_0[1]);
+        covariance[5] = mode_covariance[5] - (t3 * cross_0[2]);
         log_constant = GPS_GLITCH_LOG_2_PI;
         determinant_0 = pivot_0;
     }
 
-    /* row 1 of y, gps_height */
+    /* mode 0: signal, R: row 1 of y, gps_height */
     pivot_1 = covariance[0] + numbers[0];
     if ((present & 0x2u) != 0u)
     {
-        if (!(pivot_1 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_1 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         inverse_1 = 1.0 / pivot_1;
-        const double t18 = mean[0] - mode_state[0];
-        const double t19 = innovation_1[0] - t18;
-        const double t20 = t19 * inverse_1;
-        const double t21 = t19 * t20;
-        quadratic = quadratic + t21;
+        const double t4 = innovation_1[0] - (mean[0] - mode_state[0]);
+        const double t5 = t4 * inverse_1;
+        quadratic = quadratic + (t4 * t5);
         log_constant = log_constant + GPS_GLITCH_LOG_2_PI;
         determinant_0 = determinant_0 * pivot_1;
-        const double t22 = covariance[0] * t20;
-        mean[0] = mean[0] + t22;
-        const double t23 = covariance[1] * t20;
-        mean[1] = mean[1] + t23;
-        const double t24 = covariance[3] * t20;
-        mean[2] = mean[2] + t24;
-        const double t25 = covariance[0] * inverse_1;
-        const double t26 = t25 * covariance[0];
-        const double t27 = covariance[0] - t26;
-        const double t28 = covariance[1] * inverse_1;
-        const double t29 = t28 * covariance[0];
-        const double t30 = covariance[1] - t29;
-        const double t31 = t28 * covariance[1];
-        covariance[2] = covariance[2] - t31;
-        const double t32 = covariance[3] * inverse_1;
-        const double t33 = t32 * covariance[0];
-        const double t34 = covariance[3] - t33;
-        const double t35 = t32 * covariance[1];
-        covariance[4] = covariance[4] - t35;
-        const double t36 = t32 * covariance[3];
-        covariance[5] = covariance[5] - t36;
-        covariance[0] = t27;
-        covariance[1] = t30;
-        covariance[3] = t34;
+        mean[0] = mean[0] + (covariance[0] * t5);
+        mean[1] = mean[1] + (covariance[1] * t5);
+        mean[2] = mean[2] + (covariance[3] * t5);
+        const double t6 = covariance[0] - (covariance[0] * inverse_1 * covariance[0]);
+        const double t7 = covariance[1] * inverse_1;
+        const double t8 = covariance[1] - (t7 * covariance[0]);
+        covariance[2] = covariance[2] - (t7 * covariance[1]);
+        const double t9 = covariance[3] * inverse_1;
+        const double t10 = covariance[3] - (t9 * covariance[0]);
+        covariance[4] = covariance[4] - (t9 * covariance[1]);
+        covariance[5] = covariance[5] - (t9 * covariance[3]);
+        covariance[0] = t6;
+        covariance[1] = t8;
+        covariance[3] = t10;
     }
 
-    /* row 2 of y, gps_climb */
+    /* mode 0: signal, R: row 2 of y, gps_climb */
     pivot_2 = covariance[2] + numbers[1];
     if ((present & 0x4u) != 0u)
     {
-        if (!(pivot_2 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_2 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         inverse_2 = 1.0 / pivot_2;
-        const double t37 = mean[1] - mode_state[1];
-        const double t38 = innovation_2[0] - t37;
-        const double t39 = t38 * inverse_2;
-        const double t40 = t38 * t39;
-        quadratic = quadratic + t40;
+        const double t11 = innovation_2[0] - (mean[1] - mode_state[1]);
+        const double t12 = t11 * inverse_2;
+        quadratic = quadratic + (t11 * t12);
         log_constant = log_constant + GPS_GLITCH_LOG_2_PI;
         determinant_0 = determinant_0 * pivot_2;
-        const double t41 = covariance[1] * t39;
-        mean[0] = mean[0] + t41;
-        const double t42 = covariance[2] * t39;
-        mean[1] = mean[1] + t42;
-        const double t43 = covariance[4] * t39;
-        mean[2] = mean[2] + t43;
-        const double t44 = covariance[1] * inverse_2;
-        const double t45 = t44 * covariance[1];
-        covariance[0] = covariance[0] - t45;
-        const double t46 = covariance[2] * inverse_2;
-        const double t47 = t46 * covariance[1];
-        const double t48 = covariance[1] - t47;
-        const double t49 = t46 * covariance[2];
-        const double t50 = covariance[2] - t49;
-        const double t51 = covariance[4] * inverse_2;
-        const double t52 = t51 * covariance[1];
-        covariance[3] = covariance[3] - t52;
-        const double t53 = t51 * covariance[2];
-        const double t54 = covariance[4] - t53;
-        const double t55 = t51 * covariance[4];
-        covariance[5] = covariance[5] - t55;
-        covariance[1] = t48;
-        covariance[2] = t50;
-        covariance[4] = t54;
+        mean[0] = mean[0] + (covariance[1] * t12);
+        mean[1] = mean[1] + (covariance[2] * t12);
+        mean[2] = mean[2] + (covariance[4] * t12);
+        covariance[0] = covariance[0] - (covariance[1] * inverse_2 * covariance[1]);
+        const double t13 = covariance[2] * inverse_2;
+        const double t14 = covariance[1] - (t13 * covariance[1]);
+        const double t15 = covariance[2] - (t13 * covariance[2]);
+        const double t16 = covariance[4] * inverse_2;
+        covariance[3] = covariance[3] - (t16 * covariance[1]);
+        const double t17 = covariance[4] - (t16 * covariance[2]);
+        covariance[5] = covariance[5] - (t16 * covariance[4]);
+        covariance[1] = t14;
+        covariance[2] = t15;
+        covariance[4] = t17;
     }
 
     /* mode 0: signal, R */
-    const double t56 = gps_glitch_log(determinant_0);
-    const double t57 = log_constant + t56;
-    const double t58 = quadratic + t57;
-    log_density[0] = -0.5 * t58;
+    log_density[0] = -0.5 * (quadratic + (log_constant + gps_glitch_log(determinant_0)));
     return GPS_GLITCH_OK;
 }
 
@@ -518,7 +436,8 @@ static const double gps_glitch_mode_2_numbers[2][6] = {
     { 1600.0, 900.0, 0.000625, 9.215635974637218, 0.0011111111111111111, 8.640271829733656 }
 };
 
-/* mode 2: no signal, R; mode 3: no signal, noise x 400. */
+/* mode 2: no signal, R: innovation, row by row; mode 3: no signal, noise x 400: innovation, row by
+ * row. */
 GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const double *y,
     double *innovation_0, double *innovation_1, double *innovation_2, const double *mode_covariance,
     double *variance, double *mean, double *covariance, double *quadratic, double *log_constant,
@@ -528,11 +447,10 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_2(const double *mode_state
     double pivot_0;
     double inverse_0 = 0.0;
 
-    /* innovation, row by row */
+    /* mode 2: no signal, R: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t0 = mode_state[0] + mode_state[2];
-        innovation_0[0] = y[0] - t0;
+        innovation_0[0] = y[0] - (mode_state[0] + mode_state[2]);
     }
     if ((present & 0x2u) != 0u)
     {
@@ -544,10 +462,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_2(const double *mode_state
     }
 
     /* mode 2: no signal, R */
-    const double t1 = mode_covariance[0] + mode_covariance[3];
-    const double t2 = mode_covariance[3] + mode_covariance[5];
-    const double t3 = t1 + t2;
-    variance[0] = t3 + 0.25;
+    const double t0 = mode_covariance[0] + mode_covariance[3];
+    variance[0] = t0 + (mode_covariance[3] + mode_covariance[5]) + 0.25;
     variance[1] = 0.0;
     variance[2] = numbers[0];
     variance[3] = 0.0;
@@ -556,68 +472,45 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_2(const double *mode_state
     mean[0] = mode_state[0];
     mean[1] = mode_state[1];
     mean[2] = mode_state[2];
-    covariance[0] = mode_covariance[0];
-    covariance[1] = mode_covariance[1];
-    covariance[2] = mode_covariance[2];
-    covariance[3] = mode_covariance[3];
-    covariance[4] = mode_covariance[4];
-    covariance[5] = mode_covariance[5];
+    gps_glitch_copy(mode_covariance, covariance, 6);
 
-    /* row 0 of y, baro */
+    /* mode 2: no signal, R: row 0 of y, baro */
     cross_0[0] = mode_covariance[0] + mode_covariance[3];
     cross_0[1] = mode_covariance[1] + mode_covariance[4];
     cross_0[2] = mode_covariance[3] + mode_covariance[5];
-    const double t4 = cross_0[0] + cross_0[2];
-    pivot_0 = t4 + 0.25;
+    pivot_0 = cross_0[0] + cross_0[2] + 0.25;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0;
-        const double t5 = innovation_0[0] * inverse_0;
-        quadratic[0] = innovation_0[0] * t5;
-        const double t6 = cross_0[0] * t5;
-        mean[0] = mode_state[0] + t6;
-        const double t7 = cross_0[1] * t5;
-        mean[1] = mode_state[1] + t7;
-        const double t8 = cross_0[2] * t5;
-        mean[2] = mode_state[2] + t8;
-        const double t9 = cross_0[0] * inverse_0;
-        const double t10 = t9 * cross_0[0];
-        covariance[0] = mode_covariance[0] - t10;
-        const double t11 = cross_0[1] * inverse_0;
-        const double t12 = t11 * cross_0[0];
-        covariance[1] = mode_covariance[1] - t12;
-        const double t13 = t11 * cross_0[1];
-        covariance[2] = mode_covariance[2] - t13;
-        const double t14 = cross_0[2] * inverse_0;
-        const double t15 = t14 * cross_0[0];
-        covariance[3] = mode_covariance[3] - t15;
-        const double t16 = t14 * cross_0[1];
-        covariance[4] = mode_covariance[4] - t16;
-        const double t17 = t14 * cross_0[2];
-        covariance[5] = mode_covariance[5] - t17;
+        const double t1 = innovation_0[0] * inverse_0;
+        quadratic[0] = innovation_0[0] * t1;
+        mean[0] = mode_state[0] + (cross_0[0] * t1);
+        mean[1] = mode_state[1] + (cross_0[1] * t1);
+        mean[2] = mode_state[2] + (cross_0[2] * t1);
+        covariance[0] = mode_covariance[0] - (cross_0[0] * inverse_0 * cross_0[0]);
+        const double t2 = cross_0[1] * inverse_0;
+        covariance[1] = mode_covariance[1] - (t2 * cross_0[0]);
+        covariance[2] = mode_covariance[2] - (t2 * cross_0[1]);
+        const double t3 = cross_0[2] * inverse_0;
+        covariance[3] = mode_covariance[3] - (t3 * cross_0[0]);
+        covariance[4] = mode_covariance[4] - (t3 * cross_0[1]);
+        covariance[5] = mode_covariance[5] - (t3 * cross_0[2]);
         log_constant[0] = GPS_GLITCH_LOG_2_PI;
         determinant_0[0] = pivot_0;
     }
 
-    /* row 1 of y, gps_height */
+    /* mode 2: no signal, R: row 1 of y, gps_height */
     if ((present & 0x2u) != 0u)
     {
-        const double t18 = numbers[2] * innovation_1[0];
-        const double t19 = innovation_1[0] * t18;
-        quadratic[0] = quadratic[0] + t19;
+        quadratic[0] = quadratic[0] + (innovation_1[0] * (numbers[2] * innovation_1[0]));
         log_constant[0] = log_constant[0] + numbers[3];
     }
 
-    /* row 2 of y, gps_climb */
+    /* mode 2: no signal, R: row 2 of y, gps_climb */
     if ((present & 0x4u) != 0u)
     {
-        const double t20 = numbers[4] * innovation_2[0];
-        const double t21 = innovation_2[0] * t20;
-        quadratic[0] = quadratic[0] + t21;
+        quadratic[0] = quadratic[0] + (innovation_2[0] * (numbers[4] * innovation_2[0]));
         log_constant[0] = log_constant[0] + numbers[5];
     }
 
@@ -634,9 +527,7 @@ GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double
     double combined_share[2];
     double combined_apart[3];
     double combined_apart_squared[6];
-    const double t0 = weight[0] + weight[1];
-    const double t1 = t0 + GPS_GLITCH_TINY;
-    combined_inverse = 1.0 / t1;
+    combined_inverse = 1.0 / (weight[0] + weight[1] + GPS_GLITCH_TINY);
     combined_share[0] = weight[0] * combined_inverse;
     combined_share[1] = weight[1] * combined_inverse;
     combined_apart[0] = mean[0] - mean_2[0];
@@ -648,70 +539,43 @@ GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double
     combined_apart_squared[3] = combined_apart[2] * combined_apart[0];
     combined_apart_squared[4] = combined_apart[2] * combined_apart[1];
     combined_apart_squared[5] = combined_apart[2] * combined_apart[2];
-    const double t2 = combined_share[0] * mean[0];
-    const double t3 = combined_share[1] * mean_2[0];
-    combined_mean[0] = t2 + t3;
-    const double t4 = combined_share[0] * mean[1];
-    const double t5 = combined_share[1] * mean_2[1];
-    combined_mean[1] = t4 + t5;
-    const double t6 = combined_share[0] * mean[2];
-    const double t7 = combined_share[1] * mean_2[2];
-    combined_mean[2] = t6 + t7;
-    const double t8 = combined_share[0] * covariance[0];
-    const double t9 = combined_share[1] * covariance_2[0];
-    const double t10 = t8 + t9;
-    const double t11 = combined_share[0] * combined_share[1];
-    const double t12 = t11 * combined_apart_squared[0];
-    combined_covariance[0] = t10 + t12;
-    const double t13 = combined_share[0] * covariance[1];
-    const double t14 = combined_share[1] * covariance_2[1];
-    const double t15 = t13 + t14;
-    const double t16 = t11 * combined_apart_squared[1];
-    combined_covariance[1] = t15 + t16;
-    const double t17 = combined_share[0] * covariance[2];
-    const double t18 = combined_share[1] * covariance_2[2];
-    const double t19 = t17 + t18;
-    const double t20 = t11 * combined_apart_squared[2];
-    combined_covariance[2] = t19 + t20;
-    const double t21 = combined_share[0] * covariance[3];
-    const double t22 = combined_share[1] * covariance_2[3];
-    const double t23 = t21 + t22;
-    const double t24 = t11 * combined_apart_squared[3];
-    combined_covariance[3] = t23 + t24;
-    const double t25 = combined_share[0] * covariance[4];
-    const double t26 = combined_share[1] * covariance_2[4];
-    const double t27 = t25 + t26;
-    const double t28 = t11 * combined_apart_squared[4];
-    combined_covariance[4] = t27 + t28;
-    const double t29 = combined_share[0] * covariance[5];
-    const double t30 = combined_share[1] * covariance_2[5];
-    const double t31 = t29 + t30;
-    const double t32 = t11 * combined_apart_squared[5];
-    combined_covariance[5] = t31 + t32;
+    combined_mean[0] = (combined_share[0] * mean[0]) + (combined_share[1] * mean_2[0]);
+    combined_mean[1] = (combined_share[0] * mean[1]) + (combined_share[1] * mean_2[1]);
+    combined_mean[2] = (combined_share[0] * mean[2]) + (combined_share[1] * mean_2[2]);
+    const double t0 = (combined_share[0] * covariance[0]) + (combined_share[1] * covariance_2[0]);
+    const double t1 = combined_share[0] * combined_share[1];
+    combined_covariance[0] = t0 + (t1 * combined_apart_squared[0]);
+    const double t2 = (combined_share[0] * covariance[1]) + (combined_share[1] * covariance_2[1]);
+    combined_covariance[1] = t2 + (t1 * combined_apart_squared[1]);
+    const double t3 = (combined_share[0] * covariance[2]) + (combined_share[1] * covariance_2[2]);
+    combined_covariance[2] = t3 + (t1 * combined_apart_squared[2]);
+    const double t4 = (combined_share[0] * covariance[3]) + (combined_share[1] * covariance_2[3]);
+    combined_covariance[3] = t4 + (t1 * combined_apart_squared[3]);
+    const double t5 = (combined_share[0] * covariance[4]) + (combined_share[1] * covariance_2[4]);
+    combined_covariance[4] = t5 + (t1 * combined_apart_squared[4]);
+    const double t6 = (combined_share[0] * covariance[5]) + (combined_share[1] * covariance_2[5]);
+    combined_covariance[5] = t6 + (t1 * combined_apart_squared[5]);
 }
 
 /* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_0_3_mean,
-    double *moved_state, const double *mixed_0_3_covariance, const double *Q,
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_0_1_mean,
+    const double *mixed_2_3_mean, const double *mixed_0_3_share, const double *mixed_0_1_covariance,
+    const double *mixed_2_3_covariance, double *moved_state, const double *Q,
     double *moved_covariance, const gps_glitch_params_t *params)
 {
-    const double t0 = params->dt * mixed_0_3_mean[1];
-    moved_state[0] = mixed_0_3_mean[0] + t0;
+    double mixed_0_3_mean[3] = { 0.0 };
+    double mixed_0_3_covariance[6] = { 0.0 };
+    gps_glitch_part_2(mixed_0_1_mean, mixed_2_3_mean, mixed_0_3_share, mixed_0_3_mean,
+        mixed_0_1_covariance, mixed_2_3_covariance, mixed_0_3_covariance);
+    moved_state[0] = mixed_0_3_mean[0] + (params->dt * mixed_0_3_mean[1]);
     moved_state[1] = mixed_0_3_mean[1];
     moved_state[2] = mixed_0_3_mean[2];
-    const double t1 = params->dt * mixed_0_3_covariance[1];
-    const double t2 = mixed_0_3_covariance[0] + t1;
-    const double t3 = params->dt * mixed_0_3_covariance[2];
-    const double t4 = mixed_0_3_covariance[1] + t3;
-    const double t5 = t4 * params->dt;
-    const double t6 = t2 + t5;
-    moved_covariance[0] = t6 + Q[0];
-    const double t7 = mixed_0_3_covariance[2] * params->dt;
-    const double t8 = mixed_0_3_covariance[1] + t7;
-    moved_covariance[1] = t8 + Q[1];
+    const double t0 = mixed_0_3_covariance[0] + (params->dt * mixed_0_3_covariance[1]);
+    const double t1 = mixed_0_3_covariance[1] + (params->dt * mixed_0_3_covariance[2]);
+    moved_covariance[0] = t0 + (t1 * params->dt) + Q[0];
+    moved_covariance[1] = mixed_0_3_covariance[1] + (mixed_0_3_covariance[2] * params->dt) + Q[1];
     moved_covariance[2] = mixed_0_3_covariance[2] + params->dt;
-    const double t9 = mixed_0_3_covariance[4] * params->dt;
-    moved_covariance[3] = mixed_0_3_covariance[3] + t9;
+    moved_covariance[3] = mixed_0_3_covariance[3] + (mixed_0_3_covariance[4] * params->dt);
     moved_covariance[5] = mixed_0_3_covariance[5] + Q[3];
     moved_covariance[4] = mixed_0_3_covariance[4];
 }
@@ -728,33 +592,25 @@ GPS_GLITCH_INLINE void gps_glitch_law_of_the_next(const double *mode_probability
     double *mode_prediction, double *mixing, const double *numbers)
 {
     double mode_prediction_inverse;
-    const double t0 = numbers[0] * mode_probability[0];
-    const double t1 = numbers[1] * mode_probability[1];
-    const double t2 = t0 + t1;
-    const double t3 = numbers[2] * mode_probability[2];
-    const double t4 = t2 + t3;
-    const double t5 = numbers[3] * mode_probability[3];
-    mode_prediction[0] = t4 + t5;
+    const double t0 = (numbers[0] * mode_probability[0]) + (numbers[1] * mode_probability[1]);
+    const double t1 = t0 + (numbers[2] * mode_probability[2]);
+    mode_prediction[0] = t1 + (numbers[3] * mode_probability[3]);
     mode_prediction_inverse = 1.0 / mode_prediction[0];
-    const double t6 = numbers[0] * mode_probability[0];
-    mixing[0] = t6 * mode_prediction_inverse;
-    const double t7 = numbers[1] * mode_probability[1];
-    mixing[1] = t7 * mode_prediction_inverse;
-    const double t8 = numbers[2] * mode_probability[2];
-    mixing[2] = t8 * mode_prediction_inverse;
-    const double t9 = numbers[3] * mode_probability[3];
-    mixing[3] = t9 * mode_prediction_inverse;
+    mixing[0] = numbers[0] * mode_probability[0] * mode_prediction_inverse;
+    mixing[1] = numbers[1] * mode_probability[1] * mode_prediction_inverse;
+    mixing[2] = numbers[2] * mode_probability[2] * mode_prediction_inverse;
+    mixing[3] = numbers[3] * mode_probability[3] * mode_prediction_inverse;
 }
 
 /* mixing and prediction of every mode. */
 GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixing_0,
-    double *mixed_0_share, const double *mode_filtered_state, double *mixed_apart_squared)
+    const double *mode_filtered_state, double *mixed_apart_squared, double *mixed_0_mean,
+    const double *mode_filtered_covariance, double *mixed_0_covariance)
 {
     double mixed_0_inverse;
+    double mixed_0_share[2] = { 0.0 };
     double mixed_apart[3];
-    const double t0 = mixing_0[0] + mixing_0[1];
-    const double t1 = t0 + GPS_GLITCH_TINY;
-    mixed_0_inverse = 1.0 / t1;
+    mixed_0_inverse = 1.0 / (mixing_0[0] + mixing_0[1] + GPS_GLITCH_TINY);
     mixed_0_share[0] = mixing_0[0] * mixed_0_inverse;
     mixed_0_share[1] = mixing_0[1] * mixed_0_inverse;
     mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[3];
@@ -766,6 +622,8 @@ GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixing_0
     mixed_apart_squared[3] = mixed_apart[2] * mixed_apart[0];
     mixed_apart_squared[4] = mixed_apart[2] * mixed_apart[1];
     mixed_apart_squared[5] = mixed_apart[2] * mixed_apart[2];
+    gps_glitch_mixing_and_prediction(mixed_0_share, mode_filtered_state, mixed_0_mean,
+        mode_filtered_covariance, mixed_apart_squared, mixed_0_covariance);
 }
 
 /* innovation of the mixture. */
@@ -776,140 +634,76 @@ GPS_GLITCH_INLINE void gps_glitch_innovation_of_the_mixture(const double
     double *combined_variance)
 {
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
-    const double t1 = predicted_mode_probability[1] * variance_m1[0];
-    const double t2 = t0 + t1;
-    const double t3 = predicted_mode_probability[2] * variance_m2[0];
-    const double t4 = t2 + t3;
-    const double t5 = predicted_mode_probability[3] * variance_m3[0];
-    const double t6 = t4 + t5;
-    const double t7 = predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t8 = predicted_mode_probability[1] * predicted_y_m1[0];
-    const double t9 = t7 + t8;
-    const double t10 = predicted_mode_probability[2] * predicted_y_m2[0];
-    const double t11 = t9 + t10;
-    const double t12 = predicted_mode_probability[3] * predicted_y_m3[0];
-    const double t13 = t11 + t12;
-    const double t14 = predicted_y_m0[0] - t13;
-    const double t15 = predicted_mode_probability[0] * t14;
-    const double t16 = t15 * t14;
-    const double t17 = predicted_y_m1[0] - t13;
-    const double t18 = predicted_mode_probability[1] * t17;
-    const double t19 = t18 * t17;
-    const double t20 = t16 + t19;
-    const double t21 = predicted_y_m2[0] - t13;
-    const double t22 = predicted_mode_probability[2] * t21;
-    const double t23 = t22 * t21;
-    const double t24 = t20 + t23;
-    const double t25 = predicted_y_m3[0] - t13;
-    const double t26 = predicted_mode_probability[3] * t25;
-    const double t27 = t26 * t25;
-    const double t28 = t24 + t27;
-    combined_variance[0] = t6 + t28;
-    const double t29 = predicted_mode_probability[0] * variance_m0[1];
-    const double t30 = predicted_mode_probability[1] * variance_m1[1];
-    const double t31 = t29 + t30;
-    const double t32 = predicted_mode_probability[2] * variance_m2[1];
-    const double t33 = t31 + t32;
-    const double t34 = predicted_mode_probability[3] * variance_m3[1];
-    const double t35 = t33 + t34;
-    const double t36 = predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t37 = predicted_mode_probability[1] * predicted_y_m1[1];
-    const double t38 = t36 + t37;
-    const double t39 = predicted_mode_probability[2] * predicted_y_m2[1];
-    const double t40 = t38 + t39;
-    const double t41 = predicted_mode_probability[3] * predicted_y_m3[1];
-    const double t42 = t40 + t41;
-    const double t43 = predicted_y_m0[1] - t42;
-    const double t44 = predicted_mode_probability[0] * t43;
-    const double t45 = t44 * t14;
-    const double t46 = predicted_y_m1[1] - t42;
-    const double t47 = predicted_mode_probability[1] * t46;
-    const double t48 = t47 * t17;
-    const double t49 = t45 + t48;
-    const double t50 = predicted_y_m2[1] - t42;
-    const double t51 = predicted_mode_probability[2] * t50;
-    const double t52 = t51 * t21;
-    const double t53 = t49 + t52;
-    const double t54 = predicted_y_m3[1] - t42;
-    const double t55 = predicted_mode_probability[3] * t54;
-    const double t56 = t55 * t25;
-    const double t57 = t53 + t56;
-    combined_variance[1] = t35 + t57;
-    const double t58 = predicted_mode_probability[0] * variance_m0[2];
-    const double t59 = predicted_mode_probability[1] * variance_m1[2];
-    const double t60 = t58 + t59;
-    const double t61 = predicted_mode_probability[2] * variance_m2[2];
-    const double t62 = t60 + t61;
-    const double t63 = predicted_mode_probability[3] * variance_m3[2];
-    const double t64 = t62 + t63;
-    const double t65 = t44 * t43;
-    const double t66 = t47 * t46;
-    const double t67 = t65 + t66;
-    const double t68 = t51 * t50;
-    const double t69 = t67 + t68;
-    const double t70 = t55 * t54;
-    const double t71 = t69 + t70;
-    combined_variance[2] = t64 + t71;
-    const double t72 = predicted_mode_probability[0] * variance_m0[3];
-    const double t73 = predicted_mode_probability[1] * variance_m1[3];
-    const double t74 = t72 + t73;
-    const double t75 = predicted_mode_probability[2] * variance_m2[3];
-    const double t76 = t74 + t75;
-    const double t77 = predicted_mode_probability[3] * variance_m3[3];
-    const double t78 = t76 + t77;
-    const double t79 = predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t80 = predicted_mode_probability[1] * predicted_y_m1[2];
-    const double t81 = t79 + t80;
-    const double t82 = predicted_mode_probability[2] * predicted_y_m2[2];
-    const double t83 = t81 + t82;
-    const double t84 = predicted_mode_probability[3] * predicted_y_m3[2];
-    const double t85 = t83 + t84;
-    const double t86 = predicted_y_m0[2] - t85;
-    const double t87 = predicted_mode_probability[0] * t86;
-    const double t88 = t87 * t14;
-    const double t89 = predicted_y_m1[2] - t85;
-    const double t90 = predicted_mode_probability[1] * t89;
-    const double t91 = t90 * t17;
-    const double t92 = t88 + t91;
-    const double t93 = predicted_y_m2[2] - t85;
-    const double t94 = predicted_mode_probability[2] * t93;
-    const double t95 = t94 * t21;
-    const double t96 = t92 + t95;
-    const double t97 = predicted_y_m3[2] - t85;
-    const double t98 = predicted_mode_probability[3] * t97;
-    const double t99 = t98 * t25;
-    const double t100 = t96 + t99;
-    combined_variance[3] = t78 + t100;
-    const double t101 = predicted_mode_probability[0] * variance_m0[4];
-    const double t102 = predicted_mode_probability[1] * variance_m1[4];
-    const double t103 = t101 + t102;
-    const double t104 = predicted_mode_probability[2] * variance_m2[4];
-    const double t105 = t103 + t104;
-    const double t106 = predicted_mode_probability[3] * variance_m3[4];
-    const double t107 = t105 + t106;
-    const double t108 = t87 * t43;
-    const double t109 = t90 * t46;
-    const double t110 = t108 + t109;
-    const double t111 = t94 * t50;
-    const double t112 = t110 + t111;
-    const double t113 = t98 * t54;
-    const double t114 = t112 + t113;
-    combined_variance[4] = t107 + t114;
-    const double t115 = predicted_mode_probability[0] * variance_m0[5];
-    const double t116 = predicted_mode_probability[1] * variance_m1[5];
-    const double t117 = t115 + t116;
-    const double t118 = predicted_mode_probability[2] * variance_m2[5];
-    const double t119 = t117 + t118;
-    const double t120 = predicted_mode_probability[3] * variance_m3[5];
-    const double t121 = t119 + t120;
-    const double t122 = t87 * t86;
-    const double t123 = t90 * t89;
-    const double t124 = t122 + t123;
-    const double t125 = t94 * t93;
-    const double t126 = t124 + t125;
-    const double t127 = t98 * t97;
-    const double t128 = t126 + t127;
-    combined_variance[5] = t121 + t128;
+    const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
+    const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
+    const double t3 = t2 + (predicted_mode_probability[3] * variance_m3[0]);
+    const double t4 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t5 = t4 + (predicted_mode_probability[1] * predicted_y_m1[0]);
+    const double t6 = t5 + (predicted_mode_probability[2] * predicted_y_m2[0]);
+    const double t7 = t6 + (predicted_mode_probability[3] * predicted_y_m3[0]);
+    const double t8 = predicted_y_m0[0] - t7;
+    const double t9 = predicted_mode_probability[0] * t8 * t8;
+    const double t10 = predicted_y_m1[0] - t7;
+    const double t11 = t9 + (predicted_mode_probability[1] * t10 * t10);
+    const double t12 = predicted_y_m2[0] - t7;
+    const double t13 = t11 + (predicted_mode_probability[2] * t12 * t12);
+    const double t14 = predicted_y_m3[0] - t7;
+    combined_variance[0] = t3 + (t13 + (predicted_mode_probability[3] * t14 * t14));
+    const double t15 = predicted_mode_probability[0] * variance_m0[1];
+    const double t16 = t15 + (predicted_mode_probability[1] * variance_m1[1]);
+    const double t17 = t16 + (predicted_mode_probability[2] * variance_m2[1]);
+    const double t18 = t17 + (predicted_mode_probability[3] * variance_m3[1]);
+    const double t19 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t20 = t19 + (predicted_mode_probability[1] * predicted_y_m1[1]);
+    const double t21 = t20 + (predicted_mode_probability[2] * predicted_y_m2[1]);
+    const double t22 = t21 + (predicted_mode_probability[3] * predicted_y_m3[1]);
+    const double t23 = predicted_y_m0[1] - t22;
+    const double t24 = predicted_mode_probability[0] * t23;
+    const double t25 = t24 * t8;
+    const double t26 = predicted_y_m1[1] - t22;
+    const double t27 = predicted_mode_probability[1] * t26;
+    const double t28 = t25 + (t27 * t10);
+    const double t29 = predicted_y_m2[1] - t22;
+    const double t30 = predicted_mode_probability[2] * t29;
+    const double t31 = t28 + (t30 * t12);
+    const double t32 = predicted_y_m3[1] - t22;
+    const double t33 = predicted_mode_probability[3] * t32;
+    combined_variance[1] = t18 + (t31 + (t33 * t14));
+    const double t34 = predicted_mode_probability[0] * variance_m0[2];
+    const double t35 = t34 + (predicted_mode_probability[1] * variance_m1[2]);
+    const double t36 = t35 + (predicted_mode_probability[2] * variance_m2[2]);
+    const double t37 = t36 + (predicted_mode_probability[3] * variance_m3[2]);
+    combined_variance[2] = t37 + ((t24 * t23) + (t27 * t26) + (t30 * t29) + (t33 * t32));
+    const double t38 = predicted_mode_probability[0] * variance_m0[3];
+    const double t39 = t38 + (predicted_mode_probability[1] * variance_m1[3]);
+    const double t40 = t39 + (predicted_mode_probability[2] * variance_m2[3]);
+    const double t41 = t40 + (predicted_mode_probability[3] * variance_m3[3]);
+    const double t42 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t43 = t42 + (predicted_mode_probability[1] * predicted_y_m1[2]);
+    const double t44 = t43 + (predicted_mode_probability[2] * predicted_y_m2[2]);
+    const double t45 = t44 + (predicted_mode_probability[3] * predicted_y_m3[2]);
+    const double t46 = predicted_y_m0[2] - t45;
+    const double t47 = predicted_mode_probability[0] * t46;
+    const double t48 = t47 * t8;
+    const double t49 = predicted_y_m1[2] - t45;
+    const double t50 = predicted_mode_probability[1] * t49;
+    const double t51 = t48 + (t50 * t10);
+    const double t52 = predicted_y_m2[2] - t45;
+    const double t53 = predicted_mode_probability[2] * t52;
+    const double t54 = t51 + (t53 * t12);
+    const double t55 = predicted_y_m3[2] - t45;
+    const double t56 = predicted_mode_probability[3] * t55;
+    combined_variance[3] = t41 + (t54 + (t56 * t14));
+    const double t57 = predicted_mode_probability[0] * variance_m0[4];
+    const double t58 = t57 + (predicted_mode_probability[1] * variance_m1[4]);
+    const double t59 = t58 + (predicted_mode_probability[2] * variance_m2[4]);
+    const double t60 = t59 + (predicted_mode_probability[3] * variance_m3[4]);
+    combined_variance[4] = t60 + ((t47 * t23) + (t50 * t26) + (t53 * t29) + (t56 * t32));
+    const double t61 = predicted_mode_probability[0] * variance_m0[5];
+    const double t62 = t61 + (predicted_mode_probability[1] * variance_m1[5]);
+    const double t63 = t62 + (predicted_mode_probability[2] * variance_m2[5]);
+    const double t64 = t63 + (predicted_mode_probability[3] * variance_m3[5]);
+    combined_variance[5] = t64 + ((t47 * t46) + (t50 * t49) + (t53 * t52) + (t56 * t55));
 }
 
 /* combination. */
@@ -928,27 +722,15 @@ GPS_GLITCH_INLINE void gps_glitch_combination_2(const double *combined_innovatio
 {
     const double t0 = combined_innovation[0] * combined_innovation[0];
     const double t1 = t0 * whitening_inverse_combined_0;
-    const double t2 = whitening_combined_0_1 * combined_innovation[0];
-    const double t3 = combined_innovation[1] - t2;
-    const double t4 = t3 * t3;
-    const double t5 = t4 * whitening_inverse_combined_1;
-    const double t6 = t1 + t5;
-    const double t7 = whitening_combined_0_2 * combined_innovation[0];
-    const double t8 = combined_innovation[2] - t7;
-    const double t9 = whitening_combined_1_2 * t3;
-    const double t10 = t8 - t9;
-    const double t11 = t10 * t10;
-    const double t12 = t11 * whitening_inverse_combined_2;
-    nis[0] = t6 + t12;
+    const double t2 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t3 = t1 + (t2 * t2 * whitening_inverse_combined_1);
+    const double t4 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
+    const double t5 = t4 - (whitening_combined_1_2 * t2);
+    nis[0] = t3 + (t5 * t5 * whitening_inverse_combined_2);
     innovation[0] = combined_innovation[0];
     innovation[1] = combined_innovation[1];
     innovation[2] = combined_innovation[2];
-    innovation_covariance[0] = combined_variance[0];
-    innovation_covariance[1] = combined_variance[1];
-    innovation_covariance[2] = combined_variance[2];
-    innovation_covariance[3] = combined_variance[3];
-    innovation_covariance[4] = combined_variance[4];
-    innovation_covariance[5] = combined_variance[5];
+    gps_glitch_copy(combined_variance, innovation_covariance, 6);
     mode_probability[0] = weight[0];
     mode_probability[1] = weight[1];
     mode_probability[2] = weight[2];
@@ -961,12 +743,7 @@ GPS_GLITCH_INLINE void gps_glitch_combination_2(const double *combined_innovatio
     filtered_state[0] = combined_0_3_mean[0];
     filtered_state[1] = combined_0_3_mean[1];
     filtered_state[2] = combined_0_3_mean[2];
-    filtered_covariance[0] = combined_0_3_covariance[0];
-    filtered_covariance[1] = combined_0_3_covariance[1];
-    filtered_covariance[2] = combined_0_3_covariance[2];
-    filtered_covariance[3] = combined_0_3_covariance[3];
-    filtered_covariance[4] = combined_0_3_covariance[4];
-    filtered_covariance[5] = combined_0_3_covariance[5];
+    gps_glitch_copy(combined_0_3_covariance, filtered_covariance, 6);
     mode_filtered_state[0] = mean_m0[0];
     mode_filtered_state[1] = mean_m0[1];
     mode_filtered_state[2] = mean_m0[2];
@@ -979,56 +756,37 @@ GPS_GLITCH_INLINE void gps_glitch_combination_2(const double *combined_innovatio
     mode_filtered_state[9] = mean_m3[0];
     mode_filtered_state[10] = mean_m3[1];
     mode_filtered_state[11] = mean_m3[2];
-    mode_filtered_covariance[0] = covariance_m0[0];
-    mode_filtered_covariance[1] = covariance_m0[1];
-    mode_filtered_covariance[2] = covariance_m0[2];
-    mode_filtered_covariance[3] = covariance_m0[3];
-    mode_filtered_covariance[4] = covariance_m0[4];
-    mode_filtered_covariance[5] = covariance_m0[5];
-    mode_filtered_covariance[6] = covariance_m1[0];
-    mode_filtered_covariance[7] = covariance_m1[1];
-    mode_filtered_covariance[8] = covariance_m1[2];
-    mode_filtered_covariance[9] = covariance_m1[3];
-    mode_filtered_covariance[10] = covariance_m1[4];
-    mode_filtered_covariance[11] = covariance_m1[5];
-    mode_filtered_covariance[12] = covariance_m2[0];
-    mode_filtered_covariance[13] = covariance_m2[1];
-    mode_filtered_covariance[14] = covariance_m2[2];
-    mode_filtered_covariance[15] = covariance_m2[3];
-    mode_filtered_covariance[16] = covariance_m2[4];
-    mode_filtered_covariance[17] = covariance_m2[5];
-    mode_filtered_covariance[18] = covariance_m3[0];
-    mode_filtered_covariance[19] = covariance_m3[1];
-    mode_filtered_covariance[20] = covariance_m3[2];
-    mode_filtered_covariance[21] = covariance_m3[3];
-    mode_filtered_covariance[22] = covariance_m3[4];
-    mode_filtered_covariance[23] = covariance_m3[5];
+    gps_glitch_copy(covariance_m0, mode_filtered_covariance, 6);
+    gps_glitch_copy(covariance_m1, &mode_filtered_covariance[6], 6);
+    gps_glitch_copy(covariance_m2, &mode_filtered_covariance[12], 6);
+    gps_glitch_copy(covariance_m3, &mode_filtered_covariance[18], 6);
 }
 
 /* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double *path_share_3,
-    const double *mixing_0, const double *mode_filtered_state,
-    const double *mode_filtered_covariance, const double *Q, const double *mixing_1,
-    const double *mixing_2, const double mode_prediction_0, const double mode_prediction_1,
-    const double mode_prediction_2, const double log_path_largest_3, const double *filtered_state,
-    const double *filtered_covariance, double *predicted_mode_probability,
-    const double mode_prediction_3, double *predicted_log_weight, double *mode_state,
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double
+    *mode_probability, const double *log_weight, const double *mixing_0,
+    const double *mode_filtered_state, const double *mode_filtered_covariance, const double *Q,
+    const double *mixing_1, const double mode_prediction_0, const double mode_prediction_1,
+    const double *filtered_state, const double *filtered_covariance,
+    double *predicted_mode_probability, double *predicted_log_weight, double *mode_state,
     double *mode_covariance, double *predicted_state, double *predicted_covariance,
     const gps_glitch_params_t *params)
 {
+    double mode_prediction_2 = 0.0;
+    double mixing_2[4] = { 0.0 };
+    double mode_prediction_3;
+    double log_path_3[4];
+    double log_path_largest_3;
+    double path_share_3[4];
     double path_share_total_3;
     double path_share_inverse_3;
     double mixed_0_0_3_share[2] = { 0.0 };
-    double mixed_0_0_1_share[2] = { 0.0 };
     double mixed_apart_0_1_squared[6] = { 0.0 };
     double mixed_0_0_1_mean[3] = { 0.0 };
     double mixed_0_0_1_covariance[6] = { 0.0 };
-    double mixed_0_2_3_share[2] = { 0.0 };
     double mixed_apart_2_3_squared[6] = { 0.0 };
     double mixed_0_2_3_mean[3] = { 0.0 };
     double mixed_0_2_3_covariance[6] = { 0.0 };
-    double mixed_0_0_3_mean[3] = { 0.0 };
-    double mixed_0_0_3_covariance[6] = { 0.0 };
     double moved_state_0[3] = { 0.0 };
     double moved_covariance_0[6] = { 0.0 };
     double mixed_1_0_3_share[2] = { 0.0 };
@@ -1040,13 +798,9 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const d
     double mixed_1_2_3_share[2] = { 0.0 };
     double mixed_1_2_3_mean[3] = { 0.0 };
     double mixed_1_2_3_covariance[6] = { 0.0 };
-    double mixed_1_0_3_mean[3] = { 0.0 };
-    double mixed_1_0_3_covariance[6] = { 0.0 };
     double moved_state_1[3] = { 0.0 };
     double moved_covariance_1[6] = { 0.0 };
     double mixed_2_0_3_share[2] = { 0.0 };
-    double mixed_2_0_3_mean[3] = { 0.0 };
-    double mixed_2_0_3_covariance[6] = { 0.0 };
     double moved_state_2[3] = { 0.0 };
     double moved_covariance_2[6] = { 0.0 };
     double mixed_3_0_3_share[2] = { 0.0 };
@@ -1062,99 +816,85 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const d
     double mixed_3_0_3_covariance[6] = { 0.0 };
     double moved_state_3[3];
     double moved_covariance_3[6];
-    const double t0 = path_share_3[0] + path_share_3[1];
-    const double t1 = t0 + path_share_3[2];
-    path_share_total_3 = t1 + path_share_3[3];
+    gps_glitch_law_of_the_next(mode_probability, &mode_prediction_2, mixing_2,
+        gps_glitch_law_of_the_next_numbers[2]);
+    const double t0 = 3.375e-10 * mode_probability[0];
+    const double t1 = t0 + (7.489875000000001e-06 * mode_probability[1]);
+    const double t2 = t1 + (4.493925e-05 * mode_probability[2]);
+    mode_prediction_3 = t2 + (0.9973018225000001 * mode_probability[3]);
+    log_path_3[0] = log_weight[0] + -21.809455605615963;
+    log_path_3[1] = log_weight[1] + -11.801958449492966;
+    log_path_3[2] = log_weight[2] + -10.01019898026491;
+    log_path_3[3] = log_weight[3] + -0.0027018241419124473;
+    const double t3 = (log_path_3[0] > log_path_3[1]) ? log_path_3[0] : log_path_3[1];
+    const double t4 = (t3 > log_path_3[2]) ? t3 : log_path_3[2];
+    log_path_largest_3 = (t4 > log_path_3[3]) ? t4 : log_path_3[3];
+    path_share_3[0] = gps_glitch_exp(log_path_3[0] - log_path_largest_3);
+    path_share_3[1] = gps_glitch_exp(log_path_3[1] - log_path_largest_3);
+    path_share_3[2] = gps_glitch_exp(log_path_3[2] - log_path_largest_3);
+    path_share_3[3] = gps_glitch_exp(log_path_3[3] - log_path_largest_3);
+    path_share_total_3 = path_share_3[0] + path_share_3[1] + path_share_3[2] + path_share_3[3];
     path_share_inverse_3 = 1.0 / path_share_total_3;
 
     /* mixing and prediction of every mode */
     mixed_0_0_3_share[0] = mixing_0[0] + mixing_0[1];
     mixed_0_0_3_share[1] = mixing_0[2] + mixing_0[3];
-    gps_glitch_mixing_and_prediction_3(mixing_0, mixed_0_0_1_share, mode_filtered_state,
-        mixed_apart_0_1_squared);
-    gps_glitch_mixing_and_prediction(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean,
-        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
-    gps_glitch_mixing_and_prediction_3(&mixing_0[2], mixed_0_2_3_share, &mode_filtered_state[6],
-        mixed_apart_2_3_squared);
-    gps_glitch_mixing_and_prediction(mixed_0_2_3_share, &mode_filtered_state[6], mixed_0_2_3_mean,
-        &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_0_2_3_covariance);
-    gps_glitch_part_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share, mixed_0_0_3_mean,
-        mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_0_0_3_covariance);
-    gps_glitch_mixing_and_prediction_2(mixed_0_0_3_mean, moved_state_0, mixed_0_0_3_covariance, Q,
-        moved_covariance_0, params);
+    gps_glitch_mixing_and_prediction_3(mixing_0, mode_filtered_state, mixed_apart_0_1_squared,
+        mixed_0_0_1_mean, mode_filtered_covariance, mixed_0_0_1_covariance);
+    gps_glitch_mixing_and_prediction_3(&mixing_0[2], &mode_filtered_state[6],
+        mixed_apart_2_3_squared, mixed_0_2_3_mean, &mode_filtered_covariance[12],
+        mixed_0_2_3_covariance);
+    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share,
+        mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_0, Q, moved_covariance_0,
+        params);
     mixed_1_0_3_share[0] = mixing_1[0] + mixing_1[1];
     mixed_1_0_3_share[1] = mixing_1[2] + mixing_1[3];
-    const double t2 = mixing_1[0] + mixing_1[1];
-    const double t3 = t2 + GPS_GLITCH_TINY;
-    mixed_1_0_1_inverse = 1.0 / t3;
+    mixed_1_0_1_inverse = 1.0 / (mixing_1[0] + mixing_1[1] + GPS_GLITCH_TINY);
     mixed_1_0_1_share[0] = mixing_1[0] * mixed_1_0_1_inverse;
     mixed_1_0_1_share[1] = mixing_1[1] * mixed_1_0_1_inverse;
     gps_glitch_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    const double t4 = mixing_1[2] + mixing_1[3];
-    const double t5 = t4 + GPS_GLITCH_TINY;
-    mixed_1_2_3_inverse = 1.0 / t5;
+    mixed_1_2_3_inverse = 1.0 / (mixing_1[2] + mixing_1[3] + GPS_GLITCH_TINY);
     mixed_1_2_3_share[0] = mixing_1[2] * mixed_1_2_3_inverse;
     mixed_1_2_3_share[1] = mixing_1[3] * mixed_1_2_3_inverse;
     gps_glitch_mixing_and_prediction(mixed_1_2_3_share, &mode_filtered_state[6], mixed_1_2_3_mean,
         &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_1_2_3_covariance);
-    gps_glitch_part_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share, mixed_1_0_3_mean,
-        mixed_1_0_1_covariance, mixed_1_2_3_covariance, mixed_1_0_3_covariance);
-    gps_glitch_mixing_and_prediction_2(mixed_1_0_3_mean, moved_state_1, mixed_1_0_3_covariance, Q,
-        moved_covariance_1, params);
+    gps_glitch_mixing_and_prediction_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share,
+        mixed_1_0_1_covariance, mixed_1_2_3_covariance, moved_state_1, Q, moved_covariance_1,
+        params);
     mixed_2_0_3_share[0] = mixing_2[0] + mixing_2[1];
     mixed_2_0_3_share[1] = mixing_2[2] + mixing_2[3];
-    gps_glitch_part_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_2_0_3_share, mixed_2_0_3_mean,
-        mixed_0_0_1_covariance, mixed_0_2_3_covariance, mixed_2_0_3_covariance);
-    gps_glitch_mixing_and_prediction_2(mixed_2_0_3_mean, moved_state_2, mixed_2_0_3_covariance, Q,
-        moved_covariance_2, params);
-    const double t6 = path_share_3[0] * path_share_inverse_3;
-    const double t7 = path_share_3[1] * path_share_inverse_3;
-    mixed_3_0_3_share[0] = t6 + t7;
-    const double t8 = path_share_3[2] * path_share_inverse_3;
-    const double t9 = path_share_3[3] * path_share_inverse_3;
-    mixed_3_0_3_share[1] = t8 + t9;
-    const double t10 = path_share_3[0] * path_share_inverse_3;
-    const double t11 = path_share_3[1] * path_share_inverse_3;
-    const double t12 = t10 + t11;
-    const double t13 = t12 + GPS_GLITCH_TINY;
-    mixed_3_0_1_inverse = 1.0 / t13;
-    const double t14 = path_share_3[0] * path_share_inverse_3;
-    mixed_3_0_1_share[0] = t14 * mixed_3_0_1_inverse;
-    const double t15 = path_share_3[1] * path_share_inverse_3;
-    mixed_3_0_1_share[1] = t15 * mixed_3_0_1_inverse;
+    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_2_0_3_share,
+        mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_2, Q, moved_covariance_2,
+        params);
+    const double t5 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_0_3_share[0] = t5 + (path_share_3[1] * path_share_inverse_3);
+    const double t6 = path_share_3[2] * path_share_inverse_3;
+    mixed_3_0_3_share[1] = t6 + (path_share_3[3] * path_share_inverse_3);
+    const double t7 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_0_1_inverse = 1.0 / (t7 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
+    mixed_3_0_1_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_0_1_inverse;
+    mixed_3_0_1_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_0_1_inverse;
     gps_glitch_mixing_and_prediction(mixed_3_0_1_share, mode_filtered_state, mixed_3_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_3_0_1_covariance);
-    const double t16 = path_share_3[2] * path_share_inverse_3;
-    const double t17 = path_share_3[3] * path_share_inverse_3;
-    const double t18 = t16 + t17;
-    const double t19 = t18 + GPS_GLITCH_TINY;
-    mixed_3_2_3_inverse = 1.0 / t19;
-    const double t20 = path_share_3[2] * path_share_inverse_3;
-    mixed_3_2_3_share[0] = t20 * mixed_3_2_3_inverse;
-    const double t21 = path_share_3[3] * path_share_inverse_3;
-    mixed_3_2_3_share[1] = t21 * mixed_3_2_3_inverse;
+    const double t8 = path_share_3[2] * path_share_inverse_3;
+    mixed_3_2_3_inverse = 1.0 / (t8 + (path_share_3[3] * path_share_inverse_3) + GPS_GLITCH_TINY);
+    mixed_3_2_3_share[0] = path_share_3[2] * path_share_inverse_3 * mixed_3_2_3_inverse;
+    mixed_3_2_3_share[1] = path_share_3[3] * path_share_inverse_3 * mixed_3_2_3_inverse;
     gps_glitch_mixing_and_prediction(mixed_3_2_3_share, &mode_filtered_state[6], mixed_3_2_3_mean,
         &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_3_2_3_covariance);
     gps_glitch_part_2(mixed_3_0_1_mean, mixed_3_2_3_mean, mixed_3_0_3_share, mixed_3_0_3_mean,
         mixed_3_0_1_covariance, mixed_3_2_3_covariance, mixed_3_0_3_covariance);
-    const double t22 = params->dt * mixed_3_0_3_mean[1];
-    moved_state_3[0] = mixed_3_0_3_mean[0] + t22;
+    moved_state_3[0] = mixed_3_0_3_mean[0] + (params->dt * mixed_3_0_3_mean[1]);
     moved_state_3[1] = mixed_3_0_3_mean[1];
     moved_state_3[2] = mixed_3_0_3_mean[2];
-    const double t23 = params->dt * mixed_3_0_3_covariance[1];
-    const double t24 = mixed_3_0_3_covariance[0] + t23;
-    const double t25 = params->dt * mixed_3_0_3_covariance[2];
-    const double t26 = mixed_3_0_3_covariance[1] + t25;
-    const double t27 = t26 * params->dt;
-    const double t28 = t24 + t27;
-    moved_covariance_3[0] = t28 + Q[0];
-    const double t29 = mixed_3_0_3_covariance[2] * params->dt;
-    const double t30 = mixed_3_0_3_covariance[1] + t29;
-    moved_covariance_3[1] = t30 + Q[1];
+    const double t9 = mixed_3_0_3_covariance[0] + (params->dt * mixed_3_0_3_covariance[1]);
+    const double t10 = mixed_3_0_3_covariance[1] + (params->dt * mixed_3_0_3_covariance[2]);
+    moved_covariance_3[0] = t9 + (t10 * params->dt) + Q[0];
+    const double t11 = mixed_3_0_3_covariance[1] + (mixed_3_0_3_covariance[2] * params->dt);
+    moved_covariance_3[1] = t11 + Q[1];
     moved_covariance_3[2] = mixed_3_0_3_covariance[2] + params->dt;
-    const double t31 = mixed_3_0_3_covariance[4] * params->dt;
-    moved_covariance_3[3] = mixed_3_0_3_covariance[3] + t31;
+    moved_covariance_3[3] = mixed_3_0_3_covariance[3] + (mixed_3_0_3_covariance[4] * params->dt);
     moved_covariance_3[5] = mixed_3_0_3_covariance[5] + Q[3];
     moved_covariance_3[4] = mixed_3_0_3_covariance[4];
 
@@ -1162,45 +902,27 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const d
     predicted_log_weight[0] = gps_glitch_log(mode_prediction_0);
     predicted_log_weight[1] = gps_glitch_log(mode_prediction_1);
     predicted_log_weight[2] = gps_glitch_log(mode_prediction_2);
-    const double t32 = gps_glitch_log(path_share_total_3);
-    predicted_log_weight[3] = log_path_largest_3 + t32;
-    const double t33 = params->dt * filtered_state[1];
-    predicted_state[0] = filtered_state[0] + t33;
-    const double t34 = params->dt * filtered_covariance[1];
-    const double t35 = filtered_covariance[0] + t34;
-    const double t36 = params->dt * filtered_covariance[2];
-    const double t37 = filtered_covariance[1] + t36;
-    const double t38 = t37 * params->dt;
-    const double t39 = t35 + t38;
-    predicted_covariance[0] = t39 + Q[0];
-    const double t40 = filtered_covariance[2] * params->dt;
-    const double t41 = filtered_covariance[1] + t40;
-    predicted_covariance[1] = t41 + Q[1];
+    predicted_log_weight[3] = log_path_largest_3 + gps_glitch_log(path_share_total_3);
+    predicted_state[0] = filtered_state[0] + (params->dt * filtered_state[1]);
+    const double t12 = filtered_covariance[0] + (params->dt * filtered_covariance[1]);
+    const double t13 = filtered_covariance[1] + (params->dt * filtered_covariance[2]);
+    predicted_covariance[0] = t12 + (t13 * params->dt) + Q[0];
+    predicted_covariance[1] = filtered_covariance[1] + (filtered_covariance[2] * params->dt) + Q[1];
     predicted_covariance[2] = filtered_covariance[2] + params->dt;
-    const double t42 = filtered_covariance[4] * params->dt;
-    predicted_covariance[3] = filtered_covariance[3] + t42;
+    predicted_covariance[3] = filtered_covariance[3] + (filtered_covariance[4] * params->dt);
     predicted_covariance[5] = filtered_covariance[5] + Q[3];
-    const double t43 = moved_state_0[0] + moved_state_1[0];
-    const double t44 = t43 + moved_state_2[0];
-    const double t45 = t44 + moved_state_3[0];
-    const double t46 = moved_state_0[1] + moved_state_1[1];
-    const double t47 = t46 + moved_state_2[1];
-    const double t48 = t47 + moved_state_3[1];
-    const double t49 = moved_state_0[2] + moved_state_1[2];
-    const double t50 = t49 + moved_state_2[2];
-    const double t51 = t50 + moved_state_3[2];
-    const double t52 = moved_covariance_0[0] + moved_covariance_1[0];
-    const double t53 = t52 + moved_covariance_2[0];
-    const double t54 = t53 + moved_covariance_3[0];
-    const double t55 = moved_covariance_0[2] + moved_covariance_1[2];
-    const double t56 = t55 + moved_covariance_2[2];
-    const double t57 = t56 + moved_covariance_3[2];
-    const double t58 = moved_covariance_0[5] + moved_covariance_1[5];
-    const double t59 = t58 + moved_covariance_2[5];
-    const double t60 = t59 + moved_covariance_3[5];
-    if (!gps_glitch_finite(gps_glitch_defect(t45) + gps_glitch_defect(t48) +
-        gps_glitch_defect(t51) + gps_glitch_defect(t54) + gps_glitch_defect(t57) +
-        gps_glitch_defect(t60)))
+    const double t14 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0] + moved_state_3[0];
+    const double t15 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1] + moved_state_3[1];
+    const double t16 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2] + moved_state_3[2];
+    const double t17 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
+    const double t18 = t17 + moved_covariance_3[0];
+    const double t19 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
+    const double t20 = t19 + moved_covariance_3[2];
+    const double t21 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
+    const double t22 = t21 + moved_covariance_3[5];
+    if (!gps_glitch_finite(gps_glitch_defect(t14) + gps_glitch_defect(t15) +
+        gps_glitch_defect(t16) + gps_glitch_defect(t18) + gps_glitch_defect(t20) +
+        gps_glitch_defect(t22)))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1220,30 +942,10 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const d
     mode_state[9] = moved_state_3[0];
     mode_state[10] = moved_state_3[1];
     mode_state[11] = moved_state_3[2];
-    mode_covariance[0] = moved_covariance_0[0];
-    mode_covariance[1] = moved_covariance_0[1];
-    mode_covariance[2] = moved_covariance_0[2];
-    mode_covariance[3] = moved_covariance_0[3];
-    mode_covariance[4] = moved_covariance_0[4];
-    mode_covariance[5] = moved_covariance_0[5];
-    mode_covariance[6] = moved_covariance_1[0];
-    mode_covariance[7] = moved_covariance_1[1];
-    mode_covariance[8] = moved_covariance_1[2];
-    mode_covariance[9] = moved_covariance_1[3];
-    mode_covariance[10] = moved_covariance_1[4];
-    mode_covariance[11] = moved_covariance_1[5];
-    mode_covariance[12] = moved_covariance_2[0];
-    mode_covariance[13] = moved_covariance_2[1];
-    mode_covariance[14] = moved_covariance_2[2];
-    mode_covariance[15] = moved_covariance_2[3];
-    mode_covariance[16] = moved_covariance_2[4];
-    mode_covariance[17] = moved_covariance_2[5];
-    mode_covariance[18] = moved_covariance_3[0];
-    mode_covariance[19] = moved_covariance_3[1];
-    mode_covariance[20] = moved_covariance_3[2];
-    mode_covariance[21] = moved_covariance_3[3];
-    mode_covariance[22] = moved_covariance_3[4];
-    mode_covariance[23] = moved_covariance_3[5];
+    gps_glitch_copy(moved_covariance_0, mode_covariance, 6);
+    gps_glitch_copy(moved_covariance_1, &mode_covariance[6], 6);
+    gps_glitch_copy(moved_covariance_2, &mode_covariance[12], 6);
+    gps_glitch_copy(moved_covariance_3, &mode_covariance[18], 6);
     predicted_state[1] = filtered_state[1];
     predicted_state[2] = filtered_state[2];
     predicted_covariance[4] = filtered_covariance[4];
@@ -1341,49 +1043,31 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
     }
 
-    /* mode 0: signal, R */
+    /* mode 0: signal, R: innovation, row by row */
     status = gps_glitch_mode(self->mode_state, y, &innovation_m0_0, &innovation_m0_1,
         &innovation_m0_2, self->mode_covariance, variance_m0, mean_m0, covariance_m0,
         &log_density_m0, gps_glitch_mode_numbers[0], present);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
+    if (status != GPS_GLITCH_OK) { return status; }
 
-    /* mode 1: signal, noise x 400 */
+    /* mode 1: signal, noise x 400: innovation, row by row */
     status = gps_glitch_mode(&self->mode_state[3], y, &innovation_m1_0, &innovation_m1_1,
         &innovation_m1_2, &self->mode_covariance[6], variance_m1, mean_m1, covariance_m1,
         &log_density_m1, gps_glitch_mode_numbers[1], present);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
+    if (status != GPS_GLITCH_OK) { return status; }
 
-    /* mode 2: no signal, R */
+    /* mode 2: no signal, R: innovation, row by row */
     status = gps_glitch_mode_2(&self->mode_state[6], y, &innovation_m2_0, &innovation_m2_1,
         &innovation_m2_2, &self->mode_covariance[12], variance_m2, mean_m2, covariance_m2,
         &quadratic_m2, &log_constant_m2, &determinant_m2_0, gps_glitch_mode_2_numbers[0], present);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
-    const double t0 = gps_glitch_log(determinant_m2_0);
-    const double t1 = log_constant_m2 + t0;
-    const double t2 = quadratic_m2 + t1;
-    log_density_m2 = -0.5 * t2;
+    if (status != GPS_GLITCH_OK) { return status; }
+    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + gps_glitch_log(determinant_m2_0)));
 
-    /* mode 3: no signal, noise x 400 */
+    /* mode 3: no signal, noise x 400: innovation, row by row */
     status = gps_glitch_mode_2(&self->mode_state[9], y, &innovation_m3_0, &innovation_m3_1,
         &innovation_m3_2, &self->mode_covariance[18], variance_m3, mean_m3, covariance_m3,
         &quadratic_m3, &log_constant_m3, &determinant_m3_0, gps_glitch_mode_2_numbers[1], present);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
-    const double t3 = gps_glitch_log(determinant_m3_0);
-    const double t4 = log_constant_m3 + t3;
-    const double t5 = quadratic_m3 + t4;
-    log_density_m3 = -0.5 * t5;
+    if (status != GPS_GLITCH_OK) { return status; }
+    log_density_m3 = -0.5 * (quadratic_m3 + (log_constant_m3 + gps_glitch_log(determinant_m3_0)));
 
     /* probabilities of the modes */
     weight[0] = self->predicted_mode_probability[0];
@@ -1400,25 +1084,17 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
         log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
         log_joint[3] = self->predicted_log_weight[3] + log_density_m3;
-        const double t6 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t7 = (t6 > log_joint[2]) ? t6 : log_joint[2];
-        log_largest = (t7 > log_joint[3]) ? t7 : log_joint[3];
-        const double t8 = log_joint[0] - log_largest;
-        share_of_largest[0] = gps_glitch_exp(t8);
-        const double t9 = log_joint[1] - log_largest;
-        share_of_largest[1] = gps_glitch_exp(t9);
-        const double t10 = log_joint[2] - log_largest;
-        share_of_largest[2] = gps_glitch_exp(t10);
-        const double t11 = log_joint[3] - log_largest;
-        share_of_largest[3] = gps_glitch_exp(t11);
-        const double t12 = share_of_largest[0] + share_of_largest[1];
-        const double t13 = t12 + share_of_largest[2];
-        share_total = t13 + share_of_largest[3];
-        const double t14 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
-        if (!(t14 > 0.0))
-        {
-            return GPS_GLITCH_RESULT_NOT_FINITE;
-        }
+        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t1 = (t0 > log_joint[2]) ? t0 : log_joint[2];
+        log_largest = (t1 > log_joint[3]) ? t1 : log_joint[3];
+        share_of_largest[0] = gps_glitch_exp(log_joint[0] - log_largest);
+        share_of_largest[1] = gps_glitch_exp(log_joint[1] - log_largest);
+        share_of_largest[2] = gps_glitch_exp(log_joint[2] - log_largest);
+        share_of_largest[3] = gps_glitch_exp(log_joint[3] - log_largest);
+        const double t2 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
+        share_total = t2 + share_of_largest[3];
+        const double t3 = log_largest - GPS_GLITCH_LEAST_LOG_DENSITY;
+        if (!(t3 > 0.0)) { return GPS_GLITCH_RESULT_NOT_FINITE; }
         if (!gps_glitch_finite(gps_glitch_defect(share_total)))
         {
             return GPS_GLITCH_RESULT_NOT_FINITE;
@@ -1429,18 +1105,14 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         weight[1] = share_of_largest[1] * share_total_inverse;
         weight[2] = share_of_largest[2] * share_total_inverse;
         weight[3] = share_of_largest[3] * share_total_inverse;
-        const double t15 = log_joint[0] - log_largest;
-        const double t16 = t15 - log_share_total;
-        log_weight_now[0] = (t16 > GPS_GLITCH_LOG_ZERO) ? t16 : GPS_GLITCH_LOG_ZERO;
-        const double t17 = log_joint[1] - log_largest;
-        const double t18 = t17 - log_share_total;
-        log_weight_now[1] = (t18 > GPS_GLITCH_LOG_ZERO) ? t18 : GPS_GLITCH_LOG_ZERO;
-        const double t19 = log_joint[2] - log_largest;
-        const double t20 = t19 - log_share_total;
-        log_weight_now[2] = (t20 > GPS_GLITCH_LOG_ZERO) ? t20 : GPS_GLITCH_LOG_ZERO;
-        const double t21 = log_joint[3] - log_largest;
-        const double t22 = t21 - log_share_total;
-        log_weight_now[3] = (t22 > GPS_GLITCH_LOG_ZERO) ? t22 : GPS_GLITCH_LOG_ZERO;
+        const double t4 = (log_joint[0] - log_largest) - log_share_total;
+        log_weight_now[0] = (t4 > GPS_GLITCH_LOG_ZERO) ? t4 : GPS_GLITCH_LOG_ZERO;
+        const double t5 = (log_joint[1] - log_largest) - log_share_total;
+        log_weight_now[1] = (t5 > GPS_GLITCH_LOG_ZERO) ? t5 : GPS_GLITCH_LOG_ZERO;
+        const double t6 = (log_joint[2] - log_largest) - log_share_total;
+        log_weight_now[2] = (t6 > GPS_GLITCH_LOG_ZERO) ? t6 : GPS_GLITCH_LOG_ZERO;
+        const double t7 = (log_joint[3] - log_largest) - log_share_total;
+        log_weight_now[3] = (t7 > GPS_GLITCH_LOG_ZERO) ? t7 : GPS_GLITCH_LOG_ZERO;
         log_evidence = log_largest + log_share_total;
     }
 
@@ -1460,63 +1132,41 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     gps_glitch_innovation_of_the_mixture(self->predicted_mode_probability, variance_m0, variance_m1,
         variance_m2, variance_m3, predicted_y_m0, predicted_y_m1, predicted_y_m2, predicted_y_m3,
         combined_variance);
-    const double t23 = self->predicted_mode_probability[0] * innovation_m0_0;
-    const double t24 = self->predicted_mode_probability[1] * innovation_m1_0;
-    const double t25 = t23 + t24;
-    const double t26 = self->predicted_mode_probability[2] * innovation_m2_0;
-    const double t27 = t25 + t26;
-    const double t28 = self->predicted_mode_probability[3] * innovation_m3_0;
-    combined_innovation[0] = t27 + t28;
-    const double t29 = self->predicted_mode_probability[0] * innovation_m0_1;
-    const double t30 = self->predicted_mode_probability[1] * innovation_m1_1;
-    const double t31 = t29 + t30;
-    const double t32 = self->predicted_mode_probability[2] * innovation_m2_1;
-    const double t33 = t31 + t32;
-    const double t34 = self->predicted_mode_probability[3] * innovation_m3_1;
-    combined_innovation[1] = t33 + t34;
-    const double t35 = self->predicted_mode_probability[0] * innovation_m0_2;
-    const double t36 = self->predicted_mode_probability[1] * innovation_m1_2;
-    const double t37 = t35 + t36;
-    const double t38 = self->predicted_mode_probability[2] * innovation_m2_2;
-    const double t39 = t37 + t38;
-    const double t40 = self->predicted_mode_probability[3] * innovation_m3_2;
-    combined_innovation[2] = t39 + t40;
+    const double t8 = self->predicted_mode_probability[0] * innovation_m0_0;
+    const double t9 = t8 + (self->predicted_mode_probability[1] * innovation_m1_0);
+    const double t10 = t9 + (self->predicted_mode_probability[2] * innovation_m2_0);
+    combined_innovation[0] = t10 + (self->predicted_mode_probability[3] * innovation_m3_0);
+    const double t11 = self->predicted_mode_probability[0] * innovation_m0_1;
+    const double t12 = t11 + (self->predicted_mode_probability[1] * innovation_m1_1);
+    const double t13 = t12 + (self->predicted_mode_probability[2] * innovation_m2_1);
+    combined_innovation[1] = t13 + (self->predicted_mode_probability[3] * innovation_m3_1);
+    const double t14 = self->predicted_mode_probability[0] * innovation_m0_2;
+    const double t15 = t14 + (self->predicted_mode_probability[1] * innovation_m1_2);
+    const double t16 = t15 + (self->predicted_mode_probability[2] * innovation_m2_2);
+    combined_innovation[2] = t16 + (self->predicted_mode_probability[3] * innovation_m3_2);
     whitening_pivot_combined_0 = combined_variance[0];
     if ((present & 0x1u) != 0u)
     {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_0 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
     whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
     whitening_combined_0_2 = combined_variance[3] * whitening_inverse_combined_0;
-    const double t41 = whitening_combined_0_1 * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t41;
+    const double t17 = whitening_combined_0_1 * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t17;
     if ((present & 0x2u) != 0u)
     {
-        if (!(whitening_pivot_combined_1 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_1 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
     }
-    const double t42 = whitening_combined_0_2 * combined_variance[1];
-    const double t43 = combined_variance[4] - t42;
-    whitening_combined_1_2 = t43 * whitening_inverse_combined_1;
-    const double t44 = whitening_combined_0_2 * combined_variance[3];
-    const double t45 = combined_variance[5] - t44;
-    const double t46 = whitening_combined_0_2 * combined_variance[1];
-    const double t47 = combined_variance[4] - t46;
-    const double t48 = whitening_combined_1_2 * t47;
-    whitening_pivot_combined_2 = t45 - t48;
+    const double t18 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
+    whitening_combined_1_2 = t18 * whitening_inverse_combined_1;
+    const double t19 = combined_variance[5] - (whitening_combined_0_2 * combined_variance[3]);
+    const double t20 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
+    whitening_pivot_combined_2 = t19 - (whitening_combined_1_2 * t20);
     if ((present & 0x4u) != 0u)
     {
-        if (!(whitening_pivot_combined_2 > 0.0))
-        {
-            return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_2 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_2 = 1.0 / whitening_pivot_combined_2;
     }
 
@@ -1554,20 +1204,13 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     double mixing_0[4] = { 0.0 };
     double mode_prediction_1 = 0.0;
     double mixing_1[4] = { 0.0 };
-    double mode_prediction_2 = 0.0;
-    double mixing_2[4] = { 0.0 };
-    double mode_prediction_3 = 0.0;
-    double log_path_3[4];
-    double log_path_largest_3 = 0.0;
-    double path_share_3[4] = { 0.0 };
     gps_glitch_status_t status;
     const double t0 = params->dt * params->dt;
-    const double t1 = params->dt * t0;
-    Q[0] = t1 / 3.0;
-    const double t2 = t0 / 2.0;
+    Q[0] = (params->dt * t0) / 3.0;
+    const double t1 = t0 / 2.0;
     Q[3] = 0.0006250000000000001 * params->dt;
-    Q[1] = t2;
-    Q[2] = t2;
+    Q[1] = t1;
+    Q[2] = t1;
     if (!((Q[0] >= 0.0) && (params->dt >= 0.0) && (Q[3] >= 0.0)))
     {
         return GPS_GLITCH_PARAMETER_OUT_OF_RANGE;
@@ -1578,40 +1221,12 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
         gps_glitch_law_of_the_next_numbers[0]);
     gps_glitch_law_of_the_next(self->mode_probability, &mode_prediction_1, mixing_1,
         gps_glitch_law_of_the_next_numbers[1]);
-    gps_glitch_law_of_the_next(self->mode_probability, &mode_prediction_2, mixing_2,
-        gps_glitch_law_of_the_next_numbers[2]);
-    const double t3 = 3.375e-10 * self->mode_probability[0];
-    const double t4 = 7.489875000000001e-06 * self->mode_probability[1];
-    const double t5 = t3 + t4;
-    const double t6 = 4.493925e-05 * self->mode_probability[2];
-    const double t7 = t5 + t6;
-    const double t8 = 0.9973018225000001 * self->mode_probability[3];
-    mode_prediction_3 = t7 + t8;
-    log_path_3[0] = self->log_weight[0] + -21.809455605615963;
-    log_path_3[1] = self->log_weight[1] + -11.801958449492966;
-    log_path_3[2] = self->log_weight[2] + -10.01019898026491;
-    log_path_3[3] = self->log_weight[3] + -0.0027018241419124473;
-    const double t9 = (log_path_3[0] > log_path_3[1]) ? log_path_3[0] : log_path_3[1];
-    const double t10 = (t9 > log_path_3[2]) ? t9 : log_path_3[2];
-    log_path_largest_3 = (t10 > log_path_3[3]) ? t10 : log_path_3[3];
-    const double t11 = log_path_3[0] - log_path_largest_3;
-    path_share_3[0] = gps_glitch_exp(t11);
-    const double t12 = log_path_3[1] - log_path_largest_3;
-    path_share_3[1] = gps_glitch_exp(t12);
-    const double t13 = log_path_3[2] - log_path_largest_3;
-    path_share_3[2] = gps_glitch_exp(t13);
-    const double t14 = log_path_3[3] - log_path_largest_3;
-    path_share_3[3] = gps_glitch_exp(t14);
-    status = gps_glitch_mixing_and_prediction_4(path_share_3, mixing_0, self->mode_filtered_state,
-        self->mode_filtered_covariance, Q, mixing_1, mixing_2, mode_prediction_0, mode_prediction_1,
-        mode_prediction_2, log_path_largest_3, self->filtered_state, self->filtered_covariance,
-        next->predicted_mode_probability, mode_prediction_3, next->predicted_log_weight,
-        next->mode_state, next->mode_covariance, next->predicted_state, next->predicted_covariance,
-        params);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
+    status = gps_glitch_mixing_and_prediction_4(self->mode_probability, self->log_weight, mixing_0,
+        self->mode_filtered_state, self->mode_filtered_covariance, Q, mixing_1, mode_prediction_0,
+        mode_prediction_1, self->filtered_state, self->filtered_covariance,
+        next->predicted_mode_probability, next->predicted_log_weight, next->mode_state,
+        next->mode_covariance, next->predicted_state, next->predicted_covariance, params);
+    if (status != GPS_GLITCH_OK) { return status; }
     return GPS_GLITCH_OK;
 }
 
@@ -1629,10 +1244,7 @@ static void gps_glitch_fill(double *to, int size, const double *from, int period
 
 gps_glitch_status_t gps_glitch_init(gps_glitch_t *self)
 {
-    if (self == NULL)
-    {
-        return GPS_GLITCH_NULL_POINTER;
-    }
+    if (self == NULL) { return GPS_GLITCH_NULL_POINTER; }
     gps_glitch_fill(self->predicted_state, 3, gps_glitch_predicted_state_0, 3);
     gps_glitch_fill(self->predicted_covariance, 6, gps_glitch_predicted_covariance_0, 6);
     gps_glitch_fill(self->filtered_state, 3, gps_glitch_predicted_state_0, 3);
@@ -1654,10 +1266,7 @@ gps_glitch_status_t gps_glitch_init(gps_glitch_t *self)
 
 gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params)
 {
-    if (params == NULL)
-    {
-        return GPS_GLITCH_NULL_POINTER;
-    }
+    if (params == NULL) { return GPS_GLITCH_NULL_POINTER; }
     params->dt = 0.027;
     return GPS_GLITCH_OK;
 }
@@ -1670,20 +1279,11 @@ gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_param
     gps_glitch_t next;
     uint32_t present;
     gps_glitch_status_t status;
-    if ((self == NULL) || (params == NULL) || (y == NULL))
-    {
-        return GPS_GLITCH_NULL_POINTER;
-    }
-    if (!gps_glitch_present_rows(y, valid, &present))
-    {
-        return GPS_GLITCH_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
+    if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
     next = *self;
     status = gps_glitch_correct(self, y, present, &next);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
+    if (status != GPS_GLITCH_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
 }
@@ -1692,16 +1292,10 @@ gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_para
 {
     gps_glitch_t next;
     gps_glitch_status_t status;
-    if ((self == NULL) || (params == NULL))
-    {
-        return GPS_GLITCH_NULL_POINTER;
-    }
+    if ((self == NULL) || (params == NULL)) { return GPS_GLITCH_NULL_POINTER; }
     next = *self;
     status = gps_glitch_propagate(self, params, &next);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
+    if (status != GPS_GLITCH_OK) { return status; }
     *self = next;
     return GPS_GLITCH_OK;
 }
@@ -1712,24 +1306,12 @@ gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_
     gps_glitch_t next;
     uint32_t present;
     gps_glitch_status_t status;
-    if ((self == NULL) || (params == NULL) || (y == NULL))
-    {
-        return GPS_GLITCH_NULL_POINTER;
-    }
-    if (!gps_glitch_present_rows(y, valid, &present))
-    {
-        return GPS_GLITCH_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
+    if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
     status = gps_glitch_correct(self, y, present, &next);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
+    if (status != GPS_GLITCH_OK) { return status; }
     status = gps_glitch_propagate(&next, params, &next);
-    if (status != GPS_GLITCH_OK)
-    {
-        return status;
-    }
+    if (status != GPS_GLITCH_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
 }

@@ -94,10 +94,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -121,19 +118,13 @@ gps_glitch_status_t gps_glitch_selftest(void)
     const double *expected = final;
     gps_glitch_params_t params;
     int k;
-    if (gps_glitch_init(&filter) != GPS_GLITCH_OK)
-    {
-        return GPS_GLITCH_NULL_POINTER;
-    }
+    if (gps_glitch_init(&filter) != GPS_GLITCH_OK) { return GPS_GLITCH_NULL_POINTER; }
     (void)gps_glitch_params_init(&params);
     for (k = 0; k < SAMPLES; ++k)
     {
         const gps_glitch_status_t status = gps_glitch_step(&filter, &params, measurement[k],
             valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], GPS_GLITCH_NX))
         {
             return GPS_GLITCH_SELFTEST_FAILED;
@@ -141,10 +132,7 @@ gps_glitch_status_t gps_glitch_selftest(void)
     }
     for (k = 0; k < MEMBERS; ++k)
     {
-        if (!same(member[k].value, expected, member[k].size))
-        {
-            return GPS_GLITCH_SELFTEST_FAILED;
-        }
+        if (!same(member[k].value, expected, member[k].size)) { return GPS_GLITCH_SELFTEST_FAILED; }
         expected += member[k].size;
     }
     return GPS_GLITCH_OK;

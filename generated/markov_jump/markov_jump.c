@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define MARKOV_JUMP_INLINE static inline __attribute__((always_inline))
@@ -30,14 +35,8 @@ static double markov_jump_log(double x)
     markov_jump_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -177,6 +176,79 @@ static int markov_jump_present_rows(const double *y, uint32_t valid, uint32_t *p
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
+/* Copy the elements of an array to another. */
+MARKOV_JUMP_INLINE void markov_jump_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* What differs between the calls of markov_jump_prediction_of_the_next, a row for each. */
+static const double markov_jump_prediction_of_the_next_numbers[3][3] = {
+    { 0.95, 0.06, 0.02 },
+    { 0.04, 0.9, 0.08 },
+    { 0.01, 0.04, 0.9 }
+};
+
+/* prediction of the next sample. */
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const double
+    *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
+    const double *plant_noise, double *predicted_mode_second_moment, const double *numbers)
+{
+    const double t0 = (numbers[0] * moved_moment_0[0]) + (numbers[1] * moved_moment_1[0]);
+    const double t1 = t0 + (numbers[2] * moved_moment_2[0]) + plant_noise[0];
+    if (!markov_jump_finite(markov_jump_defect(t1) + markov_jump_defect(t1)))
+    {
+        return MARKOV_JUMP_RESULT_NOT_FINITE;
+    }
+    predicted_mode_second_moment[0] = t1;
+    const double t2 = (numbers[0] * moved_moment_0[1]) + (numbers[1] * moved_moment_1[1]);
+    predicted_mode_second_moment[1] = t2 + (numbers[2] * moved_moment_2[1]) + plant_noise[1];
+    const double t3 = (numbers[0] * moved_moment_0[2]) + (numbers[1] * moved_moment_1[2]);
+    predicted_mode_second_moment[2] = t3 + (numbers[2] * moved_moment_2[2]) + plant_noise[2];
+    const double t4 = (numbers[0] * moved_moment_0[3]) + (numbers[1] * moved_moment_1[3]);
+    predicted_mode_second_moment[3] = t4 + (numbers[2] * moved_moment_2[3]) + plant_noise[3];
+    const double t5 = (numbers[0] * moved_moment_0[4]) + (numbers[1] * moved_moment_1[4]);
+    predicted_mode_second_moment[4] = t5 + (numbers[2] * moved_moment_2[4]) + plant_noise[4];
+    const double t6 = (numbers[0] * moved_moment_0[5]) + (numbers[1] * moved_moment_1[5]);
+    predicted_mode_second_moment[5] = t6 + (numbers[2] * moved_moment_2[5]) + plant_noise[5];
+    return MARKOV_JUMP_OK;
+}
+
+/* What differs between the calls of markov_jump_part_2, a row for each. */
+static const double markov_jump_part_2_numbers[6][9] = {
+    { 0.0023750000000000004, 0.0013499999999999999, 0.0018, 0.004750000000000001,
+        0.0026999999999999997, 0.0036, 0.009500000000000001, 0.005399999999999999, 0.0072 },
+    { 0.004750000000000001, 0.0026999999999999997, 0.0036, 0.009500000000000001,
+        0.005399999999999999, 0.0072, 0.009500000000000001, 0.005399999999999999, 0.0072 },
+    { 0.00010000000000000002, 0.02025, 0.0072, 0.00020000000000000004, 0.0405, 0.0144,
+        0.0004000000000000001, 0.081, 0.0288 },
+    { 0.00020000000000000004, 0.0405, 0.0144, 0.0004000000000000001, 0.081, 0.0288,
+        0.0004000000000000001, 0.081, 0.0288 },
+    { 2.5000000000000005e-05, 0.0009, 0.081, 5.000000000000001e-05, 0.0018, 0.162,
+        0.00010000000000000002, 0.0036, 0.324 },
+    { 5.000000000000001e-05, 0.0018, 0.162, 0.00010000000000000002, 0.0036, 0.324,
+        0.00010000000000000002, 0.0036, 0.324 }
+};
+
+/* propagate; every mode's step. */
+MARKOV_JUMP_INLINE void markov_jump_part_2(const double *mode_law, double *plant_noise,
+    const double *numbers)
+{
+    const double t0 = (numbers[0] * mode_law[0]) + (numbers[1] * mode_law[1]);
+    plant_noise[0] = t0 + (numbers[2] * mode_law[2]);
+    const double t1 = (numbers[3] * mode_law[0]) + (numbers[4] * mode_law[1]);
+    plant_noise[1] = t1 + (numbers[5] * mode_law[2]);
+    const double t2 = (numbers[6] * mode_law[0]) + (numbers[7] * mode_law[1]);
+    plant_noise[2] = t2 + (numbers[8] * mode_law[2]);
+}
+
 /* What differs between the calls of markov_jump_propagate_2, a row for each. */
 static const double markov_jump_propagate_2_numbers[2][5] = {
     { 0.582, 0.6, 0.3, 0.48, 0.36 },
@@ -187,87 +259,22 @@ static const double markov_jump_propagate_2_numbers[2][5] = {
 MARKOV_JUMP_INLINE void markov_jump_propagate_2(const double *mode_second_moment,
     double *moved_moment, const double *numbers)
 {
-    const double t0 = 0.97 * mode_second_moment[0];
-    const double t1 = t0 + mode_second_moment[1];
-    const double t2 = 0.5 * mode_second_moment[3];
-    const double t3 = t1 + t2;
-    const double t4 = 0.97 * t3;
-    const double t5 = 0.97 * mode_second_moment[1];
-    const double t6 = t5 + mode_second_moment[2];
-    const double t7 = 0.5 * mode_second_moment[4];
-    const double t8 = t6 + t7;
-    const double t9 = t4 + t8;
-    const double t10 = 0.97 * mode_second_moment[3];
-    const double t11 = t10 + mode_second_moment[4];
-    const double t12 = 0.5 * mode_second_moment[5];
-    const double t13 = t11 + t12;
-    const double t14 = 0.5 * t13;
-    moved_moment[0] = t9 + t14;
-    const double t15 = 0.8 * mode_second_moment[1];
-    const double t16 = t15 + mode_second_moment[3];
-    const double t17 = 0.97 * t16;
-    const double t18 = 0.8 * mode_second_moment[2];
-    const double t19 = t18 + mode_second_moment[4];
-    const double t20 = t17 + t19;
-    const double t21 = 0.8 * mode_second_moment[4];
-    const double t22 = t21 + mode_second_moment[5];
-    const double t23 = 0.5 * t22;
-    moved_moment[1] = t20 + t23;
-    const double t24 = 0.8 * t19;
-    moved_moment[2] = t24 + t22;
-    const double t25 = numbers[0] * mode_second_moment[3];
-    const double t26 = numbers[1] * mode_second_moment[4];
-    const double t27 = t25 + t26;
-    const double t28 = numbers[2] * mode_second_moment[5];
-    moved_moment[3] = t27 + t28;
-    const double t29 = numbers[3] * mode_second_moment[4];
-    const double t30 = numbers[1] * mode_second_moment[5];
-    moved_moment[4] = t29 + t30;
+    const double t0 = (0.97 * mode_second_moment[0]) + mode_second_moment[1];
+    const double t1 = 0.97 * (t0 + (0.5 * mode_second_moment[3]));
+    const double t2 = (0.97 * mode_second_moment[1]) + mode_second_moment[2];
+    const double t3 = t1 + (t2 + (0.5 * mode_second_moment[4]));
+    const double t4 = (0.97 * mode_second_moment[3]) + mode_second_moment[4];
+    moved_moment[0] = t3 + (0.5 * (t4 + (0.5 * mode_second_moment[5])));
+    const double t5 = 0.97 * ((0.8 * mode_second_moment[1]) + mode_second_moment[3]);
+    const double t6 = (0.8 * mode_second_moment[2]) + mode_second_moment[4];
+    const double t7 = t5 + t6;
+    const double t8 = (0.8 * mode_second_moment[4]) + mode_second_moment[5];
+    moved_moment[1] = t7 + (0.5 * t8);
+    moved_moment[2] = (0.8 * t6) + t8;
+    const double t9 = (numbers[0] * mode_second_moment[3]) + (numbers[1] * mode_second_moment[4]);
+    moved_moment[3] = t9 + (numbers[2] * mode_second_moment[5]);
+    moved_moment[4] = (numbers[3] * mode_second_moment[4]) + (numbers[1] * mode_second_moment[5]);
     moved_moment[5] = numbers[4] * mode_second_moment[5];
-}
-
-/* What differs between the calls of markov_jump_propagate_3, a row for each. */
-static const double markov_jump_propagate_3_numbers[2][9] = {
-    { 0.0023750000000000004, 0.0013499999999999999, 0.0018, 0.004750000000000001,
-        0.0026999999999999997, 0.0036, 0.009500000000000001, 0.005399999999999999, 0.0072 },
-    { 0.00010000000000000002, 0.02025, 0.0072, 0.00020000000000000004, 0.0405, 0.0144,
-        0.0004000000000000001, 0.081, 0.0288 }
-};
-
-/* propagate. */
-MARKOV_JUMP_INLINE void markov_jump_propagate_3(const double *mode_law, double *plant_noise,
-    const double *numbers)
-{
-    const double t0 = numbers[0] * mode_law[0];
-    const double t1 = numbers[1] * mode_law[1];
-    const double t2 = t0 + t1;
-    const double t3 = numbers[2] * mode_law[2];
-    plant_noise[0] = t2 + t3;
-    const double t4 = numbers[3] * mode_law[0];
-    const double t5 = numbers[4] * mode_law[1];
-    const double t6 = t4 + t5;
-    const double t7 = numbers[5] * mode_law[2];
-    plant_noise[1] = t6 + t7;
-    const double t8 = numbers[6] * mode_law[0];
-    const double t9 = numbers[7] * mode_law[1];
-    const double t10 = t8 + t9;
-    const double t11 = numbers[8] * mode_law[2];
-    plant_noise[2] = t10 + t11;
-    const double t12 = numbers[3] * mode_law[0];
-    const double t13 = numbers[4] * mode_law[1];
-    const double t14 = t12 + t13;
-    const double t15 = numbers[5] * mode_law[2];
-    plant_noise[3] = t14 + t15;
-    const double t16 = numbers[6] * mode_law[0];
-    const double t17 = numbers[7] * mode_law[1];
-    const double t18 = t16 + t17;
-    const double t19 = numbers[8] * mode_law[2];
-    plant_noise[4] = t18 + t19;
-    const double t20 = numbers[6] * mode_law[0];
-    const double t21 = numbers[7] * mode_law[1];
-    const double t22 = t20 + t21;
-    const double t23 = numbers[8] * mode_law[2];
-    plant_noise[5] = t22 + t23;
 }
 
 /* innovation, row by row. */
@@ -288,189 +295,80 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
     {
         innovation_0[0] = y - augmented_state[6];
     }
-    mean[0] = augmented_state[0];
-    mean[1] = augmented_state[1];
-    mean[2] = augmented_state[2];
-    mean[3] = augmented_state[3];
-    mean[4] = augmented_state[4];
-    mean[5] = augmented_state[5];
-    mean[6] = augmented_state[6];
-    mean[7] = augmented_state[7];
-    mean[8] = augmented_state[8];
-    covariance[0] = augmented_covariance[0];
-    covariance[1] = augmented_covariance[1];
-    covariance[2] = augmented_covariance[2];
-    covariance[3] = augmented_covariance[3];
-    covariance[4] = augmented_covariance[4];
-    covariance[5] = augmented_covariance[5];
-    covariance[6] = augmented_covariance[6];
-    covariance[7] = augmented_covariance[7];
-    covariance[8] = augmented_covariance[8];
-    covariance[9] = augmented_covariance[9];
-    covariance[10] = augmented_covariance[10];
-    covariance[11] = augmented_covariance[11];
-    covariance[12] = augmented_covariance[12];
-    covariance[13] = augmented_covariance[13];
-    covariance[14] = augmented_covariance[14];
-    covariance[15] = augmented_covariance[15];
-    covariance[16] = augmented_covariance[16];
-    covariance[17] = augmented_covariance[17];
-    covariance[18] = augmented_covariance[18];
-    covariance[19] = augmented_covariance[19];
-    covariance[20] = augmented_covariance[20];
-    covariance[21] = augmented_covariance[21];
-    covariance[22] = augmented_covariance[22];
-    covariance[23] = augmented_covariance[23];
-    covariance[24] = augmented_covariance[24];
-    covariance[25] = augmented_covariance[25];
-    covariance[26] = augmented_covariance[26];
-    covariance[27] = augmented_covariance[27];
-    covariance[28] = augmented_covariance[28];
-    covariance[29] = augmented_covariance[29];
-    covariance[30] = augmented_covariance[30];
-    covariance[31] = augmented_covariance[31];
-    covariance[32] = augmented_covariance[32];
-    covariance[33] = augmented_covariance[33];
-    covariance[34] = augmented_covariance[34];
-    covariance[35] = augmented_covariance[35];
-    covariance[36] = augmented_covariance[36];
-    covariance[37] = augmented_covariance[37];
-    covariance[38] = augmented_covariance[38];
-    covariance[39] = augmented_covariance[39];
-    covariance[40] = augmented_covariance[40];
-    covariance[41] = augmented_covariance[41];
-    covariance[42] = augmented_covariance[42];
-    covariance[43] = augmented_covariance[43];
-    covariance[44] = augmented_covariance[44];
+    markov_jump_copy(augmented_state, mean, 9);
+    markov_jump_copy(augmented_covariance, covariance, 45);
 
     /* row 0 of y, measured_position */
     pivot_0[0] = augmented_covariance[27] + mean_noise;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0[0] > 0.0))
-        {
-            return MARKOV_JUMP_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0[0] > 0.0)) { return MARKOV_JUMP_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0[0];
         const double t0 = innovation_0[0] * inverse_0;
         quadratic[0] = innovation_0[0] * t0;
-        const double t1 = augmented_covariance[21] * t0;
-        mean[0] = augmented_state[0] + t1;
-        const double t2 = augmented_covariance[22] * t0;
-        mean[1] = augmented_state[1] + t2;
-        const double t3 = augmented_covariance[23] * t0;
-        mean[2] = augmented_state[2] + t3;
-        const double t4 = augmented_covariance[24] * t0;
-        mean[3] = augmented_state[3] + t4;
-        const double t5 = augmented_covariance[25] * t0;
-        mean[4] = augmented_state[4] + t5;
-        const double t6 = augmented_covariance[26] * t0;
-        mean[5] = augmented_state[5] + t6;
-        const double t7 = augmented_covariance[27] * t0;
-        mean[6] = augmented_state[6] + t7;
-        const double t8 = augmented_covariance[34] * t0;
-        mean[7] = augmented_state[7] + t8;
-        const double t9 = augmented_covariance[42] * t0;
-        mean[8] = augmented_state[8] + t9;
-        const double t10 = augmented_covariance[21] * inverse_0;
-        const double t11 = t10 * augmented_covariance[21];
-        covariance[0] = augmented_covariance[0] - t11;
-        const double t12 = augmented_covariance[22] * inverse_0;
-        const double t13 = t12 * augmented_covariance[21];
-        covariance[1] = augmented_covariance[1] - t13;
-        const double t14 = t12 * augmented_covariance[22];
-        covariance[2] = augmented_covariance[2] - t14;
-        const double t15 = augmented_covariance[23] * inverse_0;
-        const double t16 = t15 * augmented_covariance[21];
-        covariance[3] = augmented_covariance[3] - t16;
-        const double t17 = t15 * augmented_covariance[22];
-        covariance[4] = augmented_covariance[4] - t17;
-        const double t18 = t15 * augmented_covariance[23];
-        covariance[5] = augmented_covariance[5] - t18;
-        const double t19 = augmented_covariance[24] * inverse_0;
-        const double t20 = t19 * augmented_covariance[21];
-        covariance[6] = augmented_covariance[6] - t20;
-        const double t21 = t19 * augmented_covariance[22];
-        covariance[7] = augmented_covariance[7] - t21;
-        const double t22 = t19 * augmented_covariance[23];
-        covariance[8] = augmented_covariance[8] - t22;
-        const double t23 = t19 * augmented_covariance[24];
-        covariance[9] = augmented_covariance[9] - t23;
-        const double t24 = augmented_covariance[25] * inverse_0;
-        const double t25 = t24 * augmented_covariance[21];
-        covariance[10] = augmented_covariance[10] - t25;
-        const double t26 = t24 * augmented_covariance[22];
-        covariance[11] = augmented_covariance[11] - t26;
-        const double t27 = t24 * augmented_covariance[23];
-        covariance[12] = augmented_covariance[12] - t27;
-        const double t28 = t24 * augmented_covariance[24];
-        covariance[13] = augmented_covariance[13] - t28;
-        const double t29 = t24 * augmented_covariance[25];
-        covariance[14] = augmented_covariance[14] - t29;
-        const double t30 = augmented_covariance[26] * inverse_0;
-        const double t31 = t30 * augmented_covariance[21];
-        covariance[15] = augmented_covariance[15] - t31;
-        const double t32 = t30 * augmented_covariance[22];
-        covariance[16] = augmented_covariance[16] - t32;
-        const double t33 = t30 * augmented_covariance[23];
-        covariance[17] = augmented_covariance[17] - t33;
-        const double t34 = t30 * augmented_covariance[24];
-        covariance[18] = augmented_covariance[18] - t34;
-        const double t35 = t30 * augmented_covariance[25];
-        covariance[19] = augmented_covariance[19] - t35;
-        const double t36 = t30 * augmented_covariance[26];
-        covariance[20] = augmented_covariance[20] - t36;
-        const double t37 = augmented_covariance[27] * inverse_0;
-        const double t38 = t37 * augmented_covariance[21];
-        covariance[21] = augmented_covariance[21] - t38;
-        const double t39 = t37 * augmented_covariance[22];
-        covariance[22] = augmented_covariance[22] - t39;
-        const double t40 = t37 * augmented_covariance[23];
-        covariance[23] = augmented_covariance[23] - t40;
-        const double t41 = t37 * augmented_covariance[24];
-        covariance[24] = augmented_covariance[24] - t41;
-        const double t42 = t37 * augmented_covariance[25];
-        covariance[25] = augmented_covariance[25] - t42;
-        const double t43 = t37 * augmented_covariance[26];
-        covariance[26] = augmented_covariance[26] - t43;
-        const double t44 = t37 * augmented_covariance[27];
-        covariance[27] = augmented_covariance[27] - t44;
-        const double t45 = augmented_covariance[34] * inverse_0;
-        const double t46 = t45 * augmented_covariance[21];
-        covariance[28] = augmented_covariance[28] - t46;
-        const double t47 = t45 * augmented_covariance[22];
-        covariance[29] = augmented_covariance[29] - t47;
-        const double t48 = t45 * augmented_covariance[23];
-        covariance[30] = augmented_covariance[30] - t48;
-        const double t49 = t45 * augmented_covariance[24];
-        covariance[31] = augmented_covariance[31] - t49;
-        const double t50 = t45 * augmented_covariance[25];
-        covariance[32] = augmented_covariance[32] - t50;
-        const double t51 = t45 * augmented_covariance[26];
-        covariance[33] = augmented_covariance[33] - t51;
-        const double t52 = t45 * augmented_covariance[27];
-        covariance[34] = augmented_covariance[34] - t52;
-        const double t53 = t45 * augmented_covariance[34];
-        covariance[35] = augmented_covariance[35] - t53;
-        const double t54 = augmented_covariance[42] * inverse_0;
-        const double t55 = t54 * augmented_covariance[21];
-        covariance[36] = augmented_covariance[36] - t55;
-        const double t56 = t54 * augmented_covariance[22];
-        covariance[37] = augmented_covariance[37] - t56;
-        const double t57 = t54 * augmented_covariance[23];
-        covariance[38] = augmented_covariance[38] - t57;
-        const double t58 = t54 * augmented_covariance[24];
-        covariance[39] = augmented_covariance[39] - t58;
-        const double t59 = t54 * augmented_covariance[25];
-        covariance[40] = augmented_covariance[40] - t59;
-        const double t60 = t54 * augmented_covariance[26];
-        covariance[41] = augmented_covariance[41] - t60;
-        const double t61 = t54 * augmented_covariance[27];
-        covariance[42] = augmented_covariance[42] - t61;
-        const double t62 = t54 * augmented_covariance[34];
-        covariance[43] = augmented_covariance[43] - t62;
-        const double t63 = t54 * augmented_covariance[42];
-        covariance[44] = augmented_covariance[44] - t63;
+        mean[0] = augmented_state[0] + (augmented_covariance[21] * t0);
+        mean[1] = augmented_state[1] + (augmented_covariance[22] * t0);
+        mean[2] = augmented_state[2] + (augmented_covariance[23] * t0);
+        mean[3] = augmented_state[3] + (augmented_covariance[24] * t0);
+        mean[4] = augmented_state[4] + (augmented_covariance[25] * t0);
+        mean[5] = augmented_state[5] + (augmented_covariance[26] * t0);
+        mean[6] = augmented_state[6] + (augmented_covariance[27] * t0);
+        mean[7] = augmented_state[7] + (augmented_covariance[34] * t0);
+        mean[8] = augmented_state[8] + (augmented_covariance[42] * t0);
+        const double t1 = augmented_covariance[21] * inverse_0 * augmented_covariance[21];
+        covariance[0] = augmented_covariance[0] - t1;
+        const double t2 = augmented_covariance[22] * inverse_0;
+        covariance[1] = augmented_covariance[1] - (t2 * augmented_covariance[21]);
+        covariance[2] = augmented_covariance[2] - (t2 * augmented_covariance[22]);
+        const double t3 = augmented_covariance[23] * inverse_0;
+        covariance[3] = augmented_covariance[3] - (t3 * augmented_covariance[21]);
+        covariance[4] = augmented_covariance[4] - (t3 * augmented_covariance[22]);
+        covariance[5] = augmented_covariance[5] - (t3 * augmented_covariance[23]);
+        const double t4 = augmented_covariance[24] * inverse_0;
+        covariance[6] = augmented_covariance[6] - (t4 * augmented_covariance[21]);
+        covariance[7] = augmented_covariance[7] - (t4 * augmented_covariance[22]);
+        covariance[8] = augmented_covariance[8] - (t4 * augmented_covariance[23]);
+        covariance[9] = augmented_covariance[9] - (t4 * augmented_covariance[24]);
+        const double t5 = augmented_covariance[25] * inverse_0;
+        covariance[10] = augmented_covariance[10] - (t5 * augmented_covariance[21]);
+        covariance[11] = augmented_covariance[11] - (t5 * augmented_covariance[22]);
+        covariance[12] = augmented_covariance[12] - (t5 * augmented_covariance[23]);
+        covariance[13] = augmented_covariance[13] - (t5 * augmented_covariance[24]);
+        covariance[14] = augmented_covariance[14] - (t5 * augmented_covariance[25]);
+        const double t6 = augmented_covariance[26] * inverse_0;
+        covariance[15] = augmented_covariance[15] - (t6 * augmented_covariance[21]);
+        covariance[16] = augmented_covariance[16] - (t6 * augmented_covariance[22]);
+        covariance[17] = augmented_covariance[17] - (t6 * augmented_covariance[23]);
+        covariance[18] = augmented_covariance[18] - (t6 * augmented_covariance[24]);
+        covariance[19] = augmented_covariance[19] - (t6 * augmented_covariance[25]);
+        covariance[20] = augmented_covariance[20] - (t6 * augmented_covariance[26]);
+        const double t7 = augmented_covariance[27] * inverse_0;
+        covariance[21] = augmented_covariance[21] - (t7 * augmented_covariance[21]);
+        covariance[22] = augmented_covariance[22] - (t7 * augmented_covariance[22]);
+        covariance[23] = augmented_covariance[23] - (t7 * augmented_covariance[23]);
+        covariance[24] = augmented_covariance[24] - (t7 * augmented_covariance[24]);
+        covariance[25] = augmented_covariance[25] - (t7 * augmented_covariance[25]);
+        covariance[26] = augmented_covariance[26] - (t7 * augmented_covariance[26]);
+        covariance[27] = augmented_covariance[27] - (t7 * augmented_covariance[27]);
+        const double t8 = augmented_covariance[34] * inverse_0;
+        covariance[28] = augmented_covariance[28] - (t8 * augmented_covariance[21]);
+        covariance[29] = augmented_covariance[29] - (t8 * augmented_covariance[22]);
+        covariance[30] = augmented_covariance[30] - (t8 * augmented_covariance[23]);
+        covariance[31] = augmented_covariance[31] - (t8 * augmented_covariance[24]);
+        covariance[32] = augmented_covariance[32] - (t8 * augmented_covariance[25]);
+        covariance[33] = augmented_covariance[33] - (t8 * augmented_covariance[26]);
+        covariance[34] = augmented_covariance[34] - (t8 * augmented_covariance[27]);
+        covariance[35] = augmented_covariance[35] - (t8 * augmented_covariance[34]);
+        const double t9 = augmented_covariance[42] * inverse_0;
+        covariance[36] = augmented_covariance[36] - (t9 * augmented_covariance[21]);
+        covariance[37] = augmented_covariance[37] - (t9 * augmented_covariance[22]);
+        covariance[38] = augmented_covariance[38] - (t9 * augmented_covariance[23]);
+        covariance[39] = augmented_covariance[39] - (t9 * augmented_covariance[24]);
+        covariance[40] = augmented_covariance[40] - (t9 * augmented_covariance[25]);
+        covariance[41] = augmented_covariance[41] - (t9 * augmented_covariance[26]);
+        covariance[42] = augmented_covariance[42] - (t9 * augmented_covariance[27]);
+        covariance[43] = augmented_covariance[43] - (t9 * augmented_covariance[34]);
+        covariance[44] = augmented_covariance[44] - (t9 * augmented_covariance[42]);
         log_constant[0] = MARKOV_JUMP_LOG_2_PI;
         determinant_0[0] = pivot_0[0];
     }
@@ -486,1097 +384,598 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
         rows_present[0] = rows_present[0] + 1.0;
     }
 
-    /* innovation, row by row */
+    /* test for a loss: llr: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
         innovation_lost_0 = y;
     }
 
-    /* row 0 of y, measured_position */
+    /* test for a loss: llr: row 0 of y, measured_position */
     pivot_lost_0 = mean_noise;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_lost_0 > 0.0))
-        {
-            return MARKOV_JUMP_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_lost_0 > 0.0)) { return MARKOV_JUMP_NOT_POSITIVE_DEFINITE; }
         inverse_lost_0 = 1.0 / pivot_lost_0;
-        const double t64 = innovation_lost_0 * inverse_lost_0;
-        quadratic_lost[0] = innovation_lost_0 * t64;
+        quadratic_lost[0] = innovation_lost_0 * (innovation_lost_0 * inverse_lost_0);
         log_constant_lost[0] = MARKOV_JUMP_LOG_2_PI;
         determinant_lost_0[0] = pivot_lost_0;
     }
     return MARKOV_JUMP_OK;
 }
 
-/* every mode's step. */
-MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step(const double *mode_second_moment,
-    double *moved_moment_2, const double *mode_law, double *plant_noise_0, double *plant_noise_1,
-    double *plant_noise_2, const double *augmented_filtered_state, double *moved_state,
-    const double *augmented_filtered_covariance, double *carried_8)
-{
-    markov_jump_propagate_2(mode_second_moment, moved_moment_2, markov_jump_propagate_2_numbers[1]);
-    markov_jump_propagate_3(mode_law, plant_noise_0, markov_jump_propagate_3_numbers[0]);
-    markov_jump_propagate_3(mode_law, plant_noise_1, markov_jump_propagate_3_numbers[1]);
-    const double t0 = 2.5000000000000005e-05 * mode_law[0];
-    const double t1 = 0.0009 * mode_law[1];
-    const double t2 = t0 + t1;
-    const double t3 = 0.081 * mode_law[2];
-    plant_noise_2[0] = t2 + t3;
-    const double t4 = 5.000000000000001e-05 * mode_law[0];
-    const double t5 = 0.0018 * mode_law[1];
-    const double t6 = t4 + t5;
-    const double t7 = 0.162 * mode_law[2];
-    plant_noise_2[1] = t6 + t7;
-    const double t8 = 0.00010000000000000002 * mode_law[0];
-    const double t9 = 0.0036 * mode_law[1];
-    const double t10 = t8 + t9;
-    const double t11 = 0.324 * mode_law[2];
-    plant_noise_2[2] = t10 + t11;
-    const double t12 = 5.000000000000001e-05 * mode_law[0];
-    const double t13 = 0.0018 * mode_law[1];
-    const double t14 = t12 + t13;
-    const double t15 = 0.162 * mode_law[2];
-    plant_noise_2[3] = t14 + t15;
-    const double t16 = 0.00010000000000000002 * mode_law[0];
-    const double t17 = 0.0036 * mode_law[1];
-    const double t18 = t16 + t17;
-    const double t19 = 0.324 * mode_law[2];
-    plant_noise_2[4] = t18 + t19;
-    const double t20 = 0.00010000000000000002 * mode_law[0];
-    const double t21 = 0.0036 * mode_law[1];
-    const double t22 = t20 + t21;
-    const double t23 = 0.324 * mode_law[2];
-    plant_noise_2[5] = t22 + t23;
-
-    /* every mode's step */
-    const double t24 = 0.97 * augmented_filtered_state[0];
-    const double t25 = t24 + augmented_filtered_state[1];
-    const double t26 = 0.5 * augmented_filtered_state[2];
-    moved_state[0] = t25 + t26;
-    const double t27 = 0.8 * augmented_filtered_state[1];
-    moved_state[1] = t27 + augmented_filtered_state[2];
-    moved_state[2] = 0.6 * augmented_filtered_state[2];
-    const double t28 = 0.97 * augmented_filtered_state[3];
-    const double t29 = t28 + augmented_filtered_state[4];
-    const double t30 = 0.5 * augmented_filtered_state[5];
-    moved_state[3] = t29 + t30;
-    const double t31 = 0.8 * augmented_filtered_state[4];
-    moved_state[4] = t31 + augmented_filtered_state[5];
-    moved_state[5] = 0.8 * augmented_filtered_state[5];
-    const double t32 = 0.97 * augmented_filtered_state[6];
-    const double t33 = t32 + augmented_filtered_state[7];
-    const double t34 = 0.5 * augmented_filtered_state[8];
-    moved_state[6] = t33 + t34;
-    const double t35 = 0.8 * augmented_filtered_state[7];
-    moved_state[7] = t35 + augmented_filtered_state[8];
-    const double t36 = -0.30000000000000004 * augmented_filtered_state[2];
-    const double t37 = -0.09999999999999998 * augmented_filtered_state[5];
-    const double t38 = t36 + t37;
-    const double t39 = 0.9 * augmented_filtered_state[8];
-    moved_state[8] = t38 + t39;
-    const double t40 = 0.97 * augmented_filtered_covariance[0];
-    const double t41 = t40 + augmented_filtered_covariance[1];
-    const double t42 = 0.5 * augmented_filtered_covariance[3];
-    const double t43 = t41 + t42;
-    const double t44 = 0.97 * t43;
-    const double t45 = 0.97 * augmented_filtered_covariance[1];
-    const double t46 = t45 + augmented_filtered_covariance[2];
-    const double t47 = 0.5 * augmented_filtered_covariance[4];
-    const double t48 = t46 + t47;
-    const double t49 = t44 + t48;
-    const double t50 = 0.97 * augmented_filtered_covariance[3];
-    const double t51 = t50 + augmented_filtered_covariance[4];
-    const double t52 = 0.5 * augmented_filtered_covariance[5];
-    const double t53 = t51 + t52;
-    const double t54 = 0.5 * t53;
-    carried_8[0] = t49 + t54;
-    const double t55 = 0.8 * t48;
-    carried_8[1] = t55 + t53;
-    const double t56 = 0.8 * augmented_filtered_covariance[2];
-    const double t57 = t56 + augmented_filtered_covariance[4];
-    const double t58 = 0.8 * t57;
-    const double t59 = 0.8 * augmented_filtered_covariance[4];
-    const double t60 = t59 + augmented_filtered_covariance[5];
-    carried_8[2] = t58 + t60;
-    carried_8[3] = 0.6 * t53;
-    carried_8[4] = 0.6 * t60;
-    carried_8[5] = 0.36 * augmented_filtered_covariance[5];
-    const double t61 = 0.97 * augmented_filtered_covariance[6];
-    const double t62 = t61 + augmented_filtered_covariance[10];
-    const double t63 = 0.5 * augmented_filtered_covariance[15];
-    const double t64 = t62 + t63;
-    const double t65 = 0.97 * t64;
-    const double t66 = 0.97 * augmented_filtered_covariance[7];
-    const double t67 = t66 + augmented_filtered_covariance[11];
-    const double t68 = 0.5 * augmented_filtered_covariance[16];
-    const double t69 = t67 + t68;
-    const double t70 = t65 + t69;
-    const double t71 = 0.97 * augmented_filtered_covariance[8];
-    const double t72 = t71 + augmented_filtered_covariance[12];
-    const double t73 = 0.5 * augmented_filtered_covariance[17];
-    const double t74 = t72 + t73;
-    const double t75 = 0.5 * t74;
-    carried_8[6] = t70 + t75;
-    const double t76 = 0.8 * t69;
-    carried_8[7] = t76 + t74;
-    carried_8[8] = 0.6 * t74;
-    const double t77 = 0.97 * augmented_filtered_covariance[9];
-    const double t78 = t77 + augmented_filtered_covariance[13];
-    const double t79 = 0.5 * augmented_filtered_covariance[18];
-    const double t80 = t78 + t79;
-    const double t81 = 0.97 * t80;
-    const double t82 = 0.97 * augmented_filtered_covariance[13];
-    const double t83 = t82 + augmented_filtered_covariance[14];
-    const double t84 = 0.5 * augmented_filtered_covariance[19];
-    const double t85 = t83 + t84;
-    const double t86 = t81 + t85;
-    const double t87 = 0.97 * augmented_filtered_covariance[18];
-    const double t88 = t87 + augmented_filtered_covariance[19];
-    const double t89 = 0.5 * augmented_filtered_covariance[20];
-    const double t90 = t88 + t89;
-    const double t91 = 0.5 * t90;
-    carried_8[9] = t86 + t91;
-    const double t92 = 0.97 * augmented_filtered_covariance[10];
-    const double t93 = t92 + augmented_filtered_covariance[11];
-    const double t94 = 0.5 * augmented_filtered_covariance[12];
-    const double t95 = t93 + t94;
-    const double t96 = 0.8 * t95;
-    const double t97 = 0.97 * augmented_filtered_covariance[15];
-    const double t98 = t97 + augmented_filtered_covariance[16];
-    const double t99 = 0.5 * augmented_filtered_covariance[17];
-    const double t100 = t98 + t99;
-    carried_8[10] = t96 + t100;
-    const double t101 = 0.8 * augmented_filtered_covariance[11];
-    const double t102 = t101 + augmented_filtered_covariance[16];
-    const double t103 = 0.8 * t102;
-    const double t104 = 0.8 * augmented_filtered_covariance[12];
-    const double t105 = t104 + augmented_filtered_covariance[17];
-    carried_8[11] = t103 + t105;
-    carried_8[12] = 0.6 * t105;
-    const double t106 = 0.8 * t85;
-    carried_8[13] = t106 + t90;
-    const double t107 = 0.8 * augmented_filtered_covariance[14];
-    const double t108 = t107 + augmented_filtered_covariance[19];
-    const double t109 = 0.8 * t108;
-    const double t110 = 0.8 * augmented_filtered_covariance[19];
-    const double t111 = t110 + augmented_filtered_covariance[20];
-    carried_8[14] = t109 + t111;
-    carried_8[15] = 0.8 * t100;
-    const double t112 = 0.8 * augmented_filtered_covariance[16];
-    const double t113 = t112 + augmented_filtered_covariance[17];
-    carried_8[16] = 0.8 * t113;
-    carried_8[17] = 0.48 * augmented_filtered_covariance[17];
-    carried_8[18] = 0.8 * t90;
-    carried_8[19] = 0.8 * t111;
-    carried_8[20] = 0.6400000000000001 * augmented_filtered_covariance[20];
-    const double t114 = 0.97 * augmented_filtered_covariance[21];
-    const double t115 = t114 + augmented_filtered_covariance[28];
-    const double t116 = 0.5 * augmented_filtered_covariance[36];
-    const double t117 = t115 + t116;
-    const double t118 = 0.97 * t117;
-    const double t119 = 0.97 * augmented_filtered_covariance[22];
-    const double t120 = t119 + augmented_filtered_covariance[29];
-    const double t121 = 0.5 * augmented_filtered_covariance[37];
-    const double t122 = t120 + t121;
-    const double t123 = t118 + t122;
-    const double t124 = 0.97 * augmented_filtered_covariance[23];
-    const double t125 = t124 + augmented_filtered_covariance[30];
-    const double t126 = 0.5 * augmented_filtered_covariance[38];
-    const double t127 = t125 + t126;
-    const double t128 = 0.5 * t127;
-    carried_8[21] = t123 + t128;
-    const double t129 = 0.8 * t122;
-    carried_8[22] = t129 + t127;
-    carried_8[23] = 0.6 * t127;
-    const double t130 = 0.97 * augmented_filtered_covariance[24];
-    const double t131 = t130 + augmented_filtered_covariance[31];
-    const double t132 = 0.5 * augmented_filtered_covariance[39];
-    const double t133 = t131 + t132;
-    const double t134 = 0.97 * t133;
-    const double t135 = 0.97 * augmented_filtered_covariance[25];
-    const double t136 = t135 + augmented_filtered_covariance[32];
-    const double t137 = 0.5 * augmented_filtered_covariance[40];
-    const double t138 = t136 + t137;
-    const double t139 = t134 + t138;
-    const double t140 = 0.97 * augmented_filtered_covariance[26];
-    const double t141 = t140 + augmented_filtered_covariance[33];
-    const double t142 = 0.5 * augmented_filtered_covariance[41];
-    const double t143 = t141 + t142;
-    const double t144 = 0.5 * t143;
-    carried_8[24] = t139 + t144;
-    const double t145 = 0.8 * t138;
-    carried_8[25] = t145 + t143;
-    carried_8[26] = 0.8 * t143;
-    const double t146 = 0.97 * augmented_filtered_covariance[27];
-    const double t147 = t146 + augmented_filtered_covariance[34];
-    const double t148 = 0.5 * augmented_filtered_covariance[42];
-    const double t149 = t147 + t148;
-    const double t150 = 0.97 * t149;
-    const double t151 = 0.97 * augmented_filtered_covariance[34];
-    const double t152 = t151 + augmented_filtered_covariance[35];
-    const double t153 = 0.5 * augmented_filtered_covariance[43];
-    const double t154 = t152 + t153;
-    const double t155 = t150 + t154;
-    const double t156 = 0.97 * augmented_filtered_covariance[42];
-    const double t157 = t156 + augmented_filtered_covariance[43];
-    const double t158 = 0.5 * augmented_filtered_covariance[44];
-    const double t159 = t157 + t158;
-    const double t160 = 0.5 * t159;
-    carried_8[29] = t155 + t160;
-    const double t161 = 0.97 * augmented_filtered_covariance[28];
-    const double t162 = t161 + augmented_filtered_covariance[29];
-    const double t163 = 0.5 * augmented_filtered_covariance[30];
-    const double t164 = t162 + t163;
-    const double t165 = 0.8 * t164;
-    const double t166 = 0.97 * augmented_filtered_covariance[36];
-    const double t167 = t166 + augmented_filtered_covariance[37];
-    const double t168 = 0.5 * augmented_filtered_covariance[38];
-    const double t169 = t167 + t168;
-    carried_8[30] = t165 + t169;
-    carried_8[27] = t154;
-    carried_8[28] = t159;
-}
-
-/* prediction of the next sample. */
-MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const double
-    *moved_covariance, const double *moved_moment_0, const double *moved_moment_1,
-    const double *moved_moment_2, const double *plant_noise_1, const double *carried_10,
-    const double *plant_noise_0, const double *carried_11, const double *plant_noise_2,
-    const double *carried_9, const double *moved_state, double *predicted_mode_second_moment,
-    double *predicted_mode_law, double *augmented_state, double *augmented_covariance,
-    double *predicted_state, double *predicted_covariance)
-{
-    const double t0 = -0.04 * moved_covariance[0];
-    const double t1 = 0.8200000000000001 * moved_covariance[12];
-    const double t2 = t0 + t1;
-    const double t3 = 0.08 * moved_covariance[33];
-    const double t4 = t2 + t3;
-    const double t5 = 0.9299999999999999 * t4;
-    const double t6 = -0.04 * moved_covariance[5];
-    const double t7 = 0.8200000000000001 * moved_covariance[15];
-    const double t8 = t6 + t7;
-    const double t9 = 0.08 * moved_covariance[36];
-    const double t10 = t8 + t9;
-    const double t11 = 0.039999999999999994 * t10;
-    const double t12 = t5 + t11;
-    const double t13 = -0.04 * moved_covariance[20];
-    const double t14 = 0.8200000000000001 * moved_covariance[23];
-    const double t15 = t13 + t14;
-    const double t16 = 0.08 * moved_covariance[39];
-    const double t17 = t15 + t16;
-    const double t18 = 0.02 * t17;
-    const double t19 = t12 + t18;
-    const double t20 = -0.038 * moved_moment_0[0];
-    const double t21 = -0.054 * moved_moment_1[0];
-    const double t22 = t20 + t21;
-    const double t23 = -0.0016 * moved_moment_2[0];
-    const double t24 = t22 + t23;
-    augmented_covariance[15] = t19 + t24;
-    const double t25 = -0.04 * moved_covariance[1];
-    const double t26 = 0.8200000000000001 * moved_covariance[13];
-    const double t27 = t25 + t26;
-    const double t28 = 0.08 * moved_covariance[34];
-    const double t29 = t27 + t28;
-    const double t30 = 0.9299999999999999 * t29;
-    const double t31 = -0.04 * moved_covariance[9];
-    const double t32 = 0.8200000000000001 * moved_covariance[16];
-    const double t33 = t31 + t32;
-    const double t34 = 0.08 * moved_covariance[37];
-    const double t35 = t33 + t34;
-    const double t36 = 0.039999999999999994 * t35;
-    const double t37 = t30 + t36;
-    const double t38 = -0.04 * moved_covariance[27];
-    const double t39 = 0.8200000000000001 * moved_covariance[30];
-    const double t40 = t38 + t39;
-    const double t41 = 0.08 * moved_covariance[40];
-    const double t42 = t40 + t41;
-    const double t43 = 0.02 * t42;
-    const double t44 = t37 + t43;
-    const double t45 = -0.038 * moved_moment_0[1];
-    const double t46 = -0.054 * moved_moment_1[1];
-    const double t47 = t45 + t46;
-    const double t48 = -0.0016 * moved_moment_2[1];
-    const double t49 = t47 + t48;
-    augmented_covariance[16] = t44 + t49;
-    const double t50 = -0.04 * moved_covariance[2];
-    const double t51 = 0.8200000000000001 * moved_covariance[14];
-    const double t52 = t50 + t51;
-    const double t53 = 0.08 * moved_covariance[35];
-    const double t54 = t52 + t53;
-    const double t55 = 0.9299999999999999 * t54;
-    const double t56 = -0.04 * moved_covariance[14];
-    const double t57 = 0.8200000000000001 * moved_covariance[17];
-    const double t58 = t56 + t57;
-    const double t59 = 0.08 * moved_covariance[38];
-    const double t60 = t58 + t59;
-    const double t61 = 0.039999999999999994 * t60;
-    const double t62 = t55 + t61;
-    const double t63 = -0.04 * moved_covariance[35];
-    const double t64 = 0.8200000000000001 * moved_covariance[38];
-    const double t65 = t63 + t64;
-    const double t66 = 0.08 * moved_covariance[41];
-    const double t67 = t65 + t66;
-    const double t68 = 0.02 * t67;
-    const double t69 = t62 + t68;
-    const double t70 = -0.038 * moved_moment_0[2];
-    const double t71 = -0.054 * moved_moment_1[2];
-    const double t72 = t70 + t71;
-    const double t73 = -0.0016 * moved_moment_2[2];
-    const double t74 = t72 + t73;
-    augmented_covariance[17] = t69 + t74;
-    const double t75 = -0.04 * t4;
-    const double t76 = 0.8200000000000001 * t10;
-    const double t77 = t75 + t76;
-    const double t78 = 0.08 * t17;
-    const double t79 = t77 + t78;
-    const double t80 = 0.0384 * moved_moment_0[0];
-    const double t81 = 0.08999999999999998 * moved_moment_1[0];
-    const double t82 = t80 + t81;
-    const double t83 = 0.0736 * moved_moment_2[0];
-    const double t84 = t82 + t83;
-    const double t85 = t84 + plant_noise_1[3];
-    augmented_covariance[18] = t79 + t85;
-    const double t86 = -0.04 * t29;
-    const double t87 = 0.8200000000000001 * t35;
-    const double t88 = t86 + t87;
-    const double t89 = 0.08 * t42;
-    const double t90 = t88 + t89;
-    const double t91 = 0.0384 * moved_moment_0[1];
-    const double t92 = 0.08999999999999998 * moved_moment_1[1];
-    const double t93 = t91 + t92;
-    const double t94 = 0.0736 * moved_moment_2[1];
-    const double t95 = t93 + t94;
-    const double t96 = t95 + plant_noise_1[4];
-    augmented_covariance[19] = t90 + t96;
-    const double t97 = -0.04 * t54;
-    const double t98 = 0.8200000000000001 * t60;
-    const double t99 = t97 + t98;
-    const double t100 = 0.08 * t67;
-    const double t101 = t99 + t100;
-    const double t102 = 0.0384 * moved_moment_0[2];
-    const double t103 = 0.08999999999999998 * moved_moment_1[2];
-    const double t104 = t102 + t103;
-    const double t105 = 0.0736 * moved_moment_2[2];
-    const double t106 = t104 + t105;
-    const double t107 = t106 + plant_noise_1[5];
-    const double t108 = t101 + t107;
-    augmented_covariance[21] = carried_10[1] + plant_noise_0[0];
-    augmented_covariance[22] = carried_10[3] + plant_noise_0[1];
-    augmented_covariance[23] = carried_10[7] + plant_noise_0[3];
-    augmented_covariance[24] = carried_11[2] + plant_noise_1[0];
-    augmented_covariance[25] = carried_11[9] + plant_noise_1[1];
-    augmented_covariance[26] = t17 + plant_noise_1[3];
-    const double t109 = plant_noise_0[0] + plant_noise_1[0];
-    const double t110 = t109 + plant_noise_2[0];
-    const double t111 = moved_covariance[24] + t110;
-    const double t112 = 0.9299999999999999 * moved_covariance[25];
-    const double t113 = 0.039999999999999994 * moved_covariance[28];
-    const double t114 = t112 + t113;
-    const double t115 = 0.02 * moved_covariance[31];
-    const double t116 = t114 + t115;
-    augmented_covariance[28] = t116 + plant_noise_0[1];
-    augmented_covariance[29] = carried_10[5] + plant_noise_0[2];
-    augmented_covariance[30] = carried_10[9] + plant_noise_0[4];
-    augmented_covariance[31] = carried_11[4] + plant_noise_1[1];
-    augmented_covariance[32] = carried_11[11] + plant_noise_1[2];
-    augmented_covariance[33] = t42 + plant_noise_1[4];
-    const double t117 = plant_noise_0[1] + plant_noise_1[1];
-    const double t118 = t117 + plant_noise_2[1];
-    const double t119 = moved_covariance[31] + t118;
-    const double t120 = plant_noise_0[2] + plant_noise_1[2];
-    const double t121 = t120 + plant_noise_2[2];
-    const double t122 = moved_covariance[32] + t121;
-    const double t123 = 0.9299999999999999 * moved_covariance[33];
-    const double t124 = 0.039999999999999994 * moved_covariance[36];
-    const double t125 = t123 + t124;
-    const double t126 = 0.02 * moved_covariance[39];
-    const double t127 = t125 + t126;
-    augmented_covariance[36] = t127 + plant_noise_0[3];
-    const double t128 = 0.9299999999999999 * moved_covariance[34];
-    const double t129 = 0.039999999999999994 * moved_covariance[37];
-    const double t130 = t128 + t129;
-    const double t131 = 0.02 * moved_covariance[40];
-    const double t132 = t130 + t131;
-    augmented_covariance[37] = t132 + plant_noise_0[4];
-    augmented_covariance[38] = carried_11[0] + plant_noise_0[5];
-    augmented_covariance[39] = carried_11[6] + plant_noise_1[3];
-    augmented_covariance[40] = carried_11[13] + plant_noise_1[4];
-    augmented_covariance[41] = t67 + plant_noise_1[5];
-    const double t133 = plant_noise_0[3] + plant_noise_1[3];
-    const double t134 = t133 + plant_noise_2[3];
-    const double t135 = moved_covariance[39] + t134;
-    const double t136 = plant_noise_0[4] + plant_noise_1[4];
-    const double t137 = t136 + plant_noise_2[4];
-    const double t138 = moved_covariance[40] + t137;
-    const double t139 = plant_noise_0[5] + plant_noise_1[5];
-    const double t140 = t139 + plant_noise_2[5];
-    const double t141 = moved_covariance[41] + t140;
-    if (!markov_jump_finite(markov_jump_defect(carried_9[21]) + markov_jump_defect(carried_9[22]) +
-        markov_jump_defect(carried_9[23]) + markov_jump_defect(carried_9[24]) +
-        markov_jump_defect(carried_9[25]) + markov_jump_defect(carried_10[0]) +
-        markov_jump_defect(moved_state[0]) + markov_jump_defect(moved_state[1]) +
-        markov_jump_defect(moved_state[2]) + markov_jump_defect(carried_10[2]) +
-        markov_jump_defect(carried_10[6]) + markov_jump_defect(carried_11[1]) +
-        markov_jump_defect(carried_11[8]) + markov_jump_defect(carried_11[16]) +
-        markov_jump_defect(t108) + markov_jump_defect(t111) + markov_jump_defect(t122) +
-        markov_jump_defect(t141)))
-    {
-        return MARKOV_JUMP_RESULT_NOT_FINITE;
-    }
-    if (!markov_jump_finite(markov_jump_defect(carried_9[0]) + markov_jump_defect(carried_9[0])))
-    {
-        return MARKOV_JUMP_RESULT_NOT_FINITE;
-    }
-    if (!markov_jump_finite(markov_jump_defect(carried_9[6]) + markov_jump_defect(carried_9[6])))
-    {
-        return MARKOV_JUMP_RESULT_NOT_FINITE;
-    }
-    if (!markov_jump_finite(markov_jump_defect(carried_9[12]) + markov_jump_defect(carried_9[12])))
-    {
-        return MARKOV_JUMP_RESULT_NOT_FINITE;
-    }
-    predicted_mode_second_moment[0] = carried_9[0];
-    predicted_mode_second_moment[1] = carried_9[1];
-    predicted_mode_second_moment[2] = carried_9[2];
-    predicted_mode_second_moment[3] = carried_9[3];
-    predicted_mode_second_moment[4] = carried_9[4];
-    predicted_mode_second_moment[5] = carried_9[5];
-    predicted_mode_second_moment[6] = carried_9[6];
-    predicted_mode_second_moment[7] = carried_9[7];
-    predicted_mode_second_moment[8] = carried_9[8];
-    predicted_mode_second_moment[9] = carried_9[9];
-    predicted_mode_second_moment[10] = carried_9[10];
-    predicted_mode_second_moment[11] = carried_9[11];
-    predicted_mode_second_moment[12] = carried_9[12];
-    predicted_mode_second_moment[13] = carried_9[13];
-    predicted_mode_second_moment[14] = carried_9[14];
-    predicted_mode_second_moment[15] = carried_9[15];
-    predicted_mode_second_moment[16] = carried_9[16];
-    predicted_mode_second_moment[17] = carried_9[17];
-    predicted_mode_law[0] = carried_9[18];
-    predicted_mode_law[1] = carried_9[19];
-    predicted_mode_law[2] = carried_9[20];
-    augmented_state[0] = carried_9[21];
-    augmented_state[1] = carried_9[22];
-    augmented_state[2] = carried_9[23];
-    augmented_state[3] = carried_9[24];
-    augmented_state[4] = carried_9[25];
-    augmented_state[5] = carried_10[0];
-    augmented_state[6] = moved_state[0];
-    augmented_state[7] = moved_state[1];
-    augmented_state[8] = moved_state[2];
-    augmented_covariance[0] = carried_10[2];
-    augmented_covariance[1] = carried_10[4];
-    augmented_covariance[2] = carried_10[6];
-    augmented_covariance[3] = carried_10[8];
-    augmented_covariance[4] = carried_10[10];
-    augmented_covariance[5] = carried_11[1];
-    augmented_covariance[6] = carried_11[3];
-    augmented_covariance[7] = carried_11[5];
-    augmented_covariance[8] = carried_11[7];
-    augmented_covariance[9] = carried_11[8];
-    augmented_covariance[10] = carried_11[10];
-    augmented_covariance[11] = carried_11[12];
-    augmented_covariance[12] = carried_11[14];
-    augmented_covariance[13] = carried_11[15];
-    augmented_covariance[14] = carried_11[16];
-    augmented_covariance[20] = t108;
-    augmented_covariance[27] = t111;
-    augmented_covariance[34] = t119;
-    augmented_covariance[35] = t122;
-    augmented_covariance[42] = t135;
-    augmented_covariance[43] = t138;
-    augmented_covariance[44] = t141;
-    predicted_state[0] = moved_state[0];
-    predicted_state[1] = moved_state[1];
-    predicted_state[2] = moved_state[2];
-    predicted_covariance[0] = t111;
-    predicted_covariance[1] = t119;
-    predicted_covariance[2] = t122;
-    predicted_covariance[3] = t135;
-    predicted_covariance[4] = t138;
-    predicted_covariance[5] = t141;
-    return MARKOV_JUMP_OK;
-}
-
 /* prediction of the next sample. */
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_2(const double
     *moved_covariance, const double *carried_10, const double *moved_moment_0,
-    const double *moved_moment_1, const double *moved_moment_2, const double *plant_noise_0,
-    const double *plant_noise_1, const double *plant_noise_2, const double *carried_9,
-    const double *moved_state, double *predicted_mode_second_moment, double *predicted_mode_law,
-    double *augmented_state, double *augmented_covariance, double *predicted_state,
-    double *predicted_covariance)
+    const double *moved_moment_1, const double *moved_moment_2, const double *plant_noise_1,
+    const double *carried_9, const double *plant_noise_0, const double *plant_noise_2,
+    const double *moved_state, double *predicted_mode_law, double *augmented_state,
+    double *augmented_covariance, double *predicted_state, double *predicted_covariance)
 {
-    double carried_11[17] = { 0.0 };
-    markov_jump_status_t status;
-    const double t0 = 0.9299999999999999 * moved_covariance[38];
-    const double t1 = 0.039999999999999994 * moved_covariance[41];
-    const double t2 = t0 + t1;
-    const double t3 = 0.02 * moved_covariance[44];
-    const double t4 = t2 + t3;
-    const double t5 = 0.02 * t4;
-    const double t6 = carried_10[11] + t5;
-    const double t7 = 0.04750000000000004 * moved_moment_0[5];
-    const double t8 = 0.05639999999999999 * moved_moment_1[5];
-    const double t9 = t7 + t8;
-    const double t10 = 0.0196 * moved_moment_2[5];
-    const double t11 = t9 + t10;
-    const double t12 = t11 + plant_noise_0[5];
-    carried_11[1] = t6 + t12;
-    const double t13 = -0.04 * moved_covariance[0];
-    const double t14 = 0.8200000000000001 * moved_covariance[6];
-    const double t15 = t13 + t14;
-    const double t16 = 0.08 * moved_covariance[21];
-    const double t17 = t15 + t16;
-    const double t18 = 0.9299999999999999 * t17;
-    const double t19 = -0.04 * moved_covariance[6];
-    const double t20 = 0.8200000000000001 * moved_covariance[9];
-    const double t21 = t19 + t20;
-    const double t22 = 0.08 * moved_covariance[24];
-    const double t23 = t21 + t22;
-    const double t24 = 0.039999999999999994 * t23;
-    const double t25 = t18 + t24;
-    const double t26 = -0.04 * moved_covariance[21];
-    const double t27 = 0.8200000000000001 * moved_covariance[24];
-    const double t28 = t26 + t27;
-    const double t29 = 0.08 * moved_covariance[27];
-    const double t30 = t28 + t29;
-    const double t31 = 0.02 * t30;
-    const double t32 = t25 + t31;
-    const double t33 = -0.038 * moved_moment_0[0];
-    const double t34 = -0.054 * moved_moment_1[0];
-    const double t35 = t33 + t34;
-    const double t36 = -0.0016 * moved_moment_2[0];
-    const double t37 = t35 + t36;
-    carried_11[3] = t32 + t37;
-    const double t38 = -0.04 * moved_covariance[1];
-    const double t39 = 0.8200000000000001 * moved_covariance[7];
-    const double t40 = t38 + t39;
-    const double t41 = 0.08 * moved_covariance[22];
-    const double t42 = t40 + t41;
+    const double t0 = (-0.04 * moved_covariance[5]) + (0.8200000000000001 * moved_covariance[11]);
+    const double t1 = t0 + (0.08 * moved_covariance[29]);
+    const double t2 = carried_10[12] + (0.039999999999999994 * t1);
+    const double t3 = (-0.04 * moved_covariance[20]) + (0.8200000000000001 * moved_covariance[23]);
+    const double t4 = t3 + (0.08 * moved_covariance[32]);
+    const double t5 = t2 + (0.02 * t4);
+    const double t6 = (-0.038 * moved_moment_0[0]) + (-0.054 * moved_moment_1[0]);
+    augmented_covariance[10] = t5 + (t6 + (-0.0016 * moved_moment_2[0]));
+    const double t7 = (-0.04 * moved_covariance[0]) + (0.8200000000000001 * moved_covariance[9]);
+    const double t8 = t7 + (0.08 * moved_covariance[27]);
+    const double t9 = 0.9299999999999999 * t8;
+    const double t10 = (-0.04 * moved_covariance[9]) + (0.8200000000000001 * moved_covariance[12]);
+    const double t11 = t10 + (0.08 * moved_covariance[30]);
+    const double t12 = t9 + (0.039999999999999994 * t11);
+    const double t13 = (-0.04 * moved_covariance[27]) + (0.8200000000000001 * moved_covariance[30]);
+    const double t14 = t13 + (0.08 * moved_covariance[33]);
+    const double t15 = t12 + (0.02 * t14);
+    const double t16 = (-0.038 * moved_moment_0[1]) + (-0.054 * moved_moment_1[1]);
+    augmented_covariance[11] = t15 + (t16 + (-0.0016 * moved_moment_2[1]));
+    const double t17 = (-0.04 * moved_covariance[2]) + (0.8200000000000001 * moved_covariance[10]);
+    const double t18 = 0.9299999999999999 * (t17 + (0.08 * moved_covariance[28]));
+    const double t19 = (-0.04 * moved_covariance[14]) + (0.8200000000000001 * moved_covariance[17]);
+    const double t20 = t18 + (0.039999999999999994 * (t19 + (0.08 * moved_covariance[31])));
+    const double t21 = (-0.04 * moved_covariance[35]) + (0.8200000000000001 * moved_covariance[38]);
+    const double t22 = t21 + (0.08 * moved_covariance[41]);
+    const double t23 = t20 + (0.02 * t22);
+    const double t24 = (-0.038 * moved_moment_0[3]) + (-0.054 * moved_moment_1[3]);
+    augmented_covariance[12] = t23 + (t24 + (-0.0016 * moved_moment_2[3]));
+    const double t25 = (-0.04 * carried_10[11]) + (0.8200000000000001 * t1) + (0.08 * t4);
+    const double t26 = (0.0384 * moved_moment_0[0]) + (0.08999999999999998 * moved_moment_1[0]);
+    augmented_covariance[13] = t25 + (t26 + (0.0736 * moved_moment_2[0]) + plant_noise_1[1]);
+    const double t27 = (-0.04 * t8) + (0.8200000000000001 * t11) + (0.08 * t14);
+    const double t28 = (0.0384 * moved_moment_0[1]) + (0.08999999999999998 * moved_moment_1[1]);
+    const double t29 = t27 + (t28 + (0.0736 * moved_moment_2[1]) + plant_noise_1[2]);
+    const double t30 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[13]);
+    const double t31 = t30 + (0.08 * moved_covariance[34]);
+    const double t32 = 0.9299999999999999 * t31;
+    const double t33 = (-0.04 * moved_covariance[6]) + (0.8200000000000001 * moved_covariance[16]);
+    const double t34 = t33 + (0.08 * moved_covariance[37]);
+    const double t35 = t32 + (0.039999999999999994 * t34);
+    const double t36 = -0.04 * moved_covariance[21];
+    const double t37 = t36 + (0.8200000000000001 * moved_covariance[24]);
+    const double t38 = t37 + (0.08 * moved_covariance[40]);
+    const double t39 = t35 + (0.02 * t38);
+    const double t40 = (-0.038 * moved_moment_0[2]) + (-0.054 * moved_moment_1[2]);
+    augmented_covariance[15] = t39 + (t40 + (-0.0016 * moved_moment_2[2]));
+    const double t41 = (-0.04 * moved_covariance[2]) + (0.8200000000000001 * moved_covariance[14]);
+    const double t42 = t41 + (0.08 * moved_covariance[35]);
     const double t43 = 0.9299999999999999 * t42;
     const double t44 = -0.04 * moved_covariance[10];
-    const double t45 = 0.8200000000000001 * moved_covariance[13];
-    const double t46 = t44 + t45;
-    const double t47 = 0.08 * moved_covariance[25];
-    const double t48 = t46 + t47;
-    const double t49 = 0.039999999999999994 * t48;
-    const double t50 = t43 + t49;
-    const double t51 = -0.04 * moved_covariance[28];
-    const double t52 = 0.8200000000000001 * moved_covariance[31];
-    const double t53 = t51 + t52;
-    const double t54 = 0.08 * moved_covariance[34];
-    const double t55 = t53 + t54;
-    const double t56 = 0.02 * t55;
-    const double t57 = t50 + t56;
-    const double t58 = -0.038 * moved_moment_0[1];
-    const double t59 = -0.054 * moved_moment_1[1];
-    const double t60 = t58 + t59;
-    const double t61 = -0.0016 * moved_moment_2[1];
-    const double t62 = t60 + t61;
-    carried_11[5] = t57 + t62;
-    const double t63 = -0.04 * moved_covariance[3];
-    const double t64 = 0.8200000000000001 * moved_covariance[8];
-    const double t65 = t63 + t64;
-    const double t66 = 0.08 * moved_covariance[23];
-    const double t67 = t65 + t66;
-    const double t68 = 0.9299999999999999 * t67;
-    const double t69 = -0.04 * moved_covariance[15];
-    const double t70 = 0.8200000000000001 * moved_covariance[18];
-    const double t71 = t69 + t70;
-    const double t72 = 0.08 * moved_covariance[26];
-    const double t73 = t71 + t72;
-    const double t74 = 0.039999999999999994 * t73;
-    const double t75 = t68 + t74;
-    const double t76 = -0.04 * moved_covariance[36];
-    const double t77 = 0.8200000000000001 * moved_covariance[39];
-    const double t78 = t76 + t77;
-    const double t79 = 0.08 * moved_covariance[42];
-    const double t80 = t78 + t79;
-    const double t81 = 0.02 * t80;
-    const double t82 = t75 + t81;
-    const double t83 = -0.038 * moved_moment_0[3];
-    const double t84 = -0.054 * moved_moment_1[3];
-    const double t85 = t83 + t84;
-    const double t86 = -0.0016 * moved_moment_2[3];
-    const double t87 = t85 + t86;
-    carried_11[7] = t82 + t87;
-    const double t88 = -0.04 * t17;
-    const double t89 = 0.8200000000000001 * t23;
-    const double t90 = t88 + t89;
-    const double t91 = 0.08 * t30;
-    const double t92 = t90 + t91;
-    const double t93 = 0.0384 * moved_moment_0[0];
-    const double t94 = 0.08999999999999998 * moved_moment_1[0];
-    const double t95 = t93 + t94;
-    const double t96 = 0.0736 * moved_moment_2[0];
-    const double t97 = t95 + t96;
-    const double t98 = t97 + plant_noise_1[0];
-    carried_11[8] = t92 + t98;
-    const double t99 = -0.04 * moved_covariance[1];
-    const double t100 = 0.8200000000000001 * moved_covariance[10];
-    const double t101 = t99 + t100;
-    const double t102 = 0.08 * moved_covariance[28];
-    const double t103 = t101 + t102;
-    const double t104 = 0.9299999999999999 * t103;
-    const double t105 = -0.04 * moved_covariance[7];
-    const double t106 = 0.8200000000000001 * moved_covariance[13];
-    const double t107 = t105 + t106;
-    const double t108 = 0.08 * moved_covariance[31];
-    const double t109 = t107 + t108;
-    const double t110 = 0.039999999999999994 * t109;
-    const double t111 = t104 + t110;
-    const double t112 = -0.04 * moved_covariance[22];
-    const double t113 = 0.8200000000000001 * moved_covariance[25];
-    const double t114 = t112 + t113;
-    const double t115 = 0.08 * moved_covariance[34];
-    const double t116 = t114 + t115;
-    const double t117 = 0.02 * t116;
-    const double t118 = t111 + t117;
-    const double t119 = -0.038 * moved_moment_0[1];
-    const double t120 = -0.054 * moved_moment_1[1];
-    const double t121 = t119 + t120;
-    const double t122 = -0.0016 * moved_moment_2[1];
-    const double t123 = t121 + t122;
-    carried_11[10] = t118 + t123;
-    const double t124 = -0.04 * moved_covariance[2];
-    const double t125 = 0.8200000000000001 * moved_covariance[11];
-    const double t126 = t124 + t125;
-    const double t127 = 0.08 * moved_covariance[29];
-    const double t128 = t126 + t127;
-    const double t129 = 0.9299999999999999 * t128;
-    const double t130 = -0.04 * moved_covariance[11];
-    const double t131 = 0.8200000000000001 * moved_covariance[14];
-    const double t132 = t130 + t131;
-    const double t133 = 0.08 * moved_covariance[32];
-    const double t134 = t132 + t133;
-    const double t135 = 0.039999999999999994 * t134;
-    const double t136 = t129 + t135;
-    const double t137 = -0.04 * moved_covariance[29];
-    const double t138 = 0.8200000000000001 * moved_covariance[32];
-    const double t139 = t137 + t138;
-    const double t140 = 0.08 * moved_covariance[35];
-    const double t141 = t139 + t140;
-    const double t142 = 0.02 * t141;
-    const double t143 = t136 + t142;
-    const double t144 = -0.038 * moved_moment_0[2];
-    const double t145 = -0.054 * moved_moment_1[2];
-    const double t146 = t144 + t145;
-    const double t147 = -0.0016 * moved_moment_2[2];
-    const double t148 = t146 + t147;
-    carried_11[12] = t143 + t148;
-    const double t149 = -0.04 * moved_covariance[4];
-    const double t150 = 0.8200000000000001 * moved_covariance[12];
-    const double t151 = t149 + t150;
-    const double t152 = 0.08 * moved_covariance[30];
-    const double t153 = t151 + t152;
-    const double t154 = 0.9299999999999999 * t153;
-    const double t155 = -0.04 * moved_covariance[16];
-    const double t156 = 0.8200000000000001 * moved_covariance[19];
-    const double t157 = t155 + t156;
-    const double t158 = 0.08 * moved_covariance[33];
-    const double t159 = t157 + t158;
-    const double t160 = 0.039999999999999994 * t159;
-    const double t161 = t154 + t160;
-    const double t162 = -0.04 * moved_covariance[37];
-    const double t163 = 0.8200000000000001 * moved_covariance[40];
-    const double t164 = t162 + t163;
-    const double t165 = 0.08 * moved_covariance[43];
-    const double t166 = t164 + t165;
-    const double t167 = 0.02 * t166;
-    const double t168 = t161 + t167;
-    const double t169 = -0.038 * moved_moment_0[4];
-    const double t170 = -0.054 * moved_moment_1[4];
-    const double t171 = t169 + t170;
-    const double t172 = -0.0016 * moved_moment_2[4];
-    const double t173 = t171 + t172;
-    carried_11[14] = t168 + t173;
-    const double t174 = -0.04 * t103;
-    const double t175 = 0.8200000000000001 * t109;
-    const double t176 = t174 + t175;
-    const double t177 = 0.08 * t116;
-    const double t178 = t176 + t177;
-    const double t179 = 0.0384 * moved_moment_0[1];
-    const double t180 = 0.08999999999999998 * moved_moment_1[1];
-    const double t181 = t179 + t180;
-    const double t182 = 0.0736 * moved_moment_2[1];
-    const double t183 = t181 + t182;
-    const double t184 = t183 + plant_noise_1[1];
-    carried_11[15] = t178 + t184;
-    const double t185 = -0.04 * t128;
-    const double t186 = 0.8200000000000001 * t134;
-    const double t187 = t185 + t186;
-    const double t188 = 0.08 * t141;
-    const double t189 = t187 + t188;
-    const double t190 = 0.0384 * moved_moment_0[2];
-    const double t191 = 0.08999999999999998 * moved_moment_1[2];
-    const double t192 = t190 + t191;
-    const double t193 = 0.0736 * moved_moment_2[2];
-    const double t194 = t192 + t193;
-    const double t195 = t194 + plant_noise_1[2];
-    carried_11[16] = t189 + t195;
-    carried_11[0] = t4;
-    carried_11[2] = t30;
-    carried_11[4] = t55;
-    carried_11[6] = t80;
-    carried_11[9] = t116;
-    carried_11[11] = t141;
-    carried_11[13] = t166;
-    status = markov_jump_prediction_of_the_next(&moved_covariance[3], &moved_moment_0[3],
-        &moved_moment_1[3], &moved_moment_2[3], plant_noise_1, carried_10, plant_noise_0,
-        carried_11, plant_noise_2, carried_9, moved_state, predicted_mode_second_moment,
-        predicted_mode_law, augmented_state, augmented_covariance, predicted_state,
-        predicted_covariance);
-    if (status != MARKOV_JUMP_OK)
+    const double t45 = t44 + (0.8200000000000001 * moved_covariance[17]);
+    const double t46 = t45 + (0.08 * moved_covariance[38]);
+    const double t47 = t43 + (0.039999999999999994 * t46);
+    const double t48 = -0.04 * moved_covariance[28];
+    const double t49 = t48 + (0.8200000000000001 * moved_covariance[31]);
+    const double t50 = t49 + (0.08 * moved_covariance[41]);
+    const double t51 = t47 + (0.02 * t50);
+    const double t52 = (-0.038 * moved_moment_0[3]) + (-0.054 * moved_moment_1[3]);
+    augmented_covariance[16] = t51 + (t52 + (-0.0016 * moved_moment_2[3]));
+    const double t53 = (-0.04 * moved_covariance[3]) + (0.8200000000000001 * moved_covariance[15]);
+    const double t54 = t53 + (0.08 * moved_covariance[36]);
+    const double t55 = 0.9299999999999999 * t54;
+    const double t56 = -0.04 * moved_covariance[15];
+    const double t57 = t56 + (0.8200000000000001 * moved_covariance[18]);
+    const double t58 = t57 + (0.08 * moved_covariance[39]);
+    const double t59 = t55 + (0.039999999999999994 * t58);
+    const double t60 = -0.04 * moved_covariance[36];
+    const double t61 = t60 + (0.8200000000000001 * moved_covariance[39]);
+    const double t62 = t61 + (0.08 * moved_covariance[42]);
+    const double t63 = t59 + (0.02 * t62);
+    const double t64 = (-0.038 * moved_moment_0[4]) + (-0.054 * moved_moment_1[4]);
+    augmented_covariance[17] = t63 + (t64 + (-0.0016 * moved_moment_2[4]));
+    const double t65 = (-0.04 * t31) + (0.8200000000000001 * t34) + (0.08 * t38);
+    const double t66 = (0.0384 * moved_moment_0[2]) + (0.08999999999999998 * moved_moment_1[2]);
+    augmented_covariance[18] = t65 + (t66 + (0.0736 * moved_moment_2[2]) + plant_noise_1[3]);
+    const double t67 = (-0.04 * t42) + (0.8200000000000001 * t46) + (0.08 * t50);
+    const double t68 = (0.0384 * moved_moment_0[3]) + (0.08999999999999998 * moved_moment_1[3]);
+    augmented_covariance[19] = t67 + (t68 + (0.0736 * moved_moment_2[3]) + plant_noise_1[4]);
+    const double t69 = (-0.04 * t54) + (0.8200000000000001 * t58) + (0.08 * t62);
+    const double t70 = (0.0384 * moved_moment_0[4]) + (0.08999999999999998 * moved_moment_1[4]);
+    const double t71 = t69 + (t70 + (0.0736 * moved_moment_2[4]) + plant_noise_1[5]);
+    augmented_covariance[21] = carried_9[9] + plant_noise_0[0];
+    augmented_covariance[22] = carried_9[11] + plant_noise_0[1];
+    augmented_covariance[23] = carried_9[15] + plant_noise_0[3];
+    augmented_covariance[24] = carried_10[4] + plant_noise_1[0];
+    augmented_covariance[25] = t4 + plant_noise_1[1];
+    augmented_covariance[26] = t38 + plant_noise_1[3];
+    const double t72 = plant_noise_0[0] + plant_noise_1[0] + plant_noise_2[0];
+    const double t73 = moved_covariance[25] + t72;
+    augmented_covariance[29] = carried_9[13] + plant_noise_0[2];
+    augmented_covariance[30] = carried_10[0] + plant_noise_0[4];
+    augmented_covariance[31] = carried_10[6] + plant_noise_1[1];
+    augmented_covariance[32] = t14 + plant_noise_1[2];
+    augmented_covariance[33] = t50 + plant_noise_1[4];
+    const double t74 = plant_noise_0[2] + plant_noise_1[2] + plant_noise_2[2];
+    const double t75 = moved_covariance[33] + t74;
+    augmented_covariance[38] = carried_10[2] + plant_noise_0[5];
+    augmented_covariance[39] = carried_10[8] + plant_noise_1[3];
+    augmented_covariance[40] = t22 + plant_noise_1[4];
+    augmented_covariance[41] = t62 + plant_noise_1[5];
+    const double t76 = plant_noise_0[5] + plant_noise_1[5] + plant_noise_2[5];
+    const double t77 = moved_covariance[42] + t76;
+    if (!markov_jump_finite(markov_jump_defect(carried_9[3]) + markov_jump_defect(carried_9[4]) +
+        markov_jump_defect(carried_9[5]) + markov_jump_defect(carried_9[6]) +
+        markov_jump_defect(carried_9[7]) + markov_jump_defect(carried_9[8]) +
+        markov_jump_defect(moved_state[0]) + markov_jump_defect(moved_state[1]) +
+        markov_jump_defect(moved_state[2]) + markov_jump_defect(carried_9[10]) +
+        markov_jump_defect(carried_9[14]) + markov_jump_defect(carried_10[3]) +
+        markov_jump_defect(carried_10[10]) + markov_jump_defect(t29) + markov_jump_defect(t71) +
+        markov_jump_defect(t73) + markov_jump_defect(t75) + markov_jump_defect(t77)))
     {
-        return status;
+        return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
+    predicted_mode_law[0] = carried_9[0];
+    predicted_mode_law[1] = carried_9[1];
+    predicted_mode_law[2] = carried_9[2];
+    markov_jump_copy(&carried_9[3], augmented_state, 6);
+    augmented_state[6] = moved_state[0];
+    augmented_state[7] = moved_state[1];
+    augmented_state[8] = moved_state[2];
+    augmented_covariance[0] = carried_9[10];
+    augmented_covariance[1] = carried_9[12];
+    augmented_covariance[2] = carried_9[14];
+    augmented_covariance[3] = carried_9[16];
+    augmented_covariance[4] = carried_10[1];
+    augmented_covariance[5] = carried_10[3];
+    augmented_covariance[6] = carried_10[5];
+    augmented_covariance[7] = carried_10[7];
+    augmented_covariance[8] = carried_10[9];
+    augmented_covariance[9] = carried_10[10];
+    augmented_covariance[14] = t29;
+    augmented_covariance[20] = t71;
+    augmented_covariance[27] = t73;
+    augmented_covariance[35] = t75;
+    augmented_covariance[44] = t77;
+    predicted_state[0] = moved_state[0];
+    predicted_state[1] = moved_state[1];
+    predicted_state[2] = moved_state[2];
+    predicted_covariance[0] = t73;
+    predicted_covariance[2] = t75;
+    predicted_covariance[5] = t77;
     return MARKOV_JUMP_OK;
 }
 
-/* prediction of the next sample. */
-MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_3(const double *mode_second_moment,
-    double *moved_moment_0, double *moved_moment_1, double *moved_moment_2, const double *mode_law,
-    double *plant_noise_0, double *plant_noise_1, double *plant_noise_2,
-    const double *augmented_filtered_state, double *moved_state,
-    const double *augmented_filtered_covariance, double *moved_covariance)
+/* every mode's step. */
+MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step(const double *augmented_filtered_covariance,
+    double *carried_8)
 {
-    double carried_8[31] = { 0.0 };
-    markov_jump_propagate_2(mode_second_moment, moved_moment_0, markov_jump_propagate_2_numbers[0]);
-    const double t0 = 0.9409 * mode_second_moment[6];
-    const double t1 = 1.94 * mode_second_moment[7];
+    const double t0 = (0.97 * augmented_filtered_covariance[0]) + augmented_filtered_covariance[1];
+    const double t1 = 0.97 * (t0 + (0.5 * augmented_filtered_covariance[3]));
+    const double t2 = (0.97 * augmented_filtered_covariance[1]) + augmented_filtered_covariance[2];
+    const double t3 = t2 + (0.5 * augmented_filtered_covariance[4]);
+    const double t4 = t1 + t3;
+    const double t5 = (0.97 * augmented_filtered_covariance[3]) + augmented_filtered_covariance[4];
+    const double t6 = t5 + (0.5 * augmented_filtered_covariance[5]);
+    carried_8[0] = t4 + (0.5 * t6);
+    carried_8[1] = (0.8 * t3) + t6;
+    const double t7 = (0.8 * augmented_filtered_covariance[2]) + augmented_filtered_covariance[4];
+    const double t8 = 0.8 * t7;
+    const double t9 = (0.8 * augmented_filtered_covariance[4]) + augmented_filtered_covariance[5];
+    carried_8[2] = t8 + t9;
+    carried_8[3] = 0.6 * t6;
+    carried_8[4] = 0.6 * t9;
+    carried_8[5] = 0.36 * augmented_filtered_covariance[5];
+    const double t10 = 0.97 * augmented_filtered_covariance[6];
+    const double t11 = t10 + augmented_filtered_covariance[10];
+    const double t12 = 0.97 * (t11 + (0.5 * augmented_filtered_covariance[15]));
+    const double t13 = 0.97 * augmented_filtered_covariance[7];
+    const double t14 = t13 + augmented_filtered_covariance[11];
+    const double t15 = t14 + (0.5 * augmented_filtered_covariance[16]);
+    const double t16 = t12 + t15;
+    const double t17 = 0.97 * augmented_filtered_covariance[8];
+    const double t18 = t17 + augmented_filtered_covariance[12];
+    const double t19 = t18 + (0.5 * augmented_filtered_covariance[17]);
+    carried_8[6] = t16 + (0.5 * t19);
+    carried_8[7] = (0.8 * t15) + t19;
+    carried_8[8] = 0.6 * t19;
+    const double t20 = 0.97 * augmented_filtered_covariance[9];
+    const double t21 = t20 + augmented_filtered_covariance[13];
+    const double t22 = 0.97 * (t21 + (0.5 * augmented_filtered_covariance[18]));
+    const double t23 = 0.97 * augmented_filtered_covariance[13];
+    const double t24 = t23 + augmented_filtered_covariance[14];
+    const double t25 = t24 + (0.5 * augmented_filtered_covariance[19]);
+    const double t26 = t22 + t25;
+    const double t27 = 0.97 * augmented_filtered_covariance[18];
+    const double t28 = t27 + augmented_filtered_covariance[19];
+    const double t29 = t28 + (0.5 * augmented_filtered_covariance[20]);
+    carried_8[9] = t26 + (0.5 * t29);
+    const double t30 = 0.97 * augmented_filtered_covariance[10];
+    const double t31 = t30 + augmented_filtered_covariance[11];
+    const double t32 = 0.8 * (t31 + (0.5 * augmented_filtered_covariance[12]));
+    const double t33 = 0.97 * augmented_filtered_covariance[15];
+    const double t34 = t33 + augmented_filtered_covariance[16];
+    const double t35 = t34 + (0.5 * augmented_filtered_covariance[17]);
+    carried_8[10] = t32 + t35;
+    const double t36 = 0.8 * augmented_filtered_covariance[11];
+    const double t37 = 0.8 * (t36 + augmented_filtered_covariance[16]);
+    const double t38 = 0.8 * augmented_filtered_covariance[12];
+    const double t39 = t38 + augmented_filtered_covariance[17];
+    carried_8[11] = t37 + t39;
+    carried_8[12] = 0.6 * t39;
+    carried_8[13] = (0.8 * t25) + t29;
+    const double t40 = 0.8 * augmented_filtered_covariance[14];
+    const double t41 = 0.8 * (t40 + augmented_filtered_covariance[19]);
+    const double t42 = 0.8 * augmented_filtered_covariance[19];
+    const double t43 = t42 + augmented_filtered_covariance[20];
+    carried_8[14] = t41 + t43;
+    carried_8[15] = 0.8 * t35;
+    const double t44 = 0.8 * augmented_filtered_covariance[16];
+    carried_8[16] = 0.8 * (t44 + augmented_filtered_covariance[17]);
+    carried_8[17] = 0.48 * augmented_filtered_covariance[17];
+    carried_8[18] = 0.8 * t29;
+    carried_8[19] = 0.8 * t43;
+    carried_8[20] = 0.6400000000000001 * augmented_filtered_covariance[20];
+    const double t45 = 0.97 * augmented_filtered_covariance[21];
+    const double t46 = t45 + augmented_filtered_covariance[28];
+    const double t47 = 0.97 * (t46 + (0.5 * augmented_filtered_covariance[36]));
+    const double t48 = 0.97 * augmented_filtered_covariance[22];
+    const double t49 = t48 + augmented_filtered_covariance[29];
+    const double t50 = t49 + (0.5 * augmented_filtered_covariance[37]);
+    const double t51 = t47 + t50;
+    const double t52 = 0.97 * augmented_filtered_covariance[23];
+    const double t53 = t52 + augmented_filtered_covariance[30];
+    const double t54 = t53 + (0.5 * augmented_filtered_covariance[38]);
+    carried_8[21] = t51 + (0.5 * t54);
+    carried_8[22] = (0.8 * t50) + t54;
+    carried_8[23] = 0.6 * t54;
+    const double t55 = 0.97 * augmented_filtered_covariance[24];
+    const double t56 = t55 + augmented_filtered_covariance[31];
+    const double t57 = 0.97 * (t56 + (0.5 * augmented_filtered_covariance[39]));
+    const double t58 = 0.97 * augmented_filtered_covariance[25];
+    const double t59 = t58 + augmented_filtered_covariance[32];
+    const double t60 = t59 + (0.5 * augmented_filtered_covariance[40]);
+    const double t61 = t57 + t60;
+    const double t62 = 0.97 * augmented_filtered_covariance[26];
+    const double t63 = t62 + augmented_filtered_covariance[33];
+    const double t64 = t63 + (0.5 * augmented_filtered_covariance[41]);
+    carried_8[24] = t61 + (0.5 * t64);
+    carried_8[25] = (0.8 * t60) + t64;
+    carried_8[26] = 0.8 * t64;
+    const double t65 = 0.97 * augmented_filtered_covariance[27];
+    const double t66 = t65 + augmented_filtered_covariance[34];
+    const double t67 = 0.97 * (t66 + (0.5 * augmented_filtered_covariance[42]));
+    const double t68 = 0.97 * augmented_filtered_covariance[34];
+    const double t69 = t68 + augmented_filtered_covariance[35];
+    const double t70 = t69 + (0.5 * augmented_filtered_covariance[43]);
+    const double t71 = t67 + t70;
+    const double t72 = 0.97 * augmented_filtered_covariance[42];
+    const double t73 = t72 + augmented_filtered_covariance[43];
+    const double t74 = t73 + (0.5 * augmented_filtered_covariance[44]);
+    carried_8[29] = t71 + (0.5 * t74);
+    const double t75 = 0.97 * augmented_filtered_covariance[28];
+    const double t76 = t75 + augmented_filtered_covariance[29];
+    const double t77 = 0.8 * (t76 + (0.5 * augmented_filtered_covariance[30]));
+    const double t78 = 0.97 * augmented_filtered_covariance[36];
+    const double t79 = t78 + augmented_filtered_covariance[37];
+    carried_8[30] = t77 + (t79 + (0.5 * augmented_filtered_covariance[38]));
+    carried_8[27] = t70;
+    carried_8[28] = t74;
+}
+
+/* prediction of the next sample. */
+MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_3(const double *mode_law,
+    const double *moved_state, const double *moved_covariance, const double *moved_moment_0,
+    const double *moved_moment_1, const double *moved_moment_2, const double *plant_noise_0,
+    double *carried_9)
+{
+    const double t0 = (0.95 * mode_law[0]) + (0.06 * mode_law[1]) + (0.02 * mode_law[2]);
+    const double t1 = (0.04 * mode_law[0]) + (0.9 * mode_law[1]) + (0.08 * mode_law[2]);
     const double t2 = t0 + t1;
-    const double t3 = t2 + mode_second_moment[8];
-    const double t4 = 0.97 * mode_second_moment[9];
-    const double t5 = t3 + t4;
-    const double t6 = t5 + mode_second_moment[10];
-    const double t7 = 0.25 * mode_second_moment[11];
-    moved_moment_1[0] = t6 + t7;
-    const double t8 = 0.776 * mode_second_moment[7];
-    const double t9 = 0.8 * mode_second_moment[8];
-    const double t10 = t8 + t9;
-    const double t11 = 0.97 * mode_second_moment[9];
-    const double t12 = t10 + t11;
-    const double t13 = 1.4 * mode_second_moment[10];
-    const double t14 = t12 + t13;
-    const double t15 = 0.5 * mode_second_moment[11];
-    moved_moment_1[1] = t14 + t15;
-    const double t16 = 0.6400000000000001 * mode_second_moment[8];
-    const double t17 = 1.6 * mode_second_moment[10];
-    const double t18 = t16 + t17;
-    moved_moment_1[2] = t18 + mode_second_moment[11];
-    const double t19 = 0.776 * mode_second_moment[9];
-    const double t20 = 0.8 * mode_second_moment[10];
-    const double t21 = t19 + t20;
-    const double t22 = 0.4 * mode_second_moment[11];
-    moved_moment_1[3] = t21 + t22;
-    const double t23 = 0.6400000000000001 * mode_second_moment[10];
-    const double t24 = 0.8 * mode_second_moment[11];
-    moved_moment_1[4] = t23 + t24;
-    moved_moment_1[5] = 0.6400000000000001 * mode_second_moment[11];
-    markov_jump_every_mode_s_step(&mode_second_moment[12], moved_moment_2, mode_law, plant_noise_0,
-        plant_noise_1, plant_noise_2, augmented_filtered_state, moved_state,
-        augmented_filtered_covariance, carried_8);
-    const double t25 = 0.8 * augmented_filtered_covariance[29];
-    const double t26 = t25 + augmented_filtered_covariance[37];
-    const double t27 = 0.8 * t26;
-    const double t28 = 0.8 * augmented_filtered_covariance[30];
-    const double t29 = t28 + augmented_filtered_covariance[38];
-    moved_covariance[29] = t27 + t29;
-    moved_covariance[30] = 0.6 * t29;
-    const double t30 = 0.97 * augmented_filtered_covariance[31];
-    const double t31 = t30 + augmented_filtered_covariance[32];
-    const double t32 = 0.5 * augmented_filtered_covariance[33];
-    const double t33 = t31 + t32;
-    const double t34 = 0.8 * t33;
-    const double t35 = 0.97 * augmented_filtered_covariance[39];
-    const double t36 = t35 + augmented_filtered_covariance[40];
-    const double t37 = 0.5 * augmented_filtered_covariance[41];
-    const double t38 = t36 + t37;
-    moved_covariance[31] = t34 + t38;
-    const double t39 = 0.8 * augmented_filtered_covariance[32];
-    const double t40 = t39 + augmented_filtered_covariance[40];
-    const double t41 = 0.8 * t40;
-    const double t42 = 0.8 * augmented_filtered_covariance[33];
-    const double t43 = t42 + augmented_filtered_covariance[41];
-    moved_covariance[32] = t41 + t43;
-    moved_covariance[33] = 0.8 * t43;
-    const double t44 = 0.8 * carried_8[27];
-    moved_covariance[34] = t44 + carried_8[28];
-    const double t45 = 0.8 * augmented_filtered_covariance[35];
-    const double t46 = t45 + augmented_filtered_covariance[43];
-    const double t47 = 0.8 * t46;
-    const double t48 = 0.8 * augmented_filtered_covariance[43];
-    const double t49 = t48 + augmented_filtered_covariance[44];
-    moved_covariance[35] = t47 + t49;
-    const double t50 = -0.30000000000000004 * augmented_filtered_covariance[3];
-    const double t51 = -0.09999999999999998 * augmented_filtered_covariance[15];
-    const double t52 = t50 + t51;
-    const double t53 = 0.9 * augmented_filtered_covariance[36];
-    const double t54 = t52 + t53;
-    const double t55 = 0.97 * t54;
-    const double t56 = -0.30000000000000004 * augmented_filtered_covariance[4];
-    const double t57 = -0.09999999999999998 * augmented_filtered_covariance[16];
-    const double t58 = t56 + t57;
-    const double t59 = 0.9 * augmented_filtered_covariance[37];
-    const double t60 = t58 + t59;
-    const double t61 = t55 + t60;
-    const double t62 = -0.30000000000000004 * augmented_filtered_covariance[5];
-    const double t63 = -0.09999999999999998 * augmented_filtered_covariance[17];
-    const double t64 = t62 + t63;
-    const double t65 = 0.9 * augmented_filtered_covariance[38];
-    const double t66 = t64 + t65;
-    const double t67 = 0.5 * t66;
-    moved_covariance[36] = t61 + t67;
-    const double t68 = 0.8 * t60;
-    moved_covariance[37] = t68 + t66;
-    moved_covariance[38] = 0.6 * t66;
-    const double t69 = -0.30000000000000004 * augmented_filtered_covariance[8];
-    const double t70 = -0.09999999999999998 * augmented_filtered_covariance[18];
-    const double t71 = t69 + t70;
-    const double t72 = 0.9 * augmented_filtered_covariance[39];
-    const double t73 = t71 + t72;
-    const double t74 = 0.97 * t73;
-    const double t75 = -0.30000000000000004 * augmented_filtered_covariance[12];
-    const double t76 = -0.09999999999999998 * augmented_filtered_covariance[19];
-    const double t77 = t75 + t76;
-    const double t78 = 0.9 * augmented_filtered_covariance[40];
-    const double t79 = t77 + t78;
-    const double t80 = t74 + t79;
-    const double t81 = -0.30000000000000004 * augmented_filtered_covariance[17];
-    const double t82 = -0.09999999999999998 * augmented_filtered_covariance[20];
-    const double t83 = t81 + t82;
-    const double t84 = 0.9 * augmented_filtered_covariance[41];
-    const double t85 = t83 + t84;
-    const double t86 = 0.5 * t85;
-    moved_covariance[39] = t80 + t86;
-    const double t87 = 0.8 * t79;
-    moved_covariance[40] = t87 + t85;
-    moved_covariance[41] = 0.8 * t85;
-    const double t88 = -0.30000000000000004 * augmented_filtered_covariance[23];
-    const double t89 = -0.09999999999999998 * augmented_filtered_covariance[26];
-    const double t90 = t88 + t89;
-    const double t91 = 0.9 * augmented_filtered_covariance[42];
-    const double t92 = t90 + t91;
-    const double t93 = 0.97 * t92;
-    const double t94 = -0.30000000000000004 * augmented_filtered_covariance[30];
-    const double t95 = -0.09999999999999998 * augmented_filtered_covariance[33];
-    const double t96 = t94 + t95;
-    const double t97 = 0.9 * augmented_filtered_covariance[43];
-    const double t98 = t96 + t97;
-    const double t99 = t93 + t98;
-    const double t100 = -0.30000000000000004 * augmented_filtered_covariance[38];
-    const double t101 = -0.09999999999999998 * augmented_filtered_covariance[41];
-    const double t102 = t100 + t101;
-    const double t103 = 0.9 * augmented_filtered_covariance[44];
-    const double t104 = t102 + t103;
-    const double t105 = 0.5 * t104;
-    moved_covariance[42] = t99 + t105;
-    const double t106 = 0.8 * t98;
-    moved_covariance[43] = t106 + t104;
-    const double t107 = -0.30000000000000004 * t66;
-    const double t108 = -0.09999999999999998 * t85;
-    const double t109 = t107 + t108;
-    const double t110 = 0.9 * t104;
-    moved_covariance[44] = t109 + t110;
-    moved_covariance[0] = carried_8[0];
-    moved_covariance[1] = carried_8[1];
-    moved_covariance[2] = carried_8[2];
-    moved_covariance[3] = carried_8[3];
-    moved_covariance[4] = carried_8[4];
-    moved_covariance[5] = carried_8[5];
-    moved_covariance[6] = carried_8[6];
-    moved_covariance[7] = carried_8[7];
-    moved_covariance[8] = carried_8[8];
-    moved_covariance[9] = carried_8[9];
-    moved_covariance[10] = carried_8[10];
-    moved_covariance[11] = carried_8[11];
-    moved_covariance[12] = carried_8[12];
-    moved_covariance[13] = carried_8[13];
-    moved_covariance[14] = carried_8[14];
-    moved_covariance[15] = carried_8[15];
-    moved_covariance[16] = carried_8[16];
-    moved_covariance[17] = carried_8[17];
-    moved_covariance[18] = carried_8[18];
-    moved_covariance[19] = carried_8[19];
-    moved_covariance[20] = carried_8[20];
-    moved_covariance[21] = carried_8[21];
-    moved_covariance[22] = carried_8[22];
-    moved_covariance[23] = carried_8[23];
-    moved_covariance[24] = carried_8[24];
-    moved_covariance[25] = carried_8[25];
-    moved_covariance[26] = carried_8[26];
+    const double t3 = (0.01 * mode_law[0]) + (0.04 * mode_law[1]) + (0.9 * mode_law[2]);
+    const double t4 = t2 + t3;
+    carried_9[0] = t0 / t4;
+    carried_9[1] = t1 / t4;
+    carried_9[2] = t3 / t4;
+    const double t5 = 0.9299999999999999 * moved_state[0];
+    carried_9[3] = t5 + (0.039999999999999994 * moved_state[3]) + (0.02 * moved_state[6]);
+    const double t6 = 0.9299999999999999 * moved_state[1];
+    carried_9[4] = t6 + (0.039999999999999994 * moved_state[4]) + (0.02 * moved_state[7]);
+    const double t7 = 0.9299999999999999 * moved_state[2];
+    carried_9[5] = t7 + (0.039999999999999994 * moved_state[5]) + (0.02 * moved_state[8]);
+    const double t8 = (-0.04 * moved_state[0]) + (0.8200000000000001 * moved_state[3]);
+    carried_9[6] = t8 + (0.08 * moved_state[6]);
+    const double t9 = (-0.04 * moved_state[1]) + (0.8200000000000001 * moved_state[4]);
+    carried_9[7] = t9 + (0.08 * moved_state[7]);
+    const double t10 = (-0.04 * moved_state[2]) + (0.8200000000000001 * moved_state[5]);
+    carried_9[8] = t10 + (0.08 * moved_state[8]);
+    const double t11 = 0.9299999999999999 * moved_covariance[0];
+    const double t12 = t11 + (0.039999999999999994 * moved_covariance[6]);
+    const double t13 = 0.9299999999999999 * (t12 + (0.02 * moved_covariance[21]));
+    const double t14 = 0.9299999999999999 * moved_covariance[6];
+    const double t15 = t14 + (0.039999999999999994 * moved_covariance[9]);
+    const double t16 = t13 + (0.039999999999999994 * (t15 + (0.02 * moved_covariance[24])));
+    const double t17 = 0.9299999999999999 * moved_covariance[21];
+    const double t18 = t17 + (0.039999999999999994 * moved_covariance[24]);
+    const double t19 = t18 + (0.02 * moved_covariance[27]);
+    const double t20 = t16 + (0.02 * t19);
+    const double t21 = 0.04750000000000004 * moved_moment_0[0];
+    const double t22 = t21 + (0.05639999999999999 * moved_moment_1[0]);
+    carried_9[10] = t20 + (t22 + (0.0196 * moved_moment_2[0]) + plant_noise_0[0]);
+    const double t23 = 0.9299999999999999 * moved_covariance[1];
+    const double t24 = t23 + (0.039999999999999994 * moved_covariance[10]);
+    const double t25 = 0.9299999999999999 * (t24 + (0.02 * moved_covariance[28]));
+    const double t26 = 0.9299999999999999 * moved_covariance[7];
+    const double t27 = t26 + (0.039999999999999994 * moved_covariance[13]);
+    const double t28 = t25 + (0.039999999999999994 * (t27 + (0.02 * moved_covariance[31])));
+    const double t29 = 0.9299999999999999 * moved_covariance[22];
+    const double t30 = t29 + (0.039999999999999994 * moved_covariance[25]);
+    const double t31 = t30 + (0.02 * moved_covariance[34]);
+    const double t32 = t28 + (0.02 * t31);
+    const double t33 = 0.04750000000000004 * moved_moment_0[1];
+    const double t34 = t33 + (0.05639999999999999 * moved_moment_1[1]);
+    carried_9[12] = t32 + (t34 + (0.0196 * moved_moment_2[1]) + plant_noise_0[1]);
+    const double t35 = 0.9299999999999999 * moved_covariance[2];
+    const double t36 = t35 + (0.039999999999999994 * moved_covariance[11]);
+    const double t37 = 0.9299999999999999 * (t36 + (0.02 * moved_covariance[29]));
+    const double t38 = 0.9299999999999999 * moved_covariance[11];
+    const double t39 = t38 + (0.039999999999999994 * moved_covariance[14]);
+    const double t40 = t37 + (0.039999999999999994 * (t39 + (0.02 * moved_covariance[32])));
+    const double t41 = 0.9299999999999999 * moved_covariance[29];
+    const double t42 = t41 + (0.039999999999999994 * moved_covariance[32]);
+    const double t43 = t42 + (0.02 * moved_covariance[35]);
+    const double t44 = t40 + (0.02 * t43);
+    const double t45 = 0.04750000000000004 * moved_moment_0[2];
+    const double t46 = t45 + (0.05639999999999999 * moved_moment_1[2]);
+    carried_9[14] = t44 + (t46 + (0.0196 * moved_moment_2[2]) + plant_noise_0[2]);
+    const double t47 = 0.9299999999999999 * moved_covariance[3];
+    const double t48 = t47 + (0.039999999999999994 * moved_covariance[15]);
+    const double t49 = 0.9299999999999999 * (t48 + (0.02 * moved_covariance[36]));
+    const double t50 = 0.9299999999999999 * moved_covariance[8];
+    const double t51 = t50 + (0.039999999999999994 * moved_covariance[18]);
+    const double t52 = t49 + (0.039999999999999994 * (t51 + (0.02 * moved_covariance[39])));
+    const double t53 = 0.9299999999999999 * moved_covariance[23];
+    const double t54 = t53 + (0.039999999999999994 * moved_covariance[26]);
+    const double t55 = t54 + (0.02 * moved_covariance[42]);
+    const double t56 = t52 + (0.02 * t55);
+    const double t57 = 0.04750000000000004 * moved_moment_0[3];
+    const double t58 = t57 + (0.05639999999999999 * moved_moment_1[3]);
+    carried_9[16] = t56 + (t58 + (0.0196 * moved_moment_2[3]) + plant_noise_0[3]);
+    carried_9[9] = t19;
+    carried_9[11] = t31;
+    carried_9[13] = t43;
+    carried_9[15] = t55;
+}
+
+/* prediction of the next sample. */
+MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_4(const double *moved_covariance,
+    const double *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
+    const double *plant_noise_0, const double plant_noise_1, double *carried_10)
+{
+    const double t0 = 0.9299999999999999 * moved_covariance[4];
+    const double t1 = t0 + (0.039999999999999994 * moved_covariance[16]);
+    const double t2 = 0.9299999999999999 * (t1 + (0.02 * moved_covariance[37]));
+    const double t3 = 0.9299999999999999 * moved_covariance[12];
+    const double t4 = t3 + (0.039999999999999994 * moved_covariance[19]);
+    const double t5 = t2 + (0.039999999999999994 * (t4 + (0.02 * moved_covariance[40])));
+    const double t6 = 0.9299999999999999 * moved_covariance[30];
+    const double t7 = t6 + (0.039999999999999994 * moved_covariance[33]);
+    const double t8 = t7 + (0.02 * moved_covariance[43]);
+    const double t9 = t5 + (0.02 * t8);
+    const double t10 = 0.04750000000000004 * moved_moment_0[4];
+    const double t11 = t10 + (0.05639999999999999 * moved_moment_1[4]);
+    carried_10[1] = t9 + (t11 + (0.0196 * moved_moment_2[4]) + plant_noise_0[0]);
+    const double t12 = 0.9299999999999999 * moved_covariance[5];
+    const double t13 = t12 + (0.039999999999999994 * moved_covariance[17]);
+    const double t14 = 0.9299999999999999 * (t13 + (0.02 * moved_covariance[38]));
+    const double t15 = 0.9299999999999999 * moved_covariance[17];
+    const double t16 = t15 + (0.039999999999999994 * moved_covariance[20]);
+    const double t17 = t14 + (0.039999999999999994 * (t16 + (0.02 * moved_covariance[41])));
+    const double t18 = 0.9299999999999999 * moved_covariance[38];
+    const double t19 = t18 + (0.039999999999999994 * moved_covariance[41]);
+    const double t20 = t19 + (0.02 * moved_covariance[44]);
+    const double t21 = t17 + (0.02 * t20);
+    const double t22 = 0.04750000000000004 * moved_moment_0[5];
+    const double t23 = t22 + (0.05639999999999999 * moved_moment_1[5]);
+    carried_10[3] = t21 + (t23 + (0.0196 * moved_moment_2[5]) + plant_noise_0[1]);
+    const double t24 = (-0.04 * moved_covariance[0]) + (0.8200000000000001 * moved_covariance[6]);
+    const double t25 = t24 + (0.08 * moved_covariance[21]);
+    const double t26 = 0.9299999999999999 * t25;
+    const double t27 = (-0.04 * moved_covariance[6]) + (0.8200000000000001 * moved_covariance[9]);
+    const double t28 = t27 + (0.08 * moved_covariance[24]);
+    const double t29 = t26 + (0.039999999999999994 * t28);
+    const double t30 = (-0.04 * moved_covariance[21]) + (0.8200000000000001 * moved_covariance[24]);
+    const double t31 = t30 + (0.08 * moved_covariance[27]);
+    const double t32 = t29 + (0.02 * t31);
+    const double t33 = (-0.038 * moved_moment_0[0]) + (-0.054 * moved_moment_1[0]);
+    carried_10[5] = t32 + (t33 + (-0.0016 * moved_moment_2[0]));
+    const double t34 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[7]);
+    const double t35 = 0.9299999999999999 * (t34 + (0.08 * moved_covariance[22]));
+    const double t36 = (-0.04 * moved_covariance[10]) + (0.8200000000000001 * moved_covariance[13]);
+    const double t37 = t35 + (0.039999999999999994 * (t36 + (0.08 * moved_covariance[25])));
+    const double t38 = (-0.04 * moved_covariance[28]) + (0.8200000000000001 * moved_covariance[31]);
+    const double t39 = t38 + (0.08 * moved_covariance[34]);
+    const double t40 = t37 + (0.02 * t39);
+    const double t41 = (-0.038 * moved_moment_0[1]) + (-0.054 * moved_moment_1[1]);
+    carried_10[7] = t40 + (t41 + (-0.0016 * moved_moment_2[1]));
+    const double t42 = (-0.04 * moved_covariance[3]) + (0.8200000000000001 * moved_covariance[8]);
+    const double t43 = 0.9299999999999999 * (t42 + (0.08 * moved_covariance[23]));
+    const double t44 = -0.04 * moved_covariance[15];
+    const double t45 = t44 + (0.8200000000000001 * moved_covariance[18]);
+    const double t46 = t43 + (0.039999999999999994 * (t45 + (0.08 * moved_covariance[26])));
+    const double t47 = -0.04 * moved_covariance[36];
+    const double t48 = t47 + (0.8200000000000001 * moved_covariance[39]);
+    const double t49 = t48 + (0.08 * moved_covariance[42]);
+    const double t50 = t46 + (0.02 * t49);
+    const double t51 = (-0.038 * moved_moment_0[3]) + (-0.054 * moved_moment_1[3]);
+    carried_10[9] = t50 + (t51 + (-0.0016 * moved_moment_2[3]));
+    const double t52 = (-0.04 * t25) + (0.8200000000000001 * t28) + (0.08 * t31);
+    const double t53 = (0.0384 * moved_moment_0[0]) + (0.08999999999999998 * moved_moment_1[0]);
+    carried_10[10] = t52 + (t53 + (0.0736 * moved_moment_2[0]) + plant_noise_1);
+    const double t54 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[10]);
+    const double t55 = t54 + (0.08 * moved_covariance[28]);
+    carried_10[12] = 0.9299999999999999 * t55;
+    carried_10[0] = t8;
+    carried_10[2] = t20;
+    carried_10[4] = t31;
+    carried_10[6] = t39;
+    carried_10[8] = t49;
+    carried_10[11] = t55;
+}
+
+/* every mode's step. */
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_every_mode_s_step_2(const double *mode_law,
+    const double *augmented_filtered_state, const double *augmented_filtered_covariance,
+    const double *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
+    const double *plant_noise_0, const double *plant_noise_1, double *predicted_mode_law,
+    double *augmented_state, double *augmented_covariance, double *predicted_state,
+    double *predicted_covariance, double *predicted_mode_second_moment)
+{
+    double plant_noise_2[6] = { 0.0 };
+    double moved_state[9] = { 0.0 };
+    double carried_8[31] = { 0.0 };
+    double moved_covariance[45] = { 0.0 };
+    double carried_9[17] = { 0.0 };
+    double carried_10[13] = { 0.0 };
+    markov_jump_status_t status;
+
+    /* every mode's step */
+    markov_jump_part_2(mode_law, plant_noise_2, markov_jump_part_2_numbers[4]);
+    markov_jump_part_2(mode_law, &plant_noise_2[3], markov_jump_part_2_numbers[5]);
+    moved_state[2] = 0.6 * augmented_filtered_state[2];
+    moved_state[5] = 0.8 * augmented_filtered_state[5];
+    const double t0 = -0.30000000000000004 * augmented_filtered_state[2];
+    const double t1 = t0 + (-0.09999999999999998 * augmented_filtered_state[5]);
+    moved_state[8] = t1 + (0.9 * augmented_filtered_state[8]);
+    const double t2 = (0.97 * augmented_filtered_state[0]) + augmented_filtered_state[1];
+    moved_state[0] = t2 + (0.5 * augmented_filtered_state[2]);
+    moved_state[1] = (0.8 * augmented_filtered_state[1]) + augmented_filtered_state[2];
+    const double t3 = (0.97 * augmented_filtered_state[3]) + augmented_filtered_state[4];
+    moved_state[3] = t3 + (0.5 * augmented_filtered_state[5]);
+    moved_state[4] = (0.8 * augmented_filtered_state[4]) + augmented_filtered_state[5];
+    const double t4 = (0.97 * augmented_filtered_state[6]) + augmented_filtered_state[7];
+    moved_state[6] = t4 + (0.5 * augmented_filtered_state[8]);
+    moved_state[7] = (0.8 * augmented_filtered_state[7]) + augmented_filtered_state[8];
+    markov_jump_every_mode_s_step(augmented_filtered_covariance, carried_8);
+    const double t5 = 0.8 * augmented_filtered_covariance[29];
+    const double t6 = 0.8 * (t5 + augmented_filtered_covariance[37]);
+    const double t7 = 0.8 * augmented_filtered_covariance[30];
+    const double t8 = t7 + augmented_filtered_covariance[38];
+    moved_covariance[29] = t6 + t8;
+    moved_covariance[30] = 0.6 * t8;
+    const double t9 = 0.97 * augmented_filtered_covariance[31];
+    const double t10 = t9 + augmented_filtered_covariance[32];
+    const double t11 = 0.8 * (t10 + (0.5 * augmented_filtered_covariance[33]));
+    const double t12 = 0.97 * augmented_filtered_covariance[39];
+    const double t13 = t12 + augmented_filtered_covariance[40];
+    moved_covariance[31] = t11 + (t13 + (0.5 * augmented_filtered_covariance[41]));
+    const double t14 = 0.8 * augmented_filtered_covariance[32];
+    const double t15 = 0.8 * (t14 + augmented_filtered_covariance[40]);
+    const double t16 = 0.8 * augmented_filtered_covariance[33];
+    const double t17 = t16 + augmented_filtered_covariance[41];
+    moved_covariance[32] = t15 + t17;
+    moved_covariance[33] = 0.8 * t17;
+    moved_covariance[34] = (0.8 * carried_8[27]) + carried_8[28];
+    const double t18 = 0.8 * augmented_filtered_covariance[35];
+    const double t19 = 0.8 * (t18 + augmented_filtered_covariance[43]);
+    const double t20 = 0.8 * augmented_filtered_covariance[43];
+    moved_covariance[35] = t19 + (t20 + augmented_filtered_covariance[44]);
+    const double t21 = -0.30000000000000004 * augmented_filtered_covariance[3];
+    const double t22 = t21 + (-0.09999999999999998 * augmented_filtered_covariance[15]);
+    const double t23 = 0.97 * (t22 + (0.9 * augmented_filtered_covariance[36]));
+    const double t24 = -0.30000000000000004 * augmented_filtered_covariance[4];
+    const double t25 = t24 + (-0.09999999999999998 * augmented_filtered_covariance[16]);
+    const double t26 = t25 + (0.9 * augmented_filtered_covariance[37]);
+    const double t27 = t23 + t26;
+    const double t28 = -0.30000000000000004 * augmented_filtered_covariance[5];
+    const double t29 = t28 + (-0.09999999999999998 * augmented_filtered_covariance[17]);
+    const double t30 = t29 + (0.9 * augmented_filtered_covariance[38]);
+    moved_covariance[36] = t27 + (0.5 * t30);
+    moved_covariance[37] = (0.8 * t26) + t30;
+    moved_covariance[38] = 0.6 * t30;
+    const double t31 = -0.30000000000000004 * augmented_filtered_covariance[8];
+    const double t32 = t31 + (-0.09999999999999998 * augmented_filtered_covariance[18]);
+    const double t33 = 0.97 * (t32 + (0.9 * augmented_filtered_covariance[39]));
+    const double t34 = -0.30000000000000004 * augmented_filtered_covariance[12];
+    const double t35 = t34 + (-0.09999999999999998 * augmented_filtered_covariance[19]);
+    const double t36 = t35 + (0.9 * augmented_filtered_covariance[40]);
+    const double t37 = t33 + t36;
+    const double t38 = -0.30000000000000004 * augmented_filtered_covariance[17];
+    const double t39 = t38 + (-0.09999999999999998 * augmented_filtered_covariance[20]);
+    const double t40 = t39 + (0.9 * augmented_filtered_covariance[41]);
+    moved_covariance[39] = t37 + (0.5 * t40);
+    moved_covariance[40] = (0.8 * t36) + t40;
+    moved_covariance[41] = 0.8 * t40;
+    const double t41 = -0.30000000000000004 * augmented_filtered_covariance[23];
+    const double t42 = t41 + (-0.09999999999999998 * augmented_filtered_covariance[26]);
+    const double t43 = 0.97 * (t42 + (0.9 * augmented_filtered_covariance[42]));
+    const double t44 = -0.30000000000000004 * augmented_filtered_covariance[30];
+    const double t45 = t44 + (-0.09999999999999998 * augmented_filtered_covariance[33]);
+    const double t46 = t45 + (0.9 * augmented_filtered_covariance[43]);
+    const double t47 = t43 + t46;
+    const double t48 = -0.30000000000000004 * augmented_filtered_covariance[38];
+    const double t49 = t48 + (-0.09999999999999998 * augmented_filtered_covariance[41]);
+    const double t50 = t49 + (0.9 * augmented_filtered_covariance[44]);
+    moved_covariance[42] = t47 + (0.5 * t50);
+    moved_covariance[43] = (0.8 * t46) + t50;
+    const double t51 = (-0.30000000000000004 * t30) + (-0.09999999999999998 * t40);
+    moved_covariance[44] = t51 + (0.9 * t50);
+    markov_jump_copy(carried_8, moved_covariance, 27);
     moved_covariance[27] = carried_8[29];
     moved_covariance[28] = carried_8[30];
 
     /* prediction of the next sample */
-}
-
-/* propagate. */
-MARKOV_JUMP_INLINE void markov_jump_propagate_4(const double *mode_second_moment,
-    double *moved_moment_0, double *moved_moment_1, double *moved_moment_2, const double *mode_law,
-    double *plant_noise_0, double *plant_noise_1, double *plant_noise_2,
-    const double *augmented_filtered_state, double *moved_state,
-    const double *augmented_filtered_covariance, double *moved_covariance, double *carried_9)
-{
-    markov_jump_prediction_of_the_next_3(mode_second_moment, moved_moment_0, moved_moment_1,
-        moved_moment_2, mode_law, plant_noise_0, plant_noise_1, plant_noise_2,
-        augmented_filtered_state, moved_state, augmented_filtered_covariance, moved_covariance);
-    const double t0 = 0.95 * moved_moment_0[0];
-    const double t1 = 0.06 * moved_moment_1[0];
-    const double t2 = t0 + t1;
-    const double t3 = 0.02 * moved_moment_2[0];
-    const double t4 = t2 + t3;
-    carried_9[0] = t4 + plant_noise_0[0];
-    const double t5 = 0.95 * moved_moment_0[1];
-    const double t6 = 0.06 * moved_moment_1[1];
-    const double t7 = t5 + t6;
-    const double t8 = 0.02 * moved_moment_2[1];
-    const double t9 = t7 + t8;
-    carried_9[1] = t9 + plant_noise_0[1];
-    const double t10 = 0.95 * moved_moment_0[2];
-    const double t11 = 0.06 * moved_moment_1[2];
-    const double t12 = t10 + t11;
-    const double t13 = 0.02 * moved_moment_2[2];
-    const double t14 = t12 + t13;
-    carried_9[2] = t14 + plant_noise_0[2];
-    const double t15 = 0.95 * moved_moment_0[3];
-    const double t16 = 0.06 * moved_moment_1[3];
-    const double t17 = t15 + t16;
-    const double t18 = 0.02 * moved_moment_2[3];
-    const double t19 = t17 + t18;
-    carried_9[3] = t19 + plant_noise_0[3];
-    const double t20 = 0.95 * moved_moment_0[4];
-    const double t21 = 0.06 * moved_moment_1[4];
-    const double t22 = t20 + t21;
-    const double t23 = 0.02 * moved_moment_2[4];
-    const double t24 = t22 + t23;
-    carried_9[4] = t24 + plant_noise_0[4];
-    const double t25 = 0.95 * moved_moment_0[5];
-    const double t26 = 0.06 * moved_moment_1[5];
-    const double t27 = t25 + t26;
-    const double t28 = 0.02 * moved_moment_2[5];
-    const double t29 = t27 + t28;
-    carried_9[5] = t29 + plant_noise_0[5];
-    const double t30 = 0.04 * moved_moment_0[0];
-    const double t31 = 0.9 * moved_moment_1[0];
-    const double t32 = t30 + t31;
-    const double t33 = 0.08 * moved_moment_2[0];
-    const double t34 = t32 + t33;
-    carried_9[6] = t34 + plant_noise_1[0];
-    const double t35 = 0.04 * moved_moment_0[1];
-    const double t36 = 0.9 * moved_moment_1[1];
-    const double t37 = t35 + t36;
-    const double t38 = 0.08 * moved_moment_2[1];
-    const double t39 = t37 + t38;
-    carried_9[7] = t39 + plant_noise_1[1];
-    const double t40 = 0.04 * moved_moment_0[2];
-    const double t41 = 0.9 * moved_moment_1[2];
-    const double t42 = t40 + t41;
-    const double t43 = 0.08 * moved_moment_2[2];
-    const double t44 = t42 + t43;
-    carried_9[8] = t44 + plant_noise_1[2];
-    const double t45 = 0.04 * moved_moment_0[3];
-    const double t46 = 0.9 * moved_moment_1[3];
-    const double t47 = t45 + t46;
-    const double t48 = 0.08 * moved_moment_2[3];
-    const double t49 = t47 + t48;
-    carried_9[9] = t49 + plant_noise_1[3];
-    const double t50 = 0.04 * moved_moment_0[4];
-    const double t51 = 0.9 * moved_moment_1[4];
-    const double t52 = t50 + t51;
-    const double t53 = 0.08 * moved_moment_2[4];
-    const double t54 = t52 + t53;
-    carried_9[10] = t54 + plant_noise_1[4];
-    const double t55 = 0.04 * moved_moment_0[5];
-    const double t56 = 0.9 * moved_moment_1[5];
-    const double t57 = t55 + t56;
-    const double t58 = 0.08 * moved_moment_2[5];
-    const double t59 = t57 + t58;
-    carried_9[11] = t59 + plant_noise_1[5];
-    const double t60 = 0.01 * moved_moment_0[0];
-    const double t61 = 0.04 * moved_moment_1[0];
-    const double t62 = t60 + t61;
-    const double t63 = 0.9 * moved_moment_2[0];
-    const double t64 = t62 + t63;
-    carried_9[12] = t64 + plant_noise_2[0];
-    const double t65 = 0.01 * moved_moment_0[1];
-    const double t66 = 0.04 * moved_moment_1[1];
-    const double t67 = t65 + t66;
-    const double t68 = 0.9 * moved_moment_2[1];
-    const double t69 = t67 + t68;
-    carried_9[13] = t69 + plant_noise_2[1];
-    const double t70 = 0.01 * moved_moment_0[2];
-    const double t71 = 0.04 * moved_moment_1[2];
-    const double t72 = t70 + t71;
-    const double t73 = 0.9 * moved_moment_2[2];
-    const double t74 = t72 + t73;
-    carried_9[14] = t74 + plant_noise_2[2];
-    const double t75 = 0.01 * moved_moment_0[3];
-    const double t76 = 0.04 * moved_moment_1[3];
-    const double t77 = t75 + t76;
-    const double t78 = 0.9 * moved_moment_2[3];
-    const double t79 = t77 + t78;
-    carried_9[15] = t79 + plant_noise_2[3];
-    const double t80 = 0.01 * moved_moment_0[4];
-    const double t81 = 0.04 * moved_moment_1[4];
-    const double t82 = t80 + t81;
-    const double t83 = 0.9 * moved_moment_2[4];
-    const double t84 = t82 + t83;
-    carried_9[16] = t84 + plant_noise_2[4];
-    const double t85 = 0.01 * moved_moment_0[5];
-    const double t86 = 0.04 * moved_moment_1[5];
-    const double t87 = t85 + t86;
-    const double t88 = 0.9 * moved_moment_2[5];
-    const double t89 = t87 + t88;
-    carried_9[17] = t89 + plant_noise_2[5];
-    const double t90 = 0.95 * mode_law[0];
-    const double t91 = 0.06 * mode_law[1];
-    const double t92 = t90 + t91;
-    const double t93 = 0.02 * mode_law[2];
-    const double t94 = t92 + t93;
-    const double t95 = 0.04 * mode_law[0];
-    const double t96 = 0.9 * mode_law[1];
-    const double t97 = t95 + t96;
-    const double t98 = 0.08 * mode_law[2];
-    const double t99 = t97 + t98;
-    const double t100 = t94 + t99;
-    const double t101 = 0.01 * mode_law[0];
-    const double t102 = 0.04 * mode_law[1];
-    const double t103 = t101 + t102;
-    const double t104 = 0.9 * mode_law[2];
-    const double t105 = t103 + t104;
-    const double t106 = t100 + t105;
-    carried_9[18] = t94 / t106;
-    carried_9[19] = t99 / t106;
-    carried_9[20] = t105 / t106;
-    const double t107 = 0.9299999999999999 * moved_state[0];
-    const double t108 = 0.039999999999999994 * moved_state[3];
-    const double t109 = t107 + t108;
-    const double t110 = 0.02 * moved_state[6];
-    carried_9[21] = t109 + t110;
-    const double t111 = 0.9299999999999999 * moved_state[1];
-    const double t112 = 0.039999999999999994 * moved_state[4];
-    const double t113 = t111 + t112;
-    const double t114 = 0.02 * moved_state[7];
-    carried_9[22] = t113 + t114;
-    const double t115 = 0.9299999999999999 * moved_state[2];
-    const double t116 = 0.039999999999999994 * moved_state[5];
-    const double t117 = t115 + t116;
-    const double t118 = 0.02 * moved_state[8];
-    carried_9[23] = t117 + t118;
-    const double t119 = -0.04 * moved_state[0];
-    const double t120 = 0.8200000000000001 * moved_state[3];
-    const double t121 = t119 + t120;
-    const double t122 = 0.08 * moved_state[6];
-    carried_9[24] = t121 + t122;
-    const double t123 = -0.04 * moved_state[1];
-    const double t124 = 0.8200000000000001 * moved_state[4];
-    const double t125 = t123 + t124;
-    const double t126 = 0.08 * moved_state[7];
-    carried_9[25] = t125 + t126;
+    markov_jump_prediction_of_the_next_3(mode_law, moved_state, moved_covariance, moved_moment_0,
+        moved_moment_1, moved_moment_2, plant_noise_0, carried_9);
+    markov_jump_prediction_of_the_next_4(moved_covariance, moved_moment_0, moved_moment_1,
+        moved_moment_2, &plant_noise_0[4], plant_noise_1[0], carried_10);
+    status = markov_jump_prediction_of_the_next_2(&moved_covariance[2], carried_10,
+        &moved_moment_0[1], &moved_moment_1[1], &moved_moment_2[1], plant_noise_1, carried_9,
+        plant_noise_0, plant_noise_2, &moved_state[6], predicted_mode_law, augmented_state,
+        augmented_covariance, predicted_state, predicted_covariance);
+    if (status != MARKOV_JUMP_OK) { return status; }
+    status = markov_jump_prediction_of_the_next(moved_moment_0, moved_moment_1, moved_moment_2,
+        plant_noise_0, predicted_mode_second_moment, markov_jump_prediction_of_the_next_numbers[0]);
+    if (status != MARKOV_JUMP_OK) { return status; }
+    status = markov_jump_prediction_of_the_next(moved_moment_0, moved_moment_1, moved_moment_2,
+        plant_noise_1, &predicted_mode_second_moment[6],
+        markov_jump_prediction_of_the_next_numbers[1]);
+    if (status != MARKOV_JUMP_OK) { return status; }
+    status = markov_jump_prediction_of_the_next(moved_moment_0, moved_moment_1, moved_moment_2,
+        plant_noise_2, &predicted_mode_second_moment[12],
+        markov_jump_prediction_of_the_next_numbers[2]);
+    if (status != MARKOV_JUMP_OK) { return status; }
+    const double t52 = 0.9299999999999999 * moved_covariance[28];
+    const double t53 = t52 + (0.039999999999999994 * moved_covariance[31]);
+    augmented_covariance[28] = t53 + (0.02 * moved_covariance[34]) + plant_noise_0[1];
+    const double t54 = plant_noise_0[1] + plant_noise_1[1] + plant_noise_2[1];
+    const double t55 = moved_covariance[34] + t54;
+    augmented_covariance[34] = t55;
+    predicted_covariance[1] = t55;
+    const double t56 = 0.9299999999999999 * moved_covariance[36];
+    const double t57 = t56 + (0.039999999999999994 * moved_covariance[39]);
+    augmented_covariance[36] = t57 + (0.02 * moved_covariance[42]) + plant_noise_0[3];
+    const double t58 = 0.9299999999999999 * moved_covariance[37];
+    const double t59 = t58 + (0.039999999999999994 * moved_covariance[40]);
+    augmented_covariance[37] = t59 + (0.02 * moved_covariance[43]) + plant_noise_0[4];
+    const double t60 = plant_noise_0[3] + plant_noise_1[3] + plant_noise_2[3];
+    const double t61 = moved_covariance[42] + t60;
+    augmented_covariance[42] = t61;
+    predicted_covariance[3] = t61;
+    const double t62 = plant_noise_0[4] + plant_noise_1[4] + plant_noise_2[4];
+    const double t63 = moved_covariance[43] + t62;
+    augmented_covariance[43] = t63;
+    predicted_covariance[4] = t63;
+    return MARKOV_JUMP_OK;
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -1611,38 +1010,27 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
         return MARKOV_JUMP_NOT_POSITIVE_DEFINITE;
     }
     const double t0 = self->predicted_mode_law[0] + self->predicted_mode_law[1];
-    const double t1 = 2.25 * self->predicted_mode_law[2];
-    mean_noise = t0 + t1;
+    mean_noise = t0 + (2.25 * self->predicted_mode_law[2]);
 
     /* innovation, row by row */
     status = markov_jump_innovation(y[0], self->augmented_state, &innovation_0, mean,
         self->augmented_covariance, covariance, mean_noise, &pivot_0, &quadratic, &log_constant,
         &determinant_0, &rows_present, &quadratic_lost, &log_constant_lost, &determinant_lost_0,
         present);
-    if (status != MARKOV_JUMP_OK)
-    {
-        return status;
-    }
+    if (status != MARKOV_JUMP_OK) { return status; }
 
     /* test for a loss: llr */
     if ((present & 0x1u) != 0u)
     {
-        const double t2 = markov_jump_log(determinant_lost_0);
-        const double t3 = log_constant_lost + t2;
-        const double t4 = quadratic_lost + t3;
-        const double t5 = -0.5 * t4;
-        const double t6 = -1.7346010553881062 + t5;
-        const double t7 = markov_jump_log(determinant_0);
-        const double t8 = log_constant + t7;
-        const double t9 = quadratic + t8;
-        const double t10 = -0.5 * t9;
-        statistic = t6 - t10;
+        const double t1 = log_constant_lost + markov_jump_log(determinant_lost_0);
+        const double t2 = -1.7346010553881062 + (-0.5 * (quadratic_lost + t1));
+        statistic = t2 - (-0.5 * (quadratic + (log_constant + markov_jump_log(determinant_0))));
         threshold = 0.0;
     }
     if ((present & 0x1u) != 0u)
     {
-        const double t11 = statistic - threshold;
-        if (t11 > 0.0)
+        const double t3 = statistic - threshold;
+        if (t3 > 0.0)
         {
             declared = 1.0;
         }
@@ -1654,194 +1042,35 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     }
     if ((present & 0x1u) != 0u)
     {
-        const double t12 = statistic - threshold;
-        if (t12 > 0.0)
+        const double t4 = statistic - threshold;
+        if (t4 > 0.0)
         {
             rejections = self->consecutive_rejections + 1.0;
         }
     }
 
     /* a rejected sample is replaced by its prediction */
-    kept_state[0] = mean[0];
-    kept_state[1] = mean[1];
-    kept_state[2] = mean[2];
-    kept_state[3] = mean[3];
-    kept_state[4] = mean[4];
-    kept_state[5] = mean[5];
-    kept_state[6] = mean[6];
-    kept_state[7] = mean[7];
-    kept_state[8] = mean[8];
-    kept_covariance[0] = covariance[0];
-    kept_covariance[1] = covariance[1];
-    kept_covariance[2] = covariance[2];
-    kept_covariance[3] = covariance[3];
-    kept_covariance[4] = covariance[4];
-    kept_covariance[5] = covariance[5];
-    kept_covariance[6] = covariance[6];
-    kept_covariance[7] = covariance[7];
-    kept_covariance[8] = covariance[8];
-    kept_covariance[9] = covariance[9];
-    kept_covariance[10] = covariance[10];
-    kept_covariance[11] = covariance[11];
-    kept_covariance[12] = covariance[12];
-    kept_covariance[13] = covariance[13];
-    kept_covariance[14] = covariance[14];
-    kept_covariance[15] = covariance[15];
-    kept_covariance[16] = covariance[16];
-    kept_covariance[17] = covariance[17];
-    kept_covariance[18] = covariance[18];
-    kept_covariance[19] = covariance[19];
-    kept_covariance[20] = covariance[20];
-    kept_covariance[21] = covariance[21];
-    kept_covariance[22] = covariance[22];
-    kept_covariance[23] = covariance[23];
-    kept_covariance[24] = covariance[24];
-    kept_covariance[25] = covariance[25];
-    kept_covariance[26] = covariance[26];
-    kept_covariance[27] = covariance[27];
-    kept_covariance[28] = covariance[28];
-    kept_covariance[29] = covariance[29];
-    kept_covariance[30] = covariance[30];
-    kept_covariance[31] = covariance[31];
-    kept_covariance[32] = covariance[32];
-    kept_covariance[33] = covariance[33];
-    kept_covariance[34] = covariance[34];
-    kept_covariance[35] = covariance[35];
-    kept_covariance[36] = covariance[36];
-    kept_covariance[37] = covariance[37];
-    kept_covariance[38] = covariance[38];
-    kept_covariance[39] = covariance[39];
-    kept_covariance[40] = covariance[40];
-    kept_covariance[41] = covariance[41];
-    kept_covariance[42] = covariance[42];
-    kept_covariance[43] = covariance[43];
-    kept_covariance[44] = covariance[44];
+    markov_jump_copy(mean, kept_state, 9);
+    markov_jump_copy(covariance, kept_covariance, 45);
     if ((present & 0x1u) != 0u)
     {
-        const double t13 = statistic - threshold;
-        if (t13 > 0.0)
+        const double t5 = statistic - threshold;
+        if (t5 > 0.0)
         {
-            kept_state[0] = self->augmented_state[0];
-            kept_state[1] = self->augmented_state[1];
-            kept_state[2] = self->augmented_state[2];
-            kept_state[3] = self->augmented_state[3];
-            kept_state[4] = self->augmented_state[4];
-            kept_state[5] = self->augmented_state[5];
-            kept_state[6] = self->augmented_state[6];
-            kept_state[7] = self->augmented_state[7];
-            kept_state[8] = self->augmented_state[8];
-            kept_covariance[0] = self->augmented_covariance[0];
-            kept_covariance[1] = self->augmented_covariance[1];
-            kept_covariance[2] = self->augmented_covariance[2];
-            kept_covariance[3] = self->augmented_covariance[3];
-            kept_covariance[4] = self->augmented_covariance[4];
-            kept_covariance[5] = self->augmented_covariance[5];
-            kept_covariance[6] = self->augmented_covariance[6];
-            kept_covariance[7] = self->augmented_covariance[7];
-            kept_covariance[8] = self->augmented_covariance[8];
-            kept_covariance[9] = self->augmented_covariance[9];
-            kept_covariance[10] = self->augmented_covariance[10];
-            kept_covariance[11] = self->augmented_covariance[11];
-            kept_covariance[12] = self->augmented_covariance[12];
-            kept_covariance[13] = self->augmented_covariance[13];
-            kept_covariance[14] = self->augmented_covariance[14];
-            kept_covariance[15] = self->augmented_covariance[15];
-            kept_covariance[16] = self->augmented_covariance[16];
-            kept_covariance[17] = self->augmented_covariance[17];
-            kept_covariance[18] = self->augmented_covariance[18];
-            kept_covariance[19] = self->augmented_covariance[19];
-            kept_covariance[20] = self->augmented_covariance[20];
-            kept_covariance[21] = self->augmented_covariance[21];
-            kept_covariance[22] = self->augmented_covariance[22];
-            kept_covariance[23] = self->augmented_covariance[23];
-            kept_covariance[24] = self->augmented_covariance[24];
-            kept_covariance[25] = self->augmented_covariance[25];
-            kept_covariance[26] = self->augmented_covariance[26];
-            kept_covariance[27] = self->augmented_covariance[27];
-            kept_covariance[28] = self->augmented_covariance[28];
-            kept_covariance[29] = self->augmented_covariance[29];
-            kept_covariance[30] = self->augmented_covariance[30];
-            kept_covariance[31] = self->augmented_covariance[31];
-            kept_covariance[32] = self->augmented_covariance[32];
-            kept_covariance[33] = self->augmented_covariance[33];
-            kept_covariance[34] = self->augmented_covariance[34];
-            kept_covariance[35] = self->augmented_covariance[35];
-            kept_covariance[36] = self->augmented_covariance[36];
-            kept_covariance[37] = self->augmented_covariance[37];
-            kept_covariance[38] = self->augmented_covariance[38];
-            kept_covariance[39] = self->augmented_covariance[39];
-            kept_covariance[40] = self->augmented_covariance[40];
-            kept_covariance[41] = self->augmented_covariance[41];
-            kept_covariance[42] = self->augmented_covariance[42];
-            kept_covariance[43] = self->augmented_covariance[43];
-            kept_covariance[44] = self->augmented_covariance[44];
+            markov_jump_copy(self->augmented_state, kept_state, 9);
+            markov_jump_copy(self->augmented_covariance, kept_covariance, 45);
         }
     }
 
     /* results of the update */
-    const double t14 = markov_jump_log(determinant_0);
-    const double t15 = log_constant + t14;
-    const double t16 = quadratic + t15;
-    next->log_likelihood = -0.5 * t16;
+    next->log_likelihood = -0.5 * (quadratic + (log_constant + markov_jump_log(determinant_0)));
     next->fault_declared = declared;
     next->test_statistic = statistic;
     next->test_threshold = threshold;
     next->test_dof = rows_present;
     next->consecutive_rejections = rejections;
-    next->augmented_filtered_state[0] = kept_state[0];
-    next->augmented_filtered_state[1] = kept_state[1];
-    next->augmented_filtered_state[2] = kept_state[2];
-    next->augmented_filtered_state[3] = kept_state[3];
-    next->augmented_filtered_state[4] = kept_state[4];
-    next->augmented_filtered_state[5] = kept_state[5];
-    next->augmented_filtered_state[6] = kept_state[6];
-    next->augmented_filtered_state[7] = kept_state[7];
-    next->augmented_filtered_state[8] = kept_state[8];
-    next->augmented_filtered_covariance[0] = kept_covariance[0];
-    next->augmented_filtered_covariance[1] = kept_covariance[1];
-    next->augmented_filtered_covariance[2] = kept_covariance[2];
-    next->augmented_filtered_covariance[3] = kept_covariance[3];
-    next->augmented_filtered_covariance[4] = kept_covariance[4];
-    next->augmented_filtered_covariance[5] = kept_covariance[5];
-    next->augmented_filtered_covariance[6] = kept_covariance[6];
-    next->augmented_filtered_covariance[7] = kept_covariance[7];
-    next->augmented_filtered_covariance[8] = kept_covariance[8];
-    next->augmented_filtered_covariance[9] = kept_covariance[9];
-    next->augmented_filtered_covariance[10] = kept_covariance[10];
-    next->augmented_filtered_covariance[11] = kept_covariance[11];
-    next->augmented_filtered_covariance[12] = kept_covariance[12];
-    next->augmented_filtered_covariance[13] = kept_covariance[13];
-    next->augmented_filtered_covariance[14] = kept_covariance[14];
-    next->augmented_filtered_covariance[15] = kept_covariance[15];
-    next->augmented_filtered_covariance[16] = kept_covariance[16];
-    next->augmented_filtered_covariance[17] = kept_covariance[17];
-    next->augmented_filtered_covariance[18] = kept_covariance[18];
-    next->augmented_filtered_covariance[19] = kept_covariance[19];
-    next->augmented_filtered_covariance[20] = kept_covariance[20];
-    next->augmented_filtered_covariance[21] = kept_covariance[21];
-    next->augmented_filtered_covariance[22] = kept_covariance[22];
-    next->augmented_filtered_covariance[23] = kept_covariance[23];
-    next->augmented_filtered_covariance[24] = kept_covariance[24];
-    next->augmented_filtered_covariance[25] = kept_covariance[25];
-    next->augmented_filtered_covariance[26] = kept_covariance[26];
-    next->augmented_filtered_covariance[27] = kept_covariance[27];
-    next->augmented_filtered_covariance[28] = kept_covariance[28];
-    next->augmented_filtered_covariance[29] = kept_covariance[29];
-    next->augmented_filtered_covariance[30] = kept_covariance[30];
-    next->augmented_filtered_covariance[31] = kept_covariance[31];
-    next->augmented_filtered_covariance[32] = kept_covariance[32];
-    next->augmented_filtered_covariance[33] = kept_covariance[33];
-    next->augmented_filtered_covariance[34] = kept_covariance[34];
-    next->augmented_filtered_covariance[35] = kept_covariance[35];
-    next->augmented_filtered_covariance[36] = kept_covariance[36];
-    next->augmented_filtered_covariance[37] = kept_covariance[37];
-    next->augmented_filtered_covariance[38] = kept_covariance[38];
-    next->augmented_filtered_covariance[39] = kept_covariance[39];
-    next->augmented_filtered_covariance[40] = kept_covariance[40];
-    next->augmented_filtered_covariance[41] = kept_covariance[41];
-    next->augmented_filtered_covariance[42] = kept_covariance[42];
-    next->augmented_filtered_covariance[43] = kept_covariance[43];
-    next->augmented_filtered_covariance[44] = kept_covariance[44];
+    markov_jump_copy(kept_state, next->augmented_filtered_state, 9);
+    markov_jump_copy(kept_covariance, next->augmented_filtered_covariance, 45);
     next->filtered_state[0] = kept_state[6];
     next->filtered_state[1] = kept_state[7];
     next->filtered_state[2] = kept_state[8];
@@ -1854,24 +1083,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     next->innovation[0] = innovation_0;
     next->innovation_covariance[0] = pivot_0;
     next->nis = quadratic;
-    next->mode_second_moment[0] = self->predicted_mode_second_moment[0];
-    next->mode_second_moment[1] = self->predicted_mode_second_moment[1];
-    next->mode_second_moment[2] = self->predicted_mode_second_moment[2];
-    next->mode_second_moment[3] = self->predicted_mode_second_moment[3];
-    next->mode_second_moment[4] = self->predicted_mode_second_moment[4];
-    next->mode_second_moment[5] = self->predicted_mode_second_moment[5];
-    next->mode_second_moment[6] = self->predicted_mode_second_moment[6];
-    next->mode_second_moment[7] = self->predicted_mode_second_moment[7];
-    next->mode_second_moment[8] = self->predicted_mode_second_moment[8];
-    next->mode_second_moment[9] = self->predicted_mode_second_moment[9];
-    next->mode_second_moment[10] = self->predicted_mode_second_moment[10];
-    next->mode_second_moment[11] = self->predicted_mode_second_moment[11];
-    next->mode_second_moment[12] = self->predicted_mode_second_moment[12];
-    next->mode_second_moment[13] = self->predicted_mode_second_moment[13];
-    next->mode_second_moment[14] = self->predicted_mode_second_moment[14];
-    next->mode_second_moment[15] = self->predicted_mode_second_moment[15];
-    next->mode_second_moment[16] = self->predicted_mode_second_moment[16];
-    next->mode_second_moment[17] = self->predicted_mode_second_moment[17];
+    markov_jump_copy(self->predicted_mode_second_moment, next->mode_second_moment, 18);
     next->mode_law[0] = self->predicted_mode_law[0];
     next->mode_law[1] = self->predicted_mode_law[1];
     next->mode_law[2] = self->predicted_mode_law[2];
@@ -1887,183 +1099,38 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_
     double moved_moment_2[6] = { 0.0 };
     double plant_noise_0[6] = { 0.0 };
     double plant_noise_1[6] = { 0.0 };
-    double plant_noise_2[6] = { 0.0 };
-    double moved_state[9] = { 0.0 };
-    double moved_covariance[45] = { 0.0 };
-    double carried_9[26] = { 0.0 };
-    double carried_10[12] = { 0.0 };
     markov_jump_status_t status;
-    markov_jump_propagate_4(self->mode_second_moment, moved_moment_0, moved_moment_1,
-        moved_moment_2, self->mode_law, plant_noise_0, plant_noise_1, plant_noise_2,
-        self->augmented_filtered_state, moved_state, self->augmented_filtered_covariance,
-        moved_covariance, carried_9);
-    const double t0 = -0.04 * moved_state[2];
-    const double t1 = 0.8200000000000001 * moved_state[5];
-    const double t2 = t0 + t1;
-    const double t3 = 0.08 * moved_state[8];
-    carried_10[0] = t2 + t3;
-    const double t4 = 0.9299999999999999 * moved_covariance[0];
-    const double t5 = 0.039999999999999994 * moved_covariance[6];
-    const double t6 = t4 + t5;
-    const double t7 = 0.02 * moved_covariance[21];
-    const double t8 = t6 + t7;
-    const double t9 = 0.9299999999999999 * t8;
-    const double t10 = 0.9299999999999999 * moved_covariance[6];
-    const double t11 = 0.039999999999999994 * moved_covariance[9];
-    const double t12 = t10 + t11;
-    const double t13 = 0.02 * moved_covariance[24];
-    const double t14 = t12 + t13;
-    const double t15 = 0.039999999999999994 * t14;
-    const double t16 = t9 + t15;
-    const double t17 = 0.9299999999999999 * moved_covariance[21];
-    const double t18 = 0.039999999999999994 * moved_covariance[24];
-    const double t19 = t17 + t18;
-    const double t20 = 0.02 * moved_covariance[27];
-    const double t21 = t19 + t20;
-    const double t22 = 0.02 * t21;
-    const double t23 = t16 + t22;
-    const double t24 = 0.04750000000000004 * moved_moment_0[0];
-    const double t25 = 0.05639999999999999 * moved_moment_1[0];
-    const double t26 = t24 + t25;
-    const double t27 = 0.0196 * moved_moment_2[0];
-    const double t28 = t26 + t27;
-    const double t29 = t28 + plant_noise_0[0];
-    carried_10[2] = t23 + t29;
-    const double t30 = 0.9299999999999999 * moved_covariance[1];
-    const double t31 = 0.039999999999999994 * moved_covariance[10];
-    const double t32 = t30 + t31;
-    const double t33 = 0.02 * moved_covariance[28];
-    const double t34 = t32 + t33;
-    const double t35 = 0.9299999999999999 * t34;
-    const double t36 = 0.9299999999999999 * moved_covariance[7];
-    const double t37 = 0.039999999999999994 * moved_covariance[13];
-    const double t38 = t36 + t37;
-    const double t39 = 0.02 * moved_covariance[31];
-    const double t40 = t38 + t39;
-    const double t41 = 0.039999999999999994 * t40;
-    const double t42 = t35 + t41;
-    const double t43 = 0.9299999999999999 * moved_covariance[22];
-    const double t44 = 0.039999999999999994 * moved_covariance[25];
-    const double t45 = t43 + t44;
-    const double t46 = 0.02 * moved_covariance[34];
-    const double t47 = t45 + t46;
-    const double t48 = 0.02 * t47;
-    const double t49 = t42 + t48;
-    const double t50 = 0.04750000000000004 * moved_moment_0[1];
-    const double t51 = 0.05639999999999999 * moved_moment_1[1];
-    const double t52 = t50 + t51;
-    const double t53 = 0.0196 * moved_moment_2[1];
-    const double t54 = t52 + t53;
-    const double t55 = t54 + plant_noise_0[1];
-    carried_10[4] = t49 + t55;
-    const double t56 = 0.9299999999999999 * moved_covariance[2];
-    const double t57 = 0.039999999999999994 * moved_covariance[11];
-    const double t58 = t56 + t57;
-    const double t59 = 0.02 * moved_covariance[29];
-    const double t60 = t58 + t59;
-    const double t61 = 0.9299999999999999 * t60;
-    const double t62 = 0.9299999999999999 * moved_covariance[11];
-    const double t63 = 0.039999999999999994 * moved_covariance[14];
-    const double t64 = t62 + t63;
-    const double t65 = 0.02 * moved_covariance[32];
-    const double t66 = t64 + t65;
-    const double t67 = 0.039999999999999994 * t66;
-    const double t68 = t61 + t67;
-    const double t69 = 0.9299999999999999 * moved_covariance[29];
-    const double t70 = 0.039999999999999994 * moved_covariance[32];
-    const double t71 = t69 + t70;
-    const double t72 = 0.02 * moved_covariance[35];
-    const double t73 = t71 + t72;
-    const double t74 = 0.02 * t73;
-    const double t75 = t68 + t74;
-    const double t76 = 0.04750000000000004 * moved_moment_0[2];
-    const double t77 = 0.05639999999999999 * moved_moment_1[2];
-    const double t78 = t76 + t77;
-    const double t79 = 0.0196 * moved_moment_2[2];
-    const double t80 = t78 + t79;
-    const double t81 = t80 + plant_noise_0[2];
-    carried_10[6] = t75 + t81;
-    const double t82 = 0.9299999999999999 * moved_covariance[3];
-    const double t83 = 0.039999999999999994 * moved_covariance[15];
-    const double t84 = t82 + t83;
-    const double t85 = 0.02 * moved_covariance[36];
-    const double t86 = t84 + t85;
-    const double t87 = 0.9299999999999999 * t86;
-    const double t88 = 0.9299999999999999 * moved_covariance[8];
-    const double t89 = 0.039999999999999994 * moved_covariance[18];
-    const double t90 = t88 + t89;
-    const double t91 = 0.02 * moved_covariance[39];
-    const double t92 = t90 + t91;
-    const double t93 = 0.039999999999999994 * t92;
-    const double t94 = t87 + t93;
-    const double t95 = 0.9299999999999999 * moved_covariance[23];
-    const double t96 = 0.039999999999999994 * moved_covariance[26];
-    const double t97 = t95 + t96;
-    const double t98 = 0.02 * moved_covariance[42];
-    const double t99 = t97 + t98;
-    const double t100 = 0.02 * t99;
-    const double t101 = t94 + t100;
-    const double t102 = 0.04750000000000004 * moved_moment_0[3];
-    const double t103 = 0.05639999999999999 * moved_moment_1[3];
-    const double t104 = t102 + t103;
-    const double t105 = 0.0196 * moved_moment_2[3];
-    const double t106 = t104 + t105;
-    const double t107 = t106 + plant_noise_0[3];
-    carried_10[8] = t101 + t107;
-    const double t108 = 0.9299999999999999 * moved_covariance[4];
-    const double t109 = 0.039999999999999994 * moved_covariance[16];
-    const double t110 = t108 + t109;
-    const double t111 = 0.02 * moved_covariance[37];
-    const double t112 = t110 + t111;
-    const double t113 = 0.9299999999999999 * t112;
-    const double t114 = 0.9299999999999999 * moved_covariance[12];
-    const double t115 = 0.039999999999999994 * moved_covariance[19];
-    const double t116 = t114 + t115;
-    const double t117 = 0.02 * moved_covariance[40];
-    const double t118 = t116 + t117;
-    const double t119 = 0.039999999999999994 * t118;
-    const double t120 = t113 + t119;
-    const double t121 = 0.9299999999999999 * moved_covariance[30];
-    const double t122 = 0.039999999999999994 * moved_covariance[33];
-    const double t123 = t121 + t122;
-    const double t124 = 0.02 * moved_covariance[43];
-    const double t125 = t123 + t124;
-    const double t126 = 0.02 * t125;
-    const double t127 = t120 + t126;
-    const double t128 = 0.04750000000000004 * moved_moment_0[4];
-    const double t129 = 0.05639999999999999 * moved_moment_1[4];
-    const double t130 = t128 + t129;
-    const double t131 = 0.0196 * moved_moment_2[4];
-    const double t132 = t130 + t131;
-    const double t133 = t132 + plant_noise_0[4];
-    carried_10[10] = t127 + t133;
-    const double t134 = 0.9299999999999999 * moved_covariance[5];
-    const double t135 = 0.039999999999999994 * moved_covariance[17];
-    const double t136 = t134 + t135;
-    const double t137 = 0.02 * moved_covariance[38];
-    const double t138 = t136 + t137;
-    const double t139 = 0.9299999999999999 * t138;
-    const double t140 = 0.9299999999999999 * moved_covariance[17];
-    const double t141 = 0.039999999999999994 * moved_covariance[20];
-    const double t142 = t140 + t141;
-    const double t143 = 0.02 * moved_covariance[41];
-    const double t144 = t142 + t143;
-    const double t145 = 0.039999999999999994 * t144;
-    carried_10[11] = t139 + t145;
-    carried_10[1] = t21;
-    carried_10[3] = t47;
-    carried_10[5] = t73;
-    carried_10[7] = t99;
-    carried_10[9] = t125;
-    status = markov_jump_prediction_of_the_next_2(moved_covariance, carried_10, moved_moment_0,
-        moved_moment_1, moved_moment_2, plant_noise_0, plant_noise_1, plant_noise_2, carried_9,
-        &moved_state[6], next->predicted_mode_second_moment, next->predicted_mode_law,
-        next->augmented_state, next->augmented_covariance, next->predicted_state,
-        next->predicted_covariance);
-    if (status != MARKOV_JUMP_OK)
-    {
-        return status;
-    }
+    markov_jump_propagate_2(self->mode_second_moment, moved_moment_0,
+        markov_jump_propagate_2_numbers[0]);
+    const double t0 = 0.9409 * self->mode_second_moment[6];
+    const double t1 = t0 + (1.94 * self->mode_second_moment[7]) + self->mode_second_moment[8];
+    const double t2 = t1 + (0.97 * self->mode_second_moment[9]) + self->mode_second_moment[10];
+    moved_moment_1[0] = t2 + (0.25 * self->mode_second_moment[11]);
+    const double t3 = (0.776 * self->mode_second_moment[7]) + (0.8 * self->mode_second_moment[8]);
+    const double t4 = t3 + (0.97 * self->mode_second_moment[9]);
+    const double t5 = t4 + (1.4 * self->mode_second_moment[10]);
+    moved_moment_1[1] = t5 + (0.5 * self->mode_second_moment[11]);
+    const double t6 = 0.6400000000000001 * self->mode_second_moment[8];
+    moved_moment_1[2] = t6 + (1.6 * self->mode_second_moment[10]) + self->mode_second_moment[11];
+    const double t7 = (0.776 * self->mode_second_moment[9]) + (0.8 * self->mode_second_moment[10]);
+    moved_moment_1[3] = t7 + (0.4 * self->mode_second_moment[11]);
+    const double t8 = 0.6400000000000001 * self->mode_second_moment[10];
+    moved_moment_1[4] = t8 + (0.8 * self->mode_second_moment[11]);
+    moved_moment_1[5] = 0.6400000000000001 * self->mode_second_moment[11];
+    markov_jump_propagate_2(&self->mode_second_moment[12], moved_moment_2,
+        markov_jump_propagate_2_numbers[1]);
+    markov_jump_part_2(self->mode_law, plant_noise_0, markov_jump_part_2_numbers[0]);
+    markov_jump_part_2(self->mode_law, &plant_noise_0[3], markov_jump_part_2_numbers[1]);
+    markov_jump_part_2(self->mode_law, plant_noise_1, markov_jump_part_2_numbers[2]);
+    markov_jump_part_2(self->mode_law, &plant_noise_1[3], markov_jump_part_2_numbers[3]);
+
+    /* every mode's step */
+    status = markov_jump_every_mode_s_step_2(self->mode_law, self->augmented_filtered_state,
+        self->augmented_filtered_covariance, moved_moment_0, moved_moment_1, moved_moment_2,
+        plant_noise_0, plant_noise_1, next->predicted_mode_law, next->augmented_state,
+        next->augmented_covariance, next->predicted_state, next->predicted_covariance,
+        next->predicted_mode_second_moment);
+    if (status != MARKOV_JUMP_OK) { return status; }
     return MARKOV_JUMP_OK;
 }
 
@@ -2081,10 +1148,7 @@ static void markov_jump_fill(double *to, int size, const double *from, int perio
 
 markov_jump_status_t markov_jump_init(markov_jump_t *self)
 {
-    if (self == NULL)
-    {
-        return MARKOV_JUMP_NULL_POINTER;
-    }
+    if (self == NULL) { return MARKOV_JUMP_NULL_POINTER; }
     markov_jump_fill(self->predicted_state, 3, markov_jump_predicted_state_0, 3);
     markov_jump_fill(self->predicted_covariance, 6, markov_jump_predicted_covariance_0, 6);
     markov_jump_fill(self->filtered_state, 3, markov_jump_predicted_state_0, 3);
@@ -2117,20 +1181,11 @@ markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], 
     markov_jump_t next;
     uint32_t present;
     markov_jump_status_t status;
-    if ((self == NULL) || (y == NULL))
-    {
-        return MARKOV_JUMP_NULL_POINTER;
-    }
-    if (!markov_jump_present_rows(y, valid, &present))
-    {
-        return MARKOV_JUMP_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (y == NULL)) { return MARKOV_JUMP_NULL_POINTER; }
+    if (!markov_jump_present_rows(y, valid, &present)) { return MARKOV_JUMP_INPUT_NOT_FINITE; }
     next = *self;
     status = markov_jump_correct(self, y, present, &next);
-    if (status != MARKOV_JUMP_OK)
-    {
-        return status;
-    }
+    if (status != MARKOV_JUMP_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
         : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK))
@@ -2141,16 +1196,10 @@ markov_jump_status_t markov_jump_predict(markov_jump_t *self)
 {
     markov_jump_t next;
     markov_jump_status_t status;
-    if (self == NULL)
-    {
-        return MARKOV_JUMP_NULL_POINTER;
-    }
+    if (self == NULL) { return MARKOV_JUMP_NULL_POINTER; }
     next = *self;
     status = markov_jump_propagate(self, &next);
-    if (status != MARKOV_JUMP_OK)
-    {
-        return status;
-    }
+    if (status != MARKOV_JUMP_OK) { return status; }
     *self = next;
     return MARKOV_JUMP_OK;
 }
@@ -2160,24 +1209,12 @@ markov_jump_status_t markov_jump_step(markov_jump_t *self, const double y[1], ui
     markov_jump_t next;
     uint32_t present;
     markov_jump_status_t status;
-    if ((self == NULL) || (y == NULL))
-    {
-        return MARKOV_JUMP_NULL_POINTER;
-    }
-    if (!markov_jump_present_rows(y, valid, &present))
-    {
-        return MARKOV_JUMP_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (y == NULL)) { return MARKOV_JUMP_NULL_POINTER; }
+    if (!markov_jump_present_rows(y, valid, &present)) { return MARKOV_JUMP_INPUT_NOT_FINITE; }
     status = markov_jump_correct(self, y, present, &next);
-    if (status != MARKOV_JUMP_OK)
-    {
-        return status;
-    }
+    if (status != MARKOV_JUMP_OK) { return status; }
     status = markov_jump_propagate(&next, &next);
-    if (status != MARKOV_JUMP_OK)
-    {
-        return status;
-    }
+    if (status != MARKOV_JUMP_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
         : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK))

@@ -117,10 +117,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -145,17 +142,11 @@ markov_jump_status_t markov_jump_selftest(void)
     };
     const double *expected = final;
     int k;
-    if (markov_jump_init(&filter) != MARKOV_JUMP_OK)
-    {
-        return MARKOV_JUMP_NULL_POINTER;
-    }
+    if (markov_jump_init(&filter) != MARKOV_JUMP_OK) { return MARKOV_JUMP_NULL_POINTER; }
     for (k = 0; k < SAMPLES; ++k)
     {
         const markov_jump_status_t status = markov_jump_step(&filter, measurement[k], valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], MARKOV_JUMP_NX))
         {
             return MARKOV_JUMP_SELFTEST_FAILED;

@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define SENSOR_FAULTS_1_INLINE static inline __attribute__((always_inline))
@@ -38,14 +43,8 @@ static double sensor_faults_1_log(double x)
     sensor_faults_1_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -95,18 +94,9 @@ static double sensor_faults_1_exp(double x)
 {
     double y, part, r;
     int32_t k, half;
-    if (x > 709.782712893384)
-    {
-        return DBL_MAX * 2.0;
-    }
-    if (x < -745.1332191019411)
-    {
-        return 0.0;
-    }
-    if (!(x <= DBL_MAX))
-    {
-        return x;
-    }
+    if (x > 709.782712893384) { return DBL_MAX * 2.0; }
+    if (x < -745.1332191019411) { return 0.0; }
+    if (!(x <= DBL_MAX)) { return x; }
     r = x * 1.4426950408889634;
     r = r + ((x >= 0.0) ? 0.5 : -0.5);
     k = (int32_t)r;
@@ -220,7 +210,7 @@ static const double sensor_faults_1_mode_numbers[2][1] = {
     { 10.0 }
 };
 
-/* mode 0: signal, R; mode 1: signal, noise x 10. */
+/* mode 0: signal, R: innovation, row by row; mode 1: signal, noise x 10: innovation, row by row. */
 SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_mode(const double y,
     const double predicted_state, double *innovation_0, double *mean,
     const double predicted_covariance, double *covariance, double *pivot_0, double *log_density,
@@ -231,7 +221,7 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_mode(const doubl
     double log_constant = 0.0;
     double determinant_0 = 1.0;
 
-    /* innovation, row by row */
+    /* mode 0: signal, R: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
         innovation_0[0] = y - predicted_state;
@@ -241,31 +231,23 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_mode(const doubl
     mean[0] = predicted_state;
     covariance[0] = predicted_covariance;
 
-    /* row 0 of y, y0 */
+    /* mode 0: signal, R: row 0 of y, y0 */
     pivot_0[0] = predicted_covariance + numbers[0];
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0[0] > 0.0))
-        {
-            return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0[0] > 0.0)) { return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0[0];
         const double t0 = innovation_0[0] * inverse_0;
         quadratic = innovation_0[0] * t0;
-        const double t1 = predicted_covariance * t0;
-        mean[0] = predicted_state + t1;
-        const double t2 = predicted_covariance * inverse_0;
-        const double t3 = t2 * predicted_covariance;
-        covariance[0] = predicted_covariance - t3;
+        mean[0] = predicted_state + (predicted_covariance * t0);
+        const double t1 = predicted_covariance * inverse_0 * predicted_covariance;
+        covariance[0] = predicted_covariance - t1;
         log_constant = SENSOR_FAULTS_1_LOG_2_PI;
         determinant_0 = pivot_0[0];
     }
 
     /* mode 0: signal, R */
-    const double t4 = sensor_faults_1_log(determinant_0);
-    const double t5 = log_constant + t4;
-    const double t6 = quadratic + t5;
-    log_density[0] = -0.5 * t6;
+    log_density[0] = -0.5 * (quadratic + (log_constant + sensor_faults_1_log(determinant_0)));
     return SENSOR_FAULTS_1_OK;
 }
 
@@ -308,36 +290,27 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     double whitening_inverse_combined_0 = 0.0;
     double combined_state;
     sensor_faults_1_status_t status;
-    if (!(self->predicted_covariance[0] >= 0.0))
-    {
-        return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE;
-    }
+    if (!(self->predicted_covariance[0] >= 0.0)) { return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE; }
 
-    /* mode 0: signal, R */
+    /* mode 0: signal, R: innovation, row by row */
     status = sensor_faults_1_mode(y[0], self->predicted_state[0], &innovation_m0_0, &mean_m0,
         self->predicted_covariance[0], &covariance_m0, &pivot_m0_0, &log_density_m0,
         sensor_faults_1_mode_numbers[0], present);
-    if (status != SENSOR_FAULTS_1_OK)
-    {
-        return status;
-    }
+    if (status != SENSOR_FAULTS_1_OK) { return status; }
 
-    /* mode 1: signal, noise x 10 */
+    /* mode 1: signal, noise x 10: innovation, row by row */
     status = sensor_faults_1_mode(y[0], self->predicted_state[0], &innovation_m1_0, &mean_m1,
         self->predicted_covariance[0], &covariance_m1, &pivot_m1_0, &log_density_m1,
         sensor_faults_1_mode_numbers[1], present);
-    if (status != SENSOR_FAULTS_1_OK)
-    {
-        return status;
-    }
+    if (status != SENSOR_FAULTS_1_OK) { return status; }
 
-    /* innovation, row by row */
+    /* mode 2: no signal, R: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
         innovation_m2_0 = y[0];
     }
 
-    /* row 0 of y, y0 */
+    /* mode 2: no signal, R: row 0 of y, y0 */
     if ((present & 0x1u) != 0u)
     {
         quadratic_m2 = innovation_m2_0 * innovation_m2_0;
@@ -345,26 +318,23 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
     }
 
     /* mode 2: no signal, R */
-    const double t0 = quadratic_m2 + log_constant_m2;
-    log_density_m2 = -0.5 * t0;
+    log_density_m2 = -0.5 * (quadratic_m2 + log_constant_m2);
 
-    /* innovation, row by row */
+    /* mode 3: no signal, noise x 10: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
         innovation_m3_0 = y[0];
     }
 
-    /* row 0 of y, y0 */
+    /* mode 3: no signal, noise x 10: row 0 of y, y0 */
     if ((present & 0x1u) != 0u)
     {
-        const double t1 = 0.1 * innovation_m3_0;
-        quadratic_m3 = innovation_m3_0 * t1;
+        quadratic_m3 = innovation_m3_0 * (0.1 * innovation_m3_0);
         log_constant_m3 = 4.140462159403391;
     }
 
     /* mode 3: no signal, noise x 10 */
-    const double t2 = quadratic_m3 + log_constant_m3;
-    log_density_m3 = -0.5 * t2;
+    log_density_m3 = -0.5 * (quadratic_m3 + log_constant_m3);
 
     /* probabilities of the modes */
     weight[0] = self->predicted_mode_probability[0];
@@ -381,25 +351,17 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
         log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
         log_joint[3] = self->predicted_log_weight[3] + log_density_m3;
-        const double t3 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        const double t4 = (t3 > log_joint[2]) ? t3 : log_joint[2];
-        log_largest = (t4 > log_joint[3]) ? t4 : log_joint[3];
-        const double t5 = log_joint[0] - log_largest;
-        share_of_largest[0] = sensor_faults_1_exp(t5);
-        const double t6 = log_joint[1] - log_largest;
-        share_of_largest[1] = sensor_faults_1_exp(t6);
-        const double t7 = log_joint[2] - log_largest;
-        share_of_largest[2] = sensor_faults_1_exp(t7);
-        const double t8 = log_joint[3] - log_largest;
-        share_of_largest[3] = sensor_faults_1_exp(t8);
-        const double t9 = share_of_largest[0] + share_of_largest[1];
-        const double t10 = t9 + share_of_largest[2];
-        share_total = t10 + share_of_largest[3];
-        const double t11 = log_largest - SENSOR_FAULTS_1_LEAST_LOG_DENSITY;
-        if (!(t11 > 0.0))
-        {
-            return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
-        }
+        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        const double t1 = (t0 > log_joint[2]) ? t0 : log_joint[2];
+        log_largest = (t1 > log_joint[3]) ? t1 : log_joint[3];
+        share_of_largest[0] = sensor_faults_1_exp(log_joint[0] - log_largest);
+        share_of_largest[1] = sensor_faults_1_exp(log_joint[1] - log_largest);
+        share_of_largest[2] = sensor_faults_1_exp(log_joint[2] - log_largest);
+        share_of_largest[3] = sensor_faults_1_exp(log_joint[3] - log_largest);
+        const double t2 = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
+        share_total = t2 + share_of_largest[3];
+        const double t3 = log_largest - SENSOR_FAULTS_1_LEAST_LOG_DENSITY;
+        if (!(t3 > 0.0)) { return SENSOR_FAULTS_1_RESULT_NOT_FINITE; }
         if (!sensor_faults_1_finite(sensor_faults_1_defect(share_total)))
         {
             return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
@@ -410,99 +372,63 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_correct(const se
         weight[1] = share_of_largest[1] * share_total_inverse;
         weight[2] = share_of_largest[2] * share_total_inverse;
         weight[3] = share_of_largest[3] * share_total_inverse;
-        const double t12 = log_joint[0] - log_largest;
-        const double t13 = t12 - log_share_total;
-        log_weight_now[0] = (t13 > SENSOR_FAULTS_1_LOG_ZERO) ? t13 : SENSOR_FAULTS_1_LOG_ZERO;
-        const double t14 = log_joint[1] - log_largest;
-        const double t15 = t14 - log_share_total;
-        log_weight_now[1] = (t15 > SENSOR_FAULTS_1_LOG_ZERO) ? t15 : SENSOR_FAULTS_1_LOG_ZERO;
-        const double t16 = log_joint[2] - log_largest;
-        const double t17 = t16 - log_share_total;
-        log_weight_now[2] = (t17 > SENSOR_FAULTS_1_LOG_ZERO) ? t17 : SENSOR_FAULTS_1_LOG_ZERO;
-        const double t18 = log_joint[3] - log_largest;
-        const double t19 = t18 - log_share_total;
-        log_weight_now[3] = (t19 > SENSOR_FAULTS_1_LOG_ZERO) ? t19 : SENSOR_FAULTS_1_LOG_ZERO;
+        const double t4 = (log_joint[0] - log_largest) - log_share_total;
+        log_weight_now[0] = (t4 > SENSOR_FAULTS_1_LOG_ZERO) ? t4 : SENSOR_FAULTS_1_LOG_ZERO;
+        const double t5 = (log_joint[1] - log_largest) - log_share_total;
+        log_weight_now[1] = (t5 > SENSOR_FAULTS_1_LOG_ZERO) ? t5 : SENSOR_FAULTS_1_LOG_ZERO;
+        const double t6 = (log_joint[2] - log_largest) - log_share_total;
+        log_weight_now[2] = (t6 > SENSOR_FAULTS_1_LOG_ZERO) ? t6 : SENSOR_FAULTS_1_LOG_ZERO;
+        const double t7 = (log_joint[3] - log_largest) - log_share_total;
+        log_weight_now[3] = (t7 > SENSOR_FAULTS_1_LOG_ZERO) ? t7 : SENSOR_FAULTS_1_LOG_ZERO;
         log_evidence = log_largest + log_share_total;
     }
 
     /* innovation of the mixture */
     predicted_y_m0 = self->predicted_state[0];
     predicted_y_m1 = self->predicted_state[0];
-    const double t20 = self->predicted_mode_probability[0] * pivot_m0_0;
-    const double t21 = self->predicted_mode_probability[1] * pivot_m1_0;
-    const double t22 = t20 + t21;
-    const double t23 = t22 + self->predicted_mode_probability[2];
-    const double t24 = 10.0 * self->predicted_mode_probability[3];
-    const double t25 = t23 + t24;
-    const double t26 = self->predicted_mode_probability[0] * predicted_y_m0;
-    const double t27 = self->predicted_mode_probability[1] * predicted_y_m1;
-    const double t28 = t26 + t27;
-    const double t29 = predicted_y_m0 - t28;
-    const double t30 = self->predicted_mode_probability[0] * t29;
-    const double t31 = t30 * t29;
-    const double t32 = predicted_y_m1 - t28;
-    const double t33 = self->predicted_mode_probability[1] * t32;
-    const double t34 = t33 * t32;
-    const double t35 = t31 + t34;
-    const double t36 = self->predicted_mode_probability[2] + self->predicted_mode_probability[3];
-    const double t37 = t36 * t28;
-    const double t38 = t37 * t28;
-    const double t39 = t35 + t38;
-    combined_variance = t25 + t39;
-    const double t40 = self->predicted_mode_probability[0] * innovation_m0_0;
-    const double t41 = self->predicted_mode_probability[1] * innovation_m1_0;
-    const double t42 = t40 + t41;
-    const double t43 = self->predicted_mode_probability[2] * innovation_m2_0;
-    const double t44 = t42 + t43;
-    const double t45 = self->predicted_mode_probability[3] * innovation_m3_0;
-    combined_innovation = t44 + t45;
+    const double t8 = self->predicted_mode_probability[0] * pivot_m0_0;
+    const double t9 = t8 + (self->predicted_mode_probability[1] * pivot_m1_0);
+    const double t10 = t9 + self->predicted_mode_probability[2];
+    const double t11 = t10 + (10.0 * self->predicted_mode_probability[3]);
+    const double t12 = self->predicted_mode_probability[0] * predicted_y_m0;
+    const double t13 = t12 + (self->predicted_mode_probability[1] * predicted_y_m1);
+    const double t14 = predicted_y_m0 - t13;
+    const double t15 = self->predicted_mode_probability[0] * t14 * t14;
+    const double t16 = predicted_y_m1 - t13;
+    const double t17 = t15 + (self->predicted_mode_probability[1] * t16 * t16);
+    const double t18 = self->predicted_mode_probability[2] + self->predicted_mode_probability[3];
+    combined_variance = t11 + (t17 + (t18 * t13 * t13));
+    const double t19 = self->predicted_mode_probability[0] * innovation_m0_0;
+    const double t20 = t19 + (self->predicted_mode_probability[1] * innovation_m1_0);
+    const double t21 = t20 + (self->predicted_mode_probability[2] * innovation_m2_0);
+    combined_innovation = t21 + (self->predicted_mode_probability[3] * innovation_m3_0);
     whitening_pivot_combined_0 = combined_variance;
     if ((present & 0x1u) != 0u)
     {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_0 > 0.0)) { return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
 
     /* combination */
-    const double t46 = weight[0] * mean_m0;
-    const double t47 = weight[1] * mean_m1;
-    const double t48 = t46 + t47;
-    const double t49 = weight[2] * self->predicted_state[0];
-    const double t50 = t48 + t49;
-    const double t51 = weight[3] * self->predicted_state[0];
-    combined_state = t50 + t51;
+    const double t22 = (weight[0] * mean_m0) + (weight[1] * mean_m1);
+    const double t23 = t22 + (weight[2] * self->predicted_state[0]);
+    combined_state = t23 + (weight[3] * self->predicted_state[0]);
     if (!sensor_faults_1_finite(sensor_faults_1_defect(combined_state)))
     {
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }
-    const double t52 = combined_innovation * combined_innovation;
-    next->nis = t52 * whitening_inverse_combined_0;
-    const double t53 = weight[0] * covariance_m0;
-    const double t54 = weight[1] * covariance_m1;
-    const double t55 = t53 + t54;
-    const double t56 = weight[2] * self->predicted_covariance[0];
-    const double t57 = t55 + t56;
-    const double t58 = weight[3] * self->predicted_covariance[0];
-    const double t59 = t57 + t58;
-    const double t60 = mean_m0 - combined_state;
-    const double t61 = weight[0] * t60;
-    const double t62 = t61 * t60;
-    const double t63 = mean_m1 - combined_state;
-    const double t64 = weight[1] * t63;
-    const double t65 = t64 * t63;
-    const double t66 = t62 + t65;
-    const double t67 = self->predicted_state[0] - combined_state;
-    const double t68 = weight[2] * t67;
-    const double t69 = t68 * t67;
-    const double t70 = t66 + t69;
-    const double t71 = self->predicted_state[0] - combined_state;
-    const double t72 = weight[3] * t71;
-    const double t73 = t72 * t71;
-    const double t74 = t70 + t73;
-    next->filtered_covariance[0] = t59 + t74;
+    next->nis = combined_innovation * combined_innovation * whitening_inverse_combined_0;
+    const double t24 = (weight[0] * covariance_m0) + (weight[1] * covariance_m1);
+    const double t25 = t24 + (weight[2] * self->predicted_covariance[0]);
+    const double t26 = t25 + (weight[3] * self->predicted_covariance[0]);
+    const double t27 = mean_m0 - combined_state;
+    const double t28 = weight[0] * t27 * t27;
+    const double t29 = mean_m1 - combined_state;
+    const double t30 = t28 + (weight[1] * t29 * t29);
+    const double t31 = self->predicted_state[0] - combined_state;
+    const double t32 = t30 + (weight[2] * t31 * t31);
+    const double t33 = self->predicted_state[0] - combined_state;
+    next->filtered_covariance[0] = t26 + (t32 + (weight[3] * t33 * t33));
     next->innovation[0] = combined_innovation;
     next->innovation_covariance[0] = combined_variance;
     next->mode_probability[0] = weight[0];
@@ -525,40 +451,33 @@ SENSOR_FAULTS_1_INLINE sensor_faults_1_status_t sensor_faults_1_propagate(const 
     double mode_prediction_0;
     double mode_prediction_1;
     const double t0 = 0.08000000000000002 * self->mode_probability[0];
-    const double t1 = 0.08000000000000002 * self->mode_probability[1];
-    const double t2 = t0 + t1;
-    const double t3 = 0.7200000000000001 * self->mode_probability[2];
-    const double t4 = t2 + t3;
-    const double t5 = 0.7200000000000001 * self->mode_probability[3];
-    mode_prediction_0 = t4 + t5;
-    const double t6 = 0.7200000000000001 * self->mode_probability[0];
-    const double t7 = 0.7200000000000001 * self->mode_probability[1];
-    const double t8 = t6 + t7;
-    const double t9 = 0.08000000000000002 * self->mode_probability[2];
-    const double t10 = t8 + t9;
-    const double t11 = 0.08000000000000002 * self->mode_probability[3];
-    mode_prediction_1 = t10 + t11;
+    const double t1 = t0 + (0.08000000000000002 * self->mode_probability[1]);
+    const double t2 = t1 + (0.7200000000000001 * self->mode_probability[2]);
+    mode_prediction_0 = t2 + (0.7200000000000001 * self->mode_probability[3]);
+    const double t3 = 0.7200000000000001 * self->mode_probability[0];
+    const double t4 = t3 + (0.7200000000000001 * self->mode_probability[1]);
+    const double t5 = t4 + (0.08000000000000002 * self->mode_probability[2]);
+    mode_prediction_1 = t5 + (0.08000000000000002 * self->mode_probability[3]);
 
     /* prediction of the next sample */
     next->predicted_mode_probability[1] = 0.25 * mode_prediction_0;
     next->predicted_mode_probability[3] = 0.25 * mode_prediction_1;
-    const double t12 = sensor_faults_1_log(mode_prediction_0);
-    next->predicted_log_weight[1] = t12 + -1.3862943611198906;
-    const double t13 = sensor_faults_1_log(mode_prediction_1);
-    next->predicted_log_weight[3] = t13 + -1.3862943611198906;
-    const double t14 = -0.8 * self->filtered_state[0];
-    const double t15 = 0.6400000000000001 * self->filtered_covariance[0];
-    const double t16 = t15 + 1.0;
-    if (!sensor_faults_1_finite(sensor_faults_1_defect(t14) + sensor_faults_1_defect(t16)))
+    const double t6 = sensor_faults_1_log(mode_prediction_0);
+    next->predicted_log_weight[1] = t6 + -1.3862943611198906;
+    const double t7 = sensor_faults_1_log(mode_prediction_1);
+    next->predicted_log_weight[3] = t7 + -1.3862943611198906;
+    const double t8 = -0.8 * self->filtered_state[0];
+    const double t9 = (0.6400000000000001 * self->filtered_covariance[0]) + 1.0;
+    if (!sensor_faults_1_finite(sensor_faults_1_defect(t8) + sensor_faults_1_defect(t9)))
     {
         return SENSOR_FAULTS_1_RESULT_NOT_FINITE;
     }
     next->predicted_mode_probability[0] = mode_prediction_0;
     next->predicted_mode_probability[2] = mode_prediction_1;
-    next->predicted_log_weight[0] = t12;
-    next->predicted_log_weight[2] = t13;
-    next->predicted_state[0] = t14;
-    next->predicted_covariance[0] = t16;
+    next->predicted_log_weight[0] = t6;
+    next->predicted_log_weight[2] = t7;
+    next->predicted_state[0] = t8;
+    next->predicted_covariance[0] = t9;
     return SENSOR_FAULTS_1_OK;
 }
 
@@ -576,10 +495,7 @@ static void sensor_faults_1_fill(double *to, int size, const double *from, int p
 
 sensor_faults_1_status_t sensor_faults_1_init(sensor_faults_1_t *self)
 {
-    if (self == NULL)
-    {
-        return SENSOR_FAULTS_1_NULL_POINTER;
-    }
+    if (self == NULL) { return SENSOR_FAULTS_1_NULL_POINTER; }
     sensor_faults_1_fill(self->predicted_state, 1, sensor_faults_1_zero_0, 1);
     sensor_faults_1_fill(self->predicted_covariance, 1, sensor_faults_1_zero_0, 1);
     sensor_faults_1_fill(self->filtered_state, 1, sensor_faults_1_zero_0, 1);
@@ -604,20 +520,14 @@ sensor_faults_1_status_t sensor_faults_1_update(sensor_faults_1_t *self, const d
     sensor_faults_1_t next;
     uint32_t present;
     sensor_faults_1_status_t status;
-    if ((self == NULL) || (y == NULL))
-    {
-        return SENSOR_FAULTS_1_NULL_POINTER;
-    }
+    if ((self == NULL) || (y == NULL)) { return SENSOR_FAULTS_1_NULL_POINTER; }
     if (!sensor_faults_1_present_rows(y, valid, &present))
     {
         return SENSOR_FAULTS_1_INPUT_NOT_FINITE;
     }
     next = *self;
     status = sensor_faults_1_correct(self, y, present, &next);
-    if (status != SENSOR_FAULTS_1_OK)
-    {
-        return status;
-    }
+    if (status != SENSOR_FAULTS_1_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? SENSOR_FAULTS_1_OK : SENSOR_FAULTS_1_SKIPPED;
 }
@@ -626,16 +536,10 @@ sensor_faults_1_status_t sensor_faults_1_predict(sensor_faults_1_t *self)
 {
     sensor_faults_1_t next;
     sensor_faults_1_status_t status;
-    if (self == NULL)
-    {
-        return SENSOR_FAULTS_1_NULL_POINTER;
-    }
+    if (self == NULL) { return SENSOR_FAULTS_1_NULL_POINTER; }
     next = *self;
     status = sensor_faults_1_propagate(self, &next);
-    if (status != SENSOR_FAULTS_1_OK)
-    {
-        return status;
-    }
+    if (status != SENSOR_FAULTS_1_OK) { return status; }
     *self = next;
     return SENSOR_FAULTS_1_OK;
 }
@@ -646,24 +550,15 @@ sensor_faults_1_status_t sensor_faults_1_step(sensor_faults_1_t *self, const dou
     sensor_faults_1_t next;
     uint32_t present;
     sensor_faults_1_status_t status;
-    if ((self == NULL) || (y == NULL))
-    {
-        return SENSOR_FAULTS_1_NULL_POINTER;
-    }
+    if ((self == NULL) || (y == NULL)) { return SENSOR_FAULTS_1_NULL_POINTER; }
     if (!sensor_faults_1_present_rows(y, valid, &present))
     {
         return SENSOR_FAULTS_1_INPUT_NOT_FINITE;
     }
     status = sensor_faults_1_correct(self, y, present, &next);
-    if (status != SENSOR_FAULTS_1_OK)
-    {
-        return status;
-    }
+    if (status != SENSOR_FAULTS_1_OK) { return status; }
     status = sensor_faults_1_propagate(&next, &next);
-    if (status != SENSOR_FAULTS_1_OK)
-    {
-        return status;
-    }
+    if (status != SENSOR_FAULTS_1_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? SENSOR_FAULTS_1_OK : SENSOR_FAULTS_1_SKIPPED;
 }

@@ -69,10 +69,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -101,10 +98,7 @@ sensor_faults_2_status_t sensor_faults_2_selftest(void)
     {
         const sensor_faults_2_status_t status = sensor_faults_2_step(&filter, measurement[k],
             valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], SENSOR_FAULTS_2_NX))
         {
             return SENSOR_FAULTS_2_SELFTEST_FAILED;

@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define SHIP_TRACK_INLINE static inline __attribute__((always_inline))
@@ -38,14 +43,8 @@ static double ship_track_log(double x)
     ship_track_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -95,18 +94,9 @@ static double ship_track_exp(double x)
 {
     double y, part, r;
     int32_t k, half;
-    if (x > 709.782712893384)
-    {
-        return DBL_MAX * 2.0;
-    }
-    if (x < -745.1332191019411)
-    {
-        return 0.0;
-    }
-    if (!(x <= DBL_MAX))
-    {
-        return x;
-    }
+    if (x > 709.782712893384) { return DBL_MAX * 2.0; }
+    if (x < -745.1332191019411) { return 0.0; }
+    if (!(x <= DBL_MAX)) { return x; }
     r = x * 1.4426950408889634;
     r = r + ((x >= 0.0) ? 0.5 : -0.5);
     k = (int32_t)r;
@@ -297,69 +287,63 @@ static int ship_track_present_rows(const double *y, uint32_t valid, uint32_t *pr
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* row 2 of y, report_speed_east. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_row_of_y(const double pivot_1, double *mean,
+/* Copy the elements of an array to another. */
+SHIP_TRACK_INLINE void ship_track_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* mode 0: the model: row 2 of y, report_speed_east. */
+SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_2(const double pivot_1, double *mean,
     const double mode_state, const double innovation_1, double *quadratic, double *log_constant,
     double *determinant_0, double *covariance, uint32_t present)
 {
     double inverse_1 = 0.0;
     if ((present & 0x2u) != 0u)
     {
-        if (!(pivot_1 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_1 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         inverse_1 = 1.0 / pivot_1;
-        const double t0 = mean[1] - mode_state;
-        const double t1 = innovation_1 - t0;
-        const double t2 = t1 * inverse_1;
-        const double t3 = t1 * t2;
-        quadratic[0] = quadratic[0] + t3;
+        const double t0 = innovation_1 - (mean[1] - mode_state);
+        const double t1 = t0 * inverse_1;
+        quadratic[0] = quadratic[0] + (t0 * t1);
         log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_1;
-        const double t4 = covariance[1] * t2;
-        mean[0] = mean[0] + t4;
-        const double t5 = covariance[2] * t2;
-        mean[1] = mean[1] + t5;
-        const double t6 = covariance[4] * t2;
-        mean[2] = mean[2] + t6;
-        const double t7 = covariance[7] * t2;
-        mean[3] = mean[3] + t7;
-        const double t8 = covariance[1] * inverse_1;
-        const double t9 = t8 * covariance[1];
-        covariance[0] = covariance[0] - t9;
-        const double t10 = covariance[2] * inverse_1;
-        const double t11 = t10 * covariance[1];
-        const double t12 = covariance[1] - t11;
-        const double t13 = t10 * covariance[2];
-        const double t14 = covariance[2] - t13;
-        const double t15 = covariance[4] * inverse_1;
-        const double t16 = t15 * covariance[1];
-        covariance[3] = covariance[3] - t16;
-        const double t17 = t15 * covariance[2];
-        const double t18 = covariance[4] - t17;
-        const double t19 = t15 * covariance[4];
-        covariance[5] = covariance[5] - t19;
-        const double t20 = covariance[7] * inverse_1;
-        const double t21 = t20 * covariance[1];
-        covariance[6] = covariance[6] - t21;
-        const double t22 = t20 * covariance[2];
-        const double t23 = covariance[7] - t22;
-        const double t24 = t20 * covariance[4];
-        covariance[8] = covariance[8] - t24;
-        const double t25 = t20 * covariance[7];
-        covariance[9] = covariance[9] - t25;
-        covariance[1] = t12;
-        covariance[2] = t14;
-        covariance[4] = t18;
-        covariance[7] = t23;
+        mean[0] = mean[0] + (covariance[1] * t1);
+        mean[1] = mean[1] + (covariance[2] * t1);
+        mean[2] = mean[2] + (covariance[4] * t1);
+        mean[3] = mean[3] + (covariance[7] * t1);
+        covariance[0] = covariance[0] - (covariance[1] * inverse_1 * covariance[1]);
+        const double t2 = covariance[2] * inverse_1;
+        const double t3 = covariance[1] - (t2 * covariance[1]);
+        const double t4 = covariance[2] - (t2 * covariance[2]);
+        const double t5 = covariance[4] * inverse_1;
+        covariance[3] = covariance[3] - (t5 * covariance[1]);
+        const double t6 = covariance[4] - (t5 * covariance[2]);
+        covariance[5] = covariance[5] - (t5 * covariance[4]);
+        const double t7 = covariance[7] * inverse_1;
+        covariance[6] = covariance[6] - (t7 * covariance[1]);
+        const double t8 = covariance[7] - (t7 * covariance[2]);
+        covariance[8] = covariance[8] - (t7 * covariance[4]);
+        covariance[9] = covariance[9] - (t7 * covariance[7]);
+        covariance[1] = t3;
+        covariance[2] = t4;
+        covariance[4] = t6;
+        covariance[7] = t8;
     }
 
-    /* row 2 of y, report_speed_east */
+    /* mode 0: the model: row 2 of y, report_speed_east */
     return SHIP_TRACK_OK;
 }
 
-/* mode 0: the model; mode 1: with its own A, Q; mode 2: with its own A, Q. */
+/* mode 0: the model: innovation, row by row; mode 1: with its own A, Q: innovation, row by row;
+ * mode 2: with its own A, Q: innovation, row by row. */
 SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const double *mode_state,
     double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
     const double *mode_covariance, double *variance, double *mean, double *covariance,
@@ -374,7 +358,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const dou
     double inverse_3 = 0.0;
     ship_track_status_t status;
 
-    /* innovation, row by row */
+    /* mode 0: the model: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
         innovation_0[0] = y[0] - mode_state[0];
@@ -407,173 +391,103 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const dou
     mean[1] = mode_state[1];
     mean[2] = mode_state[2];
     mean[3] = mode_state[3];
-    covariance[0] = mode_covariance[0];
-    covariance[1] = mode_covariance[1];
-    covariance[2] = mode_covariance[2];
-    covariance[3] = mode_covariance[3];
-    covariance[4] = mode_covariance[4];
-    covariance[5] = mode_covariance[5];
-    covariance[6] = mode_covariance[6];
-    covariance[7] = mode_covariance[7];
-    covariance[8] = mode_covariance[8];
-    covariance[9] = mode_covariance[9];
+    ship_track_copy(mode_covariance, covariance, 10);
 
-    /* row 0 of y, report_east */
+    /* mode 0: the model: row 0 of y, report_east */
     pivot_0 = mode_covariance[0] + 16.0;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_0 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0;
         const double t0 = innovation_0[0] * inverse_0;
         quadratic[0] = innovation_0[0] * t0;
-        const double t1 = mode_covariance[0] * t0;
-        mean[0] = mode_state[0] + t1;
-        const double t2 = mode_covariance[1] * t0;
-        mean[1] = mode_state[1] + t2;
-        const double t3 = mode_covariance[3] * t0;
-        mean[2] = mode_state[2] + t3;
-        const double t4 = mode_covariance[6] * t0;
-        mean[3] = mode_state[3] + t4;
-        const double t5 = mode_covariance[0] * inverse_0;
-        const double t6 = t5 * mode_covariance[0];
-        covariance[0] = mode_covariance[0] - t6;
-        const double t7 = mode_covariance[1] * inverse_0;
-        const double t8 = t7 * mode_covariance[0];
-        covariance[1] = mode_covariance[1] - t8;
-        const double t9 = t7 * mode_covariance[1];
-        covariance[2] = mode_covariance[2] - t9;
-        const double t10 = mode_covariance[3] * inverse_0;
-        const double t11 = t10 * mode_covariance[0];
-        covariance[3] = mode_covariance[3] - t11;
-        const double t12 = t10 * mode_covariance[1];
-        covariance[4] = mode_covariance[4] - t12;
-        const double t13 = t10 * mode_covariance[3];
-        covariance[5] = mode_covariance[5] - t13;
-        const double t14 = mode_covariance[6] * inverse_0;
-        const double t15 = t14 * mode_covariance[0];
-        covariance[6] = mode_covariance[6] - t15;
-        const double t16 = t14 * mode_covariance[1];
-        covariance[7] = mode_covariance[7] - t16;
-        const double t17 = t14 * mode_covariance[3];
-        covariance[8] = mode_covariance[8] - t17;
-        const double t18 = t14 * mode_covariance[6];
-        covariance[9] = mode_covariance[9] - t18;
+        mean[0] = mode_state[0] + (mode_covariance[0] * t0);
+        mean[1] = mode_state[1] + (mode_covariance[1] * t0);
+        mean[2] = mode_state[2] + (mode_covariance[3] * t0);
+        mean[3] = mode_state[3] + (mode_covariance[6] * t0);
+        covariance[0] = mode_covariance[0] - (mode_covariance[0] * inverse_0 * mode_covariance[0]);
+        const double t1 = mode_covariance[1] * inverse_0;
+        covariance[1] = mode_covariance[1] - (t1 * mode_covariance[0]);
+        covariance[2] = mode_covariance[2] - (t1 * mode_covariance[1]);
+        const double t2 = mode_covariance[3] * inverse_0;
+        covariance[3] = mode_covariance[3] - (t2 * mode_covariance[0]);
+        covariance[4] = mode_covariance[4] - (t2 * mode_covariance[1]);
+        covariance[5] = mode_covariance[5] - (t2 * mode_covariance[3]);
+        const double t3 = mode_covariance[6] * inverse_0;
+        covariance[6] = mode_covariance[6] - (t3 * mode_covariance[0]);
+        covariance[7] = mode_covariance[7] - (t3 * mode_covariance[1]);
+        covariance[8] = mode_covariance[8] - (t3 * mode_covariance[3]);
+        covariance[9] = mode_covariance[9] - (t3 * mode_covariance[6]);
         log_constant[0] = SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = pivot_0;
     }
 
-    /* row 1 of y, report_north */
+    /* mode 0: the model: row 1 of y, report_north */
     pivot_1 = covariance[2] + 36.0;
-    status = ship_track_row_of_y(pivot_1, mean, mode_state[1], innovation_1[0], quadratic,
+    status = ship_track_mode_2(pivot_1, mean, mode_state[1], innovation_1[0], quadratic,
         log_constant, determinant_0, covariance, present);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
+    if (status != SHIP_TRACK_OK) { return status; }
     pivot_2 = covariance[5] + 0.04;
     if ((present & 0x4u) != 0u)
     {
-        if (!(pivot_2 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_2 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         inverse_2 = 1.0 / pivot_2;
-        const double t19 = mean[2] - mode_state[2];
-        const double t20 = innovation_2[0] - t19;
-        const double t21 = t20 * inverse_2;
-        const double t22 = t20 * t21;
-        quadratic[0] = quadratic[0] + t22;
+        const double t4 = innovation_2[0] - (mean[2] - mode_state[2]);
+        const double t5 = t4 * inverse_2;
+        quadratic[0] = quadratic[0] + (t4 * t5);
         log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_2;
-        const double t23 = covariance[3] * t21;
-        mean[0] = mean[0] + t23;
-        const double t24 = covariance[4] * t21;
-        mean[1] = mean[1] + t24;
-        const double t25 = covariance[5] * t21;
-        mean[2] = mean[2] + t25;
-        const double t26 = covariance[8] * t21;
-        mean[3] = mean[3] + t26;
-        const double t27 = covariance[3] * inverse_2;
-        const double t28 = t27 * covariance[3];
-        covariance[0] = covariance[0] - t28;
-        const double t29 = covariance[4] * inverse_2;
-        const double t30 = t29 * covariance[3];
-        covariance[1] = covariance[1] - t30;
-        const double t31 = t29 * covariance[4];
-        covariance[2] = covariance[2] - t31;
-        const double t32 = covariance[5] * inverse_2;
-        const double t33 = t32 * covariance[3];
-        const double t34 = covariance[3] - t33;
-        const double t35 = t32 * covariance[4];
-        const double t36 = covariance[4] - t35;
-        const double t37 = t32 * covariance[5];
-        const double t38 = covariance[5] - t37;
-        const double t39 = covariance[8] * inverse_2;
-        const double t40 = t39 * covariance[3];
-        covariance[6] = covariance[6] - t40;
-        const double t41 = t39 * covariance[4];
-        covariance[7] = covariance[7] - t41;
-        const double t42 = t39 * covariance[5];
-        const double t43 = covariance[8] - t42;
-        const double t44 = t39 * covariance[8];
-        covariance[9] = covariance[9] - t44;
-        covariance[3] = t34;
-        covariance[4] = t36;
-        covariance[5] = t38;
-        covariance[8] = t43;
+        mean[0] = mean[0] + (covariance[3] * t5);
+        mean[1] = mean[1] + (covariance[4] * t5);
+        mean[2] = mean[2] + (covariance[5] * t5);
+        mean[3] = mean[3] + (covariance[8] * t5);
+        covariance[0] = covariance[0] - (covariance[3] * inverse_2 * covariance[3]);
+        const double t6 = covariance[4] * inverse_2;
+        covariance[1] = covariance[1] - (t6 * covariance[3]);
+        covariance[2] = covariance[2] - (t6 * covariance[4]);
+        const double t7 = covariance[5] * inverse_2;
+        const double t8 = covariance[3] - (t7 * covariance[3]);
+        const double t9 = covariance[4] - (t7 * covariance[4]);
+        const double t10 = covariance[5] - (t7 * covariance[5]);
+        const double t11 = covariance[8] * inverse_2;
+        covariance[6] = covariance[6] - (t11 * covariance[3]);
+        covariance[7] = covariance[7] - (t11 * covariance[4]);
+        const double t12 = covariance[8] - (t11 * covariance[5]);
+        covariance[9] = covariance[9] - (t11 * covariance[8]);
+        covariance[3] = t8;
+        covariance[4] = t9;
+        covariance[5] = t10;
+        covariance[8] = t12;
     }
 
-    /* row 3 of y, report_speed_north */
+    /* mode 0: the model: row 3 of y, report_speed_north */
     pivot_3 = covariance[9] + 0.04;
     if ((present & 0x8u) != 0u)
     {
-        if (!(pivot_3 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_3 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         inverse_3 = 1.0 / pivot_3;
-        const double t45 = mean[3] - mode_state[3];
-        const double t46 = innovation_3[0] - t45;
-        const double t47 = t46 * inverse_3;
-        const double t48 = t46 * t47;
-        quadratic[0] = quadratic[0] + t48;
+        const double t13 = innovation_3[0] - (mean[3] - mode_state[3]);
+        const double t14 = t13 * inverse_3;
+        quadratic[0] = quadratic[0] + (t13 * t14);
         log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_3;
-        const double t49 = covariance[6] * t47;
-        mean[0] = mean[0] + t49;
-        const double t50 = covariance[7] * t47;
-        mean[1] = mean[1] + t50;
-        const double t51 = covariance[8] * t47;
-        mean[2] = mean[2] + t51;
-        const double t52 = covariance[9] * t47;
-        mean[3] = mean[3] + t52;
-        const double t53 = covariance[6] * inverse_3;
-        const double t54 = t53 * covariance[6];
-        covariance[0] = covariance[0] - t54;
-        const double t55 = covariance[7] * inverse_3;
-        const double t56 = t55 * covariance[6];
-        covariance[1] = covariance[1] - t56;
-        const double t57 = t55 * covariance[7];
-        covariance[2] = covariance[2] - t57;
-        const double t58 = covariance[8] * inverse_3;
-        const double t59 = t58 * covariance[6];
-        covariance[3] = covariance[3] - t59;
-        const double t60 = t58 * covariance[7];
-        covariance[4] = covariance[4] - t60;
-        const double t61 = t58 * covariance[8];
-        covariance[5] = covariance[5] - t61;
-        const double t62 = covariance[9] * inverse_3;
-        const double t63 = t62 * covariance[6];
-        covariance[6] = covariance[6] - t63;
-        const double t64 = t62 * covariance[7];
-        covariance[7] = covariance[7] - t64;
-        const double t65 = t62 * covariance[8];
-        covariance[8] = covariance[8] - t65;
-        const double t66 = t62 * covariance[9];
-        covariance[9] = covariance[9] - t66;
+        mean[0] = mean[0] + (covariance[6] * t14);
+        mean[1] = mean[1] + (covariance[7] * t14);
+        mean[2] = mean[2] + (covariance[8] * t14);
+        mean[3] = mean[3] + (covariance[9] * t14);
+        covariance[0] = covariance[0] - (covariance[6] * inverse_3 * covariance[6]);
+        const double t15 = covariance[7] * inverse_3;
+        covariance[1] = covariance[1] - (t15 * covariance[6]);
+        covariance[2] = covariance[2] - (t15 * covariance[7]);
+        const double t16 = covariance[8] * inverse_3;
+        covariance[3] = covariance[3] - (t16 * covariance[6]);
+        covariance[4] = covariance[4] - (t16 * covariance[7]);
+        covariance[5] = covariance[5] - (t16 * covariance[8]);
+        const double t17 = covariance[9] * inverse_3;
+        covariance[6] = covariance[6] - (t17 * covariance[6]);
+        covariance[7] = covariance[7] - (t17 * covariance[7]);
+        covariance[8] = covariance[8] - (t17 * covariance[8]);
+        covariance[9] = covariance[9] - (t17 * covariance[9]);
     }
 
     /* mode 0: the model */
@@ -591,72 +505,47 @@ SHIP_TRACK_INLINE void ship_track_part_3(const double *mixed_0_0_1_mean,
     mixed_0_0_2_apart[2] = mixed_0_0_1_mean[2] - mode_filtered_state[2];
     mixed_0_0_2_apart[3] = mixed_0_0_1_mean[3] - mode_filtered_state[3];
     const double t0 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[0];
-    const double t1 = mixed_0_0_2_share[1] * mode_filtered_state[0];
-    mixed_0_0_2_mean[0] = t0 + t1;
-    const double t2 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[1];
-    const double t3 = mixed_0_0_2_share[1] * mode_filtered_state[1];
-    mixed_0_0_2_mean[1] = t2 + t3;
-    const double t4 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[2];
-    const double t5 = mixed_0_0_2_share[1] * mode_filtered_state[2];
-    mixed_0_0_2_mean[2] = t4 + t5;
-    const double t6 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[3];
-    const double t7 = mixed_0_0_2_share[1] * mode_filtered_state[3];
-    mixed_0_0_2_mean[3] = t6 + t7;
-    const double t8 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
-    const double t9 = mixed_0_0_2_share[1] * covariance[0];
-    const double t10 = t8 + t9;
-    const double t11 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
-    const double t12 = t11 * mixed_0_0_2_apart[0];
-    const double t13 = t12 * mixed_0_0_2_apart[0];
-    mixed_0_0_2_covariance[0] = t10 + t13;
-    const double t14 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
-    const double t15 = mixed_0_0_2_share[1] * covariance[1];
-    const double t16 = t14 + t15;
-    const double t17 = t11 * mixed_0_0_2_apart[1];
-    const double t18 = t17 * mixed_0_0_2_apart[0];
-    mixed_0_0_2_covariance[1] = t16 + t18;
-    const double t19 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
-    const double t20 = mixed_0_0_2_share[1] * covariance[2];
-    const double t21 = t19 + t20;
-    const double t22 = t17 * mixed_0_0_2_apart[1];
-    mixed_0_0_2_covariance[2] = t21 + t22;
-    const double t23 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
-    const double t24 = mixed_0_0_2_share[1] * covariance[3];
-    const double t25 = t23 + t24;
-    const double t26 = t11 * mixed_0_0_2_apart[2];
-    const double t27 = t26 * mixed_0_0_2_apart[0];
-    mixed_0_0_2_covariance[3] = t25 + t27;
-    const double t28 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
-    const double t29 = mixed_0_0_2_share[1] * covariance[4];
-    const double t30 = t28 + t29;
-    const double t31 = t26 * mixed_0_0_2_apart[1];
-    mixed_0_0_2_covariance[4] = t30 + t31;
-    const double t32 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
-    const double t33 = mixed_0_0_2_share[1] * covariance[5];
-    const double t34 = t32 + t33;
-    const double t35 = t26 * mixed_0_0_2_apart[2];
-    mixed_0_0_2_covariance[5] = t34 + t35;
-    const double t36 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
-    const double t37 = mixed_0_0_2_share[1] * covariance[6];
-    const double t38 = t36 + t37;
-    const double t39 = t11 * mixed_0_0_2_apart[3];
-    const double t40 = t39 * mixed_0_0_2_apart[0];
-    mixed_0_0_2_covariance[6] = t38 + t40;
-    const double t41 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
-    const double t42 = mixed_0_0_2_share[1] * covariance[7];
-    const double t43 = t41 + t42;
-    const double t44 = t39 * mixed_0_0_2_apart[1];
-    mixed_0_0_2_covariance[7] = t43 + t44;
-    const double t45 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
-    const double t46 = mixed_0_0_2_share[1] * covariance[8];
-    const double t47 = t45 + t46;
-    const double t48 = t39 * mixed_0_0_2_apart[2];
-    mixed_0_0_2_covariance[8] = t47 + t48;
-    const double t49 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
-    const double t50 = mixed_0_0_2_share[1] * covariance[9];
-    const double t51 = t49 + t50;
-    const double t52 = t39 * mixed_0_0_2_apart[3];
-    mixed_0_0_2_covariance[9] = t51 + t52;
+    mixed_0_0_2_mean[0] = t0 + (mixed_0_0_2_share[1] * mode_filtered_state[0]);
+    const double t1 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[1];
+    mixed_0_0_2_mean[1] = t1 + (mixed_0_0_2_share[1] * mode_filtered_state[1]);
+    const double t2 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[2];
+    mixed_0_0_2_mean[2] = t2 + (mixed_0_0_2_share[1] * mode_filtered_state[2]);
+    const double t3 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[3];
+    mixed_0_0_2_mean[3] = t3 + (mixed_0_0_2_share[1] * mode_filtered_state[3]);
+    const double t4 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
+    const double t5 = t4 + (mixed_0_0_2_share[1] * covariance[0]);
+    const double t6 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
+    mixed_0_0_2_covariance[0] = t5 + (t6 * mixed_0_0_2_apart[0] * mixed_0_0_2_apart[0]);
+    const double t7 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
+    const double t8 = t7 + (mixed_0_0_2_share[1] * covariance[1]);
+    const double t9 = t6 * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[1] = t8 + (t9 * mixed_0_0_2_apart[0]);
+    const double t10 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
+    const double t11 = t10 + (mixed_0_0_2_share[1] * covariance[2]);
+    mixed_0_0_2_covariance[2] = t11 + (t9 * mixed_0_0_2_apart[1]);
+    const double t12 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
+    const double t13 = t12 + (mixed_0_0_2_share[1] * covariance[3]);
+    const double t14 = t6 * mixed_0_0_2_apart[2];
+    mixed_0_0_2_covariance[3] = t13 + (t14 * mixed_0_0_2_apart[0]);
+    const double t15 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
+    const double t16 = t15 + (mixed_0_0_2_share[1] * covariance[4]);
+    mixed_0_0_2_covariance[4] = t16 + (t14 * mixed_0_0_2_apart[1]);
+    const double t17 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
+    const double t18 = t17 + (mixed_0_0_2_share[1] * covariance[5]);
+    mixed_0_0_2_covariance[5] = t18 + (t14 * mixed_0_0_2_apart[2]);
+    const double t19 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
+    const double t20 = t19 + (mixed_0_0_2_share[1] * covariance[6]);
+    const double t21 = t6 * mixed_0_0_2_apart[3];
+    mixed_0_0_2_covariance[6] = t20 + (t21 * mixed_0_0_2_apart[0]);
+    const double t22 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
+    const double t23 = t22 + (mixed_0_0_2_share[1] * covariance[7]);
+    mixed_0_0_2_covariance[7] = t23 + (t21 * mixed_0_0_2_apart[1]);
+    const double t24 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
+    const double t25 = t24 + (mixed_0_0_2_share[1] * covariance[8]);
+    mixed_0_0_2_covariance[8] = t25 + (t21 * mixed_0_0_2_apart[2]);
+    const double t26 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
+    const double t27 = t26 + (mixed_0_0_2_share[1] * covariance[9]);
+    mixed_0_0_2_covariance[9] = t27 + (t21 * mixed_0_0_2_apart[3]);
 }
 
 /* combination; combined prediction. */
@@ -684,68 +573,44 @@ SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *me
     apart_0_1_squared[8] = apart_0_1[3] * apart_0_1[2];
     apart_0_1_squared[9] = apart_0_1[3] * apart_0_1[3];
     const double t0 = combined_0_1_share[0] * mean_m0[0];
-    const double t1 = combined_0_1_share[1] * mean_m1[0];
-    combined_0_1_mean[0] = t0 + t1;
-    const double t2 = combined_0_1_share[0] * mean_m0[1];
-    const double t3 = combined_0_1_share[1] * mean_m1[1];
-    combined_0_1_mean[1] = t2 + t3;
-    const double t4 = combined_0_1_share[0] * mean_m0[2];
-    const double t5 = combined_0_1_share[1] * mean_m1[2];
-    combined_0_1_mean[2] = t4 + t5;
-    const double t6 = combined_0_1_share[0] * mean_m0[3];
-    const double t7 = combined_0_1_share[1] * mean_m1[3];
-    combined_0_1_mean[3] = t6 + t7;
-    const double t8 = combined_0_1_share[0] * covariance[0];
-    const double t9 = combined_0_1_share[1] * covariance_2[0];
-    const double t10 = t8 + t9;
-    const double t11 = combined_0_1_share[0] * combined_0_1_share[1];
-    const double t12 = t11 * apart_0_1_squared[0];
-    combined_0_1_covariance[0] = t10 + t12;
-    const double t13 = combined_0_1_share[0] * covariance[1];
-    const double t14 = combined_0_1_share[1] * covariance_2[1];
-    const double t15 = t13 + t14;
-    const double t16 = t11 * apart_0_1_squared[1];
-    combined_0_1_covariance[1] = t15 + t16;
-    const double t17 = combined_0_1_share[0] * covariance[2];
-    const double t18 = combined_0_1_share[1] * covariance_2[2];
-    const double t19 = t17 + t18;
-    const double t20 = t11 * apart_0_1_squared[2];
-    combined_0_1_covariance[2] = t19 + t20;
-    const double t21 = combined_0_1_share[0] * covariance[3];
-    const double t22 = combined_0_1_share[1] * covariance_2[3];
-    const double t23 = t21 + t22;
-    const double t24 = t11 * apart_0_1_squared[3];
-    combined_0_1_covariance[3] = t23 + t24;
-    const double t25 = combined_0_1_share[0] * covariance[4];
-    const double t26 = combined_0_1_share[1] * covariance_2[4];
-    const double t27 = t25 + t26;
-    const double t28 = t11 * apart_0_1_squared[4];
-    combined_0_1_covariance[4] = t27 + t28;
-    const double t29 = combined_0_1_share[0] * covariance[5];
-    const double t30 = combined_0_1_share[1] * covariance_2[5];
-    const double t31 = t29 + t30;
-    const double t32 = t11 * apart_0_1_squared[5];
-    combined_0_1_covariance[5] = t31 + t32;
-    const double t33 = combined_0_1_share[0] * covariance[6];
-    const double t34 = combined_0_1_share[1] * covariance_2[6];
-    const double t35 = t33 + t34;
-    const double t36 = t11 * apart_0_1_squared[6];
-    combined_0_1_covariance[6] = t35 + t36;
-    const double t37 = combined_0_1_share[0] * covariance[7];
-    const double t38 = combined_0_1_share[1] * covariance_2[7];
-    const double t39 = t37 + t38;
-    const double t40 = t11 * apart_0_1_squared[7];
-    combined_0_1_covariance[7] = t39 + t40;
-    const double t41 = combined_0_1_share[0] * covariance[8];
-    const double t42 = combined_0_1_share[1] * covariance_2[8];
-    const double t43 = t41 + t42;
-    const double t44 = t11 * apart_0_1_squared[8];
-    combined_0_1_covariance[8] = t43 + t44;
-    const double t45 = combined_0_1_share[0] * covariance[9];
-    const double t46 = combined_0_1_share[1] * covariance_2[9];
-    const double t47 = t45 + t46;
-    const double t48 = t11 * apart_0_1_squared[9];
-    combined_0_1_covariance[9] = t47 + t48;
+    combined_0_1_mean[0] = t0 + (combined_0_1_share[1] * mean_m1[0]);
+    const double t1 = combined_0_1_share[0] * mean_m0[1];
+    combined_0_1_mean[1] = t1 + (combined_0_1_share[1] * mean_m1[1]);
+    const double t2 = combined_0_1_share[0] * mean_m0[2];
+    combined_0_1_mean[2] = t2 + (combined_0_1_share[1] * mean_m1[2]);
+    const double t3 = combined_0_1_share[0] * mean_m0[3];
+    combined_0_1_mean[3] = t3 + (combined_0_1_share[1] * mean_m1[3]);
+    const double t4 = combined_0_1_share[0] * covariance[0];
+    const double t5 = t4 + (combined_0_1_share[1] * covariance_2[0]);
+    const double t6 = combined_0_1_share[0] * combined_0_1_share[1];
+    combined_0_1_covariance[0] = t5 + (t6 * apart_0_1_squared[0]);
+    const double t7 = combined_0_1_share[0] * covariance[1];
+    const double t8 = t7 + (combined_0_1_share[1] * covariance_2[1]);
+    combined_0_1_covariance[1] = t8 + (t6 * apart_0_1_squared[1]);
+    const double t9 = combined_0_1_share[0] * covariance[2];
+    const double t10 = t9 + (combined_0_1_share[1] * covariance_2[2]);
+    combined_0_1_covariance[2] = t10 + (t6 * apart_0_1_squared[2]);
+    const double t11 = combined_0_1_share[0] * covariance[3];
+    const double t12 = t11 + (combined_0_1_share[1] * covariance_2[3]);
+    combined_0_1_covariance[3] = t12 + (t6 * apart_0_1_squared[3]);
+    const double t13 = combined_0_1_share[0] * covariance[4];
+    const double t14 = t13 + (combined_0_1_share[1] * covariance_2[4]);
+    combined_0_1_covariance[4] = t14 + (t6 * apart_0_1_squared[4]);
+    const double t15 = combined_0_1_share[0] * covariance[5];
+    const double t16 = t15 + (combined_0_1_share[1] * covariance_2[5]);
+    combined_0_1_covariance[5] = t16 + (t6 * apart_0_1_squared[5]);
+    const double t17 = combined_0_1_share[0] * covariance[6];
+    const double t18 = t17 + (combined_0_1_share[1] * covariance_2[6]);
+    combined_0_1_covariance[6] = t18 + (t6 * apart_0_1_squared[6]);
+    const double t19 = combined_0_1_share[0] * covariance[7];
+    const double t20 = t19 + (combined_0_1_share[1] * covariance_2[7]);
+    combined_0_1_covariance[7] = t20 + (t6 * apart_0_1_squared[7]);
+    const double t21 = combined_0_1_share[0] * covariance[8];
+    const double t22 = t21 + (combined_0_1_share[1] * covariance_2[8]);
+    combined_0_1_covariance[8] = t22 + (t6 * apart_0_1_squared[8]);
+    const double t23 = combined_0_1_share[0] * covariance[9];
+    const double t24 = t23 + (combined_0_1_share[1] * covariance_2[9]);
+    combined_0_1_covariance[9] = t24 + (t6 * apart_0_1_squared[9]);
     ship_track_part_3(combined_0_1_mean, mean_m2, combined_0_2_share, combined_0_2_mean,
         combined_0_1_covariance, covariance_3, combined_0_2_covariance);
 }
@@ -757,68 +622,44 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction(const double *mixed_0_1_
     double *mixed_0_1_covariance)
 {
     const double t0 = mixed_0_1_share[0] * mode_filtered_state[0];
-    const double t1 = mixed_0_1_share[1] * mode_filtered_state[4];
-    mixed_0_1_mean[0] = t0 + t1;
-    const double t2 = mixed_0_1_share[0] * mode_filtered_state[1];
-    const double t3 = mixed_0_1_share[1] * mode_filtered_state[5];
-    mixed_0_1_mean[1] = t2 + t3;
-    const double t4 = mixed_0_1_share[0] * mode_filtered_state[2];
-    const double t5 = mixed_0_1_share[1] * mode_filtered_state[6];
-    mixed_0_1_mean[2] = t4 + t5;
-    const double t6 = mixed_0_1_share[0] * mode_filtered_state[3];
-    const double t7 = mixed_0_1_share[1] * mode_filtered_state[7];
-    mixed_0_1_mean[3] = t6 + t7;
-    const double t8 = mixed_0_1_share[0] * mode_filtered_covariance[0];
-    const double t9 = mixed_0_1_share[1] * mode_filtered_covariance[10];
-    const double t10 = t8 + t9;
-    const double t11 = mixed_0_1_share[0] * mixed_0_1_share[1];
-    const double t12 = t11 * mixed_apart_0_1_squared[0];
-    mixed_0_1_covariance[0] = t10 + t12;
-    const double t13 = mixed_0_1_share[0] * mode_filtered_covariance[1];
-    const double t14 = mixed_0_1_share[1] * mode_filtered_covariance[11];
-    const double t15 = t13 + t14;
-    const double t16 = t11 * mixed_apart_0_1_squared[1];
-    mixed_0_1_covariance[1] = t15 + t16;
-    const double t17 = mixed_0_1_share[0] * mode_filtered_covariance[2];
-    const double t18 = mixed_0_1_share[1] * mode_filtered_covariance[12];
-    const double t19 = t17 + t18;
-    const double t20 = t11 * mixed_apart_0_1_squared[2];
-    mixed_0_1_covariance[2] = t19 + t20;
-    const double t21 = mixed_0_1_share[0] * mode_filtered_covariance[3];
-    const double t22 = mixed_0_1_share[1] * mode_filtered_covariance[13];
-    const double t23 = t21 + t22;
-    const double t24 = t11 * mixed_apart_0_1_squared[3];
-    mixed_0_1_covariance[3] = t23 + t24;
-    const double t25 = mixed_0_1_share[0] * mode_filtered_covariance[4];
-    const double t26 = mixed_0_1_share[1] * mode_filtered_covariance[14];
-    const double t27 = t25 + t26;
-    const double t28 = t11 * mixed_apart_0_1_squared[4];
-    mixed_0_1_covariance[4] = t27 + t28;
-    const double t29 = mixed_0_1_share[0] * mode_filtered_covariance[5];
-    const double t30 = mixed_0_1_share[1] * mode_filtered_covariance[15];
-    const double t31 = t29 + t30;
-    const double t32 = t11 * mixed_apart_0_1_squared[5];
-    mixed_0_1_covariance[5] = t31 + t32;
-    const double t33 = mixed_0_1_share[0] * mode_filtered_covariance[6];
-    const double t34 = mixed_0_1_share[1] * mode_filtered_covariance[16];
-    const double t35 = t33 + t34;
-    const double t36 = t11 * mixed_apart_0_1_squared[6];
-    mixed_0_1_covariance[6] = t35 + t36;
-    const double t37 = mixed_0_1_share[0] * mode_filtered_covariance[7];
-    const double t38 = mixed_0_1_share[1] * mode_filtered_covariance[17];
-    const double t39 = t37 + t38;
-    const double t40 = t11 * mixed_apart_0_1_squared[7];
-    mixed_0_1_covariance[7] = t39 + t40;
-    const double t41 = mixed_0_1_share[0] * mode_filtered_covariance[8];
-    const double t42 = mixed_0_1_share[1] * mode_filtered_covariance[18];
-    const double t43 = t41 + t42;
-    const double t44 = t11 * mixed_apart_0_1_squared[8];
-    mixed_0_1_covariance[8] = t43 + t44;
-    const double t45 = mixed_0_1_share[0] * mode_filtered_covariance[9];
-    const double t46 = mixed_0_1_share[1] * mode_filtered_covariance[19];
-    const double t47 = t45 + t46;
-    const double t48 = t11 * mixed_apart_0_1_squared[9];
-    mixed_0_1_covariance[9] = t47 + t48;
+    mixed_0_1_mean[0] = t0 + (mixed_0_1_share[1] * mode_filtered_state[4]);
+    const double t1 = mixed_0_1_share[0] * mode_filtered_state[1];
+    mixed_0_1_mean[1] = t1 + (mixed_0_1_share[1] * mode_filtered_state[5]);
+    const double t2 = mixed_0_1_share[0] * mode_filtered_state[2];
+    mixed_0_1_mean[2] = t2 + (mixed_0_1_share[1] * mode_filtered_state[6]);
+    const double t3 = mixed_0_1_share[0] * mode_filtered_state[3];
+    mixed_0_1_mean[3] = t3 + (mixed_0_1_share[1] * mode_filtered_state[7]);
+    const double t4 = mixed_0_1_share[0] * mode_filtered_covariance[0];
+    const double t5 = t4 + (mixed_0_1_share[1] * mode_filtered_covariance[10]);
+    const double t6 = mixed_0_1_share[0] * mixed_0_1_share[1];
+    mixed_0_1_covariance[0] = t5 + (t6 * mixed_apart_0_1_squared[0]);
+    const double t7 = mixed_0_1_share[0] * mode_filtered_covariance[1];
+    const double t8 = t7 + (mixed_0_1_share[1] * mode_filtered_covariance[11]);
+    mixed_0_1_covariance[1] = t8 + (t6 * mixed_apart_0_1_squared[1]);
+    const double t9 = mixed_0_1_share[0] * mode_filtered_covariance[2];
+    const double t10 = t9 + (mixed_0_1_share[1] * mode_filtered_covariance[12]);
+    mixed_0_1_covariance[2] = t10 + (t6 * mixed_apart_0_1_squared[2]);
+    const double t11 = mixed_0_1_share[0] * mode_filtered_covariance[3];
+    const double t12 = t11 + (mixed_0_1_share[1] * mode_filtered_covariance[13]);
+    mixed_0_1_covariance[3] = t12 + (t6 * mixed_apart_0_1_squared[3]);
+    const double t13 = mixed_0_1_share[0] * mode_filtered_covariance[4];
+    const double t14 = t13 + (mixed_0_1_share[1] * mode_filtered_covariance[14]);
+    mixed_0_1_covariance[4] = t14 + (t6 * mixed_apart_0_1_squared[4]);
+    const double t15 = mixed_0_1_share[0] * mode_filtered_covariance[5];
+    const double t16 = t15 + (mixed_0_1_share[1] * mode_filtered_covariance[15]);
+    mixed_0_1_covariance[5] = t16 + (t6 * mixed_apart_0_1_squared[5]);
+    const double t17 = mixed_0_1_share[0] * mode_filtered_covariance[6];
+    const double t18 = t17 + (mixed_0_1_share[1] * mode_filtered_covariance[16]);
+    mixed_0_1_covariance[6] = t18 + (t6 * mixed_apart_0_1_squared[6]);
+    const double t19 = mixed_0_1_share[0] * mode_filtered_covariance[7];
+    const double t20 = t19 + (mixed_0_1_share[1] * mode_filtered_covariance[17]);
+    mixed_0_1_covariance[7] = t20 + (t6 * mixed_apart_0_1_squared[7]);
+    const double t21 = mixed_0_1_share[0] * mode_filtered_covariance[8];
+    const double t22 = t21 + (mixed_0_1_share[1] * mode_filtered_covariance[18]);
+    mixed_0_1_covariance[8] = t22 + (t6 * mixed_apart_0_1_squared[8]);
+    const double t23 = mixed_0_1_share[0] * mode_filtered_covariance[9];
+    const double t24 = t23 + (mixed_0_1_share[1] * mode_filtered_covariance[19]);
+    mixed_0_1_covariance[9] = t24 + (t6 * mixed_apart_0_1_squared[9]);
 }
 
 /* innovation of the mixture. */
@@ -828,159 +669,86 @@ SHIP_TRACK_INLINE void ship_track_innovation_of_the_mixture(const double
     const double *predicted_y_m2, double *combined_variance)
 {
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
-    const double t1 = predicted_mode_probability[1] * variance_m1[0];
-    const double t2 = t0 + t1;
-    const double t3 = predicted_mode_probability[2] * variance_m2[0];
-    const double t4 = t2 + t3;
-    const double t5 = predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t6 = predicted_mode_probability[1] * predicted_y_m1[0];
-    const double t7 = t5 + t6;
-    const double t8 = predicted_mode_probability[2] * predicted_y_m2[0];
-    const double t9 = t7 + t8;
-    const double t10 = predicted_y_m0[0] - t9;
-    const double t11 = predicted_mode_probability[0] * t10;
-    const double t12 = t11 * t10;
-    const double t13 = predicted_y_m1[0] - t9;
-    const double t14 = predicted_mode_probability[1] * t13;
-    const double t15 = t14 * t13;
-    const double t16 = t12 + t15;
-    const double t17 = predicted_y_m2[0] - t9;
-    const double t18 = predicted_mode_probability[2] * t17;
-    const double t19 = t18 * t17;
-    const double t20 = t16 + t19;
-    combined_variance[0] = t4 + t20;
-    const double t21 = predicted_mode_probability[0] * variance_m0[1];
-    const double t22 = predicted_mode_probability[1] * variance_m1[1];
-    const double t23 = t21 + t22;
-    const double t24 = predicted_mode_probability[2] * variance_m2[1];
-    const double t25 = t23 + t24;
-    const double t26 = predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t27 = predicted_mode_probability[1] * predicted_y_m1[1];
-    const double t28 = t26 + t27;
-    const double t29 = predicted_mode_probability[2] * predicted_y_m2[1];
-    const double t30 = t28 + t29;
-    const double t31 = predicted_y_m0[1] - t30;
-    const double t32 = predicted_mode_probability[0] * t31;
-    const double t33 = t32 * t10;
-    const double t34 = predicted_y_m1[1] - t30;
-    const double t35 = predicted_mode_probability[1] * t34;
-    const double t36 = t35 * t13;
-    const double t37 = t33 + t36;
-    const double t38 = predicted_y_m2[1] - t30;
-    const double t39 = predicted_mode_probability[2] * t38;
-    const double t40 = t39 * t17;
-    const double t41 = t37 + t40;
-    combined_variance[1] = t25 + t41;
-    const double t42 = predicted_mode_probability[0] * variance_m0[2];
-    const double t43 = predicted_mode_probability[1] * variance_m1[2];
-    const double t44 = t42 + t43;
-    const double t45 = predicted_mode_probability[2] * variance_m2[2];
-    const double t46 = t44 + t45;
-    const double t47 = t32 * t31;
-    const double t48 = t35 * t34;
-    const double t49 = t47 + t48;
-    const double t50 = t39 * t38;
-    const double t51 = t49 + t50;
-    combined_variance[2] = t46 + t51;
-    const double t52 = predicted_mode_probability[0] * variance_m0[3];
-    const double t53 = predicted_mode_probability[1] * variance_m1[3];
-    const double t54 = t52 + t53;
-    const double t55 = predicted_mode_probability[2] * variance_m2[3];
-    const double t56 = t54 + t55;
-    const double t57 = predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t58 = predicted_mode_probability[1] * predicted_y_m1[2];
-    const double t59 = t57 + t58;
-    const double t60 = predicted_mode_probability[2] * predicted_y_m2[2];
-    const double t61 = t59 + t60;
-    const double t62 = predicted_y_m0[2] - t61;
-    const double t63 = predicted_mode_probability[0] * t62;
-    const double t64 = t63 * t10;
-    const double t65 = predicted_y_m1[2] - t61;
-    const double t66 = predicted_mode_probability[1] * t65;
-    const double t67 = t66 * t13;
-    const double t68 = t64 + t67;
-    const double t69 = predicted_y_m2[2] - t61;
-    const double t70 = predicted_mode_probability[2] * t69;
-    const double t71 = t70 * t17;
-    const double t72 = t68 + t71;
-    combined_variance[3] = t56 + t72;
-    const double t73 = predicted_mode_probability[0] * variance_m0[4];
-    const double t74 = predicted_mode_probability[1] * variance_m1[4];
-    const double t75 = t73 + t74;
-    const double t76 = predicted_mode_probability[2] * variance_m2[4];
-    const double t77 = t75 + t76;
-    const double t78 = t63 * t31;
-    const double t79 = t66 * t34;
-    const double t80 = t78 + t79;
-    const double t81 = t70 * t38;
-    const double t82 = t80 + t81;
-    combined_variance[4] = t77 + t82;
-    const double t83 = predicted_mode_probability[0] * variance_m0[5];
-    const double t84 = predicted_mode_probability[1] * variance_m1[5];
-    const double t85 = t83 + t84;
-    const double t86 = predicted_mode_probability[2] * variance_m2[5];
-    const double t87 = t85 + t86;
-    const double t88 = t63 * t62;
-    const double t89 = t66 * t65;
-    const double t90 = t88 + t89;
-    const double t91 = t70 * t69;
-    const double t92 = t90 + t91;
-    combined_variance[5] = t87 + t92;
-    const double t93 = predicted_mode_probability[0] * variance_m0[6];
-    const double t94 = predicted_mode_probability[1] * variance_m1[6];
-    const double t95 = t93 + t94;
-    const double t96 = predicted_mode_probability[2] * variance_m2[6];
-    const double t97 = t95 + t96;
-    const double t98 = predicted_mode_probability[0] * predicted_y_m0[3];
-    const double t99 = predicted_mode_probability[1] * predicted_y_m1[3];
-    const double t100 = t98 + t99;
-    const double t101 = predicted_mode_probability[2] * predicted_y_m2[3];
-    const double t102 = t100 + t101;
-    const double t103 = predicted_y_m0[3] - t102;
-    const double t104 = predicted_mode_probability[0] * t103;
-    const double t105 = t104 * t10;
-    const double t106 = predicted_y_m1[3] - t102;
-    const double t107 = predicted_mode_probability[1] * t106;
-    const double t108 = t107 * t13;
-    const double t109 = t105 + t108;
-    const double t110 = predicted_y_m2[3] - t102;
-    const double t111 = predicted_mode_probability[2] * t110;
-    const double t112 = t111 * t17;
-    const double t113 = t109 + t112;
-    combined_variance[6] = t97 + t113;
-    const double t114 = predicted_mode_probability[0] * variance_m0[7];
-    const double t115 = predicted_mode_probability[1] * variance_m1[7];
-    const double t116 = t114 + t115;
-    const double t117 = predicted_mode_probability[2] * variance_m2[7];
-    const double t118 = t116 + t117;
-    const double t119 = t104 * t31;
-    const double t120 = t107 * t34;
-    const double t121 = t119 + t120;
-    const double t122 = t111 * t38;
-    const double t123 = t121 + t122;
-    combined_variance[7] = t118 + t123;
-    const double t124 = predicted_mode_probability[0] * variance_m0[8];
-    const double t125 = predicted_mode_probability[1] * variance_m1[8];
-    const double t126 = t124 + t125;
-    const double t127 = predicted_mode_probability[2] * variance_m2[8];
-    const double t128 = t126 + t127;
-    const double t129 = t104 * t62;
-    const double t130 = t107 * t65;
-    const double t131 = t129 + t130;
-    const double t132 = t111 * t69;
-    const double t133 = t131 + t132;
-    combined_variance[8] = t128 + t133;
-    const double t134 = predicted_mode_probability[0] * variance_m0[9];
-    const double t135 = predicted_mode_probability[1] * variance_m1[9];
-    const double t136 = t134 + t135;
-    const double t137 = predicted_mode_probability[2] * variance_m2[9];
-    const double t138 = t136 + t137;
-    const double t139 = t104 * t103;
-    const double t140 = t107 * t106;
-    const double t141 = t139 + t140;
-    const double t142 = t111 * t110;
-    const double t143 = t141 + t142;
-    combined_variance[9] = t138 + t143;
+    const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
+    const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
+    const double t3 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t4 = t3 + (predicted_mode_probability[1] * predicted_y_m1[0]);
+    const double t5 = t4 + (predicted_mode_probability[2] * predicted_y_m2[0]);
+    const double t6 = predicted_y_m0[0] - t5;
+    const double t7 = predicted_mode_probability[0] * t6 * t6;
+    const double t8 = predicted_y_m1[0] - t5;
+    const double t9 = t7 + (predicted_mode_probability[1] * t8 * t8);
+    const double t10 = predicted_y_m2[0] - t5;
+    combined_variance[0] = t2 + (t9 + (predicted_mode_probability[2] * t10 * t10));
+    const double t11 = predicted_mode_probability[0] * variance_m0[1];
+    const double t12 = t11 + (predicted_mode_probability[1] * variance_m1[1]);
+    const double t13 = t12 + (predicted_mode_probability[2] * variance_m2[1]);
+    const double t14 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t15 = t14 + (predicted_mode_probability[1] * predicted_y_m1[1]);
+    const double t16 = t15 + (predicted_mode_probability[2] * predicted_y_m2[1]);
+    const double t17 = predicted_y_m0[1] - t16;
+    const double t18 = predicted_mode_probability[0] * t17;
+    const double t19 = t18 * t6;
+    const double t20 = predicted_y_m1[1] - t16;
+    const double t21 = predicted_mode_probability[1] * t20;
+    const double t22 = t19 + (t21 * t8);
+    const double t23 = predicted_y_m2[1] - t16;
+    const double t24 = predicted_mode_probability[2] * t23;
+    combined_variance[1] = t13 + (t22 + (t24 * t10));
+    const double t25 = predicted_mode_probability[0] * variance_m0[2];
+    const double t26 = t25 + (predicted_mode_probability[1] * variance_m1[2]);
+    const double t27 = t26 + (predicted_mode_probability[2] * variance_m2[2]);
+    combined_variance[2] = t27 + ((t18 * t17) + (t21 * t20) + (t24 * t23));
+    const double t28 = predicted_mode_probability[0] * variance_m0[3];
+    const double t29 = t28 + (predicted_mode_probability[1] * variance_m1[3]);
+    const double t30 = t29 + (predicted_mode_probability[2] * variance_m2[3]);
+    const double t31 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t32 = t31 + (predicted_mode_probability[1] * predicted_y_m1[2]);
+    const double t33 = t32 + (predicted_mode_probability[2] * predicted_y_m2[2]);
+    const double t34 = predicted_y_m0[2] - t33;
+    const double t35 = predicted_mode_probability[0] * t34;
+    const double t36 = t35 * t6;
+    const double t37 = predicted_y_m1[2] - t33;
+    const double t38 = predicted_mode_probability[1] * t37;
+    const double t39 = t36 + (t38 * t8);
+    const double t40 = predicted_y_m2[2] - t33;
+    const double t41 = predicted_mode_probability[2] * t40;
+    combined_variance[3] = t30 + (t39 + (t41 * t10));
+    const double t42 = predicted_mode_probability[0] * variance_m0[4];
+    const double t43 = t42 + (predicted_mode_probability[1] * variance_m1[4]);
+    const double t44 = t43 + (predicted_mode_probability[2] * variance_m2[4]);
+    combined_variance[4] = t44 + ((t35 * t17) + (t38 * t20) + (t41 * t23));
+    const double t45 = predicted_mode_probability[0] * variance_m0[5];
+    const double t46 = t45 + (predicted_mode_probability[1] * variance_m1[5]);
+    const double t47 = t46 + (predicted_mode_probability[2] * variance_m2[5]);
+    combined_variance[5] = t47 + ((t35 * t34) + (t38 * t37) + (t41 * t40));
+    const double t48 = predicted_mode_probability[0] * variance_m0[6];
+    const double t49 = t48 + (predicted_mode_probability[1] * variance_m1[6]);
+    const double t50 = t49 + (predicted_mode_probability[2] * variance_m2[6]);
+    const double t51 = predicted_mode_probability[0] * predicted_y_m0[3];
+    const double t52 = t51 + (predicted_mode_probability[1] * predicted_y_m1[3]);
+    const double t53 = t52 + (predicted_mode_probability[2] * predicted_y_m2[3]);
+    const double t54 = predicted_y_m0[3] - t53;
+    const double t55 = predicted_mode_probability[0] * t54;
+    const double t56 = t55 * t6;
+    const double t57 = predicted_y_m1[3] - t53;
+    const double t58 = predicted_mode_probability[1] * t57;
+    const double t59 = t56 + (t58 * t8);
+    const double t60 = predicted_y_m2[3] - t53;
+    const double t61 = predicted_mode_probability[2] * t60;
+    combined_variance[6] = t50 + (t59 + (t61 * t10));
+    const double t62 = predicted_mode_probability[0] * variance_m0[7];
+    const double t63 = t62 + (predicted_mode_probability[1] * variance_m1[7]);
+    const double t64 = t63 + (predicted_mode_probability[2] * variance_m2[7]);
+    combined_variance[7] = t64 + ((t55 * t17) + (t58 * t20) + (t61 * t23));
+    const double t65 = predicted_mode_probability[0] * variance_m0[8];
+    const double t66 = t65 + (predicted_mode_probability[1] * variance_m1[8]);
+    const double t67 = t66 + (predicted_mode_probability[2] * variance_m2[8]);
+    combined_variance[8] = t67 + ((t55 * t34) + (t58 * t37) + (t61 * t40));
+    const double t68 = predicted_mode_probability[0] * variance_m0[9];
+    const double t69 = t68 + (predicted_mode_probability[1] * variance_m1[9]);
+    const double t70 = t69 + (predicted_mode_probability[2] * variance_m2[9]);
+    combined_variance[9] = t70 + ((t55 * t54) + (t58 * t57) + (t61 * t60));
 }
 
 /* combination. */
@@ -1000,41 +768,19 @@ SHIP_TRACK_INLINE void ship_track_combination(const double *combined_innovation,
 {
     const double t0 = combined_innovation[0] * combined_innovation[0];
     const double t1 = t0 * whitening_inverse_combined_0;
-    const double t2 = whitening_combined_0_1 * combined_innovation[0];
-    const double t3 = combined_innovation[1] - t2;
-    const double t4 = t3 * t3;
-    const double t5 = t4 * whitening_inverse_combined_1;
-    const double t6 = t1 + t5;
-    const double t7 = whitening_combined_0_2 * combined_innovation[0];
-    const double t8 = combined_innovation[2] - t7;
-    const double t9 = whitening_combined_1_2 * t3;
-    const double t10 = t8 - t9;
-    const double t11 = t10 * t10;
-    const double t12 = t11 * whitening_inverse_combined_2;
-    const double t13 = t6 + t12;
-    const double t14 = whitening_combined_0_3 * combined_innovation[0];
-    const double t15 = combined_innovation[3] - t14;
-    const double t16 = whitening_combined_1_3 * t3;
-    const double t17 = t15 - t16;
-    const double t18 = whitening_combined_2_3 * t10;
-    const double t19 = t17 - t18;
-    const double t20 = t19 * t19;
-    const double t21 = t20 * whitening_inverse_combined_3;
-    nis[0] = t13 + t21;
+    const double t2 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t3 = t1 + (t2 * t2 * whitening_inverse_combined_1);
+    const double t4 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
+    const double t5 = t4 - (whitening_combined_1_2 * t2);
+    const double t6 = t3 + (t5 * t5 * whitening_inverse_combined_2);
+    const double t7 = combined_innovation[3] - (whitening_combined_0_3 * combined_innovation[0]);
+    const double t8 = (t7 - (whitening_combined_1_3 * t2)) - (whitening_combined_2_3 * t5);
+    nis[0] = t6 + (t8 * t8 * whitening_inverse_combined_3);
     innovation[0] = combined_innovation[0];
     innovation[1] = combined_innovation[1];
     innovation[2] = combined_innovation[2];
     innovation[3] = combined_innovation[3];
-    innovation_covariance[0] = combined_variance[0];
-    innovation_covariance[1] = combined_variance[1];
-    innovation_covariance[2] = combined_variance[2];
-    innovation_covariance[3] = combined_variance[3];
-    innovation_covariance[4] = combined_variance[4];
-    innovation_covariance[5] = combined_variance[5];
-    innovation_covariance[6] = combined_variance[6];
-    innovation_covariance[7] = combined_variance[7];
-    innovation_covariance[8] = combined_variance[8];
-    innovation_covariance[9] = combined_variance[9];
+    ship_track_copy(combined_variance, innovation_covariance, 10);
     mode_probability[0] = weight[0];
     mode_probability[1] = weight[1];
     mode_probability[2] = weight[2];
@@ -1046,16 +792,7 @@ SHIP_TRACK_INLINE void ship_track_combination(const double *combined_innovation,
     filtered_state[1] = combined_0_2_mean[1];
     filtered_state[2] = combined_0_2_mean[2];
     filtered_state[3] = combined_0_2_mean[3];
-    filtered_covariance[0] = combined_0_2_covariance[0];
-    filtered_covariance[1] = combined_0_2_covariance[1];
-    filtered_covariance[2] = combined_0_2_covariance[2];
-    filtered_covariance[3] = combined_0_2_covariance[3];
-    filtered_covariance[4] = combined_0_2_covariance[4];
-    filtered_covariance[5] = combined_0_2_covariance[5];
-    filtered_covariance[6] = combined_0_2_covariance[6];
-    filtered_covariance[7] = combined_0_2_covariance[7];
-    filtered_covariance[8] = combined_0_2_covariance[8];
-    filtered_covariance[9] = combined_0_2_covariance[9];
+    ship_track_copy(combined_0_2_covariance, filtered_covariance, 10);
     mode_filtered_state[0] = mean_m0[0];
     mode_filtered_state[1] = mean_m0[1];
     mode_filtered_state[2] = mean_m0[2];
@@ -1068,49 +805,21 @@ SHIP_TRACK_INLINE void ship_track_combination(const double *combined_innovation,
     mode_filtered_state[9] = mean_m2[1];
     mode_filtered_state[10] = mean_m2[2];
     mode_filtered_state[11] = mean_m2[3];
-    mode_filtered_covariance[0] = covariance_m0[0];
-    mode_filtered_covariance[1] = covariance_m0[1];
-    mode_filtered_covariance[2] = covariance_m0[2];
-    mode_filtered_covariance[3] = covariance_m0[3];
-    mode_filtered_covariance[4] = covariance_m0[4];
-    mode_filtered_covariance[5] = covariance_m0[5];
-    mode_filtered_covariance[6] = covariance_m0[6];
-    mode_filtered_covariance[7] = covariance_m0[7];
-    mode_filtered_covariance[8] = covariance_m0[8];
-    mode_filtered_covariance[9] = covariance_m0[9];
-    mode_filtered_covariance[10] = covariance_m1[0];
-    mode_filtered_covariance[11] = covariance_m1[1];
-    mode_filtered_covariance[12] = covariance_m1[2];
-    mode_filtered_covariance[13] = covariance_m1[3];
-    mode_filtered_covariance[14] = covariance_m1[4];
-    mode_filtered_covariance[15] = covariance_m1[5];
-    mode_filtered_covariance[16] = covariance_m1[6];
-    mode_filtered_covariance[17] = covariance_m1[7];
-    mode_filtered_covariance[18] = covariance_m1[8];
-    mode_filtered_covariance[19] = covariance_m1[9];
-    mode_filtered_covariance[20] = covariance_m2[0];
-    mode_filtered_covariance[21] = covariance_m2[1];
-    mode_filtered_covariance[22] = covariance_m2[2];
-    mode_filtered_covariance[23] = covariance_m2[3];
-    mode_filtered_covariance[24] = covariance_m2[4];
-    mode_filtered_covariance[25] = covariance_m2[5];
-    mode_filtered_covariance[26] = covariance_m2[6];
-    mode_filtered_covariance[27] = covariance_m2[7];
-    mode_filtered_covariance[28] = covariance_m2[8];
-    mode_filtered_covariance[29] = covariance_m2[9];
+    ship_track_copy(covariance_m0, mode_filtered_covariance, 10);
+    ship_track_copy(covariance_m1, &mode_filtered_covariance[10], 10);
+    ship_track_copy(covariance_m2, &mode_filtered_covariance[20], 10);
 }
 
 /* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mode_probability,
-    const double mode_prediction_inverse_0, double *mode_prediction_1, const double *log_weight,
-    double *log_path_largest_1, double *path_share_total_1, double *mode_prediction_2,
-    double *log_path_largest_2, double *path_share_total_2, const double *mode_filtered_state,
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *log_path_1,
+    const double log_path_largest_1, double *path_share_total_1, const double *mode_probability,
+    double *mode_prediction_2, const double *log_weight, double *log_path_largest_2,
+    double *path_share_total_2, const double *mixing_0, const double *mode_filtered_state,
     const double *mode_filtered_covariance, double *moved_state_0, const double *Q,
     double *moved_covariance_0, const double *A, double *moved_state_1, double *moved_covariance_1,
-    double *mixed_2_0_2_share, const ship_track_params_t *params)
+    double *mixed_2_0_2_share, double *mixed_2_0_2_apart, double *mixed_2_0_2_mean,
+    const ship_track_params_t *params)
 {
-    double mixing_0[3];
-    double log_path_1[2];
     double path_share_1[2];
     double path_share_inverse_1;
     double log_path_2[2];
@@ -1129,43 +838,23 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mode_pro
     double mixed_1_0_1_share[2] = { 0.0 };
     double mixed_1_0_1_mean[4] = { 0.0 };
     double mixed_1_0_1_covariance[10] = { 0.0 };
-    const double t0 = 0.9 * mode_probability[0];
-    mixing_0[0] = t0 * mode_prediction_inverse_0;
-    const double t1 = 0.15 * mode_probability[1];
-    mixing_0[1] = t1 * mode_prediction_inverse_0;
-    const double t2 = 0.15 * mode_probability[2];
-    mixing_0[2] = t2 * mode_prediction_inverse_0;
-    const double t3 = 0.05 * mode_probability[0];
-    const double t4 = 0.85 * mode_probability[1];
-    mode_prediction_1[0] = t3 + t4;
-    log_path_1[0] = log_weight[0] + -2.995732273553991;
-    log_path_1[1] = log_weight[1] + -0.16251892949777494;
-    log_path_largest_1[0] = (log_path_1[0] > log_path_1[1]) ? log_path_1[0] : log_path_1[1];
-    const double t5 = log_path_1[0] - log_path_largest_1[0];
-    path_share_1[0] = ship_track_exp(t5);
-    const double t6 = log_path_1[1] - log_path_largest_1[0];
-    path_share_1[1] = ship_track_exp(t6);
+    path_share_1[0] = ship_track_exp(log_path_1[0] - log_path_largest_1);
+    path_share_1[1] = ship_track_exp(log_path_1[1] - log_path_largest_1);
     path_share_total_1[0] = path_share_1[0] + path_share_1[1];
     path_share_inverse_1 = 1.0 / path_share_total_1[0];
-    const double t7 = 0.05 * mode_probability[0];
-    const double t8 = 0.85 * mode_probability[2];
-    mode_prediction_2[0] = t7 + t8;
+    mode_prediction_2[0] = (0.05 * mode_probability[0]) + (0.85 * mode_probability[2]);
     log_path_2[0] = log_weight[0] + -2.995732273553991;
     log_path_2[1] = log_weight[2] + -0.16251892949777494;
     log_path_largest_2[0] = (log_path_2[0] > log_path_2[1]) ? log_path_2[0] : log_path_2[1];
-    const double t9 = log_path_2[0] - log_path_largest_2[0];
-    path_share_2[0] = ship_track_exp(t9);
-    const double t10 = log_path_2[1] - log_path_largest_2[0];
-    path_share_2[1] = ship_track_exp(t10);
+    path_share_2[0] = ship_track_exp(log_path_2[0] - log_path_largest_2[0]);
+    path_share_2[1] = ship_track_exp(log_path_2[1] - log_path_largest_2[0]);
     path_share_total_2[0] = path_share_2[0] + path_share_2[1];
     path_share_inverse_2 = 1.0 / path_share_total_2[0];
 
     /* mixing and prediction of every mode */
     mixed_0_0_2_share[0] = mixing_0[0] + mixing_0[1];
     mixed_0_0_2_share[1] = mixing_0[2];
-    const double t11 = mixing_0[0] + mixing_0[1];
-    const double t12 = t11 + SHIP_TRACK_TINY;
-    mixed_0_0_1_inverse = 1.0 / t12;
+    mixed_0_0_1_inverse = 1.0 / (mixing_0[0] + mixing_0[1] + SHIP_TRACK_TINY);
     mixed_0_0_1_share[0] = mixing_0[0] * mixed_0_0_1_inverse;
     mixed_0_0_1_share[1] = mixing_0[1] * mixed_0_0_1_inverse;
     mixed_apart_0_1[0] = mode_filtered_state[0] - mode_filtered_state[4];
@@ -1187,167 +876,86 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mode_pro
     ship_track_part_3(mixed_0_0_1_mean, &mode_filtered_state[8], mixed_0_0_2_share,
         mixed_0_0_2_mean, mixed_0_0_1_covariance, &mode_filtered_covariance[20],
         mixed_0_0_2_covariance);
-    const double t13 = params->dt * mixed_0_0_2_mean[2];
-    moved_state_0[0] = mixed_0_0_2_mean[0] + t13;
-    const double t14 = params->dt * mixed_0_0_2_mean[3];
-    moved_state_0[1] = mixed_0_0_2_mean[1] + t14;
+    moved_state_0[0] = mixed_0_0_2_mean[0] + (params->dt * mixed_0_0_2_mean[2]);
+    moved_state_0[1] = mixed_0_0_2_mean[1] + (params->dt * mixed_0_0_2_mean[3]);
     moved_state_0[2] = mixed_0_0_2_mean[2];
     moved_state_0[3] = mixed_0_0_2_mean[3];
-    const double t15 = params->dt * mixed_0_0_2_covariance[3];
-    const double t16 = mixed_0_0_2_covariance[0] + t15;
-    const double t17 = params->dt * mixed_0_0_2_covariance[5];
-    const double t18 = mixed_0_0_2_covariance[3] + t17;
-    const double t19 = t18 * params->dt;
-    const double t20 = t16 + t19;
-    moved_covariance_0[0] = t20 + Q[0];
-    const double t21 = params->dt * mixed_0_0_2_covariance[6];
-    const double t22 = mixed_0_0_2_covariance[1] + t21;
-    const double t23 = params->dt * mixed_0_0_2_covariance[8];
-    const double t24 = mixed_0_0_2_covariance[4] + t23;
-    const double t25 = t24 * params->dt;
-    moved_covariance_0[1] = t22 + t25;
-    const double t26 = params->dt * mixed_0_0_2_covariance[7];
-    const double t27 = mixed_0_0_2_covariance[2] + t26;
-    const double t28 = params->dt * mixed_0_0_2_covariance[9];
-    const double t29 = mixed_0_0_2_covariance[7] + t28;
-    const double t30 = t29 * params->dt;
-    const double t31 = t27 + t30;
-    moved_covariance_0[2] = t31 + Q[2];
-    const double t32 = mixed_0_0_2_covariance[5] * params->dt;
-    const double t33 = mixed_0_0_2_covariance[3] + t32;
-    moved_covariance_0[3] = t33 + Q[1];
-    const double t34 = mixed_0_0_2_covariance[8] * params->dt;
-    moved_covariance_0[4] = mixed_0_0_2_covariance[4] + t34;
+    const double t0 = mixed_0_0_2_covariance[0] + (params->dt * mixed_0_0_2_covariance[3]);
+    const double t1 = mixed_0_0_2_covariance[3] + (params->dt * mixed_0_0_2_covariance[5]);
+    moved_covariance_0[0] = t0 + (t1 * params->dt) + Q[0];
+    const double t2 = mixed_0_0_2_covariance[1] + (params->dt * mixed_0_0_2_covariance[6]);
+    const double t3 = mixed_0_0_2_covariance[4] + (params->dt * mixed_0_0_2_covariance[8]);
+    moved_covariance_0[1] = t2 + (t3 * params->dt);
+    const double t4 = mixed_0_0_2_covariance[2] + (params->dt * mixed_0_0_2_covariance[7]);
+    const double t5 = mixed_0_0_2_covariance[7] + (params->dt * mixed_0_0_2_covariance[9]);
+    moved_covariance_0[2] = t4 + (t5 * params->dt) + Q[2];
+    const double t6 = mixed_0_0_2_covariance[3] + (mixed_0_0_2_covariance[5] * params->dt);
+    moved_covariance_0[3] = t6 + Q[1];
+    moved_covariance_0[4] = mixed_0_0_2_covariance[4] + (mixed_0_0_2_covariance[8] * params->dt);
     moved_covariance_0[5] = mixed_0_0_2_covariance[5] + Q[5];
-    const double t35 = mixed_0_0_2_covariance[8] * params->dt;
-    moved_covariance_0[6] = mixed_0_0_2_covariance[6] + t35;
-    const double t36 = mixed_0_0_2_covariance[9] * params->dt;
-    const double t37 = mixed_0_0_2_covariance[7] + t36;
-    moved_covariance_0[7] = t37 + Q[3];
+    moved_covariance_0[6] = mixed_0_0_2_covariance[6] + (mixed_0_0_2_covariance[8] * params->dt);
+    const double t7 = mixed_0_0_2_covariance[7] + (mixed_0_0_2_covariance[9] * params->dt);
+    moved_covariance_0[7] = t7 + Q[3];
     moved_covariance_0[9] = mixed_0_0_2_covariance[9] + Q[7];
     moved_covariance_0[8] = mixed_0_0_2_covariance[8];
-    const double t38 = path_share_1[0] * path_share_inverse_1;
-    const double t39 = path_share_1[1] * path_share_inverse_1;
-    const double t40 = t38 + t39;
-    const double t41 = t40 + SHIP_TRACK_TINY;
-    mixed_1_0_1_inverse = 1.0 / t41;
-    const double t42 = path_share_1[0] * path_share_inverse_1;
-    mixed_1_0_1_share[0] = t42 * mixed_1_0_1_inverse;
-    const double t43 = path_share_1[1] * path_share_inverse_1;
-    mixed_1_0_1_share[1] = t43 * mixed_1_0_1_inverse;
+    const double t8 = path_share_1[0] * path_share_inverse_1;
+    mixed_1_0_1_inverse = 1.0 / (t8 + (path_share_1[1] * path_share_inverse_1) + SHIP_TRACK_TINY);
+    mixed_1_0_1_share[0] = path_share_1[0] * path_share_inverse_1 * mixed_1_0_1_inverse;
+    mixed_1_0_1_share[1] = path_share_1[1] * path_share_inverse_1 * mixed_1_0_1_inverse;
     ship_track_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    const double t44 = A[0] * mixed_1_0_1_mean[2];
-    const double t45 = mixed_1_0_1_mean[0] + t44;
-    const double t46 = A[4] * mixed_1_0_1_mean[3];
-    moved_state_1[0] = t45 + t46;
-    const double t47 = A[1] * mixed_1_0_1_mean[2];
-    const double t48 = mixed_1_0_1_mean[1] + t47;
-    const double t49 = A[5] * mixed_1_0_1_mean[3];
-    moved_state_1[1] = t48 + t49;
-    const double t50 = A[2] * mixed_1_0_1_mean[2];
-    const double t51 = A[6] * mixed_1_0_1_mean[3];
-    moved_state_1[2] = t50 + t51;
-    const double t52 = A[3] * mixed_1_0_1_mean[2];
-    const double t53 = A[7] * mixed_1_0_1_mean[3];
-    moved_state_1[3] = t52 + t53;
-    const double t54 = A[0] * mixed_1_0_1_covariance[3];
-    const double t55 = mixed_1_0_1_covariance[0] + t54;
-    const double t56 = A[4] * mixed_1_0_1_covariance[6];
-    const double t57 = t55 + t56;
-    const double t58 = A[0] * mixed_1_0_1_covariance[5];
-    const double t59 = mixed_1_0_1_covariance[3] + t58;
-    const double t60 = A[4] * mixed_1_0_1_covariance[8];
-    const double t61 = t59 + t60;
-    const double t62 = t61 * A[0];
-    const double t63 = t57 + t62;
-    const double t64 = A[0] * mixed_1_0_1_covariance[8];
-    const double t65 = mixed_1_0_1_covariance[6] + t64;
-    const double t66 = A[4] * mixed_1_0_1_covariance[9];
-    const double t67 = t65 + t66;
-    const double t68 = t67 * A[4];
-    const double t69 = t63 + t68;
-    moved_covariance_1[0] = t69 + Q[8];
-    const double t70 = A[1] * mixed_1_0_1_covariance[3];
-    const double t71 = mixed_1_0_1_covariance[1] + t70;
-    const double t72 = A[5] * mixed_1_0_1_covariance[6];
-    const double t73 = t71 + t72;
-    const double t74 = A[1] * mixed_1_0_1_covariance[5];
-    const double t75 = mixed_1_0_1_covariance[4] + t74;
-    const double t76 = A[5] * mixed_1_0_1_covariance[8];
-    const double t77 = t75 + t76;
-    const double t78 = t77 * A[0];
-    const double t79 = t73 + t78;
-    const double t80 = A[1] * mixed_1_0_1_covariance[8];
-    const double t81 = mixed_1_0_1_covariance[7] + t80;
-    const double t82 = A[5] * mixed_1_0_1_covariance[9];
-    const double t83 = t81 + t82;
-    const double t84 = t83 * A[4];
-    moved_covariance_1[1] = t79 + t84;
-    const double t85 = A[1] * mixed_1_0_1_covariance[4];
-    const double t86 = mixed_1_0_1_covariance[2] + t85;
-    const double t87 = A[5] * mixed_1_0_1_covariance[7];
-    const double t88 = t86 + t87;
-    const double t89 = t77 * A[1];
-    const double t90 = t88 + t89;
-    const double t91 = t83 * A[5];
-    const double t92 = t90 + t91;
-    moved_covariance_1[2] = t92 + Q[10];
-    const double t93 = A[2] * mixed_1_0_1_covariance[3];
-    const double t94 = A[6] * mixed_1_0_1_covariance[6];
-    const double t95 = t93 + t94;
-    const double t96 = A[2] * mixed_1_0_1_covariance[5];
-    const double t97 = A[6] * mixed_1_0_1_covariance[8];
-    const double t98 = t96 + t97;
-    const double t99 = t98 * A[0];
-    const double t100 = t95 + t99;
-    const double t101 = A[2] * mixed_1_0_1_covariance[8];
-    const double t102 = A[6] * mixed_1_0_1_covariance[9];
-    const double t103 = t101 + t102;
-    const double t104 = t103 * A[4];
-    const double t105 = t100 + t104;
-    moved_covariance_1[3] = t105 + Q[9];
-    const double t106 = A[2] * mixed_1_0_1_covariance[4];
-    const double t107 = A[6] * mixed_1_0_1_covariance[7];
-    const double t108 = t106 + t107;
-    const double t109 = t98 * A[1];
-    const double t110 = t108 + t109;
-    const double t111 = t103 * A[5];
-    moved_covariance_1[4] = t110 + t111;
-    const double t112 = t98 * A[2];
-    const double t113 = t103 * A[6];
-    const double t114 = t112 + t113;
-    moved_covariance_1[5] = t114 + Q[13];
-    const double t115 = A[3] * mixed_1_0_1_covariance[3];
-    const double t116 = A[7] * mixed_1_0_1_covariance[6];
-    const double t117 = t115 + t116;
-    const double t118 = A[3] * mixed_1_0_1_covariance[5];
-    const double t119 = A[7] * mixed_1_0_1_covariance[8];
-    const double t120 = t118 + t119;
-    const double t121 = t120 * A[0];
-    const double t122 = t117 + t121;
-    const double t123 = A[3] * mixed_1_0_1_covariance[8];
-    const double t124 = A[7] * mixed_1_0_1_covariance[9];
-    const double t125 = t123 + t124;
-    const double t126 = t125 * A[4];
-    moved_covariance_1[6] = t122 + t126;
-    const double t127 = A[3] * mixed_1_0_1_covariance[4];
-    const double t128 = A[7] * mixed_1_0_1_covariance[7];
-    const double t129 = t127 + t128;
-    const double t130 = t120 * A[1];
-    const double t131 = t129 + t130;
-    const double t132 = t125 * A[5];
-    const double t133 = t131 + t132;
-    moved_covariance_1[7] = t133 + Q[11];
-    const double t134 = t120 * A[2];
-    const double t135 = t125 * A[6];
-    moved_covariance_1[8] = t134 + t135;
-    const double t136 = t120 * A[3];
-    const double t137 = t125 * A[7];
-    const double t138 = t136 + t137;
-    moved_covariance_1[9] = t138 + Q[15];
+    const double t9 = mixed_1_0_1_mean[0] + (A[0] * mixed_1_0_1_mean[2]);
+    moved_state_1[0] = t9 + (A[4] * mixed_1_0_1_mean[3]);
+    const double t10 = mixed_1_0_1_mean[1] + (A[1] * mixed_1_0_1_mean[2]);
+    moved_state_1[1] = t10 + (A[5] * mixed_1_0_1_mean[3]);
+    moved_state_1[2] = (A[2] * mixed_1_0_1_mean[2]) + (A[6] * mixed_1_0_1_mean[3]);
+    moved_state_1[3] = (A[3] * mixed_1_0_1_mean[2]) + (A[7] * mixed_1_0_1_mean[3]);
+    const double t11 = mixed_1_0_1_covariance[0] + (A[0] * mixed_1_0_1_covariance[3]);
+    const double t12 = t11 + (A[4] * mixed_1_0_1_covariance[6]);
+    const double t13 = mixed_1_0_1_covariance[3] + (A[0] * mixed_1_0_1_covariance[5]);
+    const double t14 = t12 + ((t13 + (A[4] * mixed_1_0_1_covariance[8])) * A[0]);
+    const double t15 = mixed_1_0_1_covariance[6] + (A[0] * mixed_1_0_1_covariance[8]);
+    moved_covariance_1[0] = t14 + ((t15 + (A[4] * mixed_1_0_1_covariance[9])) * A[4]) + Q[8];
+    const double t16 = mixed_1_0_1_covariance[1] + (A[1] * mixed_1_0_1_covariance[3]);
+    const double t17 = t16 + (A[5] * mixed_1_0_1_covariance[6]);
+    const double t18 = mixed_1_0_1_covariance[4] + (A[1] * mixed_1_0_1_covariance[5]);
+    const double t19 = t18 + (A[5] * mixed_1_0_1_covariance[8]);
+    const double t20 = t17 + (t19 * A[0]);
+    const double t21 = mixed_1_0_1_covariance[7] + (A[1] * mixed_1_0_1_covariance[8]);
+    const double t22 = t21 + (A[5] * mixed_1_0_1_covariance[9]);
+    moved_covariance_1[1] = t20 + (t22 * A[4]);
+    const double t23 = mixed_1_0_1_covariance[2] + (A[1] * mixed_1_0_1_covariance[4]);
+    const double t24 = t23 + (A[5] * mixed_1_0_1_covariance[7]) + (t19 * A[1]) + (t22 * A[5]);
+    moved_covariance_1[2] = t24 + Q[10];
+    const double t25 = (A[2] * mixed_1_0_1_covariance[3]) + (A[6] * mixed_1_0_1_covariance[6]);
+    const double t26 = (A[2] * mixed_1_0_1_covariance[5]) + (A[6] * mixed_1_0_1_covariance[8]);
+    const double t27 = t25 + (t26 * A[0]);
+    const double t28 = (A[2] * mixed_1_0_1_covariance[8]) + (A[6] * mixed_1_0_1_covariance[9]);
+    moved_covariance_1[3] = t27 + (t28 * A[4]) + Q[9];
+    const double t29 = (A[2] * mixed_1_0_1_covariance[4]) + (A[6] * mixed_1_0_1_covariance[7]);
+    moved_covariance_1[4] = t29 + (t26 * A[1]) + (t28 * A[5]);
+    moved_covariance_1[5] = (t26 * A[2]) + (t28 * A[6]) + Q[13];
+    const double t30 = (A[3] * mixed_1_0_1_covariance[3]) + (A[7] * mixed_1_0_1_covariance[6]);
+    const double t31 = (A[3] * mixed_1_0_1_covariance[5]) + (A[7] * mixed_1_0_1_covariance[8]);
+    const double t32 = t30 + (t31 * A[0]);
+    const double t33 = (A[3] * mixed_1_0_1_covariance[8]) + (A[7] * mixed_1_0_1_covariance[9]);
+    moved_covariance_1[6] = t32 + (t33 * A[4]);
+    const double t34 = (A[3] * mixed_1_0_1_covariance[4]) + (A[7] * mixed_1_0_1_covariance[7]);
+    moved_covariance_1[7] = t34 + (t31 * A[1]) + (t33 * A[5]) + Q[11];
+    moved_covariance_1[8] = (t31 * A[2]) + (t33 * A[6]);
+    moved_covariance_1[9] = (t31 * A[3]) + (t33 * A[7]) + Q[15];
     mixed_2_0_2_share[0] = path_share_2[0] * path_share_inverse_2;
     mixed_2_0_2_share[1] = path_share_2[1] * path_share_inverse_2;
+    mixed_2_0_2_apart[0] = mode_filtered_state[0] - mode_filtered_state[8];
+    mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
+    mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
+    mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
+    const double t35 = mixed_2_0_2_share[0] * mode_filtered_state[0];
+    mixed_2_0_2_mean[0] = t35 + (mixed_2_0_2_share[1] * mode_filtered_state[8]);
+    const double t36 = mixed_2_0_2_share[0] * mode_filtered_state[1];
+    mixed_2_0_2_mean[1] = t36 + (mixed_2_0_2_share[1] * mode_filtered_state[9]);
+    const double t37 = mixed_2_0_2_share[0] * mode_filtered_state[2];
+    mixed_2_0_2_mean[2] = t37 + (mixed_2_0_2_share[1] * mode_filtered_state[10]);
 }
 
 /* law of the next mode, and mixing weights. */
@@ -1362,63 +970,60 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_law_of_the_next(const double *m
 {
     double A[16] = { 0.0 };
     double Q[16] = { 0.0 };
-    double mode_prediction_inverse_0 = 0.0;
+    double mode_prediction_inverse_0;
+    double mixing_0[3] = { 0.0 };
+    double log_path_1[2] = { 0.0 };
     double mixed_2_0_2_share[2] = { 0.0 };
-    double mixed_2_0_2_apart[4];
-    double mixed_2_0_2_mean[4];
+    double mixed_2_0_2_apart[4] = { 0.0 };
+    double mixed_2_0_2_mean[4] = { 0.0 };
     double mixed_2_0_2_covariance[10];
     const double t0 = params->turn * params->dt;
     const double t1 = ship_track_sin(t0);
     const double t2 = t1 / params->turn;
     const double t3 = ship_track_cos(t0);
-    const double t4 = 1.0 - t3;
-    const double t5 = t4 / params->turn;
-    const double t6 = -t5;
-    const double t7 = -t1;
+    const double t4 = (1.0 - t3) / params->turn;
+    const double t5 = -t4;
+    const double t6 = -t1;
     A[0] = t2;
-    A[1] = t5;
+    A[1] = t4;
     A[2] = t3;
     A[3] = t1;
-    A[4] = t6;
+    A[4] = t5;
     A[5] = t2;
-    A[6] = t7;
+    A[6] = t6;
     A[7] = t3;
     A[8] = t2;
-    A[9] = t6;
+    A[9] = t5;
     A[10] = t3;
-    A[11] = t7;
-    A[12] = t5;
+    A[11] = t6;
+    A[12] = t4;
     A[13] = t2;
     A[14] = t1;
     A[15] = t3;
-    const double t8 = params->dt * params->dt;
-    const double t9 = params->dt * t8;
-    const double t10 = 0.02 * t9;
-    const double t11 = t10 / 3.0;
-    const double t12 = 0.02 * t8;
-    const double t13 = t12 / 2.0;
-    const double t14 = 0.02 * params->dt;
-    const double t15 = 0.3 * t9;
-    const double t16 = t15 / 3.0;
-    const double t17 = 0.3 * t8;
-    const double t18 = t17 / 2.0;
-    const double t19 = 0.3 * params->dt;
-    Q[0] = t11;
-    Q[1] = t13;
-    Q[2] = t11;
-    Q[3] = t13;
-    Q[4] = t13;
-    Q[5] = t14;
-    Q[6] = t13;
-    Q[7] = t14;
-    Q[8] = t16;
-    Q[9] = t18;
-    Q[10] = t16;
-    Q[11] = t18;
-    Q[12] = t18;
-    Q[13] = t19;
-    Q[14] = t18;
-    Q[15] = t19;
+    const double t7 = params->dt * params->dt;
+    const double t8 = params->dt * t7;
+    const double t9 = (0.02 * t8) / 3.0;
+    const double t10 = (0.02 * t7) / 2.0;
+    const double t11 = 0.02 * params->dt;
+    const double t12 = (0.3 * t8) / 3.0;
+    const double t13 = (0.3 * t7) / 2.0;
+    const double t14 = 0.3 * params->dt;
+    Q[0] = t9;
+    Q[1] = t10;
+    Q[2] = t9;
+    Q[3] = t10;
+    Q[4] = t10;
+    Q[5] = t11;
+    Q[6] = t10;
+    Q[7] = t11;
+    Q[8] = t12;
+    Q[9] = t13;
+    Q[10] = t12;
+    Q[11] = t13;
+    Q[12] = t13;
+    Q[13] = t14;
+    Q[14] = t13;
+    Q[15] = t14;
     if (!((Q[0] >= 0.0) && (Q[2] >= 0.0) && (Q[5] >= 0.0) && (Q[7] >= 0.0)))
     {
         return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
@@ -1429,204 +1034,103 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_law_of_the_next(const double *m
     }
 
     /* law of the next mode, and mixing weights */
-    const double t20 = 0.9 * mode_probability[0];
-    const double t21 = 0.15 * mode_probability[1];
-    const double t22 = t20 + t21;
-    const double t23 = 0.15 * mode_probability[2];
-    mode_prediction_0[0] = t22 + t23;
+    const double t15 = (0.9 * mode_probability[0]) + (0.15 * mode_probability[1]);
+    mode_prediction_0[0] = t15 + (0.15 * mode_probability[2]);
     mode_prediction_inverse_0 = 1.0 / mode_prediction_0[0];
-    ship_track_mixing_and_prediction_2(mode_probability, mode_prediction_inverse_0,
-        mode_prediction_1, log_weight, log_path_largest_1, path_share_total_1, mode_prediction_2,
-        log_path_largest_2, path_share_total_2, mode_filtered_state, mode_filtered_covariance,
-        moved_state_0, Q, moved_covariance_0, A, moved_state_1, moved_covariance_1,
-        mixed_2_0_2_share, params);
-    mixed_2_0_2_apart[0] = mode_filtered_state[0] - mode_filtered_state[8];
-    mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
-    mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
-    mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
-    const double t24 = mixed_2_0_2_share[0] * mode_filtered_state[0];
-    const double t25 = mixed_2_0_2_share[1] * mode_filtered_state[8];
-    mixed_2_0_2_mean[0] = t24 + t25;
-    const double t26 = mixed_2_0_2_share[0] * mode_filtered_state[1];
-    const double t27 = mixed_2_0_2_share[1] * mode_filtered_state[9];
-    mixed_2_0_2_mean[1] = t26 + t27;
-    const double t28 = mixed_2_0_2_share[0] * mode_filtered_state[2];
-    const double t29 = mixed_2_0_2_share[1] * mode_filtered_state[10];
-    mixed_2_0_2_mean[2] = t28 + t29;
-    const double t30 = mixed_2_0_2_share[0] * mode_filtered_state[3];
-    const double t31 = mixed_2_0_2_share[1] * mode_filtered_state[11];
-    mixed_2_0_2_mean[3] = t30 + t31;
-    const double t32 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
-    const double t33 = mixed_2_0_2_share[1] * mode_filtered_covariance[20];
-    const double t34 = t32 + t33;
-    const double t35 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
-    const double t36 = t35 * mixed_2_0_2_apart[0];
-    const double t37 = t36 * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[0] = t34 + t37;
-    const double t38 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
-    const double t39 = mixed_2_0_2_share[1] * mode_filtered_covariance[21];
-    const double t40 = t38 + t39;
-    const double t41 = t35 * mixed_2_0_2_apart[1];
-    const double t42 = t41 * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[1] = t40 + t42;
-    const double t43 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
-    const double t44 = mixed_2_0_2_share[1] * mode_filtered_covariance[22];
-    const double t45 = t43 + t44;
-    const double t46 = t41 * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[2] = t45 + t46;
-    const double t47 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
-    const double t48 = mixed_2_0_2_share[1] * mode_filtered_covariance[23];
-    const double t49 = t47 + t48;
-    const double t50 = t35 * mixed_2_0_2_apart[2];
-    const double t51 = t50 * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[3] = t49 + t51;
-    const double t52 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
-    const double t53 = mixed_2_0_2_share[1] * mode_filtered_covariance[24];
-    const double t54 = t52 + t53;
-    const double t55 = t50 * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[4] = t54 + t55;
-    const double t56 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
-    const double t57 = mixed_2_0_2_share[1] * mode_filtered_covariance[25];
-    const double t58 = t56 + t57;
-    const double t59 = t50 * mixed_2_0_2_apart[2];
-    mixed_2_0_2_covariance[5] = t58 + t59;
-    const double t60 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
-    const double t61 = mixed_2_0_2_share[1] * mode_filtered_covariance[26];
-    const double t62 = t60 + t61;
-    const double t63 = t35 * mixed_2_0_2_apart[3];
-    const double t64 = t63 * mixed_2_0_2_apart[0];
-    mixed_2_0_2_covariance[6] = t62 + t64;
-    const double t65 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
-    const double t66 = mixed_2_0_2_share[1] * mode_filtered_covariance[27];
-    const double t67 = t65 + t66;
-    const double t68 = t63 * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[7] = t67 + t68;
-    const double t69 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
-    const double t70 = mixed_2_0_2_share[1] * mode_filtered_covariance[28];
-    const double t71 = t69 + t70;
-    const double t72 = t63 * mixed_2_0_2_apart[2];
-    mixed_2_0_2_covariance[8] = t71 + t72;
-    const double t73 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
-    const double t74 = mixed_2_0_2_share[1] * mode_filtered_covariance[29];
-    const double t75 = t73 + t74;
-    const double t76 = t63 * mixed_2_0_2_apart[3];
-    mixed_2_0_2_covariance[9] = t75 + t76;
-    const double t77 = A[8] * mixed_2_0_2_mean[2];
-    const double t78 = mixed_2_0_2_mean[0] + t77;
-    const double t79 = A[12] * mixed_2_0_2_mean[3];
-    moved_state_2[0] = t78 + t79;
-    const double t80 = A[9] * mixed_2_0_2_mean[2];
-    const double t81 = mixed_2_0_2_mean[1] + t80;
-    const double t82 = A[13] * mixed_2_0_2_mean[3];
-    moved_state_2[1] = t81 + t82;
-    const double t83 = A[10] * mixed_2_0_2_mean[2];
-    const double t84 = A[14] * mixed_2_0_2_mean[3];
-    moved_state_2[2] = t83 + t84;
-    const double t85 = A[11] * mixed_2_0_2_mean[2];
-    const double t86 = A[15] * mixed_2_0_2_mean[3];
-    moved_state_2[3] = t85 + t86;
-    const double t87 = A[8] * mixed_2_0_2_covariance[3];
-    const double t88 = mixed_2_0_2_covariance[0] + t87;
-    const double t89 = A[12] * mixed_2_0_2_covariance[6];
-    const double t90 = t88 + t89;
-    const double t91 = A[8] * mixed_2_0_2_covariance[5];
-    const double t92 = mixed_2_0_2_covariance[3] + t91;
-    const double t93 = A[12] * mixed_2_0_2_covariance[8];
-    const double t94 = t92 + t93;
-    const double t95 = t94 * A[8];
-    const double t96 = t90 + t95;
-    const double t97 = A[8] * mixed_2_0_2_covariance[8];
-    const double t98 = mixed_2_0_2_covariance[6] + t97;
-    const double t99 = A[12] * mixed_2_0_2_covariance[9];
-    const double t100 = t98 + t99;
-    const double t101 = t100 * A[12];
-    const double t102 = t96 + t101;
-    moved_covariance_2[0] = t102 + Q[8];
-    const double t103 = A[9] * mixed_2_0_2_covariance[3];
-    const double t104 = mixed_2_0_2_covariance[1] + t103;
-    const double t105 = A[13] * mixed_2_0_2_covariance[6];
-    const double t106 = t104 + t105;
-    const double t107 = A[9] * mixed_2_0_2_covariance[5];
-    const double t108 = mixed_2_0_2_covariance[4] + t107;
-    const double t109 = A[13] * mixed_2_0_2_covariance[8];
-    const double t110 = t108 + t109;
-    const double t111 = t110 * A[8];
-    const double t112 = t106 + t111;
-    const double t113 = A[9] * mixed_2_0_2_covariance[8];
-    const double t114 = mixed_2_0_2_covariance[7] + t113;
-    const double t115 = A[13] * mixed_2_0_2_covariance[9];
-    const double t116 = t114 + t115;
-    const double t117 = t116 * A[12];
-    moved_covariance_2[1] = t112 + t117;
-    const double t118 = A[9] * mixed_2_0_2_covariance[4];
-    const double t119 = mixed_2_0_2_covariance[2] + t118;
-    const double t120 = A[13] * mixed_2_0_2_covariance[7];
-    const double t121 = t119 + t120;
-    const double t122 = t110 * A[9];
-    const double t123 = t121 + t122;
-    const double t124 = t116 * A[13];
-    const double t125 = t123 + t124;
-    moved_covariance_2[2] = t125 + Q[10];
-    const double t126 = A[10] * mixed_2_0_2_covariance[3];
-    const double t127 = A[14] * mixed_2_0_2_covariance[6];
-    const double t128 = t126 + t127;
-    const double t129 = A[10] * mixed_2_0_2_covariance[5];
-    const double t130 = A[14] * mixed_2_0_2_covariance[8];
-    const double t131 = t129 + t130;
-    const double t132 = t131 * A[8];
-    const double t133 = t128 + t132;
-    const double t134 = A[10] * mixed_2_0_2_covariance[8];
-    const double t135 = A[14] * mixed_2_0_2_covariance[9];
-    const double t136 = t134 + t135;
-    const double t137 = t136 * A[12];
-    const double t138 = t133 + t137;
-    moved_covariance_2[3] = t138 + Q[9];
-    const double t139 = A[10] * mixed_2_0_2_covariance[4];
-    const double t140 = A[14] * mixed_2_0_2_covariance[7];
-    const double t141 = t139 + t140;
-    const double t142 = t131 * A[9];
-    const double t143 = t141 + t142;
-    const double t144 = t136 * A[13];
-    moved_covariance_2[4] = t143 + t144;
-    const double t145 = t131 * A[10];
-    const double t146 = t136 * A[14];
-    const double t147 = t145 + t146;
-    moved_covariance_2[5] = t147 + Q[13];
-    const double t148 = A[11] * mixed_2_0_2_covariance[3];
-    const double t149 = A[15] * mixed_2_0_2_covariance[6];
-    const double t150 = t148 + t149;
-    const double t151 = A[11] * mixed_2_0_2_covariance[5];
-    const double t152 = A[15] * mixed_2_0_2_covariance[8];
-    const double t153 = t151 + t152;
-    const double t154 = t153 * A[8];
-    const double t155 = t150 + t154;
-    const double t156 = A[11] * mixed_2_0_2_covariance[8];
-    const double t157 = A[15] * mixed_2_0_2_covariance[9];
-    const double t158 = t156 + t157;
-    const double t159 = t158 * A[12];
-    moved_covariance_2[6] = t155 + t159;
-    const double t160 = A[11] * mixed_2_0_2_covariance[4];
-    const double t161 = A[15] * mixed_2_0_2_covariance[7];
-    const double t162 = t160 + t161;
-    const double t163 = t153 * A[9];
-    const double t164 = t162 + t163;
-    const double t165 = t158 * A[13];
-    const double t166 = t164 + t165;
-    moved_covariance_2[7] = t166 + Q[11];
-    const double t167 = t153 * A[10];
-    const double t168 = t158 * A[14];
-    moved_covariance_2[8] = t167 + t168;
-    const double t169 = t153 * A[11];
-    const double t170 = t158 * A[15];
-    const double t171 = t169 + t170;
-    moved_covariance_2[9] = t171 + Q[15];
+    mixing_0[0] = 0.9 * mode_probability[0] * mode_prediction_inverse_0;
+    mixing_0[1] = 0.15 * mode_probability[1] * mode_prediction_inverse_0;
+    mixing_0[2] = 0.15 * mode_probability[2] * mode_prediction_inverse_0;
+    mode_prediction_1[0] = (0.05 * mode_probability[0]) + (0.85 * mode_probability[1]);
+    log_path_1[0] = log_weight[0] + -2.995732273553991;
+    log_path_1[1] = log_weight[1] + -0.16251892949777494;
+    log_path_largest_1[0] = (log_path_1[0] > log_path_1[1]) ? log_path_1[0] : log_path_1[1];
+    ship_track_mixing_and_prediction_2(log_path_1, log_path_largest_1[0], path_share_total_1,
+        mode_probability, mode_prediction_2, log_weight, log_path_largest_2, path_share_total_2,
+        mixing_0, mode_filtered_state, mode_filtered_covariance, moved_state_0, Q,
+        moved_covariance_0, A, moved_state_1, moved_covariance_1, mixed_2_0_2_share,
+        mixed_2_0_2_apart, mixed_2_0_2_mean, params);
+    const double t16 = mixed_2_0_2_share[0] * mode_filtered_state[3];
+    mixed_2_0_2_mean[3] = t16 + (mixed_2_0_2_share[1] * mode_filtered_state[11]);
+    const double t17 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
+    const double t18 = t17 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
+    const double t19 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
+    mixed_2_0_2_covariance[0] = t18 + (t19 * mixed_2_0_2_apart[0] * mixed_2_0_2_apart[0]);
+    const double t20 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
+    const double t21 = t20 + (mixed_2_0_2_share[1] * mode_filtered_covariance[21]);
+    const double t22 = t19 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[1] = t21 + (t22 * mixed_2_0_2_apart[0]);
+    const double t23 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
+    const double t24 = t23 + (mixed_2_0_2_share[1] * mode_filtered_covariance[22]);
+    mixed_2_0_2_covariance[2] = t24 + (t22 * mixed_2_0_2_apart[1]);
+    const double t25 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
+    const double t26 = t25 + (mixed_2_0_2_share[1] * mode_filtered_covariance[23]);
+    const double t27 = t19 * mixed_2_0_2_apart[2];
+    mixed_2_0_2_covariance[3] = t26 + (t27 * mixed_2_0_2_apart[0]);
+    const double t28 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
+    const double t29 = t28 + (mixed_2_0_2_share[1] * mode_filtered_covariance[24]);
+    mixed_2_0_2_covariance[4] = t29 + (t27 * mixed_2_0_2_apart[1]);
+    const double t30 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
+    const double t31 = t30 + (mixed_2_0_2_share[1] * mode_filtered_covariance[25]);
+    mixed_2_0_2_covariance[5] = t31 + (t27 * mixed_2_0_2_apart[2]);
+    const double t32 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
+    const double t33 = t32 + (mixed_2_0_2_share[1] * mode_filtered_covariance[26]);
+    const double t34 = t19 * mixed_2_0_2_apart[3];
+    mixed_2_0_2_covariance[6] = t33 + (t34 * mixed_2_0_2_apart[0]);
+    const double t35 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
+    const double t36 = t35 + (mixed_2_0_2_share[1] * mode_filtered_covariance[27]);
+    mixed_2_0_2_covariance[7] = t36 + (t34 * mixed_2_0_2_apart[1]);
+    const double t37 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
+    const double t38 = t37 + (mixed_2_0_2_share[1] * mode_filtered_covariance[28]);
+    mixed_2_0_2_covariance[8] = t38 + (t34 * mixed_2_0_2_apart[2]);
+    const double t39 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
+    const double t40 = t39 + (mixed_2_0_2_share[1] * mode_filtered_covariance[29]);
+    mixed_2_0_2_covariance[9] = t40 + (t34 * mixed_2_0_2_apart[3]);
+    const double t41 = mixed_2_0_2_mean[0] + (A[8] * mixed_2_0_2_mean[2]);
+    moved_state_2[0] = t41 + (A[12] * mixed_2_0_2_mean[3]);
+    const double t42 = mixed_2_0_2_mean[1] + (A[9] * mixed_2_0_2_mean[2]);
+    moved_state_2[1] = t42 + (A[13] * mixed_2_0_2_mean[3]);
+    moved_state_2[2] = (A[10] * mixed_2_0_2_mean[2]) + (A[14] * mixed_2_0_2_mean[3]);
+    moved_state_2[3] = (A[11] * mixed_2_0_2_mean[2]) + (A[15] * mixed_2_0_2_mean[3]);
+    const double t43 = mixed_2_0_2_covariance[0] + (A[8] * mixed_2_0_2_covariance[3]);
+    const double t44 = t43 + (A[12] * mixed_2_0_2_covariance[6]);
+    const double t45 = mixed_2_0_2_covariance[3] + (A[8] * mixed_2_0_2_covariance[5]);
+    const double t46 = t44 + ((t45 + (A[12] * mixed_2_0_2_covariance[8])) * A[8]);
+    const double t47 = mixed_2_0_2_covariance[6] + (A[8] * mixed_2_0_2_covariance[8]);
+    moved_covariance_2[0] = t46 + ((t47 + (A[12] * mixed_2_0_2_covariance[9])) * A[12]) + Q[8];
+    const double t48 = mixed_2_0_2_covariance[1] + (A[9] * mixed_2_0_2_covariance[3]);
+    const double t49 = t48 + (A[13] * mixed_2_0_2_covariance[6]);
+    const double t50 = mixed_2_0_2_covariance[4] + (A[9] * mixed_2_0_2_covariance[5]);
+    const double t51 = t50 + (A[13] * mixed_2_0_2_covariance[8]);
+    const double t52 = t49 + (t51 * A[8]);
+    const double t53 = mixed_2_0_2_covariance[7] + (A[9] * mixed_2_0_2_covariance[8]);
+    const double t54 = t53 + (A[13] * mixed_2_0_2_covariance[9]);
+    moved_covariance_2[1] = t52 + (t54 * A[12]);
+    const double t55 = mixed_2_0_2_covariance[2] + (A[9] * mixed_2_0_2_covariance[4]);
+    const double t56 = t55 + (A[13] * mixed_2_0_2_covariance[7]) + (t51 * A[9]) + (t54 * A[13]);
+    moved_covariance_2[2] = t56 + Q[10];
+    const double t57 = (A[10] * mixed_2_0_2_covariance[3]) + (A[14] * mixed_2_0_2_covariance[6]);
+    const double t58 = (A[10] * mixed_2_0_2_covariance[5]) + (A[14] * mixed_2_0_2_covariance[8]);
+    const double t59 = t57 + (t58 * A[8]);
+    const double t60 = (A[10] * mixed_2_0_2_covariance[8]) + (A[14] * mixed_2_0_2_covariance[9]);
+    moved_covariance_2[3] = t59 + (t60 * A[12]) + Q[9];
+    const double t61 = (A[10] * mixed_2_0_2_covariance[4]) + (A[14] * mixed_2_0_2_covariance[7]);
+    moved_covariance_2[4] = t61 + (t58 * A[9]) + (t60 * A[13]);
+    moved_covariance_2[5] = (t58 * A[10]) + (t60 * A[14]) + Q[13];
+    const double t62 = (A[11] * mixed_2_0_2_covariance[3]) + (A[15] * mixed_2_0_2_covariance[6]);
+    const double t63 = (A[11] * mixed_2_0_2_covariance[5]) + (A[15] * mixed_2_0_2_covariance[8]);
+    const double t64 = t62 + (t63 * A[8]);
+    const double t65 = (A[11] * mixed_2_0_2_covariance[8]) + (A[15] * mixed_2_0_2_covariance[9]);
+    moved_covariance_2[6] = t64 + (t65 * A[12]);
+    const double t66 = (A[11] * mixed_2_0_2_covariance[4]) + (A[15] * mixed_2_0_2_covariance[7]);
+    moved_covariance_2[7] = t66 + (t63 * A[9]) + (t65 * A[13]) + Q[11];
+    moved_covariance_2[8] = (t63 * A[10]) + (t65 * A[14]);
+    moved_covariance_2[9] = (t63 * A[11]) + (t65 * A[15]) + Q[15];
 
     /* combined prediction */
     predicted_0_2_share[0] = mode_prediction_0[0] + mode_prediction_1[0];
     predicted_0_2_share[1] = mode_prediction_2[0];
-    const double t172 = mode_prediction_0[0] + mode_prediction_1[0];
-    const double t173 = t172 + SHIP_TRACK_TINY;
-    predicted_0_1_inverse[0] = 1.0 / t173;
+    const double t67 = mode_prediction_0[0] + mode_prediction_1[0] + SHIP_TRACK_TINY;
+    predicted_0_1_inverse[0] = 1.0 / t67;
     return SHIP_TRACK_OK;
 }
 
@@ -1717,44 +1221,26 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
     }
 
-    /* mode 0: the model */
+    /* mode 0: the model: innovation, row by row */
     status = ship_track_mode(y, self->mode_state, &innovation_m0_0, &innovation_m0_1,
         &innovation_m0_2, &innovation_m0_3, self->mode_covariance, variance_m0, mean_m0,
         covariance_m0, &quadratic_m0, &log_constant_m0, &determinant_m0_0, present);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
-    const double t0 = ship_track_log(determinant_m0_0);
-    const double t1 = log_constant_m0 + t0;
-    const double t2 = quadratic_m0 + t1;
-    log_density_m0 = -0.5 * t2;
+    if (status != SHIP_TRACK_OK) { return status; }
+    log_density_m0 = -0.5 * (quadratic_m0 + (log_constant_m0 + ship_track_log(determinant_m0_0)));
 
-    /* mode 1: with its own A, Q */
+    /* mode 1: with its own A, Q: innovation, row by row */
     status = ship_track_mode(y, &self->mode_state[4], &innovation_m1_0, &innovation_m1_1,
         &innovation_m1_2, &innovation_m1_3, &self->mode_covariance[10], variance_m1, mean_m1,
         covariance_m1, &quadratic_m1, &log_constant_m1, &determinant_m1_0, present);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
-    const double t3 = ship_track_log(determinant_m1_0);
-    const double t4 = log_constant_m1 + t3;
-    const double t5 = quadratic_m1 + t4;
-    log_density_m1 = -0.5 * t5;
+    if (status != SHIP_TRACK_OK) { return status; }
+    log_density_m1 = -0.5 * (quadratic_m1 + (log_constant_m1 + ship_track_log(determinant_m1_0)));
 
-    /* mode 2: with its own A, Q */
+    /* mode 2: with its own A, Q: innovation, row by row */
     status = ship_track_mode(y, &self->mode_state[8], &innovation_m2_0, &innovation_m2_1,
         &innovation_m2_2, &innovation_m2_3, &self->mode_covariance[20], variance_m2, mean_m2,
         covariance_m2, &quadratic_m2, &log_constant_m2, &determinant_m2_0, present);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
-    const double t6 = ship_track_log(determinant_m2_0);
-    const double t7 = log_constant_m2 + t6;
-    const double t8 = quadratic_m2 + t7;
-    log_density_m2 = -0.5 * t8;
+    if (status != SHIP_TRACK_OK) { return status; }
+    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + ship_track_log(determinant_m2_0)));
 
     /* probabilities of the modes */
     weight[0] = self->predicted_mode_probability[0];
@@ -1768,21 +1254,14 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
         log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
         log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
-        const double t9 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
-        log_largest = (t9 > log_joint[2]) ? t9 : log_joint[2];
-        const double t10 = log_joint[0] - log_largest;
-        share_of_largest[0] = ship_track_exp(t10);
-        const double t11 = log_joint[1] - log_largest;
-        share_of_largest[1] = ship_track_exp(t11);
-        const double t12 = log_joint[2] - log_largest;
-        share_of_largest[2] = ship_track_exp(t12);
-        const double t13 = share_of_largest[0] + share_of_largest[1];
-        share_total = t13 + share_of_largest[2];
-        const double t14 = log_largest - SHIP_TRACK_LEAST_LOG_DENSITY;
-        if (!(t14 > 0.0))
-        {
-            return SHIP_TRACK_RESULT_NOT_FINITE;
-        }
+        const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
+        log_largest = (t0 > log_joint[2]) ? t0 : log_joint[2];
+        share_of_largest[0] = ship_track_exp(log_joint[0] - log_largest);
+        share_of_largest[1] = ship_track_exp(log_joint[1] - log_largest);
+        share_of_largest[2] = ship_track_exp(log_joint[2] - log_largest);
+        share_total = share_of_largest[0] + share_of_largest[1] + share_of_largest[2];
+        const double t1 = log_largest - SHIP_TRACK_LEAST_LOG_DENSITY;
+        if (!(t1 > 0.0)) { return SHIP_TRACK_RESULT_NOT_FINITE; }
         if (!ship_track_finite(ship_track_defect(share_total)))
         {
             return SHIP_TRACK_RESULT_NOT_FINITE;
@@ -1792,15 +1271,12 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
         weight[0] = share_of_largest[0] * share_total_inverse;
         weight[1] = share_of_largest[1] * share_total_inverse;
         weight[2] = share_of_largest[2] * share_total_inverse;
-        const double t15 = log_joint[0] - log_largest;
-        const double t16 = t15 - log_share_total;
-        log_weight_now[0] = (t16 > SHIP_TRACK_LOG_ZERO) ? t16 : SHIP_TRACK_LOG_ZERO;
-        const double t17 = log_joint[1] - log_largest;
-        const double t18 = t17 - log_share_total;
-        log_weight_now[1] = (t18 > SHIP_TRACK_LOG_ZERO) ? t18 : SHIP_TRACK_LOG_ZERO;
-        const double t19 = log_joint[2] - log_largest;
-        const double t20 = t19 - log_share_total;
-        log_weight_now[2] = (t20 > SHIP_TRACK_LOG_ZERO) ? t20 : SHIP_TRACK_LOG_ZERO;
+        const double t2 = (log_joint[0] - log_largest) - log_share_total;
+        log_weight_now[0] = (t2 > SHIP_TRACK_LOG_ZERO) ? t2 : SHIP_TRACK_LOG_ZERO;
+        const double t3 = (log_joint[1] - log_largest) - log_share_total;
+        log_weight_now[1] = (t3 > SHIP_TRACK_LOG_ZERO) ? t3 : SHIP_TRACK_LOG_ZERO;
+        const double t4 = (log_joint[2] - log_largest) - log_share_total;
+        log_weight_now[2] = (t4 > SHIP_TRACK_LOG_ZERO) ? t4 : SHIP_TRACK_LOG_ZERO;
         log_evidence = log_largest + log_share_total;
     }
 
@@ -1819,104 +1295,67 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     predicted_y_m2[3] = self->mode_state[11];
     ship_track_innovation_of_the_mixture(self->predicted_mode_probability, variance_m0, variance_m1,
         variance_m2, predicted_y_m0, predicted_y_m1, predicted_y_m2, combined_variance);
-    const double t21 = self->predicted_mode_probability[0] * innovation_m0_0;
-    const double t22 = self->predicted_mode_probability[1] * innovation_m1_0;
-    const double t23 = t21 + t22;
-    const double t24 = self->predicted_mode_probability[2] * innovation_m2_0;
-    combined_innovation[0] = t23 + t24;
-    const double t25 = self->predicted_mode_probability[0] * innovation_m0_1;
-    const double t26 = self->predicted_mode_probability[1] * innovation_m1_1;
-    const double t27 = t25 + t26;
-    const double t28 = self->predicted_mode_probability[2] * innovation_m2_1;
-    combined_innovation[1] = t27 + t28;
-    const double t29 = self->predicted_mode_probability[0] * innovation_m0_2;
-    const double t30 = self->predicted_mode_probability[1] * innovation_m1_2;
-    const double t31 = t29 + t30;
-    const double t32 = self->predicted_mode_probability[2] * innovation_m2_2;
-    combined_innovation[2] = t31 + t32;
-    const double t33 = self->predicted_mode_probability[0] * innovation_m0_3;
-    const double t34 = self->predicted_mode_probability[1] * innovation_m1_3;
-    const double t35 = t33 + t34;
-    const double t36 = self->predicted_mode_probability[2] * innovation_m2_3;
-    combined_innovation[3] = t35 + t36;
+    const double t5 = self->predicted_mode_probability[0] * innovation_m0_0;
+    const double t6 = t5 + (self->predicted_mode_probability[1] * innovation_m1_0);
+    combined_innovation[0] = t6 + (self->predicted_mode_probability[2] * innovation_m2_0);
+    const double t7 = self->predicted_mode_probability[0] * innovation_m0_1;
+    const double t8 = t7 + (self->predicted_mode_probability[1] * innovation_m1_1);
+    combined_innovation[1] = t8 + (self->predicted_mode_probability[2] * innovation_m2_1);
+    const double t9 = self->predicted_mode_probability[0] * innovation_m0_2;
+    const double t10 = t9 + (self->predicted_mode_probability[1] * innovation_m1_2);
+    combined_innovation[2] = t10 + (self->predicted_mode_probability[2] * innovation_m2_2);
+    const double t11 = self->predicted_mode_probability[0] * innovation_m0_3;
+    const double t12 = t11 + (self->predicted_mode_probability[1] * innovation_m1_3);
+    combined_innovation[3] = t12 + (self->predicted_mode_probability[2] * innovation_m2_3);
     whitening_pivot_combined_0 = combined_variance[0];
     if ((present & 0x1u) != 0u)
     {
-        if (!(whitening_pivot_combined_0 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_0 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
     }
     whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
     whitening_combined_0_2 = combined_variance[3] * whitening_inverse_combined_0;
     whitening_combined_0_3 = combined_variance[6] * whitening_inverse_combined_0;
-    const double t37 = whitening_combined_0_1 * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t37;
+    const double t13 = whitening_combined_0_1 * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t13;
     if ((present & 0x2u) != 0u)
     {
-        if (!(whitening_pivot_combined_1 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_1 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
     }
-    const double t38 = whitening_combined_0_2 * combined_variance[1];
-    const double t39 = combined_variance[4] - t38;
-    whitening_combined_1_2 = t39 * whitening_inverse_combined_1;
-    const double t40 = whitening_combined_0_3 * combined_variance[1];
-    const double t41 = combined_variance[7] - t40;
-    whitening_combined_1_3 = t41 * whitening_inverse_combined_1;
-    const double t42 = whitening_combined_0_2 * combined_variance[3];
-    const double t43 = combined_variance[5] - t42;
-    const double t44 = whitening_combined_0_2 * combined_variance[1];
-    const double t45 = combined_variance[4] - t44;
-    const double t46 = whitening_combined_1_2 * t45;
-    whitening_pivot_combined_2 = t43 - t46;
+    const double t14 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
+    whitening_combined_1_2 = t14 * whitening_inverse_combined_1;
+    const double t15 = combined_variance[7] - (whitening_combined_0_3 * combined_variance[1]);
+    whitening_combined_1_3 = t15 * whitening_inverse_combined_1;
+    const double t16 = combined_variance[5] - (whitening_combined_0_2 * combined_variance[3]);
+    const double t17 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
+    whitening_pivot_combined_2 = t16 - (whitening_combined_1_2 * t17);
     if ((present & 0x4u) != 0u)
     {
-        if (!(whitening_pivot_combined_2 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_2 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_2 = 1.0 / whitening_pivot_combined_2;
     }
-    const double t47 = whitening_combined_0_3 * combined_variance[3];
-    const double t48 = combined_variance[8] - t47;
-    const double t49 = whitening_combined_0_2 * combined_variance[1];
-    const double t50 = combined_variance[4] - t49;
-    const double t51 = whitening_combined_1_3 * t50;
-    const double t52 = t48 - t51;
-    whitening_combined_2_3 = t52 * whitening_inverse_combined_2;
-    const double t53 = whitening_combined_0_3 * combined_variance[6];
-    const double t54 = combined_variance[9] - t53;
-    const double t55 = whitening_combined_0_3 * combined_variance[1];
-    const double t56 = combined_variance[7] - t55;
-    const double t57 = whitening_combined_1_3 * t56;
-    const double t58 = t54 - t57;
-    const double t59 = whitening_combined_0_3 * combined_variance[3];
-    const double t60 = combined_variance[8] - t59;
-    const double t61 = whitening_combined_0_2 * combined_variance[1];
-    const double t62 = combined_variance[4] - t61;
-    const double t63 = whitening_combined_1_3 * t62;
-    const double t64 = t60 - t63;
-    const double t65 = whitening_combined_2_3 * t64;
-    whitening_pivot_combined_3 = t58 - t65;
+    const double t18 = combined_variance[8] - (whitening_combined_0_3 * combined_variance[3]);
+    const double t19 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
+    const double t20 = t18 - (whitening_combined_1_3 * t19);
+    whitening_combined_2_3 = t20 * whitening_inverse_combined_2;
+    const double t21 = combined_variance[9] - (whitening_combined_0_3 * combined_variance[6]);
+    const double t22 = combined_variance[7] - (whitening_combined_0_3 * combined_variance[1]);
+    const double t23 = t21 - (whitening_combined_1_3 * t22);
+    const double t24 = combined_variance[8] - (whitening_combined_0_3 * combined_variance[3]);
+    const double t25 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
+    const double t26 = whitening_combined_2_3 * (t24 - (whitening_combined_1_3 * t25));
+    whitening_pivot_combined_3 = t23 - t26;
     if ((present & 0x8u) != 0u)
     {
-        if (!(whitening_pivot_combined_3 > 0.0))
-        {
-            return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(whitening_pivot_combined_3 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_3 = 1.0 / whitening_pivot_combined_3;
     }
 
     /* combination */
     combined_0_2_share[0] = weight[0] + weight[1];
     combined_0_2_share[1] = weight[2];
-    const double t66 = weight[0] + weight[1];
-    const double t67 = t66 + SHIP_TRACK_TINY;
-    combined_0_1_inverse = 1.0 / t67;
+    combined_0_1_inverse = 1.0 / (weight[0] + weight[1] + SHIP_TRACK_TINY);
     combined_0_1_share[0] = weight[0] * combined_0_1_inverse;
     combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
     ship_track_part_2(mean_m0, mean_m1, combined_0_1_share, covariance_m0, covariance_m1, mean_m2,
@@ -1968,39 +1407,26 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
         self->mode_filtered_covariance, moved_state_0, moved_covariance_0, moved_state_1,
         moved_covariance_1, moved_state_2, moved_covariance_2, predicted_0_2_share,
         &predicted_0_1_inverse, params);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
+    if (status != SHIP_TRACK_OK) { return status; }
     predicted_0_1_share[0] = mode_prediction_0 * predicted_0_1_inverse;
     predicted_0_1_share[1] = mode_prediction_1 * predicted_0_1_inverse;
     ship_track_part_2(moved_state_0, moved_state_1, predicted_0_1_share, moved_covariance_0,
         moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
         moved_covariance_2, predicted_0_2_covariance);
     next->predicted_log_weight[0] = ship_track_log(mode_prediction_0);
-    const double t0 = ship_track_log(path_share_total_1);
-    next->predicted_log_weight[1] = log_path_largest_1 + t0;
-    const double t1 = ship_track_log(path_share_total_2);
-    next->predicted_log_weight[2] = log_path_largest_2 + t1;
-    const double t2 = moved_state_0[0] + moved_state_1[0];
-    const double t3 = t2 + moved_state_2[0];
-    const double t4 = moved_state_0[1] + moved_state_1[1];
-    const double t5 = t4 + moved_state_2[1];
-    const double t6 = moved_state_0[2] + moved_state_1[2];
-    const double t7 = t6 + moved_state_2[2];
-    const double t8 = moved_state_0[3] + moved_state_1[3];
-    const double t9 = t8 + moved_state_2[3];
-    const double t10 = moved_covariance_0[0] + moved_covariance_1[0];
-    const double t11 = t10 + moved_covariance_2[0];
-    const double t12 = moved_covariance_0[2] + moved_covariance_1[2];
-    const double t13 = t12 + moved_covariance_2[2];
-    const double t14 = moved_covariance_0[5] + moved_covariance_1[5];
-    const double t15 = t14 + moved_covariance_2[5];
-    const double t16 = moved_covariance_0[9] + moved_covariance_1[9];
-    const double t17 = t16 + moved_covariance_2[9];
-    if (!ship_track_finite(ship_track_defect(t3) + ship_track_defect(t5) + ship_track_defect(t7) +
-        ship_track_defect(t9) + ship_track_defect(t11) + ship_track_defect(t13) +
-        ship_track_defect(t15) + ship_track_defect(t17)))
+    next->predicted_log_weight[1] = log_path_largest_1 + ship_track_log(path_share_total_1);
+    next->predicted_log_weight[2] = log_path_largest_2 + ship_track_log(path_share_total_2);
+    const double t0 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0];
+    const double t1 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1];
+    const double t2 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2];
+    const double t3 = moved_state_0[3] + moved_state_1[3] + moved_state_2[3];
+    const double t4 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
+    const double t5 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
+    const double t6 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
+    const double t7 = moved_covariance_0[9] + moved_covariance_1[9] + moved_covariance_2[9];
+    if (!ship_track_finite(ship_track_defect(t0) + ship_track_defect(t1) + ship_track_defect(t2) +
+        ship_track_defect(t3) + ship_track_defect(t4) + ship_track_defect(t5) +
+        ship_track_defect(t6) + ship_track_defect(t7)))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
@@ -2019,50 +1445,14 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     next->mode_state[9] = moved_state_2[1];
     next->mode_state[10] = moved_state_2[2];
     next->mode_state[11] = moved_state_2[3];
-    next->mode_covariance[0] = moved_covariance_0[0];
-    next->mode_covariance[1] = moved_covariance_0[1];
-    next->mode_covariance[2] = moved_covariance_0[2];
-    next->mode_covariance[3] = moved_covariance_0[3];
-    next->mode_covariance[4] = moved_covariance_0[4];
-    next->mode_covariance[5] = moved_covariance_0[5];
-    next->mode_covariance[6] = moved_covariance_0[6];
-    next->mode_covariance[7] = moved_covariance_0[7];
-    next->mode_covariance[8] = moved_covariance_0[8];
-    next->mode_covariance[9] = moved_covariance_0[9];
-    next->mode_covariance[10] = moved_covariance_1[0];
-    next->mode_covariance[11] = moved_covariance_1[1];
-    next->mode_covariance[12] = moved_covariance_1[2];
-    next->mode_covariance[13] = moved_covariance_1[3];
-    next->mode_covariance[14] = moved_covariance_1[4];
-    next->mode_covariance[15] = moved_covariance_1[5];
-    next->mode_covariance[16] = moved_covariance_1[6];
-    next->mode_covariance[17] = moved_covariance_1[7];
-    next->mode_covariance[18] = moved_covariance_1[8];
-    next->mode_covariance[19] = moved_covariance_1[9];
-    next->mode_covariance[20] = moved_covariance_2[0];
-    next->mode_covariance[21] = moved_covariance_2[1];
-    next->mode_covariance[22] = moved_covariance_2[2];
-    next->mode_covariance[23] = moved_covariance_2[3];
-    next->mode_covariance[24] = moved_covariance_2[4];
-    next->mode_covariance[25] = moved_covariance_2[5];
-    next->mode_covariance[26] = moved_covariance_2[6];
-    next->mode_covariance[27] = moved_covariance_2[7];
-    next->mode_covariance[28] = moved_covariance_2[8];
-    next->mode_covariance[29] = moved_covariance_2[9];
+    ship_track_copy(moved_covariance_0, next->mode_covariance, 10);
+    ship_track_copy(moved_covariance_1, &next->mode_covariance[10], 10);
+    ship_track_copy(moved_covariance_2, &next->mode_covariance[20], 10);
     next->predicted_state[0] = predicted_0_2_mean[0];
     next->predicted_state[1] = predicted_0_2_mean[1];
     next->predicted_state[2] = predicted_0_2_mean[2];
     next->predicted_state[3] = predicted_0_2_mean[3];
-    next->predicted_covariance[0] = predicted_0_2_covariance[0];
-    next->predicted_covariance[1] = predicted_0_2_covariance[1];
-    next->predicted_covariance[2] = predicted_0_2_covariance[2];
-    next->predicted_covariance[3] = predicted_0_2_covariance[3];
-    next->predicted_covariance[4] = predicted_0_2_covariance[4];
-    next->predicted_covariance[5] = predicted_0_2_covariance[5];
-    next->predicted_covariance[6] = predicted_0_2_covariance[6];
-    next->predicted_covariance[7] = predicted_0_2_covariance[7];
-    next->predicted_covariance[8] = predicted_0_2_covariance[8];
-    next->predicted_covariance[9] = predicted_0_2_covariance[9];
+    ship_track_copy(predicted_0_2_covariance, next->predicted_covariance, 10);
     return SHIP_TRACK_OK;
 }
 
@@ -2080,10 +1470,7 @@ static void ship_track_fill(double *to, int size, const double *from, int period
 
 ship_track_status_t ship_track_init(ship_track_t *self)
 {
-    if (self == NULL)
-    {
-        return SHIP_TRACK_NULL_POINTER;
-    }
+    if (self == NULL) { return SHIP_TRACK_NULL_POINTER; }
     ship_track_fill(self->predicted_state, 4, ship_track_zero_0, 1);
     ship_track_fill(self->predicted_covariance, 10, ship_track_predicted_covariance_0, 10);
     ship_track_fill(self->filtered_state, 4, ship_track_zero_0, 1);
@@ -2105,10 +1492,7 @@ ship_track_status_t ship_track_init(ship_track_t *self)
 
 ship_track_status_t ship_track_params_init(ship_track_params_t *params)
 {
-    if (params == NULL)
-    {
-        return SHIP_TRACK_NULL_POINTER;
-    }
+    if (params == NULL) { return SHIP_TRACK_NULL_POINTER; }
     params->dt = 2.5;
     params->turn = 0.01745;
     return SHIP_TRACK_OK;
@@ -2122,20 +1506,11 @@ ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_param
     ship_track_t next;
     uint32_t present;
     ship_track_status_t status;
-    if ((self == NULL) || (params == NULL) || (y == NULL))
-    {
-        return SHIP_TRACK_NULL_POINTER;
-    }
-    if (!ship_track_present_rows(y, valid, &present))
-    {
-        return SHIP_TRACK_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
+    if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
     next = *self;
     status = ship_track_correct(self, y, present, &next);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
+    if (status != SHIP_TRACK_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
 }
@@ -2144,16 +1519,10 @@ ship_track_status_t ship_track_predict(ship_track_t *self, const ship_track_para
 {
     ship_track_t next;
     ship_track_status_t status;
-    if ((self == NULL) || (params == NULL))
-    {
-        return SHIP_TRACK_NULL_POINTER;
-    }
+    if ((self == NULL) || (params == NULL)) { return SHIP_TRACK_NULL_POINTER; }
     next = *self;
     status = ship_track_propagate(self, params, &next);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
+    if (status != SHIP_TRACK_OK) { return status; }
     *self = next;
     return SHIP_TRACK_OK;
 }
@@ -2164,24 +1533,12 @@ ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_
     ship_track_t next;
     uint32_t present;
     ship_track_status_t status;
-    if ((self == NULL) || (params == NULL) || (y == NULL))
-    {
-        return SHIP_TRACK_NULL_POINTER;
-    }
-    if (!ship_track_present_rows(y, valid, &present))
-    {
-        return SHIP_TRACK_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
+    if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
     status = ship_track_correct(self, y, present, &next);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
+    if (status != SHIP_TRACK_OK) { return status; }
     status = ship_track_propagate(&next, params, &next);
-    if (status != SHIP_TRACK_OK)
-    {
-        return status;
-    }
+    if (status != SHIP_TRACK_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
 }

@@ -101,10 +101,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -128,19 +125,13 @@ ship_track_status_t ship_track_selftest(void)
     const double *expected = final;
     ship_track_params_t params;
     int k;
-    if (ship_track_init(&filter) != SHIP_TRACK_OK)
-    {
-        return SHIP_TRACK_NULL_POINTER;
-    }
+    if (ship_track_init(&filter) != SHIP_TRACK_OK) { return SHIP_TRACK_NULL_POINTER; }
     (void)ship_track_params_init(&params);
     for (k = 0; k < SAMPLES; ++k)
     {
         const ship_track_status_t status = ship_track_step(&filter, &params, measurement[k],
             valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], SHIP_TRACK_NX))
         {
             return SHIP_TRACK_SELFTEST_FAILED;
@@ -148,10 +139,7 @@ ship_track_status_t ship_track_selftest(void)
     }
     for (k = 0; k < MEMBERS; ++k)
     {
-        if (!same(member[k].value, expected, member[k].size))
-        {
-            return SHIP_TRACK_SELFTEST_FAILED;
-        }
+        if (!same(member[k].value, expected, member[k].size)) { return SHIP_TRACK_SELFTEST_FAILED; }
         expected += member[k].size;
     }
     return SHIP_TRACK_OK;

@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define SOFT_FAULT_CPCF_INLINE static inline __attribute__((always_inline))
@@ -30,14 +35,8 @@ static double soft_fault_cpcf_log(double x)
     soft_fault_cpcf_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -203,33 +202,24 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     pivot_0 = self->predicted_covariance[2] + 0.01;
     if ((present & 0x2u) != 0u)
     {
-        if (!(pivot_0 > 0.0))
-        {
-            return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_0 > 0.0)) { return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0;
         const double t0 = innovation_1 * inverse_0;
         quadratic = innovation_1 * t0;
-        const double t1 = self->predicted_covariance[1] * t0;
-        mean[0] = self->predicted_state[0] + t1;
-        const double t2 = self->predicted_covariance[2] * t0;
-        mean[1] = self->predicted_state[1] + t2;
+        mean[0] = self->predicted_state[0] + (self->predicted_covariance[1] * t0);
+        mean[1] = self->predicted_state[1] + (self->predicted_covariance[2] * t0);
         mean[2] = carried_compressed_cross_covariance[1] * t0;
-        const double t3 = self->predicted_covariance[1] * inverse_0;
+        const double t1 = self->predicted_covariance[1] * inverse_0;
+        covariance[0] = self->predicted_covariance[0] - (t1 * self->predicted_covariance[1]);
+        const double t2 = self->predicted_covariance[2] * inverse_0;
+        covariance[1] = self->predicted_covariance[1] - (t2 * self->predicted_covariance[1]);
+        covariance[2] = self->predicted_covariance[2] - (t2 * self->predicted_covariance[2]);
+        const double t3 = carried_compressed_cross_covariance[1] * inverse_0;
         const double t4 = t3 * self->predicted_covariance[1];
-        covariance[0] = self->predicted_covariance[0] - t4;
-        const double t5 = self->predicted_covariance[2] * inverse_0;
-        const double t6 = t5 * self->predicted_covariance[1];
-        covariance[1] = self->predicted_covariance[1] - t6;
-        const double t7 = t5 * self->predicted_covariance[2];
-        covariance[2] = self->predicted_covariance[2] - t7;
-        const double t8 = carried_compressed_cross_covariance[1] * inverse_0;
-        const double t9 = t8 * self->predicted_covariance[1];
-        covariance[3] = carried_compressed_cross_covariance[0] - t9;
-        const double t10 = t8 * self->predicted_covariance[2];
-        covariance[4] = carried_compressed_cross_covariance[1] - t10;
-        const double t11 = t8 * carried_compressed_cross_covariance[1];
-        covariance[5] = carried_compressed_noise - t11;
+        covariance[3] = carried_compressed_cross_covariance[0] - t4;
+        const double t5 = t3 * self->predicted_covariance[2];
+        covariance[4] = carried_compressed_cross_covariance[1] - t5;
+        covariance[5] = carried_compressed_noise - (t3 * carried_compressed_cross_covariance[1]);
         log_constant = SOFT_FAULT_CPCF_LOG_2_PI;
         determinant_0 = pivot_0;
     }
@@ -237,9 +227,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     /* maintenance of the compressed measurement */
     if (self->predicted_collecting > 0.0)
     {
-        const double t12 = mean[0] - self->predicted_state[0];
-        const double t13 = t12 + mean[2];
-        maintained = carried_compressed_measurement - t13;
+        const double t6 = (mean[0] - self->predicted_state[0]) + mean[2];
+        maintained = carried_compressed_measurement - t6;
     }
 
     /* whether a compressed measurement begins */
@@ -252,8 +241,7 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t14 = y[0] - maintained;
-        innovation_compressed_0 = t14 - mean[0];
+        innovation_compressed_0 = (y[0] - maintained) - mean[0];
     }
     mean_compressed = maintained;
     covariance_compressed = covariance[5];
@@ -262,29 +250,19 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     pivot_compressed_0 = covariance[5] + 100.0;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_compressed_0 > 0.0))
-        {
-            return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_compressed_0 > 0.0)) { return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE; }
         inverse_compressed_0 = 1.0 / pivot_compressed_0;
-        const double t15 = innovation_compressed_0 * inverse_compressed_0;
-        const double t16 = covariance[5] * t15;
-        mean_compressed = maintained + t16;
-        const double t17 = covariance[5] * inverse_compressed_0;
-        const double t18 = t17 * covariance[5];
-        const double t19 = covariance[5] - t18;
-        const double t20 = 100.0 * t17;
-        const double t21 = t20 - t19;
-        const double t22 = t21 * t17;
-        covariance_compressed = t19 + t22;
-        update_gain_compressed = t17;
+        const double t7 = covariance[5] * (innovation_compressed_0 * inverse_compressed_0);
+        mean_compressed = maintained + t7;
+        const double t8 = covariance[5] * inverse_compressed_0;
+        const double t9 = covariance[5] - (t8 * covariance[5]);
+        covariance_compressed = t9 + (((100.0 * t8) - t9) * t8);
+        update_gain_compressed = t8;
     }
 
     /* a compressed measurement begins */
-    const double t23 = update_gain_compressed * covariance[3];
-    new_compressed_cross_covariance[0] = covariance[3] - t23;
-    const double t24 = update_gain_compressed * covariance[4];
-    new_compressed_cross_covariance[1] = covariance[4] - t24;
+    new_compressed_cross_covariance[0] = covariance[3] - (update_gain_compressed * covariance[3]);
+    new_compressed_cross_covariance[1] = covariance[4] - (update_gain_compressed * covariance[4]);
     new_compressed_measurement = mean_compressed;
     new_compressed_noise = covariance_compressed;
     if (begins_0 > 0.0)
@@ -310,10 +288,7 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     /* results of the update */
     next->innovation_covariance[0] = self->predicted_covariance[0] + 100.0;
     next->innovation_covariance[2] = self->predicted_covariance[2] + 0.01;
-    const double t25 = soft_fault_cpcf_log(determinant_0);
-    const double t26 = log_constant + t25;
-    const double t27 = quadratic + t26;
-    next->log_likelihood = -0.5 * t27;
+    next->log_likelihood = -0.5 * (quadratic + (log_constant + soft_fault_cpcf_log(determinant_0)));
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_covariance[0] = covariance[0];
@@ -368,39 +343,26 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     cross_taken_0[1] = self->filtered_covariance[1] + self->compressed_cross_covariance[1];
     cross_taken_0[2] = self->compressed_cross_covariance[0] + self->compressed_noise[0];
     pivot_taken_0 = cross_taken_0[0] + cross_taken_0[2];
-    if (!(size >= 0.0))
+    if (!(size >= 0.0)) { return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE; }
+    const double t0 = pivot_taken_0 - (1.0e-11 * size);
+    if (t0 > 0.0)
     {
-        return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
-    }
-    const double t0 = 1.0e-11 * size;
-    const double t1 = pivot_taken_0 - t0;
-    if (t1 > 0.0)
-    {
-        if (!(pivot_taken_0 > 0.0))
-        {
-            return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_taken_0 > 0.0)) { return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE; }
         inverse_taken_0 = 1.0 / pivot_taken_0;
-        const double t2 = self->compressed_measurement[0] * inverse_taken_0;
-        quadratic_taken = self->compressed_measurement[0] * t2;
-        mean_taken[0] = cross_taken_0[0] * t2;
-        mean_taken[1] = cross_taken_0[1] * t2;
-        mean_taken[2] = cross_taken_0[2] * t2;
-        const double t3 = cross_taken_0[0] * inverse_taken_0;
-        const double t4 = t3 * cross_taken_0[0];
-        covariance_taken[0] = self->filtered_covariance[0] - t4;
-        const double t5 = cross_taken_0[1] * inverse_taken_0;
-        const double t6 = t5 * cross_taken_0[0];
-        covariance_taken[1] = self->filtered_covariance[1] - t6;
-        const double t7 = t5 * cross_taken_0[1];
-        covariance_taken[2] = self->filtered_covariance[2] - t7;
-        const double t8 = cross_taken_0[2] * inverse_taken_0;
-        const double t9 = t8 * cross_taken_0[0];
-        covariance_taken[3] = self->compressed_cross_covariance[0] - t9;
-        const double t10 = t8 * cross_taken_0[1];
-        covariance_taken[4] = self->compressed_cross_covariance[1] - t10;
-        const double t11 = t8 * cross_taken_0[2];
-        covariance_taken[5] = self->compressed_noise[0] - t11;
+        const double t1 = self->compressed_measurement[0] * inverse_taken_0;
+        quadratic_taken = self->compressed_measurement[0] * t1;
+        mean_taken[0] = cross_taken_0[0] * t1;
+        mean_taken[1] = cross_taken_0[1] * t1;
+        mean_taken[2] = cross_taken_0[2] * t1;
+        const double t2 = cross_taken_0[0] * inverse_taken_0 * cross_taken_0[0];
+        covariance_taken[0] = self->filtered_covariance[0] - t2;
+        const double t3 = cross_taken_0[1] * inverse_taken_0;
+        covariance_taken[1] = self->filtered_covariance[1] - (t3 * cross_taken_0[0]);
+        covariance_taken[2] = self->filtered_covariance[2] - (t3 * cross_taken_0[1]);
+        const double t4 = cross_taken_0[2] * inverse_taken_0;
+        covariance_taken[3] = self->compressed_cross_covariance[0] - (t4 * cross_taken_0[0]);
+        covariance_taken[4] = self->compressed_cross_covariance[1] - (t4 * cross_taken_0[1]);
+        covariance_taken[5] = self->compressed_noise[0] - (t4 * cross_taken_0[2]);
     }
     if (inverse_taken_0 > 0.0)
     {
@@ -410,13 +372,13 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     /* verdict */
     accepted = self->collecting;
     rejected = 0.0;
-    const double t12 = rank - 0.5;
-    if (t12 > 0.0)
+    const double t5 = rank - 0.5;
+    if (t5 > 0.0)
     {
         threshold = 3.8414588206941285;
     }
-    const double t13 = quadratic_taken - threshold;
-    if (t13 > 0.0)
+    const double t6 = quadratic_taken - threshold;
+    if (t6 > 0.0)
     {
         accepted = 0.0;
         rejected = 1.0;
@@ -469,49 +431,37 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     }
 
     /* prediction of the next sample */
-    const double t1 = 0.2 * self->filtered_state[1];
-    const double t2 = self->filtered_state[0] + t1;
-    const double t3 = 0.2 * self->filtered_covariance[1];
-    const double t4 = self->filtered_covariance[0] + t3;
-    const double t5 = 0.2 * self->filtered_covariance[2];
-    const double t6 = self->filtered_covariance[1] + t5;
-    const double t7 = 0.2 * t6;
-    const double t8 = t4 + t7;
-    const double t9 = t8 + 0.01;
-    const double t10 = 0.2 * self->filtered_covariance[2];
-    const double t11 = self->filtered_covariance[1] + t10;
-    next->predicted_covariance[1] = t11 + 0.1;
-    const double t12 = self->filtered_covariance[2] + 1.0;
-    const double t13 = -0.2 * self->filtered_covariance[2];
-    const double t14 = t13 + self->compressed_cross_covariance[1];
-    const double t15 = -0.2 * t14;
-    const double t16 = -0.2 * self->compressed_cross_covariance[1];
-    const double t17 = t16 + self->compressed_noise[0];
-    const double t18 = t15 + t17;
-    const double t19 = t18 + 0.01;
-    const double t20 = -0.2 * self->filtered_covariance[1];
-    const double t21 = t20 + self->compressed_cross_covariance[0];
-    const double t22 = 0.2 * t14;
-    const double t23 = t21 + t22;
-    next->predicted_compressed_cross_covariance[0] = t23 + -0.01;
-    next->predicted_compressed_cross_covariance[1] = t14 + -0.1;
-    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t2) +
-        soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t9) +
-        soft_fault_cpcf_defect(t12)))
+    const double t1 = self->filtered_state[0] + (0.2 * self->filtered_state[1]);
+    const double t2 = self->filtered_covariance[0] + (0.2 * self->filtered_covariance[1]);
+    const double t3 = 0.2 * (self->filtered_covariance[1] + (0.2 * self->filtered_covariance[2]));
+    const double t4 = t2 + t3 + 0.01;
+    const double t5 = self->filtered_covariance[1] + (0.2 * self->filtered_covariance[2]);
+    next->predicted_covariance[1] = t5 + 0.1;
+    const double t6 = self->filtered_covariance[2] + 1.0;
+    const double t7 = (-0.2 * self->filtered_covariance[2]) + self->compressed_cross_covariance[1];
+    const double t8 = -0.2 * t7;
+    const double t9 = (-0.2 * self->compressed_cross_covariance[1]) + self->compressed_noise[0];
+    const double t10 = t8 + t9 + 0.01;
+    const double t11 = (-0.2 * self->filtered_covariance[1]) + self->compressed_cross_covariance[0];
+    next->predicted_compressed_cross_covariance[0] = t11 + (0.2 * t7) + -0.01;
+    next->predicted_compressed_cross_covariance[1] = t7 + -0.1;
+    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t1) +
+        soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t4) +
+        soft_fault_cpcf_defect(t6)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
     if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(self->compressed_measurement[0]) +
-        soft_fault_cpcf_defect(t19)))
+        soft_fault_cpcf_defect(t10)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
-    next->predicted_state[0] = t2;
+    next->predicted_state[0] = t1;
     next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_covariance[0] = t9;
-    next->predicted_covariance[2] = t12;
+    next->predicted_covariance[0] = t4;
+    next->predicted_covariance[2] = t6;
     next->predicted_compressed_measurement[0] = self->compressed_measurement[0];
-    next->predicted_compressed_noise[0] = t19;
+    next->predicted_compressed_noise[0] = t10;
     next->predicted_window_left = left;
     next->predicted_collecting = self->collecting;
     return SOFT_FAULT_CPCF_OK;
@@ -531,10 +481,7 @@ static void soft_fault_cpcf_fill(double *to, int size, const double *from, int p
 
 soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self)
 {
-    if (self == NULL)
-    {
-        return SOFT_FAULT_CPCF_NULL_POINTER;
-    }
+    if (self == NULL) { return SOFT_FAULT_CPCF_NULL_POINTER; }
     soft_fault_cpcf_fill(self->predicted_state, 2, soft_fault_cpcf_zero_0, 1);
     soft_fault_cpcf_fill(self->predicted_covariance, 3, soft_fault_cpcf_predicted_covariance_0, 3);
     soft_fault_cpcf_fill(self->filtered_state, 2, soft_fault_cpcf_zero_0, 1);
@@ -567,28 +514,19 @@ soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const d
     soft_fault_cpcf_t next;
     uint32_t present;
     soft_fault_cpcf_status_t status;
-    if ((self == NULL) || (y == NULL))
-    {
-        return SOFT_FAULT_CPCF_NULL_POINTER;
-    }
+    if ((self == NULL) || (y == NULL)) { return SOFT_FAULT_CPCF_NULL_POINTER; }
     if (!soft_fault_cpcf_present_rows(y, valid, &present))
     {
         return SOFT_FAULT_CPCF_INPUT_NOT_FINITE;
     }
     next = *self;
     status = soft_fault_cpcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_CPCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_CPCF_OK) { return status; }
     if (!(next.window_left > 0.0))
     {
         status = soft_fault_cpcf_close_window(&next, &next);
     }
-    if (status != SOFT_FAULT_CPCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_CPCF_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
         : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;
@@ -598,16 +536,10 @@ soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self)
 {
     soft_fault_cpcf_t next;
     soft_fault_cpcf_status_t status;
-    if (self == NULL)
-    {
-        return SOFT_FAULT_CPCF_NULL_POINTER;
-    }
+    if (self == NULL) { return SOFT_FAULT_CPCF_NULL_POINTER; }
     next = *self;
     status = soft_fault_cpcf_propagate(self, &next);
-    if (status != SOFT_FAULT_CPCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_CPCF_OK) { return status; }
     *self = next;
     return SOFT_FAULT_CPCF_OK;
 }
@@ -618,32 +550,20 @@ soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const dou
     soft_fault_cpcf_t next;
     uint32_t present;
     soft_fault_cpcf_status_t status;
-    if ((self == NULL) || (y == NULL))
-    {
-        return SOFT_FAULT_CPCF_NULL_POINTER;
-    }
+    if ((self == NULL) || (y == NULL)) { return SOFT_FAULT_CPCF_NULL_POINTER; }
     if (!soft_fault_cpcf_present_rows(y, valid, &present))
     {
         return SOFT_FAULT_CPCF_INPUT_NOT_FINITE;
     }
     status = soft_fault_cpcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_CPCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_CPCF_OK) { return status; }
     if (!(next.window_left > 0.0))
     {
         status = soft_fault_cpcf_close_window(&next, &next);
     }
-    if (status != SOFT_FAULT_CPCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_CPCF_OK) { return status; }
     status = soft_fault_cpcf_propagate(&next, &next);
-    if (status != SOFT_FAULT_CPCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_CPCF_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
         : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;

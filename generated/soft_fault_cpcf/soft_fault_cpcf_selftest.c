@@ -87,10 +87,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -124,10 +121,7 @@ soft_fault_cpcf_status_t soft_fault_cpcf_selftest(void)
     {
         const soft_fault_cpcf_status_t status = soft_fault_cpcf_step(&filter, measurement[k],
             valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], SOFT_FAULT_CPCF_NX))
         {
             return SOFT_FAULT_CPCF_SELFTEST_FAILED;

@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define SOFT_FAULT_DFCF_INLINE static inline __attribute__((always_inline))
@@ -30,14 +35,8 @@ static double soft_fault_dfcf_log(double x)
     soft_fault_dfcf_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -190,40 +189,30 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     pivot_host_0 = self->predicted_covariance[2] + 0.01;
     if ((present & 0x2u) != 0u)
     {
-        if (!(pivot_host_0 > 0.0))
-        {
-            return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_host_0 > 0.0)) { return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE; }
         inverse_host_0 = 1.0 / pivot_host_0;
         const double t0 = innovation_1 * inverse_host_0;
         quadratic_host = innovation_1 * t0;
         mean_host[0] = self->predicted_covariance[1] * t0;
         mean_host[1] = self->predicted_covariance[2] * t0;
         const double t1 = self->predicted_covariance[1] * inverse_host_0;
-        const double t2 = t1 * self->predicted_covariance[1];
-        const double t3 = self->predicted_covariance[0] - t2;
-        const double t4 = 0.01 * t1;
-        const double t5 = self->predicted_covariance[2] * inverse_host_0;
-        const double t6 = t5 * self->predicted_covariance[1];
-        const double t7 = self->predicted_covariance[1] - t6;
-        const double t8 = t4 - t7;
-        const double t9 = t8 * t1;
-        covariance_host[0] = t3 + t9;
-        const double t10 = 0.01 * t5;
-        const double t11 = t5 * self->predicted_covariance[2];
-        const double t12 = self->predicted_covariance[2] - t11;
-        const double t13 = t10 - t12;
-        const double t14 = t13 * t1;
-        covariance_host[1] = t7 + t14;
-        const double t15 = t13 * t5;
-        covariance_host[2] = t12 + t15;
+        const double t2 = self->predicted_covariance[0] - (t1 * self->predicted_covariance[1]);
+        const double t3 = 0.01 * t1;
+        const double t4 = self->predicted_covariance[2] * inverse_host_0;
+        const double t5 = self->predicted_covariance[1] - (t4 * self->predicted_covariance[1]);
+        covariance_host[0] = t2 + ((t3 - t5) * t1);
+        const double t6 = 0.01 * t4;
+        const double t7 = self->predicted_covariance[2] - (t4 * self->predicted_covariance[2]);
+        const double t8 = t6 - t7;
+        covariance_host[1] = t5 + (t8 * t1);
+        covariance_host[2] = t7 + (t8 * t4);
         log_constant_host = SOFT_FAULT_DFCF_LOG_2_PI;
         determinant_host_0 = pivot_host_0;
     }
     host_state[0] = self->predicted_state[0] + mean_host[0];
     host_state[1] = self->predicted_state[1] + mean_host[1];
 
-    /* innovation, row by row */
+    /* filter with group 0: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
         innovation_compression_0 = innovation_0 - self->predicted_compression_deviation[0];
@@ -232,81 +221,62 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     {
         innovation_compression_1 = innovation_1 - self->predicted_compression_deviation[1];
     }
+
+    /* filter with group 0 */
     mean_compression[0] = self->predicted_compression_deviation[0];
     mean_compression[1] = self->predicted_compression_deviation[1];
     covariance_compression[0] = self->predicted_compression_covariance[0];
     covariance_compression[1] = self->predicted_compression_covariance[1];
     covariance_compression[2] = self->predicted_compression_covariance[2];
 
-    /* row 0 of y, measured_position: compression filter */
+    /* filter with group 0: row 0 of y, measured_position: compression filter */
     pivot_compression_0 = self->predicted_compression_covariance[0] + 100.0;
     if ((present & 0x1u) != 0u)
     {
-        if (!(pivot_compression_0 > 0.0))
-        {
-            return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_compression_0 > 0.0)) { return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE; }
         inverse_compression_0 = 1.0 / pivot_compression_0;
-        const double t16 = innovation_compression_0 * inverse_compression_0;
-        const double t17 = self->predicted_compression_covariance[0] * t16;
-        mean_compression[0] = self->predicted_compression_deviation[0] + t17;
-        const double t18 = self->predicted_compression_covariance[1] * t16;
-        mean_compression[1] = self->predicted_compression_deviation[1] + t18;
-        const double t19 = self->predicted_compression_covariance[0] * inverse_compression_0;
-        const double t20 = t19 * self->predicted_compression_covariance[0];
-        const double t21 = self->predicted_compression_covariance[0] - t20;
-        const double t22 = 100.0 * t19;
-        const double t23 = t22 - t21;
-        const double t24 = t23 * t19;
-        covariance_compression[0] = t21 + t24;
-        const double t25 = self->predicted_compression_covariance[1] * inverse_compression_0;
-        const double t26 = t25 * self->predicted_compression_covariance[0];
-        const double t27 = self->predicted_compression_covariance[1] - t26;
-        const double t28 = 100.0 * t25;
-        const double t29 = t28 - t27;
-        const double t30 = t29 * t19;
-        covariance_compression[1] = t27 + t30;
-        const double t31 = t25 * self->predicted_compression_covariance[1];
-        const double t32 = self->predicted_compression_covariance[2] - t31;
-        const double t33 = t29 * t25;
-        covariance_compression[2] = t32 + t33;
+        const double t9 = innovation_compression_0 * inverse_compression_0;
+        const double t10 = self->predicted_compression_covariance[0] * t9;
+        mean_compression[0] = self->predicted_compression_deviation[0] + t10;
+        const double t11 = self->predicted_compression_covariance[1] * t9;
+        mean_compression[1] = self->predicted_compression_deviation[1] + t11;
+        const double t12 = self->predicted_compression_covariance[0] * inverse_compression_0;
+        const double t13 = t12 * self->predicted_compression_covariance[0];
+        const double t14 = self->predicted_compression_covariance[0] - t13;
+        covariance_compression[0] = t14 + (((100.0 * t12) - t14) * t12);
+        const double t15 = self->predicted_compression_covariance[1] * inverse_compression_0;
+        const double t16 = t15 * self->predicted_compression_covariance[0];
+        const double t17 = self->predicted_compression_covariance[1] - t16;
+        const double t18 = (100.0 * t15) - t17;
+        covariance_compression[1] = t17 + (t18 * t12);
+        const double t19 = t15 * self->predicted_compression_covariance[1];
+        covariance_compression[2] = (self->predicted_compression_covariance[2] - t19) + (t18 * t15);
     }
 
-    /* row 1 of y, measured_velocity: compression filter */
+    /* filter with group 0: row 1 of y, measured_velocity: compression filter */
     pivot_compression_1 = covariance_compression[2] + 0.01;
     if ((present & 0x2u) != 0u)
     {
-        if (!(pivot_compression_1 > 0.0))
-        {
-            return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot_compression_1 > 0.0)) { return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE; }
         inverse_compression_1 = 1.0 / pivot_compression_1;
-        const double t34 = mean_compression[1] - self->predicted_compression_deviation[1];
-        const double t35 = innovation_compression_1 - t34;
-        const double t36 = t35 * inverse_compression_1;
-        const double t37 = covariance_compression[1] * t36;
-        mean_compression[0] = mean_compression[0] + t37;
-        const double t38 = covariance_compression[2] * t36;
-        mean_compression[1] = mean_compression[1] + t38;
-        const double t39 = covariance_compression[1] * inverse_compression_1;
-        const double t40 = t39 * covariance_compression[1];
-        const double t41 = covariance_compression[0] - t40;
-        const double t42 = 0.01 * t39;
-        const double t43 = covariance_compression[2] * inverse_compression_1;
-        const double t44 = t43 * covariance_compression[1];
-        const double t45 = covariance_compression[1] - t44;
-        const double t46 = t42 - t45;
-        const double t47 = t46 * t39;
-        covariance_compression[0] = t41 + t47;
-        const double t48 = 0.01 * t43;
-        const double t49 = t43 * covariance_compression[2];
-        const double t50 = covariance_compression[2] - t49;
-        const double t51 = t48 - t50;
-        const double t52 = t51 * t39;
-        covariance_compression[1] = t45 + t52;
-        const double t53 = t51 * t43;
-        covariance_compression[2] = t50 + t53;
+        const double t20 = mean_compression[1] - self->predicted_compression_deviation[1];
+        const double t21 = (innovation_compression_1 - t20) * inverse_compression_1;
+        mean_compression[0] = mean_compression[0] + (covariance_compression[1] * t21);
+        mean_compression[1] = mean_compression[1] + (covariance_compression[2] * t21);
+        const double t22 = covariance_compression[1] * inverse_compression_1;
+        const double t23 = covariance_compression[0] - (t22 * covariance_compression[1]);
+        const double t24 = 0.01 * t22;
+        const double t25 = covariance_compression[2] * inverse_compression_1;
+        const double t26 = covariance_compression[1] - (t25 * covariance_compression[1]);
+        covariance_compression[0] = t23 + ((t24 - t26) * t22);
+        const double t27 = 0.01 * t25;
+        const double t28 = covariance_compression[2] - (t25 * covariance_compression[2]);
+        const double t29 = t27 - t28;
+        covariance_compression[1] = t26 + (t29 * t22);
+        covariance_compression[2] = t28 + (t29 * t25);
     }
+
+    /* filter with group 0 */
     deviation_compression[0] = mean_compression[0] - mean_host[0];
     deviation_compression[1] = mean_compression[1] - mean_host[1];
     if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(host_state[0]) +
@@ -326,10 +296,8 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     /* results of the update */
     next->innovation_covariance[0] = self->predicted_covariance[0] + 100.0;
     next->innovation_covariance[2] = self->predicted_covariance[2] + 0.01;
-    const double t54 = soft_fault_dfcf_log(determinant_host_0);
-    const double t55 = log_constant_host + t54;
-    const double t56 = quadratic_host + t55;
-    next->log_likelihood = -0.5 * t56;
+    const double t30 = log_constant_host + soft_fault_dfcf_log(determinant_host_0);
+    next->log_likelihood = -0.5 * (quadratic_host + t30);
     next->filtered_state[0] = host_state[0];
     next->filtered_state[1] = host_state[1];
     next->filtered_covariance[0] = covariance_host[0];
@@ -382,48 +350,38 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
         scale_0[0] = self->filtered_covariance[0];
         scale_0[1] = self->filtered_covariance[2];
     }
-    const double t1 = difference_0[2] * scale_0[0];
-    const double t2 = difference_0[0] * scale_0[1];
-    const double t3 = t1 - t2;
-    if (t3 > 0.0)
+    const double t1 = (difference_0[2] * scale_0[0]) - (difference_0[0] * scale_0[1]);
+    if (t1 > 0.0)
     {
-        const double t4 = difference_0[2];
-        const double t5 = difference_0[0];
-        const double t6 = shift_0[1];
-        const double t7 = shift_0[0];
-        const double t8 = scale_0[1];
-        const double t9 = scale_0[0];
-        difference_0[0] = t4;
-        difference_0[2] = t5;
-        shift_0[0] = t6;
-        shift_0[1] = t7;
-        scale_0[0] = t8;
-        scale_0[1] = t9;
+        const double t2 = difference_0[2];
+        const double t3 = difference_0[0];
+        const double t4 = shift_0[1];
+        const double t5 = shift_0[0];
+        const double t6 = scale_0[1];
+        const double t7 = scale_0[0];
+        difference_0[0] = t2;
+        difference_0[2] = t3;
+        shift_0[0] = t4;
+        shift_0[1] = t5;
+        scale_0[0] = t6;
+        scale_0[1] = t7;
     }
-    const double t10 = 1.0e-11 * scale_0[0];
-    const double t11 = difference_0[0] - t10;
-    if (t11 > 0.0)
+    const double t8 = difference_0[0] - (1.0e-11 * scale_0[0]);
+    if (t8 > 0.0)
     {
         inverse_0_0 = 1.0 / difference_0[0];
         share_0_0_1 = difference_0[1] * inverse_0_0;
-        const double t12 = shift_0[0] * inverse_0_0;
-        const double t13 = shift_0[0] * t12;
-        statistic_0 = statistic_0 + t13;
-        const double t14 = share_0_0_1 * difference_0[1];
-        difference_0[2] = difference_0[2] - t14;
-        const double t15 = share_0_0_1 * shift_0[0];
-        shift_0[1] = shift_0[1] - t15;
+        statistic_0 = statistic_0 + (shift_0[0] * (shift_0[0] * inverse_0_0));
+        difference_0[2] = difference_0[2] - (share_0_0_1 * difference_0[1]);
+        shift_0[1] = shift_0[1] - (share_0_0_1 * shift_0[0]);
         dof_0 = 1.0;
         threshold_0 = 3.8414588206941285;
     }
-    const double t16 = 1.0e-11 * scale_0[1];
-    const double t17 = difference_0[2] - t16;
-    if (t17 > 0.0)
+    const double t9 = difference_0[2] - (1.0e-11 * scale_0[1]);
+    if (t9 > 0.0)
     {
         inverse_0_1 = 1.0 / difference_0[2];
-        const double t18 = shift_0[1] * inverse_0_1;
-        const double t19 = shift_0[1] * t18;
-        statistic_0 = statistic_0 + t19;
+        statistic_0 = statistic_0 + (shift_0[1] * (shift_0[1] * inverse_0_1));
         dof_0 = 2.0;
         threshold_0 = 5.991464547107983;
     }
@@ -431,8 +389,8 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     /* verdict on group 0 */
     accepted_0 = self->collecting;
     rejected_0 = 0.0;
-    const double t20 = statistic_0 - threshold_0;
-    if (t20 > 0.0)
+    const double t10 = statistic_0 - threshold_0;
+    if (t10 > 0.0)
     {
         accepted_0 = 0.0;
         rejected_0 = 1.0;
@@ -444,8 +402,8 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     closed_covariance[2] = self->filtered_covariance[2];
 
     /* the host takes over: group 0 */
-    const double t21 = -0.5 + accepted_0;
-    if (t21 > 0.0)
+    const double t11 = -0.5 + accepted_0;
+    if (t11 > 0.0)
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[0];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[1];
@@ -491,52 +449,40 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     }
 
     /* prediction of the next sample */
-    const double t1 = 0.2 * self->filtered_state[1];
-    const double t2 = self->filtered_state[0] + t1;
-    const double t3 = 0.2 * self->filtered_covariance[1];
-    const double t4 = self->filtered_covariance[0] + t3;
-    const double t5 = 0.2 * self->filtered_covariance[2];
-    const double t6 = self->filtered_covariance[1] + t5;
-    const double t7 = 0.2 * t6;
-    const double t8 = t4 + t7;
-    const double t9 = t8 + 0.01;
-    const double t10 = 0.2 * self->filtered_covariance[2];
-    const double t11 = self->filtered_covariance[1] + t10;
-    next->predicted_covariance[1] = t11 + 0.1;
-    const double t12 = self->filtered_covariance[2] + 1.0;
-    const double t13 = 0.2 * self->compression_deviation[1];
-    const double t14 = self->compression_deviation[0] + t13;
-    const double t15 = 0.2 * self->compression_covariance[1];
-    const double t16 = self->compression_covariance[0] + t15;
-    const double t17 = 0.2 * self->compression_covariance[2];
-    const double t18 = self->compression_covariance[1] + t17;
-    const double t19 = 0.2 * t18;
-    const double t20 = t16 + t19;
-    const double t21 = t20 + 0.01;
-    const double t22 = 0.2 * self->compression_covariance[2];
-    const double t23 = self->compression_covariance[1] + t22;
-    next->predicted_compression_covariance[1] = t23 + 0.1;
-    const double t24 = self->compression_covariance[2] + 1.0;
-    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t2) +
-        soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t9) +
+    const double t1 = self->filtered_state[0] + (0.2 * self->filtered_state[1]);
+    const double t2 = self->filtered_covariance[0] + (0.2 * self->filtered_covariance[1]);
+    const double t3 = 0.2 * (self->filtered_covariance[1] + (0.2 * self->filtered_covariance[2]));
+    const double t4 = t2 + t3 + 0.01;
+    const double t5 = self->filtered_covariance[1] + (0.2 * self->filtered_covariance[2]);
+    next->predicted_covariance[1] = t5 + 0.1;
+    const double t6 = self->filtered_covariance[2] + 1.0;
+    const double t7 = self->compression_deviation[0] + (0.2 * self->compression_deviation[1]);
+    const double t8 = self->compression_covariance[0] + (0.2 * self->compression_covariance[1]);
+    const double t9 = self->compression_covariance[1] + (0.2 * self->compression_covariance[2]);
+    const double t10 = t8 + (0.2 * t9) + 0.01;
+    const double t11 = self->compression_covariance[1] + (0.2 * self->compression_covariance[2]);
+    next->predicted_compression_covariance[1] = t11 + 0.1;
+    const double t12 = self->compression_covariance[2] + 1.0;
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t1) +
+        soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t4) +
+        soft_fault_dfcf_defect(t6)))
+    {
+        return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
+    }
+    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t7) +
+        soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t10) +
         soft_fault_dfcf_defect(t12)))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
-    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t14) +
-        soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t21) +
-        soft_fault_dfcf_defect(t24)))
-    {
-        return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
-    }
-    next->predicted_state[0] = t2;
+    next->predicted_state[0] = t1;
     next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_covariance[0] = t9;
-    next->predicted_covariance[2] = t12;
-    next->predicted_compression_deviation[0] = t14;
+    next->predicted_covariance[0] = t4;
+    next->predicted_covariance[2] = t6;
+    next->predicted_compression_deviation[0] = t7;
     next->predicted_compression_deviation[1] = self->compression_deviation[1];
-    next->predicted_compression_covariance[0] = t21;
-    next->predicted_compression_covariance[2] = t24;
+    next->predicted_compression_covariance[0] = t10;
+    next->predicted_compression_covariance[2] = t12;
     next->predicted_window_left = left;
     next->predicted_collecting = self->collecting;
     return SOFT_FAULT_DFCF_OK;
@@ -556,10 +502,7 @@ static void soft_fault_dfcf_fill(double *to, int size, const double *from, int p
 
 soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self)
 {
-    if (self == NULL)
-    {
-        return SOFT_FAULT_DFCF_NULL_POINTER;
-    }
+    if (self == NULL) { return SOFT_FAULT_DFCF_NULL_POINTER; }
     soft_fault_dfcf_fill(self->predicted_state, 2, soft_fault_dfcf_zero_0, 1);
     soft_fault_dfcf_fill(self->predicted_covariance, 3, soft_fault_dfcf_predicted_covariance_0, 3);
     soft_fault_dfcf_fill(self->filtered_state, 2, soft_fault_dfcf_zero_0, 1);
@@ -592,28 +535,19 @@ soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const d
     soft_fault_dfcf_t next;
     uint32_t present;
     soft_fault_dfcf_status_t status;
-    if ((self == NULL) || (y == NULL))
-    {
-        return SOFT_FAULT_DFCF_NULL_POINTER;
-    }
+    if ((self == NULL) || (y == NULL)) { return SOFT_FAULT_DFCF_NULL_POINTER; }
     if (!soft_fault_dfcf_present_rows(y, valid, &present))
     {
         return SOFT_FAULT_DFCF_INPUT_NOT_FINITE;
     }
     next = *self;
     status = soft_fault_dfcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_DFCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_DFCF_OK) { return status; }
     if (!(next.window_left > 0.0))
     {
         status = soft_fault_dfcf_close_window(&next, &next);
     }
-    if (status != SOFT_FAULT_DFCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_DFCF_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED
         : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;
@@ -623,16 +557,10 @@ soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self)
 {
     soft_fault_dfcf_t next;
     soft_fault_dfcf_status_t status;
-    if (self == NULL)
-    {
-        return SOFT_FAULT_DFCF_NULL_POINTER;
-    }
+    if (self == NULL) { return SOFT_FAULT_DFCF_NULL_POINTER; }
     next = *self;
     status = soft_fault_dfcf_propagate(self, &next);
-    if (status != SOFT_FAULT_DFCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_DFCF_OK) { return status; }
     *self = next;
     return SOFT_FAULT_DFCF_OK;
 }
@@ -643,32 +571,20 @@ soft_fault_dfcf_status_t soft_fault_dfcf_step(soft_fault_dfcf_t *self, const dou
     soft_fault_dfcf_t next;
     uint32_t present;
     soft_fault_dfcf_status_t status;
-    if ((self == NULL) || (y == NULL))
-    {
-        return SOFT_FAULT_DFCF_NULL_POINTER;
-    }
+    if ((self == NULL) || (y == NULL)) { return SOFT_FAULT_DFCF_NULL_POINTER; }
     if (!soft_fault_dfcf_present_rows(y, valid, &present))
     {
         return SOFT_FAULT_DFCF_INPUT_NOT_FINITE;
     }
     status = soft_fault_dfcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_DFCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_DFCF_OK) { return status; }
     if (!(next.window_left > 0.0))
     {
         status = soft_fault_dfcf_close_window(&next, &next);
     }
-    if (status != SOFT_FAULT_DFCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_DFCF_OK) { return status; }
     status = soft_fault_dfcf_propagate(&next, &next);
-    if (status != SOFT_FAULT_DFCF_OK)
-    {
-        return status;
-    }
+    if (status != SOFT_FAULT_DFCF_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED
         : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;

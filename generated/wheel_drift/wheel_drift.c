@@ -8,6 +8,11 @@
 #error "-ffast-math removes the tests for missing samples and the checks of results"
 #endif
 
+/* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
+#if defined(__clang__) || !defined(__GNUC__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 /* For speed routines are joined where they are called; for size each stands once. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define WHEEL_DRIFT_INLINE static inline __attribute__((always_inline))
@@ -30,14 +35,8 @@ static double wheel_drift_log(double x)
     wheel_drift_bits_t u;
     double s, z, w, even, odd, k, low;
     int32_t e = 0;
-    if (!(x > zero))
-    {
-        return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x);
-    }
-    if (x > DBL_MAX)
-    {
-        return x;
-    }
+    if (!(x > zero)) { return (x < zero) ? ((x - x) / zero) : ((x >= zero) ? (-1.0 / zero) : x); }
+    if (x > DBL_MAX) { return x; }
     if (x < DBL_MIN)
     {
         x = x * 1.8014398509481984e+16;
@@ -123,10 +122,7 @@ static int wheel_drift_finite_input(const double *u)
     int i;
     for (i = 0; i < WHEEL_DRIFT_NU; ++i)
     {
-        if (!wheel_drift_finite(wheel_drift_defect(u[i])))
-        {
-            return 0;
-        }
+        if (!wheel_drift_finite(wheel_drift_defect(u[i]))) { return 0; }
     }
     return 1;
 }
@@ -157,8 +153,9 @@ static int wheel_drift_present_rows(const double *y, uint32_t valid, uint32_t *p
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* row 4 of y, ublox: compression filter; row 2 of y, wheel_rl: compression filter. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_5(const double numbers_2,
+/* filter with group 0, 1: row 4 of y, ublox: compression filter; filter with group 0, 1, 2, 3: row
+ * 2 of y, wheel_rl: compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_7(const double numbers_2,
     double *covariance, double *mean, const double predicted_compression_deviation,
     const double innovation, int row_0)
 {
@@ -167,51 +164,81 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_5(const double numb
     double inverse = 0.0;
     cross[0] = numbers_2 * covariance[0];
     cross[1] = numbers_2 * covariance[1];
-    const double t0 = numbers_2 * cross[0];
-    pivot = t0 + 0.04;
+    pivot = (numbers_2 * cross[0]) + 0.04;
     if (row_0 != 0)
     {
-        if (!(pivot > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
+        if (!(pivot > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
         inverse = 1.0 / pivot;
-        const double t1 = mean[0] - predicted_compression_deviation;
-        const double t2 = numbers_2 * t1;
-        const double t3 = innovation - t2;
-        const double t4 = t3 * inverse;
-        const double t5 = cross[0] * t4;
-        mean[0] = mean[0] + t5;
-        const double t6 = cross[1] * t4;
-        mean[1] = mean[1] + t6;
-        const double t7 = cross[0] * inverse;
-        const double t8 = t7 * cross[0];
-        const double t9 = covariance[0] - t8;
-        const double t10 = 0.04 * t7;
-        const double t11 = numbers_2 * t9;
-        const double t12 = t10 - t11;
-        const double t13 = t12 * t7;
-        covariance[0] = t9 + t13;
-        const double t14 = cross[1] * inverse;
-        const double t15 = t14 * cross[0];
-        const double t16 = covariance[1] - t15;
-        const double t17 = 0.04 * t14;
-        const double t18 = numbers_2 * t16;
-        const double t19 = t17 - t18;
-        const double t20 = t19 * t7;
-        covariance[1] = t16 + t20;
-        const double t21 = t14 * cross[1];
-        const double t22 = covariance[2] - t21;
-        const double t23 = t19 * t14;
-        covariance[2] = t22 + t23;
+        const double t0 = innovation - (numbers_2 * (mean[0] - predicted_compression_deviation));
+        const double t1 = t0 * inverse;
+        mean[0] = mean[0] + (cross[0] * t1);
+        mean[1] = mean[1] + (cross[1] * t1);
+        const double t2 = cross[0] * inverse;
+        const double t3 = covariance[0] - (t2 * cross[0]);
+        covariance[0] = t3 + (((0.04 * t2) - (numbers_2 * t3)) * t2);
+        const double t4 = cross[1] * inverse;
+        const double t5 = covariance[1] - (t4 * cross[0]);
+        const double t6 = (0.04 * t4) - (numbers_2 * t5);
+        covariance[1] = t5 + (t6 * t2);
+        covariance[2] = (covariance[2] - (t4 * cross[1])) + (t6 * t4);
     }
 
-    /* row 4 of y, ublox: compression filter */
+    /* filter with group 0, 1: row 4 of y, ublox: compression filter */
     return WHEEL_DRIFT_OK;
 }
 
-/* What differs between the calls of wheel_drift_row_of_y, a row for each. */
-static const double wheel_drift_row_of_y_numbers[11][1] = {
+/* filter with group 0, 1: row 5 of y, qcom: compression filter; filter with group 0: row 5 of y,
+ * qcom: compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_10(double *covariance,
+    const double numbers_2, double *mean, const double predicted_compression_deviation,
+    const double innovation, int row_0)
+{
+    double pivot;
+    double inverse = 0.0;
+    pivot = covariance[0] + numbers_2;
+    if (row_0 != 0)
+    {
+        if (!(pivot > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
+        inverse = 1.0 / pivot;
+        const double t0 = (innovation - (mean[0] - predicted_compression_deviation)) * inverse;
+        mean[0] = mean[0] + (covariance[0] * t0);
+        mean[1] = mean[1] + (covariance[1] * t0);
+        const double t1 = covariance[0] * inverse;
+        const double t2 = covariance[0] - (t1 * covariance[0]);
+        const double t3 = t2 + (((numbers_2 * t1) - t2) * t1);
+        const double t4 = covariance[1] * inverse;
+        const double t5 = covariance[1] - (t4 * covariance[0]);
+        const double t6 = (numbers_2 * t4) - t5;
+        const double t7 = t5 + (t6 * t1);
+        covariance[2] = (covariance[2] - (t4 * covariance[1])) + (t6 * t4);
+        covariance[0] = t3;
+        covariance[1] = t7;
+    }
+
+    /* filter with group 0, 1: row 5 of y, qcom: compression filter */
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_filter_with_group_8, a row for each. */
+static const double wheel_drift_filter_with_group_8_numbers[2][1] = {
+    { 0.25 },
+    { 9.0 }
+};
+
+/* filter with group 0, 1: row 5 of y, qcom: compression filter; filter with group 0, 1. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_8(double *covariance,
+    double *mean, const double predicted_compression_deviation, const double innovation,
+    const double *numbers, int row_0)
+{
+    wheel_drift_status_t status;
+    status = wheel_drift_filter_with_group_10(covariance, numbers[0], mean,
+        predicted_compression_deviation, innovation, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_filter_with_group, a row for each. */
+static const double wheel_drift_filter_with_group_numbers[11][1] = {
     { 0.9921619208254787 },
     { 0.9903931860948796 },
     { 0.9903931860948796 },
@@ -225,104 +252,34 @@ static const double wheel_drift_row_of_y_numbers[11][1] = {
     { 0.9903931860948796 }
 };
 
-/* row 4 of y, ublox: compression filter. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y(double *covariance, double *mean,
-    const double predicted_compression_deviation, const double innovation,
-    const double innovation_2, const double innovation_3, const double *mean_host,
-    double *deviation, const double *numbers, uint32_t present, int row_0)
+/* filter with group 0, 1: row 4 of y, ublox: compression filter; filter with group 0, 2: row 4 of
+ * y, ublox: compression filter; filter with group 0, 3: row 4 of y, ublox: compression filter;
+ * filter with group 1, 2: row 4 of y, ublox: compression filter; filter with group 1, 3: row 4 of
+ * y, ublox: compression filter; filter with group 2, 3: row 4 of y, ublox: compression filter;
+ * filter with group 0, 1, 2: row 4 of y, ublox: compression filter; filter with group 0, 1, 3: row
+ * 4 of y, ublox: compression filter; filter with group 0, 2, 3: row 4 of y, ublox: compression
+ * filter; filter with group 1, 2, 3: row 4 of y, ublox: compression filter; filter with group 0, 1,
+ * 2, 3: row 4 of y, ublox: compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group(double *covariance,
+    double *mean, const double predicted_compression_deviation, const double innovation,
+    const double innovation_2, const double innovation_3, const double *numbers, uint32_t present,
+    int row_0)
 {
-    double pivot_2;
-    double inverse_2 = 0.0;
-    double pivot_3;
-    double inverse_3 = 0.0;
     wheel_drift_status_t status;
-    status = wheel_drift_row_of_y_5(numbers[0], covariance, mean, predicted_compression_deviation,
-        innovation, row_0);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    pivot_2 = covariance[0] + 0.25;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_2 = 1.0 / pivot_2;
-        const double t0 = mean[0] - predicted_compression_deviation;
-        const double t1 = innovation_2 - t0;
-        const double t2 = t1 * inverse_2;
-        const double t3 = covariance[0] * t2;
-        mean[0] = mean[0] + t3;
-        const double t4 = covariance[1] * t2;
-        mean[1] = mean[1] + t4;
-        const double t5 = covariance[0] * inverse_2;
-        const double t6 = t5 * covariance[0];
-        const double t7 = covariance[0] - t6;
-        const double t8 = 0.25 * t5;
-        const double t9 = t8 - t7;
-        const double t10 = t9 * t5;
-        const double t11 = t7 + t10;
-        const double t12 = covariance[1] * inverse_2;
-        const double t13 = t12 * covariance[0];
-        const double t14 = covariance[1] - t13;
-        const double t15 = 0.25 * t12;
-        const double t16 = t15 - t14;
-        const double t17 = t16 * t5;
-        const double t18 = t14 + t17;
-        const double t19 = t12 * covariance[1];
-        const double t20 = covariance[2] - t19;
-        const double t21 = t16 * t12;
-        covariance[2] = t20 + t21;
-        covariance[0] = t11;
-        covariance[1] = t18;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    pivot_3 = covariance[0] + 9.0;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_3 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_3 = 1.0 / pivot_3;
-        const double t22 = mean[0] - predicted_compression_deviation;
-        const double t23 = innovation_3 - t22;
-        const double t24 = t23 * inverse_3;
-        const double t25 = covariance[0] * t24;
-        mean[0] = mean[0] + t25;
-        const double t26 = covariance[1] * t24;
-        mean[1] = mean[1] + t26;
-        const double t27 = covariance[0] * inverse_3;
-        const double t28 = t27 * covariance[0];
-        const double t29 = covariance[0] - t28;
-        const double t30 = 9.0 * t27;
-        const double t31 = t30 - t29;
-        const double t32 = t31 * t27;
-        const double t33 = t29 + t32;
-        const double t34 = covariance[1] * inverse_3;
-        const double t35 = t34 * covariance[0];
-        const double t36 = covariance[1] - t35;
-        const double t37 = 9.0 * t34;
-        const double t38 = t37 - t36;
-        const double t39 = t38 * t27;
-        const double t40 = t36 + t39;
-        const double t41 = t34 * covariance[1];
-        const double t42 = covariance[2] - t41;
-        const double t43 = t38 * t34;
-        covariance[2] = t42 + t43;
-        covariance[0] = t33;
-        covariance[1] = t40;
-    }
-    deviation[0] = mean[0] - mean_host[0];
-    deviation[1] = mean[1] - mean_host[1];
+    status = wheel_drift_filter_with_group_7(numbers[0], covariance, mean,
+        predicted_compression_deviation, innovation, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_filter_with_group_8(covariance, mean, predicted_compression_deviation,
+        innovation_2, wheel_drift_filter_with_group_8_numbers[0], ((present & 0x10u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_filter_with_group_8(covariance, mean, predicted_compression_deviation,
+        innovation_3, wheel_drift_filter_with_group_8_numbers[1], ((present & 0x20u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
     return WHEEL_DRIFT_OK;
 }
 
-/* What differs between the calls of wheel_drift_row_of_y_2, a row for each. */
-static const double wheel_drift_row_of_y_2_numbers[15][1] = {
+/* What differs between the calls of wheel_drift_filter_with_group_2, a row for each. */
+static const double wheel_drift_filter_with_group_2_numbers[15][1] = {
     { 0.9921619208254787 },
     { 0.9921619208254787 },
     { 0.9903931860948796 },
@@ -340,200 +297,321 @@ static const double wheel_drift_row_of_y_2_numbers[15][1] = {
     { 0.9921619208254787 }
 };
 
-/* row 0 of y, wheel_fl: compression filter; row 1 of y, wheel_fr: compression filter; row 2 of y,
- * wheel_rl: compression filter; row 3 of y, wheel_rr: compression filter. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_2(const double innovation_4,
-    const double *predicted_compression_deviation, double *innovation, const double innovation_5,
-    double *innovation_2, double *mean, const double *predicted_compression_covariance,
-    double *covariance, const double innovation_0, const double *numbers, uint32_t present,
-    int row_0)
+/* filter with group 0: row 4 of y, ublox: compression filter; filter with group 1: row 4 of y,
+ * ublox: compression filter; filter with group 2: row 4 of y, ublox: compression filter; filter
+ * with group 3: row 4 of y, ublox: compression filter; filter with group 0, 1: row 1 of y,
+ * wheel_fr: compression filter; filter with group 0, 2: row 2 of y, wheel_rl: compression filter;
+ * filter with group 0, 3: row 3 of y, wheel_rr: compression filter; filter with group 1, 2: row 2
+ * of y, wheel_rl: compression filter; filter with group 1, 3: row 3 of y, wheel_rr: compression
+ * filter; filter with group 2, 3: row 3 of y, wheel_rr: compression filter; filter with group 0, 1,
+ * 2: row 1 of y, wheel_fr: compression filter; filter with group 0, 1, 3: row 1 of y, wheel_fr:
+ * compression filter; filter with group 0, 2, 3: row 2 of y, wheel_rl: compression filter; filter
+ * with group 1, 2, 3: row 2 of y, wheel_rl: compression filter; filter with group 0, 1, 2, 3: row 1
+ * of y, wheel_fr: compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_2(const double
+    *predicted_compression_covariance, const double innovation_0,
+    const double *predicted_compression_deviation, double *mean, double *covariance,
+    const double *numbers, int row_0)
 {
     double cross_0[2];
     double pivot_0;
     double inverse_0 = 0.0;
+    cross_0[0] = numbers[0] * predicted_compression_covariance[0];
+    cross_0[1] = numbers[0] * predicted_compression_covariance[1];
+    pivot_0 = (numbers[0] * cross_0[0]) + 0.04;
+    if (row_0 != 0)
+    {
+        if (!(pivot_0 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
+        inverse_0 = 1.0 / pivot_0;
+        const double t0 = innovation_0 * inverse_0;
+        mean[0] = predicted_compression_deviation[0] + (cross_0[0] * t0);
+        mean[1] = predicted_compression_deviation[1] + (cross_0[1] * t0);
+        const double t1 = cross_0[0] * inverse_0;
+        const double t2 = predicted_compression_covariance[0] - (t1 * cross_0[0]);
+        covariance[0] = t2 + (((0.04 * t1) - (numbers[0] * t2)) * t1);
+        const double t3 = cross_0[1] * inverse_0;
+        const double t4 = predicted_compression_covariance[1] - (t3 * cross_0[0]);
+        const double t5 = (0.04 * t3) - (numbers[0] * t4);
+        covariance[1] = t4 + (t5 * t1);
+        covariance[2] = (predicted_compression_covariance[2] - (t3 * cross_0[1])) + (t5 * t3);
+    }
+
+    /* filter with group 0: row 4 of y, ublox: compression filter */
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_filter_with_group_9, a row for each. */
+static const double wheel_drift_filter_with_group_9_numbers[2][1] = {
+    { 0.25 },
+    { 9.0 }
+};
+
+/* filter with group 0: row 5 of y, qcom: compression filter; filter with group 0. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_9(double *covariance,
+    double *mean, const double predicted_compression_deviation, const double innovation,
+    const double *numbers, int row_0)
+{
+    wheel_drift_status_t status;
+    status = wheel_drift_filter_with_group_10(covariance, numbers[0], mean,
+        predicted_compression_deviation, innovation, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_filter_with_group_3, a row for each. */
+static const double wheel_drift_filter_with_group_3_numbers[4][1] = {
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 }
+};
+
+/* filter with group 0: innovation, row by row; filter with group 1: innovation, row by row; filter
+ * with group 2: innovation, row by row; filter with group 3: innovation, row by row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_3(const double
+    *predicted_compression_deviation, const double innovation, const double innovation_4,
+    const double innovation_5, const double *predicted_compression_covariance, double *covariance,
+    const double *mean_host, double *deviation, const double *numbers, const double *numbers_of_0,
+    uint32_t present, int row_0)
+{
+    double innovation_0 = 0.0;
+    double innovation_1 = 0.0;
+    double innovation_2 = 0.0;
+    double mean[2] = { 0.0 };
+    wheel_drift_status_t status;
+
+    /* filter with group 0: innovation, row by row */
+    if (row_0 != 0)
+    {
+        innovation_0 = innovation - (numbers[0] * predicted_compression_deviation[0]);
+    }
     if ((present & 0x10u) != 0u)
     {
-        innovation[0] = innovation_4 - predicted_compression_deviation[0];
+        innovation_1 = innovation_4 - predicted_compression_deviation[0];
     }
     if ((present & 0x20u) != 0u)
     {
-        innovation_2[0] = innovation_5 - predicted_compression_deviation[0];
+        innovation_2 = innovation_5 - predicted_compression_deviation[0];
     }
+
+    /* filter with group 0 */
     mean[0] = predicted_compression_deviation[0];
     mean[1] = predicted_compression_deviation[1];
     covariance[0] = predicted_compression_covariance[0];
     covariance[1] = predicted_compression_covariance[1];
     covariance[2] = predicted_compression_covariance[2];
 
-    /* row 0 of y, wheel_fl: compression filter */
-    cross_0[0] = numbers[0] * predicted_compression_covariance[0];
-    cross_0[1] = numbers[0] * predicted_compression_covariance[1];
-    const double t0 = numbers[0] * cross_0[0];
-    pivot_0 = t0 + 0.04;
-    if (row_0 != 0)
-    {
-        if (!(pivot_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_0 = 1.0 / pivot_0;
-        const double t1 = innovation_0 * inverse_0;
-        const double t2 = cross_0[0] * t1;
-        mean[0] = predicted_compression_deviation[0] + t2;
-        const double t3 = cross_0[1] * t1;
-        mean[1] = predicted_compression_deviation[1] + t3;
-        const double t4 = cross_0[0] * inverse_0;
-        const double t5 = t4 * cross_0[0];
-        const double t6 = predicted_compression_covariance[0] - t5;
-        const double t7 = 0.04 * t4;
-        const double t8 = numbers[0] * t6;
-        const double t9 = t7 - t8;
-        const double t10 = t9 * t4;
-        covariance[0] = t6 + t10;
-        const double t11 = cross_0[1] * inverse_0;
-        const double t12 = t11 * cross_0[0];
-        const double t13 = predicted_compression_covariance[1] - t12;
-        const double t14 = 0.04 * t11;
-        const double t15 = numbers[0] * t13;
-        const double t16 = t14 - t15;
-        const double t17 = t16 * t4;
-        covariance[1] = t13 + t17;
-        const double t18 = t11 * cross_0[1];
-        const double t19 = predicted_compression_covariance[2] - t18;
-        const double t20 = t16 * t11;
-        covariance[2] = t19 + t20;
-    }
-
-    /* row 4 of y, ublox: compression filter */
-    return WHEEL_DRIFT_OK;
-}
-
-/* What differs between the calls of wheel_drift_row_of_y_3, a row for each. */
-static const double wheel_drift_row_of_y_3_numbers[4][1] = {
-    { 0.9921619208254787 },
-    { 0.9903931860948796 },
-    { 0.9903931860948796 },
-    { 0.9921619208254787 }
-};
-
-/* row 5 of y, qcom: compression filter. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_3(double *covariance, double *mean,
-    const double *predicted_compression_deviation, const double innovation_1,
-    const double innovation_2, const double *mean_host, double *deviation, const double innovation,
-    double *innovation_0, const double *numbers, uint32_t present, int row_0)
-{
-    double pivot_1;
-    double inverse_1 = 0.0;
-    double pivot_2;
-    double inverse_2 = 0.0;
-    pivot_1 = covariance[0] + 0.25;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_1 = 1.0 / pivot_1;
-        const double t0 = mean[0] - predicted_compression_deviation[0];
-        const double t1 = innovation_1 - t0;
-        const double t2 = t1 * inverse_1;
-        const double t3 = covariance[0] * t2;
-        mean[0] = mean[0] + t3;
-        const double t4 = covariance[1] * t2;
-        mean[1] = mean[1] + t4;
-        const double t5 = covariance[0] * inverse_1;
-        const double t6 = t5 * covariance[0];
-        const double t7 = covariance[0] - t6;
-        const double t8 = 0.25 * t5;
-        const double t9 = t8 - t7;
-        const double t10 = t9 * t5;
-        const double t11 = t7 + t10;
-        const double t12 = covariance[1] * inverse_1;
-        const double t13 = t12 * covariance[0];
-        const double t14 = covariance[1] - t13;
-        const double t15 = 0.25 * t12;
-        const double t16 = t15 - t14;
-        const double t17 = t16 * t5;
-        const double t18 = t14 + t17;
-        const double t19 = t12 * covariance[1];
-        const double t20 = covariance[2] - t19;
-        const double t21 = t16 * t12;
-        covariance[2] = t20 + t21;
-        covariance[0] = t11;
-        covariance[1] = t18;
-    }
-
-    /* row 5 of y, qcom: compression filter */
-    pivot_2 = covariance[0] + 9.0;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_2 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_2 = 1.0 / pivot_2;
-        const double t22 = mean[0] - predicted_compression_deviation[0];
-        const double t23 = innovation_2 - t22;
-        const double t24 = t23 * inverse_2;
-        const double t25 = covariance[0] * t24;
-        mean[0] = mean[0] + t25;
-        const double t26 = covariance[1] * t24;
-        mean[1] = mean[1] + t26;
-        const double t27 = covariance[0] * inverse_2;
-        const double t28 = t27 * covariance[0];
-        const double t29 = covariance[0] - t28;
-        const double t30 = 9.0 * t27;
-        const double t31 = t30 - t29;
-        const double t32 = t31 * t27;
-        const double t33 = t29 + t32;
-        const double t34 = covariance[1] * inverse_2;
-        const double t35 = t34 * covariance[0];
-        const double t36 = covariance[1] - t35;
-        const double t37 = 9.0 * t34;
-        const double t38 = t37 - t36;
-        const double t39 = t38 * t27;
-        const double t40 = t36 + t39;
-        const double t41 = t34 * covariance[1];
-        const double t42 = covariance[2] - t41;
-        const double t43 = t38 * t34;
-        covariance[2] = t42 + t43;
-        covariance[0] = t33;
-        covariance[1] = t40;
-    }
+    /* filter with group 0: row 0 of y, wheel_fl: compression filter */
+    status = wheel_drift_filter_with_group_2(predicted_compression_covariance, innovation_0,
+        predicted_compression_deviation, mean, covariance, numbers_of_0, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_filter_with_group_9(covariance, mean, predicted_compression_deviation[0],
+        innovation_1, wheel_drift_filter_with_group_9_numbers[0], ((present & 0x10u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_filter_with_group_9(covariance, mean, predicted_compression_deviation[0],
+        innovation_2, wheel_drift_filter_with_group_9_numbers[1], ((present & 0x20u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
     deviation[0] = mean[0] - mean_host[0];
     deviation[1] = mean[1] - mean_host[1];
-
-    /* innovation, row by row */
-    if (row_0 != 0)
-    {
-        const double t44 = numbers[0] * predicted_compression_deviation[2];
-        innovation_0[0] = innovation - t44;
-    }
     return WHEEL_DRIFT_OK;
 }
 
-/* What differs between the calls of wheel_drift_row_of_y_4, a row for each. */
-static const double wheel_drift_row_of_y_4_numbers[6][1] = {
+/* What differs between the calls of wheel_drift_filter_with_group_4, a row for each. */
+static const double wheel_drift_filter_with_group_4_numbers[4][1] = {
     { 0.9921619208254787 },
     { 0.9921619208254787 },
     { 0.9903931860948796 },
-    { 0.9903931860948796 },
-    { 0.9921619208254787 },
     { 0.9903931860948796 }
 };
 
-/* row 2 of y, wheel_rl: compression filter; row 3 of y, wheel_rr: compression filter. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_row_of_y_4(double *covariance, double *mean,
-    const double predicted_compression_deviation, const double innovation, const double *numbers,
-    int row_0)
+/* filter with group 0, 1, 2: innovation, row by row; filter with group 0, 1, 3: innovation, row by
+ * row; filter with group 0, 2, 3: innovation, row by row; filter with group 1, 2, 3: innovation,
+ * row by row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_4(const double
+    *predicted_compression_deviation, const double innovation, const double innovation_2,
+    const double innovation_3, const double innovation_4, const double innovation_5,
+    const double *predicted_compression_covariance, double *covariance, const double *mean_host,
+    double *deviation, const double *numbers, const double *numbers_of_0,
+    const double *numbers_of_1, uint32_t present, int row_0, int row_1, int row_2)
+{
+    double innovation_0 = 0.0;
+    double innovation_1 = 0.0;
+    double innovation_2_2 = 0.0;
+    double innovation_3_2 = 0.0;
+    double innovation_4_2 = 0.0;
+    double mean[2] = { 0.0 };
+    double cross_1[2];
+    double pivot_1;
+    double inverse_1 = 0.0;
+    wheel_drift_status_t status;
+
+    /* filter with group 0, 1, 2: innovation, row by row */
+    if (row_0 != 0)
+    {
+        innovation_0 = innovation - (0.9921619208254787 * predicted_compression_deviation[0]);
+    }
+    if (row_1 != 0)
+    {
+        innovation_1 = innovation_2 - (numbers[0] * predicted_compression_deviation[0]);
+    }
+    if (row_2 != 0)
+    {
+        innovation_2_2 = innovation_3 - (0.9903931860948796 * predicted_compression_deviation[0]);
+    }
+    if ((present & 0x10u) != 0u)
+    {
+        innovation_3_2 = innovation_4 - predicted_compression_deviation[0];
+    }
+    if ((present & 0x20u) != 0u)
+    {
+        innovation_4_2 = innovation_5 - predicted_compression_deviation[0];
+    }
+
+    /* filter with group 0, 1, 2 */
+    mean[0] = predicted_compression_deviation[0];
+    mean[1] = predicted_compression_deviation[1];
+    covariance[0] = predicted_compression_covariance[0];
+    covariance[1] = predicted_compression_covariance[1];
+    covariance[2] = predicted_compression_covariance[2];
+
+    /* filter with group 0, 1, 2: row 0 of y, wheel_fl: compression filter */
+    status = wheel_drift_filter_with_group_2(predicted_compression_covariance, innovation_0,
+        predicted_compression_deviation, mean, covariance, numbers_of_0, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    cross_1[0] = numbers[0] * covariance[0];
+    cross_1[1] = numbers[0] * covariance[1];
+    pivot_1 = (numbers[0] * cross_1[0]) + 0.04;
+    if (row_1 != 0)
+    {
+        if (!(pivot_1 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
+        inverse_1 = 1.0 / pivot_1;
+        const double t0 = numbers[0] * (mean[0] - predicted_compression_deviation[0]);
+        const double t1 = (innovation_1 - t0) * inverse_1;
+        mean[0] = mean[0] + (cross_1[0] * t1);
+        mean[1] = mean[1] + (cross_1[1] * t1);
+        const double t2 = cross_1[0] * inverse_1;
+        const double t3 = covariance[0] - (t2 * cross_1[0]);
+        covariance[0] = t3 + (((0.04 * t2) - (numbers[0] * t3)) * t2);
+        const double t4 = cross_1[1] * inverse_1;
+        const double t5 = covariance[1] - (t4 * cross_1[0]);
+        const double t6 = (0.04 * t4) - (numbers[0] * t5);
+        covariance[1] = t5 + (t6 * t2);
+        covariance[2] = (covariance[2] - (t4 * cross_1[1])) + (t6 * t4);
+    }
+
+    /* filter with group 0, 1, 2: row 2 of y, wheel_rl: compression filter */
+    status = wheel_drift_filter_with_group(covariance, mean, predicted_compression_deviation[0],
+        innovation_2_2, innovation_3_2, innovation_4_2, numbers_of_1, present, row_2);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    deviation[0] = mean[0] - mean_host[0];
+    deviation[1] = mean[1] - mean_host[1];
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_filter_with_group_5, a row for each. */
+static const double wheel_drift_filter_with_group_5_numbers[6][2] = {
+    { 0.9921619208254787, 0.9921619208254787 },
+    { 0.9921619208254787, 0.9903931860948796 },
+    { 0.9921619208254787, 0.9903931860948796 },
+    { 0.9921619208254787, 0.9903931860948796 },
+    { 0.9921619208254787, 0.9903931860948796 },
+    { 0.9903931860948796, 0.9903931860948796 }
+};
+
+/* filter with group 0, 1: innovation, row by row; filter with group 0, 2: innovation, row by row;
+ * filter with group 0, 3: innovation, row by row; filter with group 1, 2: innovation, row by row;
+ * filter with group 1, 3: innovation, row by row; filter with group 2, 3: innovation, row by
+ * row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_5(const double
+    *predicted_compression_deviation, const double innovation, const double innovation_2,
+    const double innovation_4, const double innovation_5,
+    const double *predicted_compression_covariance, double *covariance, const double *mean_host,
+    double *deviation, const double *numbers, const double *numbers_of_0,
+    const double *numbers_of_1, uint32_t present, int row_0, int row_1)
+{
+    double innovation_0 = 0.0;
+    double innovation_1 = 0.0;
+    double innovation_2_2 = 0.0;
+    double innovation_3 = 0.0;
+    double mean[2] = { 0.0 };
+    wheel_drift_status_t status;
+
+    /* filter with group 0, 1: innovation, row by row */
+    if (row_0 != 0)
+    {
+        innovation_0 = innovation - (numbers[0] * predicted_compression_deviation[0]);
+    }
+    if (row_1 != 0)
+    {
+        innovation_1 = innovation_2 - (numbers[1] * predicted_compression_deviation[0]);
+    }
+    if ((present & 0x10u) != 0u)
+    {
+        innovation_2_2 = innovation_4 - predicted_compression_deviation[0];
+    }
+    if ((present & 0x20u) != 0u)
+    {
+        innovation_3 = innovation_5 - predicted_compression_deviation[0];
+    }
+
+    /* filter with group 0, 1 */
+    mean[0] = predicted_compression_deviation[0];
+    mean[1] = predicted_compression_deviation[1];
+    covariance[0] = predicted_compression_covariance[0];
+    covariance[1] = predicted_compression_covariance[1];
+    covariance[2] = predicted_compression_covariance[2];
+
+    /* filter with group 0, 1: row 0 of y, wheel_fl: compression filter */
+    status = wheel_drift_filter_with_group_2(predicted_compression_covariance, innovation_0,
+        predicted_compression_deviation, mean, covariance, numbers_of_0, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_filter_with_group(covariance, mean, predicted_compression_deviation[0],
+        innovation_1, innovation_2_2, innovation_3, numbers_of_1, present, row_1);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    deviation[0] = mean[0] - mean_host[0];
+    deviation[1] = mean[1] - mean_host[1];
+    return WHEEL_DRIFT_OK;
+}
+
+/* prediction of the next. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next_2(const double A,
+    const double *compression_deviation, const double *compression_covariance, const double *Q,
+    double *predicted_compression_deviation, double *predicted_compression_covariance)
+{
+    const double t0 = compression_deviation[0] + (A * compression_deviation[1]);
+    const double t1 = compression_covariance[0] + (A * compression_covariance[1]);
+    const double t2 = t1 + ((compression_covariance[1] + (A * compression_covariance[2])) * A);
+    const double t3 = t2 + Q[0];
+    const double t4 = compression_covariance[2] + Q[1];
+    if (!wheel_drift_finite(wheel_drift_defect(t0) + wheel_drift_defect(compression_deviation[1]) +
+        wheel_drift_defect(t3) + wheel_drift_defect(t4)))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    predicted_compression_deviation[0] = t0;
+    predicted_compression_deviation[1] = compression_deviation[1];
+    predicted_compression_covariance[0] = t3;
+    predicted_compression_covariance[2] = t4;
+    return WHEEL_DRIFT_OK;
+}
+
+/* prediction of the next sample. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next(const double A,
+    const double *compression_deviation, const double *compression_covariance, const double *Q,
+    double *predicted_compression_deviation, double *predicted_compression_covariance)
 {
     wheel_drift_status_t status;
-    status = wheel_drift_row_of_y_5(numbers[0], covariance, mean, predicted_compression_deviation,
-        innovation, row_0);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    status = wheel_drift_prediction_of_the_next_2(A, compression_deviation, compression_covariance,
+        Q, predicted_compression_deviation, predicted_compression_covariance);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_prediction_of_the_next_2(A, &compression_deviation[2],
+        &compression_covariance[3], Q, &predicted_compression_deviation[2],
+        &predicted_compression_covariance[3]);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_prediction_of_the_next_2(A, &compression_deviation[4],
+        &compression_covariance[6], Q, &predicted_compression_deviation[4],
+        &predicted_compression_covariance[6]);
+    if (status != WHEEL_DRIFT_OK) { return status; }
     return WHEEL_DRIFT_OK;
 }
 
@@ -558,72 +636,75 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group(const double collecting,
         scale[0] = filtered_covariance[0];
         scale[1] = filtered_covariance[2];
     }
-    const double t1 = difference[2] * scale[0];
-    const double t2 = difference[0] * scale[1];
-    const double t3 = t1 - t2;
-    if (t3 > 0.0)
+    const double t1 = (difference[2] * scale[0]) - (difference[0] * scale[1]);
+    if (t1 > 0.0)
     {
-        const double t4 = difference[2];
-        const double t5 = difference[0];
-        const double t6 = shift[1];
-        const double t7 = shift[0];
-        const double t8 = scale[1];
-        const double t9 = scale[0];
-        difference[0] = t4;
-        difference[2] = t5;
-        shift[0] = t6;
-        shift[1] = t7;
-        scale[0] = t8;
-        scale[1] = t9;
+        const double t2 = difference[2];
+        const double t3 = difference[0];
+        const double t4 = shift[1];
+        const double t5 = shift[0];
+        const double t6 = scale[1];
+        const double t7 = scale[0];
+        difference[0] = t2;
+        difference[2] = t3;
+        shift[0] = t4;
+        shift[1] = t5;
+        scale[0] = t6;
+        scale[1] = t7;
     }
-    const double t10 = 1.0e-11 * scale[0];
-    const double t11 = difference[0] - t10;
-    if (t11 > 0.0)
+    const double t8 = difference[0] - (1.0e-11 * scale[0]);
+    if (t8 > 0.0)
     {
         inverse_0 = 1.0 / difference[0];
         share_0_1 = difference[1] * inverse_0;
-        const double t12 = shift[0] * inverse_0;
-        const double t13 = shift[0] * t12;
-        statistic[0] = statistic[0] + t13;
-        const double t14 = share_0_1 * difference[1];
-        difference[2] = difference[2] - t14;
-        const double t15 = share_0_1 * shift[0];
-        shift[1] = shift[1] - t15;
+        statistic[0] = statistic[0] + (shift[0] * (shift[0] * inverse_0));
+        difference[2] = difference[2] - (share_0_1 * difference[1]);
+        shift[1] = shift[1] - (share_0_1 * shift[0]);
         dof[0] = 1.0;
         threshold[0] = 10.827566170662733;
     }
 }
 
-/* What differs between the calls of wheel_drift_innovation, a row for each. */
-static const double wheel_drift_innovation_numbers[5][1] = {
+/* What differs between the calls of wheel_drift_filter_with_group_6, a row for each. */
+static const double wheel_drift_filter_with_group_6_numbers[2][1] = {
     { 0.9921619208254787 },
-    { 0.9921619208254787 },
-    { 0.9903931860948796 },
-    { 0.9903931860948796 },
-    { 0.9921619208254787 }
+    { 0.9903931860948796 }
 };
 
-/* innovation, row by row. */
-WHEEL_DRIFT_INLINE void wheel_drift_innovation(const double predicted_compression_deviation,
-    const double innovation, double *innovation_0, const double innovation_2, double *innovation_1,
-    const double innovation_3, double *innovation_2_2, const double *numbers, int row_0, int row_1,
-    int row_2)
+/* filter with group 0, 1, 2, 3: row 2 of y, wheel_rl: compression filter; filter with group 0, 1,
+ * 2, 3: row 3 of y, wheel_rr: compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_6(double
+    *covariance_compression14, double *mean_compression14,
+    const double predicted_compression_deviation, const double innovation_compression14,
+    const double *numbers, int row_0)
 {
-    /* innovation, row by row */
-    if (row_0 != 0)
+    wheel_drift_status_t status;
+    status = wheel_drift_filter_with_group_7(numbers[0], covariance_compression14,
+        mean_compression14, predicted_compression_deviation, innovation_compression14, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    return WHEEL_DRIFT_OK;
+}
+
+/* test of group 0; test of group 1; test of group 2. */
+WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double collecting,
+    const double *filtered_covariance, const double *compression_covariance,
+    const double *compression_deviation, double *statistic, double *dof, double *threshold)
+{
+    double difference[3] = { 0.0 };
+    double shift[2] = { 0.0 };
+    double scale[2] = { 0.0 };
+    double inverse_1 = 0.0;
+
+    /* test of group 0 */
+    wheel_drift_test_of_group(collecting, filtered_covariance, compression_covariance, difference,
+        compression_deviation, shift, scale, statistic, dof, threshold);
+    const double t0 = difference[2] - (1.0e-11 * scale[1]);
+    if (t0 > 0.0)
     {
-        const double t0 = 0.9921619208254787 * predicted_compression_deviation;
-        innovation_0[0] = innovation - t0;
-    }
-    if (row_1 != 0)
-    {
-        const double t1 = numbers[0] * predicted_compression_deviation;
-        innovation_1[0] = innovation_2 - t1;
-    }
-    if (row_2 != 0)
-    {
-        const double t2 = 0.9903931860948796 * predicted_compression_deviation;
-        innovation_2_2[0] = innovation_3 - t2;
+        inverse_1 = 1.0 / difference[2];
+        statistic[0] = statistic[0] + (shift[1] * (shift[1] * inverse_1));
+        dof[0] = 2.0;
+        threshold[0] = 13.815510557964274;
     }
 }
 
@@ -659,332 +740,37 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct_2(const double
     return WHEEL_DRIFT_OK;
 }
 
-/* innovation, row by row. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_state,
-    const double *y, double *innovation_0, double *innovation_1, double *innovation_2,
-    double *innovation_3, double *innovation_4, double *innovation_5, double *mean_host,
-    const double *predicted_covariance, double *covariance_host, double *quadratic_host,
-    double *log_constant_host, double *determinant_host_0, double *host_state,
-    const double *predicted_compression_deviation, const double *predicted_compression_covariance,
-    double *covariance_compression, double *deviation_compression, double *covariance_compression1,
-    double *deviation_compression1, double *covariance_compression2, double *deviation_compression2,
-    double *covariance_compression3, double *deviation_compression3,
-    double *covariance_compression4, double *deviation_compression4,
-    double *covariance_compression5, double *deviation_compression5,
-    double *covariance_compression6, double *deviation_compression6, uint32_t present)
+/* prediction of the next sample. */
+WHEEL_DRIFT_INLINE void wheel_drift_prediction_of_the_next_3(const double *compression_covariance,
+    const double A, double *predicted_compression_covariance)
 {
-    double pivot_host_0;
-    double inverse_host_0 = 0.0;
-    double pivot_host_1;
-    double inverse_host_1 = 0.0;
-    double innovation_compression_0 = 0.0;
-    double innovation_compression_1 = 0.0;
-    double innovation_compression_2 = 0.0;
-    double mean_compression[2] = { 0.0 };
-    double innovation_compression1_0 = 0.0;
-    double innovation_compression1_1 = 0.0;
-    double innovation_compression1_2 = 0.0;
-    double mean_compression1[2] = { 0.0 };
-    double innovation_compression2_0 = 0.0;
-    double innovation_compression2_1 = 0.0;
-    double innovation_compression2_2 = 0.0;
-    double mean_compression2[2] = { 0.0 };
-    double innovation_compression3_0 = 0.0;
-    double innovation_compression3_1 = 0.0;
-    double innovation_compression3_2 = 0.0;
-    double mean_compression3[2] = { 0.0 };
-    double innovation_compression4_0 = 0.0;
-    double innovation_compression4_1 = 0.0;
-    double innovation_compression4_2 = 0.0;
-    double innovation_compression4_3 = 0.0;
-    double mean_compression4[2] = { 0.0 };
-    double innovation_compression5_0 = 0.0;
-    double innovation_compression5_1 = 0.0;
-    double innovation_compression5_2 = 0.0;
-    double innovation_compression5_3 = 0.0;
-    double mean_compression5[2] = { 0.0 };
-    double innovation_compression6_0 = 0.0;
-    double innovation_compression6_1 = 0.0;
-    double innovation_compression6_2 = 0.0;
-    double innovation_compression6_3 = 0.0;
-    double mean_compression6[2] = { 0.0 };
-    wheel_drift_status_t status;
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t0 = 0.9921619208254787 * predicted_state[0];
-        innovation_0[0] = y[0] - t0;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t1 = 0.9921619208254787 * predicted_state[0];
-        innovation_1[0] = y[1] - t1;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t2 = 0.9903931860948796 * predicted_state[0];
-        innovation_2[0] = y[2] - t2;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t3 = 0.9903931860948796 * predicted_state[0];
-        innovation_3[0] = y[3] - t3;
-    }
-    if ((present & 0x10u) != 0u)
-    {
-        innovation_4[0] = y[4] - predicted_state[0];
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        innovation_5[0] = y[5] - predicted_state[0];
-    }
-    mean_host[0] = 0.0;
-    mean_host[1] = 0.0;
-    covariance_host[0] = predicted_covariance[0];
-    covariance_host[1] = predicted_covariance[1];
-    covariance_host[2] = predicted_covariance[2];
-
-    /* row 4 of y, ublox: host */
-    pivot_host_0 = predicted_covariance[0] + 0.25;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_host_0 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_host_0 = 1.0 / pivot_host_0;
-        const double t4 = innovation_4[0] * inverse_host_0;
-        quadratic_host[0] = innovation_4[0] * t4;
-        mean_host[0] = predicted_covariance[0] * t4;
-        mean_host[1] = predicted_covariance[1] * t4;
-        const double t5 = predicted_covariance[0] * inverse_host_0;
-        const double t6 = t5 * predicted_covariance[0];
-        const double t7 = predicted_covariance[0] - t6;
-        const double t8 = 0.25 * t5;
-        const double t9 = t8 - t7;
-        const double t10 = t9 * t5;
-        covariance_host[0] = t7 + t10;
-        const double t11 = predicted_covariance[1] * inverse_host_0;
-        const double t12 = t11 * predicted_covariance[0];
-        const double t13 = predicted_covariance[1] - t12;
-        const double t14 = 0.25 * t11;
-        const double t15 = t14 - t13;
-        const double t16 = t15 * t5;
-        covariance_host[1] = t13 + t16;
-        const double t17 = t11 * predicted_covariance[1];
-        const double t18 = predicted_covariance[2] - t17;
-        const double t19 = t15 * t11;
-        covariance_host[2] = t18 + t19;
-        log_constant_host[0] = WHEEL_DRIFT_LOG_2_PI;
-        determinant_host_0[0] = pivot_host_0;
-    }
-
-    /* row 5 of y, qcom: host */
-    pivot_host_1 = covariance_host[0] + 9.0;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_host_1 > 0.0))
-        {
-            return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-        }
-        inverse_host_1 = 1.0 / pivot_host_1;
-        const double t20 = innovation_5[0] - mean_host[0];
-        const double t21 = t20 * inverse_host_1;
-        const double t22 = t20 * t21;
-        quadratic_host[0] = quadratic_host[0] + t22;
-        log_constant_host[0] = log_constant_host[0] + WHEEL_DRIFT_LOG_2_PI;
-        determinant_host_0[0] = determinant_host_0[0] * pivot_host_1;
-        const double t23 = covariance_host[0] * t21;
-        mean_host[0] = mean_host[0] + t23;
-        const double t24 = covariance_host[1] * t21;
-        mean_host[1] = mean_host[1] + t24;
-        const double t25 = covariance_host[0] * inverse_host_1;
-        const double t26 = t25 * covariance_host[0];
-        const double t27 = covariance_host[0] - t26;
-        const double t28 = 9.0 * t25;
-        const double t29 = t28 - t27;
-        const double t30 = t29 * t25;
-        const double t31 = t27 + t30;
-        const double t32 = covariance_host[1] * inverse_host_1;
-        const double t33 = t32 * covariance_host[0];
-        const double t34 = covariance_host[1] - t33;
-        const double t35 = 9.0 * t32;
-        const double t36 = t35 - t34;
-        const double t37 = t36 * t25;
-        const double t38 = t34 + t37;
-        const double t39 = t32 * covariance_host[1];
-        const double t40 = covariance_host[2] - t39;
-        const double t41 = t36 * t32;
-        covariance_host[2] = t40 + t41;
-        covariance_host[0] = t31;
-        covariance_host[1] = t38;
-    }
-    host_state[0] = predicted_state[0] + mean_host[0];
-    host_state[1] = predicted_state[1] + mean_host[1];
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t42 = 0.9921619208254787 * predicted_compression_deviation[0];
-        innovation_compression_0 = innovation_0[0] - t42;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4[0], predicted_compression_deviation,
-        &innovation_compression_1, innovation_5[0], &innovation_compression_2, mean_compression,
-        predicted_compression_covariance, covariance_compression, innovation_compression_0,
-        wheel_drift_row_of_y_2_numbers[0], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_3(covariance_compression, mean_compression,
-        predicted_compression_deviation, innovation_compression_1, innovation_compression_2,
-        mean_host, deviation_compression, innovation_1[0], &innovation_compression1_0,
-        wheel_drift_row_of_y_3_numbers[0], present, ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[2],
-        &innovation_compression1_1, innovation_5[0], &innovation_compression1_2, mean_compression1,
-        &predicted_compression_covariance[3], covariance_compression1, innovation_compression1_0,
-        wheel_drift_row_of_y_2_numbers[1], present, ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_3(covariance_compression1, mean_compression1,
-        &predicted_compression_deviation[2], innovation_compression1_1, innovation_compression1_2,
-        mean_host, deviation_compression1, innovation_2[0], &innovation_compression2_0,
-        wheel_drift_row_of_y_3_numbers[1], present, ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[4],
-        &innovation_compression2_1, innovation_5[0], &innovation_compression2_2, mean_compression2,
-        &predicted_compression_covariance[6], covariance_compression2, innovation_compression2_0,
-        wheel_drift_row_of_y_2_numbers[2], present, ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_3(covariance_compression2, mean_compression2,
-        &predicted_compression_deviation[4], innovation_compression2_1, innovation_compression2_2,
-        mean_host, deviation_compression2, innovation_3[0], &innovation_compression3_0,
-        wheel_drift_row_of_y_3_numbers[2], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[6],
-        &innovation_compression3_1, innovation_5[0], &innovation_compression3_2, mean_compression3,
-        &predicted_compression_covariance[9], covariance_compression3, innovation_compression3_0,
-        wheel_drift_row_of_y_2_numbers[3], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_3(covariance_compression3, mean_compression3,
-        &predicted_compression_deviation[6], innovation_compression3_1, innovation_compression3_2,
-        mean_host, deviation_compression3, innovation_0[0], &innovation_compression4_0,
-        wheel_drift_row_of_y_3_numbers[3], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t43 = 0.9921619208254787 * predicted_compression_deviation[8];
-        innovation_compression4_1 = innovation_1[0] - t43;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[8],
-        &innovation_compression4_2, innovation_5[0], &innovation_compression4_3, mean_compression4,
-        &predicted_compression_covariance[12], covariance_compression4, innovation_compression4_0,
-        wheel_drift_row_of_y_2_numbers[4], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression4, mean_compression4,
-        predicted_compression_deviation[8], innovation_compression4_1, innovation_compression4_2,
-        innovation_compression4_3, mean_host, deviation_compression4,
-        wheel_drift_row_of_y_numbers[0], present, ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t44 = 0.9921619208254787 * predicted_compression_deviation[10];
-        innovation_compression5_0 = innovation_0[0] - t44;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t45 = 0.9903931860948796 * predicted_compression_deviation[10];
-        innovation_compression5_1 = innovation_2[0] - t45;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[10],
-        &innovation_compression5_2, innovation_5[0], &innovation_compression5_3, mean_compression5,
-        &predicted_compression_covariance[15], covariance_compression5, innovation_compression5_0,
-        wheel_drift_row_of_y_2_numbers[5], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression5, mean_compression5,
-        predicted_compression_deviation[10], innovation_compression5_1, innovation_compression5_2,
-        innovation_compression5_3, mean_host, deviation_compression5,
-        wheel_drift_row_of_y_numbers[1], present, ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-
-    /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t46 = 0.9921619208254787 * predicted_compression_deviation[12];
-        innovation_compression6_0 = innovation_0[0] - t46;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t47 = 0.9903931860948796 * predicted_compression_deviation[12];
-        innovation_compression6_1 = innovation_3[0] - t47;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4[0], &predicted_compression_deviation[12],
-        &innovation_compression6_2, innovation_5[0], &innovation_compression6_3, mean_compression6,
-        &predicted_compression_covariance[18], covariance_compression6, innovation_compression6_0,
-        wheel_drift_row_of_y_2_numbers[6], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression6, mean_compression6,
-        predicted_compression_deviation[12], innovation_compression6_1, innovation_compression6_2,
-        innovation_compression6_3, mean_host, deviation_compression6,
-        wheel_drift_row_of_y_numbers[2], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    return WHEEL_DRIFT_OK;
+    const double t0 = compression_covariance[1] * A;
+    predicted_compression_covariance[0] = compression_covariance[0] + t0;
+    const double t1 = compression_covariance[4] * A;
+    predicted_compression_covariance[3] = compression_covariance[3] + t1;
+    const double t2 = compression_covariance[7] * A;
+    predicted_compression_covariance[6] = compression_covariance[6] + t2;
+    const double t3 = compression_covariance[10] * A;
+    predicted_compression_covariance[9] = compression_covariance[9] + t3;
+    const double t4 = compression_covariance[13] * A;
+    predicted_compression_covariance[12] = compression_covariance[12] + t4;
+    const double t5 = compression_covariance[16] * A;
+    predicted_compression_covariance[15] = compression_covariance[15] + t5;
+    const double t6 = compression_covariance[19] * A;
+    predicted_compression_covariance[18] = compression_covariance[18] + t6;
 }
 
-/* innovation, row by row. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_3(const double
-    *predicted_compression_deviation, const double innovation_0, const double innovation_2,
-    const double innovation_3, const double innovation_4, const double innovation_5,
+/* filter with group 0, 1, 2: innovation, row by row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_11(const double
+    *predicted_compression_deviation, const double innovation_0, const double innovation_1,
+    const double innovation_2, const double innovation_4, const double innovation_5,
     const double *predicted_compression_covariance, const double *mean_host,
-    const double innovation_1, const double *host_state, const double *deviation_compression,
+    const double innovation_3, const double *host_state, const double *deviation_compression,
     const double *deviation_compression1, const double *deviation_compression2,
     const double *deviation_compression3, const double *deviation_compression4,
     const double *deviation_compression5, const double *deviation_compression6,
     const double *deviation_compression7, const double *deviation_compression8,
-    const double *deviation_compression9, const double *deviation_compression10,
-    const double *deviation_compression11, const double *predicted_collecting,
+    const double *deviation_compression9, const double *predicted_collecting,
     const double predicted_covariance, const double determinant_host_0,
     const double log_constant_host, const double quadratic_host, double *filtered_state,
     const double *covariance_host, double *filtered_covariance, double *compression_deviation,
@@ -993,26 +779,17 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_3(const double
     const double *covariance_compression3, const double *covariance_compression4,
     const double *covariance_compression5, const double *covariance_compression6,
     const double *covariance_compression7, const double *covariance_compression8,
-    const double *covariance_compression9, const double *covariance_compression10,
-    const double *covariance_compression11, double *innovation, double *innovation_covariance,
+    const double *covariance_compression9, double *innovation, double *innovation_covariance,
     double *nis, double *log_likelihood, const double predicted_window_left, double *window_left,
     double *collecting, double *test_statistic, double *test_dof, double *fault_declared,
     uint32_t present)
 {
-    double innovation_compression12_0 = 0.0;
-    double innovation_compression12_1 = 0.0;
-    double innovation_compression12_2 = 0.0;
-    double innovation_compression12_3 = 0.0;
-    double innovation_compression12_4 = 0.0;
-    double mean_compression12[2] = { 0.0 };
+    double covariance_compression10[3] = { 0.0 };
+    double deviation_compression10[2] = { 0.0 };
+    double covariance_compression11[3] = { 0.0 };
+    double deviation_compression11[2] = { 0.0 };
     double covariance_compression12[3] = { 0.0 };
     double deviation_compression12[2] = { 0.0 };
-    double innovation_compression13_0 = 0.0;
-    double innovation_compression13_1 = 0.0;
-    double innovation_compression13_2 = 0.0;
-    double innovation_compression13_3 = 0.0;
-    double innovation_compression13_4 = 0.0;
-    double mean_compression13[2] = { 0.0 };
     double covariance_compression13[3] = { 0.0 };
     double deviation_compression13[2] = { 0.0 };
     double innovation_compression14_0 = 0.0;
@@ -1023,111 +800,107 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_3(const double
     double innovation_compression14_5 = 0.0;
     double mean_compression14[2] = { 0.0 };
     double covariance_compression14[3] = { 0.0 };
-    double deviation_compression14[2] = { 0.0 };
+    double deviation_compression14[2];
     double collecting_0;
     double collecting_1;
     double collecting_2;
     double collecting_3;
     wheel_drift_status_t status;
 
-    /* innovation, row by row */
-    wheel_drift_innovation(predicted_compression_deviation[0], innovation_0,
-        &innovation_compression12_0, innovation_2, &innovation_compression12_1, innovation_3,
-        &innovation_compression12_2, wheel_drift_innovation_numbers[2], ((present & 0x1u) != 0u),
-        ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
-    status = wheel_drift_row_of_y_2(innovation_4, predicted_compression_deviation,
-        &innovation_compression12_3, innovation_5, &innovation_compression12_4, mean_compression12,
-        predicted_compression_covariance, covariance_compression12, innovation_compression12_0,
-        wheel_drift_row_of_y_2_numbers[12], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_4(covariance_compression12, mean_compression12,
-        predicted_compression_deviation[0], innovation_compression12_1,
-        wheel_drift_row_of_y_4_numbers[2], ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression12, mean_compression12,
-        predicted_compression_deviation[0], innovation_compression12_2, innovation_compression12_3,
-        innovation_compression12_4, mean_host, deviation_compression12,
-        wheel_drift_row_of_y_numbers[8], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-
-    /* innovation, row by row */
-    wheel_drift_innovation(predicted_compression_deviation[2], innovation_1,
-        &innovation_compression13_0, innovation_2, &innovation_compression13_1, innovation_3,
-        &innovation_compression13_2, wheel_drift_innovation_numbers[3], ((present & 0x2u) != 0u),
-        ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
-    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[2],
-        &innovation_compression13_3, innovation_5, &innovation_compression13_4, mean_compression13,
-        &predicted_compression_covariance[3], covariance_compression13, innovation_compression13_0,
-        wheel_drift_row_of_y_2_numbers[13], present, ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_4(covariance_compression13, mean_compression13,
-        predicted_compression_deviation[2], innovation_compression13_1,
-        wheel_drift_row_of_y_4_numbers[3], ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression13, mean_compression13,
-        predicted_compression_deviation[2], innovation_compression13_2, innovation_compression13_3,
-        innovation_compression13_4, mean_host, deviation_compression13,
-        wheel_drift_row_of_y_numbers[9], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-
-    /* innovation, row by row */
-    wheel_drift_innovation(predicted_compression_deviation[4], innovation_0,
-        &innovation_compression14_0, innovation_1, &innovation_compression14_1, innovation_2,
-        &innovation_compression14_2, wheel_drift_innovation_numbers[4], ((present & 0x1u) != 0u),
+    /* filter with group 0, 1, 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_4(predicted_compression_deviation, innovation_0,
+        innovation_1, innovation_2, innovation_4, innovation_5, predicted_compression_covariance,
+        covariance_compression10, mean_host, deviation_compression10,
+        wheel_drift_filter_with_group_4_numbers[0], wheel_drift_filter_with_group_2_numbers[10],
+        wheel_drift_filter_with_group_numbers[6], present, ((present & 0x1u) != 0u),
         ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[2], innovation_0,
+        innovation_1, innovation_3, innovation_4, innovation_5,
+        &predicted_compression_covariance[3], covariance_compression11, mean_host,
+        deviation_compression11, wheel_drift_filter_with_group_4_numbers[1],
+        wheel_drift_filter_with_group_2_numbers[11], wheel_drift_filter_with_group_numbers[7],
+        present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 2, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[4], innovation_0,
+        innovation_2, innovation_3, innovation_4, innovation_5,
+        &predicted_compression_covariance[6], covariance_compression12, mean_host,
+        deviation_compression12, wheel_drift_filter_with_group_4_numbers[2],
+        wheel_drift_filter_with_group_2_numbers[12], wheel_drift_filter_with_group_numbers[8],
+        present, ((present & 0x1u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 1, 2, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[6], innovation_1,
+        innovation_2, innovation_3, innovation_4, innovation_5,
+        &predicted_compression_covariance[9], covariance_compression13, mean_host,
+        deviation_compression13, wheel_drift_filter_with_group_4_numbers[3],
+        wheel_drift_filter_with_group_2_numbers[13], wheel_drift_filter_with_group_numbers[9],
+        present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1, 2, 3: innovation, row by row */
+    if ((present & 0x1u) != 0u)
+    {
+        const double t0 = 0.9921619208254787 * predicted_compression_deviation[8];
+        innovation_compression14_0 = innovation_0 - t0;
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        const double t1 = 0.9921619208254787 * predicted_compression_deviation[8];
+        innovation_compression14_1 = innovation_1 - t1;
+    }
+    if ((present & 0x4u) != 0u)
+    {
+        const double t2 = 0.9903931860948796 * predicted_compression_deviation[8];
+        innovation_compression14_2 = innovation_2 - t2;
+    }
     if ((present & 0x8u) != 0u)
     {
-        const double t0 = 0.9903931860948796 * predicted_compression_deviation[4];
-        innovation_compression14_3 = innovation_3 - t0;
+        const double t3 = 0.9903931860948796 * predicted_compression_deviation[8];
+        innovation_compression14_3 = innovation_3 - t3;
     }
-    status = wheel_drift_row_of_y_2(innovation_4, &predicted_compression_deviation[4],
-        &innovation_compression14_4, innovation_5, &innovation_compression14_5, mean_compression14,
-        &predicted_compression_covariance[6], covariance_compression14, innovation_compression14_0,
-        wheel_drift_row_of_y_2_numbers[14], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
+    if ((present & 0x10u) != 0u)
     {
-        return status;
+        innovation_compression14_4 = innovation_4 - predicted_compression_deviation[8];
     }
-    status = wheel_drift_row_of_y_4(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[4], innovation_compression14_1,
-        wheel_drift_row_of_y_4_numbers[4], ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
+    if ((present & 0x20u) != 0u)
     {
-        return status;
+        innovation_compression14_5 = innovation_5 - predicted_compression_deviation[8];
     }
-    status = wheel_drift_row_of_y_4(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[4], innovation_compression14_2,
-        wheel_drift_row_of_y_4_numbers[5], ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[4], innovation_compression14_3, innovation_compression14_4,
-        innovation_compression14_5, mean_host, deviation_compression14,
-        wheel_drift_row_of_y_numbers[10], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+
+    /* filter with group 0, 1, 2, 3 */
+    mean_compression14[0] = predicted_compression_deviation[8];
+    mean_compression14[1] = predicted_compression_deviation[9];
+    covariance_compression14[0] = predicted_compression_covariance[12];
+    covariance_compression14[1] = predicted_compression_covariance[13];
+    covariance_compression14[2] = predicted_compression_covariance[14];
+
+    /* filter with group 0, 1, 2, 3: row 0 of y, wheel_fl: compression filter */
+    status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[12],
+        innovation_compression14_0, &predicted_compression_deviation[8], mean_compression14,
+        covariance_compression14, wheel_drift_filter_with_group_2_numbers[14], ((present & 0x1u) !=
+        0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_filter_with_group_6(covariance_compression14, mean_compression14,
+        predicted_compression_deviation[8], innovation_compression14_1,
+        wheel_drift_filter_with_group_6_numbers[0], ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_filter_with_group_6(covariance_compression14, mean_compression14,
+        predicted_compression_deviation[8], innovation_compression14_2,
+        wheel_drift_filter_with_group_6_numbers[1], ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_filter_with_group(covariance_compression14, mean_compression14,
+        predicted_compression_deviation[8], innovation_compression14_3, innovation_compression14_4,
+        innovation_compression14_5, wheel_drift_filter_with_group_numbers[10], present,
+        ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    deviation_compression14[0] = mean_compression14[0] - mean_host[0];
+    deviation_compression14[1] = mean_compression14[1] - mean_host[1];
     if (!wheel_drift_finite(wheel_drift_defect(host_state[0]) + wheel_drift_defect(host_state[1]) +
         wheel_drift_defect(deviation_compression[0]) +
         wheel_drift_defect(deviation_compression[1]) +
@@ -1186,20 +959,12 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_3(const double
     }
 
     /* results of the update */
-    const double t1 = 0.9843852771361035 * predicted_covariance;
-    innovation_covariance[0] = t1 + 0.04;
     innovation_covariance[1] = 0.9843852771361035 * predicted_covariance;
-    const double t2 = 0.9843852771361035 * predicted_covariance;
-    innovation_covariance[2] = t2 + 0.04;
     innovation_covariance[3] = 0.9826304058883615 * predicted_covariance;
     innovation_covariance[4] = 0.9826304058883615 * predicted_covariance;
-    const double t3 = 0.9808786630631667 * predicted_covariance;
-    innovation_covariance[5] = t3 + 0.04;
     innovation_covariance[6] = 0.9826304058883615 * predicted_covariance;
     innovation_covariance[7] = 0.9826304058883615 * predicted_covariance;
     innovation_covariance[8] = 0.9808786630631667 * predicted_covariance;
-    const double t4 = 0.9808786630631667 * predicted_covariance;
-    innovation_covariance[9] = t4 + 0.04;
     innovation_covariance[10] = 0.9921619208254787 * predicted_covariance;
     innovation_covariance[11] = 0.9921619208254787 * predicted_covariance;
     innovation_covariance[12] = 0.9903931860948796 * predicted_covariance;
@@ -1210,10 +975,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_3(const double
     innovation_covariance[17] = 0.9903931860948796 * predicted_covariance;
     innovation_covariance[18] = 0.9903931860948796 * predicted_covariance;
     innovation_covariance[20] = predicted_covariance + 9.0;
-    const double t5 = wheel_drift_log(determinant_host_0);
-    const double t6 = log_constant_host + t5;
-    const double t7 = quadratic_host + t6;
-    log_likelihood[0] = -0.5 * t7;
+    const double t4 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
+    log_likelihood[0] = -0.5 * t4;
     filtered_state[0] = host_state[0];
     filtered_state[1] = host_state[1];
     filtered_covariance[0] = covariance_host[0];
@@ -1319,58 +1082,52 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_3(const double
     fault_declared[1] = 0.0;
     fault_declared[2] = 0.0;
     fault_declared[3] = 0.0;
+    innovation_covariance[0] = (0.9843852771361035 * predicted_covariance) + 0.04;
+    innovation_covariance[2] = (0.9843852771361035 * predicted_covariance) + 0.04;
+    innovation_covariance[5] = (0.9808786630631667 * predicted_covariance) + 0.04;
+    innovation_covariance[9] = (0.9808786630631667 * predicted_covariance) + 0.04;
     return WHEEL_DRIFT_OK;
 }
 
-/* test of group 2. */
-WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
+/* test of group 0. */
+WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     const double *filtered_covariance, const double *compression_covariance,
-    const double *compression_deviation, double *statistic_2, double *dof_2, double *statistic_3,
-    double *dof_3, double *accepted_0, double *rejected_0, const double statistic_0,
-    const double threshold_0, double *accepted_1, double *rejected_1, const double statistic_1,
-    const double threshold_1, double *accepted_2, double *rejected_2, double *accepted_3,
-    double *rejected_3, const double *filtered_state, double *closed_state,
-    double *closed_covariance)
+    const double *compression_deviation, double *statistic_0, double *dof_0, double *statistic_1,
+    double *dof_1, double *statistic_2, double *dof_2, double *statistic_3, double *dof_3,
+    double *accepted_0, double *rejected_0, double *accepted_1, double *rejected_1,
+    double *accepted_2, double *rejected_2, double *accepted_3, double *rejected_3,
+    const double *filtered_state, double *closed_state, double *closed_covariance)
 {
-    double difference_2[3] = { 0.0 };
-    double shift_2[2] = { 0.0 };
-    double scale_2[2] = { 0.0 };
+    double threshold_0 = 0.0;
+    double threshold_1 = 0.0;
     double threshold_2 = 0.0;
-    double inverse_2_1 = 0.0;
     double difference_3[3] = { 0.0 };
     double shift_3[2] = { 0.0 };
     double scale_3[2] = { 0.0 };
     double threshold_3 = 0.0;
     double inverse_3_1 = 0.0;
 
+    /* test of group 0 */
+    wheel_drift_test_of_group_2(collecting[0], filtered_covariance, compression_covariance,
+        compression_deviation, statistic_0, dof_0, &threshold_0);
+
+    /* test of group 1 */
+    wheel_drift_test_of_group_2(collecting[1], filtered_covariance, &compression_covariance[3],
+        &compression_deviation[2], statistic_1, dof_1, &threshold_1);
+
     /* test of group 2 */
-    wheel_drift_test_of_group(collecting[2], filtered_covariance, &compression_covariance[6],
-        difference_2, &compression_deviation[4], shift_2, scale_2, statistic_2, dof_2,
-        &threshold_2);
-    const double t0 = 1.0e-11 * scale_2[1];
-    const double t1 = difference_2[2] - t0;
-    if (t1 > 0.0)
-    {
-        inverse_2_1 = 1.0 / difference_2[2];
-        const double t2 = shift_2[1] * inverse_2_1;
-        const double t3 = shift_2[1] * t2;
-        statistic_2[0] = statistic_2[0] + t3;
-        dof_2[0] = 2.0;
-        threshold_2 = 13.815510557964274;
-    }
+    wheel_drift_test_of_group_2(collecting[2], filtered_covariance, &compression_covariance[6],
+        &compression_deviation[4], statistic_2, dof_2, &threshold_2);
 
     /* test of group 3 */
     wheel_drift_test_of_group(collecting[3], filtered_covariance, &compression_covariance[9],
         difference_3, &compression_deviation[6], shift_3, scale_3, statistic_3, dof_3,
         &threshold_3);
-    const double t4 = 1.0e-11 * scale_3[1];
-    const double t5 = difference_3[2] - t4;
-    if (t5 > 0.0)
+    const double t0 = difference_3[2] - (1.0e-11 * scale_3[1]);
+    if (t0 > 0.0)
     {
         inverse_3_1 = 1.0 / difference_3[2];
-        const double t6 = shift_3[1] * inverse_3_1;
-        const double t7 = shift_3[1] * t6;
-        statistic_3[0] = statistic_3[0] + t7;
+        statistic_3[0] = statistic_3[0] + (shift_3[1] * (shift_3[1] * inverse_3_1));
         dof_3[0] = 2.0;
         threshold_3 = 13.815510557964274;
     }
@@ -1378,8 +1135,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     /* verdict on group 0 */
     accepted_0[0] = collecting[0];
     rejected_0[0] = 0.0;
-    const double t8 = statistic_0 - threshold_0;
-    if (t8 > 0.0)
+    const double t1 = statistic_0[0] - threshold_0;
+    if (t1 > 0.0)
     {
         accepted_0[0] = 0.0;
         rejected_0[0] = 1.0;
@@ -1388,8 +1145,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     /* verdict on group 1 */
     accepted_1[0] = collecting[1];
     rejected_1[0] = 0.0;
-    const double t9 = statistic_1 - threshold_1;
-    if (t9 > 0.0)
+    const double t2 = statistic_1[0] - threshold_1;
+    if (t2 > 0.0)
     {
         accepted_1[0] = 0.0;
         rejected_1[0] = 1.0;
@@ -1398,8 +1155,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     /* verdict on group 2 */
     accepted_2[0] = collecting[2];
     rejected_2[0] = 0.0;
-    const double t10 = statistic_2[0] - threshold_2;
-    if (t10 > 0.0)
+    const double t3 = statistic_2[0] - threshold_2;
+    if (t3 > 0.0)
     {
         accepted_2[0] = 0.0;
         rejected_2[0] = 1.0;
@@ -1408,8 +1165,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     /* verdict on group 3 */
     accepted_3[0] = collecting[3];
     rejected_3[0] = 0.0;
-    const double t11 = statistic_3[0] - threshold_3;
-    if (t11 > 0.0)
+    const double t4 = statistic_3[0] - threshold_3;
+    if (t4 > 0.0)
     {
         accepted_3[0] = 0.0;
         rejected_3[0] = 1.0;
@@ -1421,11 +1178,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     closed_covariance[2] = filtered_covariance[2];
 
     /* the host takes over: group 0 */
-    const double t12 = -0.5 + accepted_0[0];
-    const double t13 = t12 - accepted_1[0];
-    const double t14 = t13 - accepted_2[0];
-    const double t15 = t14 - accepted_3[0];
-    if (t15 > 0.0)
+    const double t5 = (((-0.5 + accepted_0[0]) - accepted_1[0]) - accepted_2[0]) - accepted_3[0];
+    if (t5 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[0];
         closed_state[1] = filtered_state[1] + compression_deviation[1];
@@ -1435,11 +1189,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 1 */
-    const double t16 = -0.5 - accepted_0[0];
-    const double t17 = t16 + accepted_1[0];
-    const double t18 = t17 - accepted_2[0];
-    const double t19 = t18 - accepted_3[0];
-    if (t19 > 0.0)
+    const double t6 = (((-0.5 - accepted_0[0]) + accepted_1[0]) - accepted_2[0]) - accepted_3[0];
+    if (t6 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[2];
         closed_state[1] = filtered_state[1] + compression_deviation[3];
@@ -1449,11 +1200,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 2 */
-    const double t20 = -0.5 - accepted_0[0];
-    const double t21 = t20 - accepted_1[0];
-    const double t22 = t21 + accepted_2[0];
-    const double t23 = t22 - accepted_3[0];
-    if (t23 > 0.0)
+    const double t7 = (((-0.5 - accepted_0[0]) - accepted_1[0]) + accepted_2[0]) - accepted_3[0];
+    if (t7 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[4];
         closed_state[1] = filtered_state[1] + compression_deviation[5];
@@ -1463,11 +1211,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 3 */
-    const double t24 = -0.5 - accepted_0[0];
-    const double t25 = t24 - accepted_1[0];
-    const double t26 = t25 - accepted_2[0];
-    const double t27 = t26 + accepted_3[0];
-    if (t27 > 0.0)
+    const double t8 = (((-0.5 - accepted_0[0]) - accepted_1[0]) - accepted_2[0]) + accepted_3[0];
+    if (t8 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[6];
         closed_state[1] = filtered_state[1] + compression_deviation[7];
@@ -1477,11 +1222,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 0, 1 */
-    const double t28 = -1.5 + accepted_0[0];
-    const double t29 = t28 + accepted_1[0];
-    const double t30 = t29 - accepted_2[0];
-    const double t31 = t30 - accepted_3[0];
-    if (t31 > 0.0)
+    const double t9 = ((-1.5 + accepted_0[0] + accepted_1[0]) - accepted_2[0]) - accepted_3[0];
+    if (t9 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[8];
         closed_state[1] = filtered_state[1] + compression_deviation[9];
@@ -1491,11 +1233,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 0, 2 */
-    const double t32 = -1.5 + accepted_0[0];
-    const double t33 = t32 - accepted_1[0];
-    const double t34 = t33 + accepted_2[0];
-    const double t35 = t34 - accepted_3[0];
-    if (t35 > 0.0)
+    const double t10 = (((-1.5 + accepted_0[0]) - accepted_1[0]) + accepted_2[0]) - accepted_3[0];
+    if (t10 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[10];
         closed_state[1] = filtered_state[1] + compression_deviation[11];
@@ -1505,11 +1244,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 0, 3 */
-    const double t36 = -1.5 + accepted_0[0];
-    const double t37 = t36 - accepted_1[0];
-    const double t38 = t37 - accepted_2[0];
-    const double t39 = t38 + accepted_3[0];
-    if (t39 > 0.0)
+    const double t11 = (((-1.5 + accepted_0[0]) - accepted_1[0]) - accepted_2[0]) + accepted_3[0];
+    if (t11 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[12];
         closed_state[1] = filtered_state[1] + compression_deviation[13];
@@ -1519,11 +1255,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 1, 2 */
-    const double t40 = -1.5 - accepted_0[0];
-    const double t41 = t40 + accepted_1[0];
-    const double t42 = t41 + accepted_2[0];
-    const double t43 = t42 - accepted_3[0];
-    if (t43 > 0.0)
+    const double t12 = ((-1.5 - accepted_0[0]) + accepted_1[0] + accepted_2[0]) - accepted_3[0];
+    if (t12 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[14];
         closed_state[1] = filtered_state[1] + compression_deviation[15];
@@ -1533,11 +1266,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 1, 3 */
-    const double t44 = -1.5 - accepted_0[0];
-    const double t45 = t44 + accepted_1[0];
-    const double t46 = t45 - accepted_2[0];
-    const double t47 = t46 + accepted_3[0];
-    if (t47 > 0.0)
+    const double t13 = (((-1.5 - accepted_0[0]) + accepted_1[0]) - accepted_2[0]) + accepted_3[0];
+    if (t13 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[16];
         closed_state[1] = filtered_state[1] + compression_deviation[17];
@@ -1547,11 +1277,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 2, 3 */
-    const double t48 = -1.5 - accepted_0[0];
-    const double t49 = t48 - accepted_1[0];
-    const double t50 = t49 + accepted_2[0];
-    const double t51 = t50 + accepted_3[0];
-    if (t51 > 0.0)
+    const double t14 = ((-1.5 - accepted_0[0]) - accepted_1[0]) + accepted_2[0] + accepted_3[0];
+    if (t14 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[18];
         closed_state[1] = filtered_state[1] + compression_deviation[19];
@@ -1561,11 +1288,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 0, 1, 2 */
-    const double t52 = -2.5 + accepted_0[0];
-    const double t53 = t52 + accepted_1[0];
-    const double t54 = t53 + accepted_2[0];
-    const double t55 = t54 - accepted_3[0];
-    if (t55 > 0.0)
+    const double t15 = (-2.5 + accepted_0[0] + accepted_1[0] + accepted_2[0]) - accepted_3[0];
+    if (t15 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[20];
         closed_state[1] = filtered_state[1] + compression_deviation[21];
@@ -1575,11 +1299,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 0, 1, 3 */
-    const double t56 = -2.5 + accepted_0[0];
-    const double t57 = t56 + accepted_1[0];
-    const double t58 = t57 - accepted_2[0];
-    const double t59 = t58 + accepted_3[0];
-    if (t59 > 0.0)
+    const double t16 = ((-2.5 + accepted_0[0] + accepted_1[0]) - accepted_2[0]) + accepted_3[0];
+    if (t16 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[22];
         closed_state[1] = filtered_state[1] + compression_deviation[23];
@@ -1589,11 +1310,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 
     /* the host takes over: group 0, 2, 3 */
-    const double t60 = -2.5 + accepted_0[0];
-    const double t61 = t60 - accepted_1[0];
-    const double t62 = t61 + accepted_2[0];
-    const double t63 = t62 + accepted_3[0];
-    if (t63 > 0.0)
+    const double t17 = ((-2.5 + accepted_0[0]) - accepted_1[0]) + accepted_2[0] + accepted_3[0];
+    if (t17 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[24];
         closed_state[1] = filtered_state[1] + compression_deviation[25];
@@ -1601,370 +1319,6 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
         closed_covariance[1] = compression_covariance[37];
         closed_covariance[2] = compression_covariance[38];
     }
-}
-
-/* prediction of the next sample. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next(const double A,
-    const double *filtered_state, const double u, const double *filtered_covariance,
-    const double *Q, const double *compression_deviation, const double *compression_covariance,
-    double *predicted_state, double *predicted_covariance, double *predicted_compression_deviation,
-    double *predicted_compression_covariance, const double left, double *predicted_window_left,
-    const double *collecting, double *predicted_collecting, const wheel_drift_params_t *params)
-{
-    const double t0 = A * filtered_state[1];
-    const double t1 = filtered_state[0] + t0;
-    const double t2 = params->dt * u;
-    const double t3 = t1 + t2;
-    const double t4 = A * filtered_covariance[1];
-    const double t5 = filtered_covariance[0] + t4;
-    const double t6 = A * filtered_covariance[2];
-    const double t7 = filtered_covariance[1] + t6;
-    const double t8 = t7 * A;
-    const double t9 = t5 + t8;
-    const double t10 = t9 + Q[0];
-    const double t11 = filtered_covariance[2] * A;
-    predicted_covariance[1] = filtered_covariance[1] + t11;
-    const double t12 = filtered_covariance[2] + Q[1];
-    const double t13 = A * compression_deviation[1];
-    const double t14 = compression_deviation[0] + t13;
-    const double t15 = A * compression_deviation[3];
-    const double t16 = compression_deviation[2] + t15;
-    const double t17 = A * compression_deviation[5];
-    const double t18 = compression_deviation[4] + t17;
-    const double t19 = A * compression_deviation[7];
-    const double t20 = compression_deviation[6] + t19;
-    const double t21 = A * compression_deviation[9];
-    const double t22 = compression_deviation[8] + t21;
-    const double t23 = A * compression_deviation[11];
-    const double t24 = compression_deviation[10] + t23;
-    const double t25 = A * compression_deviation[13];
-    const double t26 = compression_deviation[12] + t25;
-    const double t27 = A * compression_deviation[15];
-    const double t28 = compression_deviation[14] + t27;
-    const double t29 = A * compression_deviation[17];
-    const double t30 = compression_deviation[16] + t29;
-    const double t31 = A * compression_deviation[19];
-    const double t32 = compression_deviation[18] + t31;
-    const double t33 = A * compression_deviation[21];
-    const double t34 = compression_deviation[20] + t33;
-    const double t35 = A * compression_deviation[23];
-    const double t36 = compression_deviation[22] + t35;
-    const double t37 = A * compression_deviation[25];
-    const double t38 = compression_deviation[24] + t37;
-    const double t39 = A * compression_deviation[27];
-    const double t40 = compression_deviation[26] + t39;
-    const double t41 = A * compression_deviation[29];
-    const double t42 = compression_deviation[28] + t41;
-    const double t43 = A * compression_covariance[1];
-    const double t44 = compression_covariance[0] + t43;
-    const double t45 = A * compression_covariance[2];
-    const double t46 = compression_covariance[1] + t45;
-    const double t47 = t46 * A;
-    const double t48 = t44 + t47;
-    const double t49 = t48 + Q[0];
-    const double t50 = compression_covariance[2] * A;
-    predicted_compression_covariance[1] = compression_covariance[1] + t50;
-    const double t51 = compression_covariance[2] + Q[1];
-    const double t52 = A * compression_covariance[4];
-    const double t53 = compression_covariance[3] + t52;
-    const double t54 = A * compression_covariance[5];
-    const double t55 = compression_covariance[4] + t54;
-    const double t56 = t55 * A;
-    const double t57 = t53 + t56;
-    const double t58 = t57 + Q[0];
-    const double t59 = compression_covariance[5] * A;
-    predicted_compression_covariance[4] = compression_covariance[4] + t59;
-    const double t60 = compression_covariance[5] + Q[1];
-    const double t61 = A * compression_covariance[7];
-    const double t62 = compression_covariance[6] + t61;
-    const double t63 = A * compression_covariance[8];
-    const double t64 = compression_covariance[7] + t63;
-    const double t65 = t64 * A;
-    const double t66 = t62 + t65;
-    const double t67 = t66 + Q[0];
-    const double t68 = compression_covariance[8] * A;
-    predicted_compression_covariance[7] = compression_covariance[7] + t68;
-    const double t69 = compression_covariance[8] + Q[1];
-    const double t70 = A * compression_covariance[10];
-    const double t71 = compression_covariance[9] + t70;
-    const double t72 = A * compression_covariance[11];
-    const double t73 = compression_covariance[10] + t72;
-    const double t74 = t73 * A;
-    const double t75 = t71 + t74;
-    const double t76 = t75 + Q[0];
-    const double t77 = compression_covariance[11] * A;
-    predicted_compression_covariance[10] = compression_covariance[10] + t77;
-    const double t78 = compression_covariance[11] + Q[1];
-    const double t79 = A * compression_covariance[13];
-    const double t80 = compression_covariance[12] + t79;
-    const double t81 = A * compression_covariance[14];
-    const double t82 = compression_covariance[13] + t81;
-    const double t83 = t82 * A;
-    const double t84 = t80 + t83;
-    const double t85 = t84 + Q[0];
-    const double t86 = compression_covariance[14] * A;
-    predicted_compression_covariance[13] = compression_covariance[13] + t86;
-    const double t87 = compression_covariance[14] + Q[1];
-    const double t88 = A * compression_covariance[16];
-    const double t89 = compression_covariance[15] + t88;
-    const double t90 = A * compression_covariance[17];
-    const double t91 = compression_covariance[16] + t90;
-    const double t92 = t91 * A;
-    const double t93 = t89 + t92;
-    const double t94 = t93 + Q[0];
-    const double t95 = compression_covariance[17] * A;
-    predicted_compression_covariance[16] = compression_covariance[16] + t95;
-    const double t96 = compression_covariance[17] + Q[1];
-    const double t97 = A * compression_covariance[19];
-    const double t98 = compression_covariance[18] + t97;
-    const double t99 = A * compression_covariance[20];
-    const double t100 = compression_covariance[19] + t99;
-    const double t101 = t100 * A;
-    const double t102 = t98 + t101;
-    const double t103 = t102 + Q[0];
-    const double t104 = compression_covariance[20] * A;
-    predicted_compression_covariance[19] = compression_covariance[19] + t104;
-    const double t105 = compression_covariance[20] + Q[1];
-    const double t106 = A * compression_covariance[22];
-    const double t107 = compression_covariance[21] + t106;
-    const double t108 = A * compression_covariance[23];
-    const double t109 = compression_covariance[22] + t108;
-    const double t110 = t109 * A;
-    const double t111 = t107 + t110;
-    const double t112 = t111 + Q[0];
-    const double t113 = compression_covariance[23] * A;
-    predicted_compression_covariance[22] = compression_covariance[22] + t113;
-    const double t114 = compression_covariance[23] + Q[1];
-    const double t115 = A * compression_covariance[25];
-    const double t116 = compression_covariance[24] + t115;
-    const double t117 = A * compression_covariance[26];
-    const double t118 = compression_covariance[25] + t117;
-    const double t119 = t118 * A;
-    const double t120 = t116 + t119;
-    const double t121 = t120 + Q[0];
-    const double t122 = compression_covariance[26] * A;
-    predicted_compression_covariance[25] = compression_covariance[25] + t122;
-    const double t123 = compression_covariance[26] + Q[1];
-    const double t124 = A * compression_covariance[28];
-    const double t125 = compression_covariance[27] + t124;
-    const double t126 = A * compression_covariance[29];
-    const double t127 = compression_covariance[28] + t126;
-    const double t128 = t127 * A;
-    const double t129 = t125 + t128;
-    const double t130 = t129 + Q[0];
-    const double t131 = compression_covariance[29] * A;
-    predicted_compression_covariance[28] = compression_covariance[28] + t131;
-    const double t132 = compression_covariance[29] + Q[1];
-    const double t133 = A * compression_covariance[31];
-    const double t134 = compression_covariance[30] + t133;
-    const double t135 = A * compression_covariance[32];
-    const double t136 = compression_covariance[31] + t135;
-    const double t137 = t136 * A;
-    const double t138 = t134 + t137;
-    const double t139 = t138 + Q[0];
-    const double t140 = compression_covariance[32] * A;
-    predicted_compression_covariance[31] = compression_covariance[31] + t140;
-    const double t141 = compression_covariance[32] + Q[1];
-    const double t142 = A * compression_covariance[34];
-    const double t143 = compression_covariance[33] + t142;
-    const double t144 = A * compression_covariance[35];
-    const double t145 = compression_covariance[34] + t144;
-    const double t146 = t145 * A;
-    const double t147 = t143 + t146;
-    const double t148 = t147 + Q[0];
-    const double t149 = compression_covariance[35] * A;
-    predicted_compression_covariance[34] = compression_covariance[34] + t149;
-    const double t150 = compression_covariance[35] + Q[1];
-    const double t151 = A * compression_covariance[37];
-    const double t152 = compression_covariance[36] + t151;
-    const double t153 = A * compression_covariance[38];
-    const double t154 = compression_covariance[37] + t153;
-    const double t155 = t154 * A;
-    const double t156 = t152 + t155;
-    const double t157 = t156 + Q[0];
-    const double t158 = compression_covariance[38] * A;
-    predicted_compression_covariance[37] = compression_covariance[37] + t158;
-    const double t159 = compression_covariance[38] + Q[1];
-    const double t160 = A * compression_covariance[40];
-    const double t161 = compression_covariance[39] + t160;
-    const double t162 = A * compression_covariance[41];
-    const double t163 = compression_covariance[40] + t162;
-    const double t164 = t163 * A;
-    const double t165 = t161 + t164;
-    const double t166 = t165 + Q[0];
-    const double t167 = compression_covariance[41] * A;
-    predicted_compression_covariance[40] = compression_covariance[40] + t167;
-    const double t168 = compression_covariance[41] + Q[1];
-    const double t169 = A * compression_covariance[43];
-    const double t170 = compression_covariance[42] + t169;
-    const double t171 = A * compression_covariance[44];
-    const double t172 = compression_covariance[43] + t171;
-    const double t173 = t172 * A;
-    const double t174 = t170 + t173;
-    const double t175 = t174 + Q[0];
-    const double t176 = compression_covariance[44] * A;
-    predicted_compression_covariance[43] = compression_covariance[43] + t176;
-    const double t177 = compression_covariance[44] + Q[1];
-    if (!wheel_drift_finite(wheel_drift_defect(t3) + wheel_drift_defect(filtered_state[1]) +
-        wheel_drift_defect(t10) + wheel_drift_defect(t12)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t14) + wheel_drift_defect(compression_deviation[1]) +
-        wheel_drift_defect(t49) + wheel_drift_defect(t51)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t16) + wheel_drift_defect(compression_deviation[3]) +
-        wheel_drift_defect(t58) + wheel_drift_defect(t60)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t18) + wheel_drift_defect(compression_deviation[5]) +
-        wheel_drift_defect(t67) + wheel_drift_defect(t69)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t20) + wheel_drift_defect(compression_deviation[7]) +
-        wheel_drift_defect(t76) + wheel_drift_defect(t78)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t22) + wheel_drift_defect(compression_deviation[9]) +
-        wheel_drift_defect(t85) + wheel_drift_defect(t87)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t24) +
-        wheel_drift_defect(compression_deviation[11]) + wheel_drift_defect(t94) +
-        wheel_drift_defect(t96)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t26) +
-        wheel_drift_defect(compression_deviation[13]) + wheel_drift_defect(t103) +
-        wheel_drift_defect(t105)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t28) +
-        wheel_drift_defect(compression_deviation[15]) + wheel_drift_defect(t112) +
-        wheel_drift_defect(t114)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t30) +
-        wheel_drift_defect(compression_deviation[17]) + wheel_drift_defect(t121) +
-        wheel_drift_defect(t123)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t32) +
-        wheel_drift_defect(compression_deviation[19]) + wheel_drift_defect(t130) +
-        wheel_drift_defect(t132)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t34) +
-        wheel_drift_defect(compression_deviation[21]) + wheel_drift_defect(t139) +
-        wheel_drift_defect(t141)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t36) +
-        wheel_drift_defect(compression_deviation[23]) + wheel_drift_defect(t148) +
-        wheel_drift_defect(t150)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t38) +
-        wheel_drift_defect(compression_deviation[25]) + wheel_drift_defect(t157) +
-        wheel_drift_defect(t159)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t40) +
-        wheel_drift_defect(compression_deviation[27]) + wheel_drift_defect(t166) +
-        wheel_drift_defect(t168)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    if (!wheel_drift_finite(wheel_drift_defect(t42) +
-        wheel_drift_defect(compression_deviation[29]) + wheel_drift_defect(t175) +
-        wheel_drift_defect(t177)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    predicted_state[0] = t3;
-    predicted_state[1] = filtered_state[1];
-    predicted_covariance[0] = t10;
-    predicted_covariance[2] = t12;
-    predicted_compression_deviation[0] = t14;
-    predicted_compression_deviation[1] = compression_deviation[1];
-    predicted_compression_deviation[2] = t16;
-    predicted_compression_deviation[3] = compression_deviation[3];
-    predicted_compression_deviation[4] = t18;
-    predicted_compression_deviation[5] = compression_deviation[5];
-    predicted_compression_deviation[6] = t20;
-    predicted_compression_deviation[7] = compression_deviation[7];
-    predicted_compression_deviation[8] = t22;
-    predicted_compression_deviation[9] = compression_deviation[9];
-    predicted_compression_deviation[10] = t24;
-    predicted_compression_deviation[11] = compression_deviation[11];
-    predicted_compression_deviation[12] = t26;
-    predicted_compression_deviation[13] = compression_deviation[13];
-    predicted_compression_deviation[14] = t28;
-    predicted_compression_deviation[15] = compression_deviation[15];
-    predicted_compression_deviation[16] = t30;
-    predicted_compression_deviation[17] = compression_deviation[17];
-    predicted_compression_deviation[18] = t32;
-    predicted_compression_deviation[19] = compression_deviation[19];
-    predicted_compression_deviation[20] = t34;
-    predicted_compression_deviation[21] = compression_deviation[21];
-    predicted_compression_deviation[22] = t36;
-    predicted_compression_deviation[23] = compression_deviation[23];
-    predicted_compression_deviation[24] = t38;
-    predicted_compression_deviation[25] = compression_deviation[25];
-    predicted_compression_deviation[26] = t40;
-    predicted_compression_deviation[27] = compression_deviation[27];
-    predicted_compression_deviation[28] = t42;
-    predicted_compression_deviation[29] = compression_deviation[29];
-    predicted_compression_covariance[0] = t49;
-    predicted_compression_covariance[2] = t51;
-    predicted_compression_covariance[3] = t58;
-    predicted_compression_covariance[5] = t60;
-    predicted_compression_covariance[6] = t67;
-    predicted_compression_covariance[8] = t69;
-    predicted_compression_covariance[9] = t76;
-    predicted_compression_covariance[11] = t78;
-    predicted_compression_covariance[12] = t85;
-    predicted_compression_covariance[14] = t87;
-    predicted_compression_covariance[15] = t94;
-    predicted_compression_covariance[17] = t96;
-    predicted_compression_covariance[18] = t103;
-    predicted_compression_covariance[20] = t105;
-    predicted_compression_covariance[21] = t112;
-    predicted_compression_covariance[23] = t114;
-    predicted_compression_covariance[24] = t121;
-    predicted_compression_covariance[26] = t123;
-    predicted_compression_covariance[27] = t130;
-    predicted_compression_covariance[29] = t132;
-    predicted_compression_covariance[30] = t139;
-    predicted_compression_covariance[32] = t141;
-    predicted_compression_covariance[33] = t148;
-    predicted_compression_covariance[35] = t150;
-    predicted_compression_covariance[36] = t157;
-    predicted_compression_covariance[38] = t159;
-    predicted_compression_covariance[39] = t166;
-    predicted_compression_covariance[41] = t168;
-    predicted_compression_covariance[42] = t175;
-    predicted_compression_covariance[44] = t177;
-    predicted_window_left[0] = left;
-    predicted_collecting[0] = collecting[0];
-    predicted_collecting[1] = collecting[1];
-    predicted_collecting[2] = collecting[2];
-    predicted_collecting[3] = collecting[3];
-    return WHEEL_DRIFT_OK;
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -1979,9 +1333,13 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double innovation_5 = 0.0;
     double mean_host[2] = { 0.0 };
     double covariance_host[3] = { 0.0 };
+    double pivot_host_0;
+    double inverse_host_0 = 0.0;
     double quadratic_host = 0.0;
     double log_constant_host = 0.0;
     double determinant_host_0 = 1.0;
+    double pivot_host_1;
+    double inverse_host_1 = 0.0;
     double host_state[2] = { 0.0 };
     double covariance_compression[3] = { 0.0 };
     double deviation_compression[2] = { 0.0 };
@@ -1997,268 +1355,218 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double deviation_compression5[2] = { 0.0 };
     double covariance_compression6[3] = { 0.0 };
     double deviation_compression6[2] = { 0.0 };
-    double innovation_compression7_0 = 0.0;
-    double innovation_compression7_1 = 0.0;
-    double innovation_compression7_2 = 0.0;
-    double innovation_compression7_3 = 0.0;
-    double mean_compression7[2] = { 0.0 };
     double covariance_compression7[3] = { 0.0 };
     double deviation_compression7[2] = { 0.0 };
-    double innovation_compression8_0 = 0.0;
-    double innovation_compression8_1 = 0.0;
-    double innovation_compression8_2 = 0.0;
-    double innovation_compression8_3 = 0.0;
-    double mean_compression8[2] = { 0.0 };
     double covariance_compression8[3] = { 0.0 };
     double deviation_compression8[2] = { 0.0 };
-    double innovation_compression9_0 = 0.0;
-    double innovation_compression9_1 = 0.0;
-    double innovation_compression9_2 = 0.0;
-    double innovation_compression9_3 = 0.0;
-    double mean_compression9[2] = { 0.0 };
     double covariance_compression9[3] = { 0.0 };
     double deviation_compression9[2] = { 0.0 };
-    double innovation_compression10_0 = 0.0;
-    double innovation_compression10_1 = 0.0;
-    double innovation_compression10_2 = 0.0;
-    double innovation_compression10_3 = 0.0;
-    double innovation_compression10_4 = 0.0;
-    double mean_compression10[2] = { 0.0 };
-    double covariance_compression10[3] = { 0.0 };
-    double deviation_compression10[2] = { 0.0 };
-    double innovation_compression11_0 = 0.0;
-    double innovation_compression11_1 = 0.0;
-    double innovation_compression11_2 = 0.0;
-    double innovation_compression11_3 = 0.0;
-    double innovation_compression11_4 = 0.0;
-    double mean_compression11[2] = { 0.0 };
-    double covariance_compression11[3] = { 0.0 };
-    double deviation_compression11[2] = { 0.0 };
     wheel_drift_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
     status = wheel_drift_correct_2(self->predicted_compression_covariance);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
     status = wheel_drift_correct_2(&self->predicted_compression_covariance[15]);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
     status = wheel_drift_correct_2(&self->predicted_compression_covariance[30]);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* innovation, row by row */
-    status = wheel_drift_innovation_2(self->predicted_state, y, &innovation_0, &innovation_1,
-        &innovation_2, &innovation_3, &innovation_4, &innovation_5, mean_host,
-        self->predicted_covariance, covariance_host, &quadratic_host, &log_constant_host,
-        &determinant_host_0, host_state, self->predicted_compression_deviation,
-        self->predicted_compression_covariance, covariance_compression, deviation_compression,
-        covariance_compression1, deviation_compression1, covariance_compression2,
-        deviation_compression2, covariance_compression3, deviation_compression3,
-        covariance_compression4, deviation_compression4, covariance_compression5,
-        deviation_compression5, covariance_compression6, deviation_compression6, present);
-    if (status != WHEEL_DRIFT_OK)
+    if ((present & 0x1u) != 0u)
     {
-        return status;
+        innovation_0 = y[0] - (0.9921619208254787 * self->predicted_state[0]);
     }
-
-    /* innovation, row by row */
     if ((present & 0x2u) != 0u)
     {
-        const double t0 = 0.9921619208254787 * self->predicted_compression_deviation[14];
-        innovation_compression7_0 = innovation_1 - t0;
+        innovation_1 = y[1] - (0.9921619208254787 * self->predicted_state[0]);
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t1 = 0.9903931860948796 * self->predicted_compression_deviation[14];
-        innovation_compression7_1 = innovation_2 - t1;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[14],
-        &innovation_compression7_2, innovation_5, &innovation_compression7_3, mean_compression7,
-        &self->predicted_compression_covariance[21], covariance_compression7,
-        innovation_compression7_0, wheel_drift_row_of_y_2_numbers[7], present, ((present & 0x2u) !=
-        0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression7, mean_compression7,
-        self->predicted_compression_deviation[14], innovation_compression7_1,
-        innovation_compression7_2, innovation_compression7_3, mean_host, deviation_compression7,
-        wheel_drift_row_of_y_numbers[3], present, ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-
-    /* innovation, row by row */
-    if ((present & 0x2u) != 0u)
-    {
-        const double t2 = 0.9921619208254787 * self->predicted_compression_deviation[16];
-        innovation_compression8_0 = innovation_1 - t2;
+        innovation_2 = y[2] - (0.9903931860948796 * self->predicted_state[0]);
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t3 = 0.9903931860948796 * self->predicted_compression_deviation[16];
-        innovation_compression8_1 = innovation_3 - t3;
+        innovation_3 = y[3] - (0.9903931860948796 * self->predicted_state[0]);
     }
-    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[16],
-        &innovation_compression8_2, innovation_5, &innovation_compression8_3, mean_compression8,
-        &self->predicted_compression_covariance[24], covariance_compression8,
-        innovation_compression8_0, wheel_drift_row_of_y_2_numbers[8], present, ((present & 0x2u) !=
-        0u));
-    if (status != WHEEL_DRIFT_OK)
+    if ((present & 0x10u) != 0u)
     {
-        return status;
+        innovation_4 = y[4] - self->predicted_state[0];
     }
-    status = wheel_drift_row_of_y(covariance_compression8, mean_compression8,
-        self->predicted_compression_deviation[16], innovation_compression8_1,
-        innovation_compression8_2, innovation_compression8_3, mean_host, deviation_compression8,
-        wheel_drift_row_of_y_numbers[4], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
+    if ((present & 0x20u) != 0u)
     {
-        return status;
+        innovation_5 = y[5] - self->predicted_state[0];
+    }
+    mean_host[0] = 0.0;
+    mean_host[1] = 0.0;
+    covariance_host[0] = self->predicted_covariance[0];
+    covariance_host[1] = self->predicted_covariance[1];
+    covariance_host[2] = self->predicted_covariance[2];
+
+    /* row 4 of y, ublox: host */
+    pivot_host_0 = self->predicted_covariance[0] + 0.25;
+    if ((present & 0x10u) != 0u)
+    {
+        if (!(pivot_host_0 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
+        inverse_host_0 = 1.0 / pivot_host_0;
+        const double t0 = innovation_4 * inverse_host_0;
+        quadratic_host = innovation_4 * t0;
+        mean_host[0] = self->predicted_covariance[0] * t0;
+        mean_host[1] = self->predicted_covariance[1] * t0;
+        const double t1 = self->predicted_covariance[0] * inverse_host_0;
+        const double t2 = self->predicted_covariance[0] - (t1 * self->predicted_covariance[0]);
+        covariance_host[0] = t2 + (((0.25 * t1) - t2) * t1);
+        const double t3 = self->predicted_covariance[1] * inverse_host_0;
+        const double t4 = self->predicted_covariance[1] - (t3 * self->predicted_covariance[0]);
+        const double t5 = (0.25 * t3) - t4;
+        covariance_host[1] = t4 + (t5 * t1);
+        const double t6 = self->predicted_covariance[2] - (t3 * self->predicted_covariance[1]);
+        covariance_host[2] = t6 + (t5 * t3);
+        log_constant_host = WHEEL_DRIFT_LOG_2_PI;
+        determinant_host_0 = pivot_host_0;
     }
 
-    /* innovation, row by row */
-    if ((present & 0x4u) != 0u)
+    /* row 5 of y, qcom: host */
+    pivot_host_1 = covariance_host[0] + 9.0;
+    if ((present & 0x20u) != 0u)
     {
-        const double t4 = 0.9903931860948796 * self->predicted_compression_deviation[18];
-        innovation_compression9_0 = innovation_2 - t4;
+        if (!(pivot_host_1 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
+        inverse_host_1 = 1.0 / pivot_host_1;
+        const double t7 = innovation_5 - mean_host[0];
+        const double t8 = t7 * inverse_host_1;
+        quadratic_host = quadratic_host + (t7 * t8);
+        log_constant_host = log_constant_host + WHEEL_DRIFT_LOG_2_PI;
+        determinant_host_0 = determinant_host_0 * pivot_host_1;
+        mean_host[0] = mean_host[0] + (covariance_host[0] * t8);
+        mean_host[1] = mean_host[1] + (covariance_host[1] * t8);
+        const double t9 = covariance_host[0] * inverse_host_1;
+        const double t10 = covariance_host[0] - (t9 * covariance_host[0]);
+        const double t11 = t10 + (((9.0 * t9) - t10) * t9);
+        const double t12 = covariance_host[1] * inverse_host_1;
+        const double t13 = covariance_host[1] - (t12 * covariance_host[0]);
+        const double t14 = (9.0 * t12) - t13;
+        const double t15 = t13 + (t14 * t9);
+        covariance_host[2] = (covariance_host[2] - (t12 * covariance_host[1])) + (t14 * t12);
+        covariance_host[0] = t11;
+        covariance_host[1] = t15;
     }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t5 = 0.9903931860948796 * self->predicted_compression_deviation[18];
-        innovation_compression9_1 = innovation_3 - t5;
-    }
-    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[18],
-        &innovation_compression9_2, innovation_5, &innovation_compression9_3, mean_compression9,
-        &self->predicted_compression_covariance[27], covariance_compression9,
-        innovation_compression9_0, wheel_drift_row_of_y_2_numbers[9], present, ((present & 0x4u) !=
-        0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression9, mean_compression9,
-        self->predicted_compression_deviation[18], innovation_compression9_1,
-        innovation_compression9_2, innovation_compression9_3, mean_host, deviation_compression9,
-        wheel_drift_row_of_y_numbers[5], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    host_state[0] = self->predicted_state[0] + mean_host[0];
+    host_state[1] = self->predicted_state[1] + mean_host[1];
 
-    /* innovation, row by row */
-    wheel_drift_innovation(self->predicted_compression_deviation[20], innovation_0,
-        &innovation_compression10_0, innovation_1, &innovation_compression10_1, innovation_2,
-        &innovation_compression10_2, wheel_drift_innovation_numbers[0], ((present & 0x1u) != 0u),
-        ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
-    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[20],
-        &innovation_compression10_3, innovation_5, &innovation_compression10_4, mean_compression10,
-        &self->predicted_compression_covariance[30], covariance_compression10,
-        innovation_compression10_0, wheel_drift_row_of_y_2_numbers[10], present,
-        ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_4(covariance_compression10, mean_compression10,
-        self->predicted_compression_deviation[20], innovation_compression10_1,
-        wheel_drift_row_of_y_4_numbers[0], ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression10, mean_compression10,
-        self->predicted_compression_deviation[20], innovation_compression10_2,
-        innovation_compression10_3, innovation_compression10_4, mean_host, deviation_compression10,
-        wheel_drift_row_of_y_numbers[6], present, ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    /* filter with group 0: innovation, row by row */
+    status = wheel_drift_filter_with_group_3(self->predicted_compression_deviation, innovation_0,
+        innovation_4, innovation_5, self->predicted_compression_covariance, covariance_compression,
+        mean_host, deviation_compression, wheel_drift_filter_with_group_3_numbers[0],
+        wheel_drift_filter_with_group_2_numbers[0], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
 
-    /* innovation, row by row */
-    wheel_drift_innovation(self->predicted_compression_deviation[22], innovation_0,
-        &innovation_compression11_0, innovation_1, &innovation_compression11_1, innovation_3,
-        &innovation_compression11_2, wheel_drift_innovation_numbers[1], ((present & 0x1u) != 0u),
-        ((present & 0x2u) != 0u), ((present & 0x8u) != 0u));
-    status = wheel_drift_row_of_y_2(innovation_4, &self->predicted_compression_deviation[22],
-        &innovation_compression11_3, innovation_5, &innovation_compression11_4, mean_compression11,
-        &self->predicted_compression_covariance[33], covariance_compression11,
-        innovation_compression11_0, wheel_drift_row_of_y_2_numbers[11], present,
-        ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y_4(covariance_compression11, mean_compression11,
-        self->predicted_compression_deviation[22], innovation_compression11_1,
-        wheel_drift_row_of_y_4_numbers[1], ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
-    status = wheel_drift_row_of_y(covariance_compression11, mean_compression11,
-        self->predicted_compression_deviation[22], innovation_compression11_2,
-        innovation_compression11_3, innovation_compression11_4, mean_host, deviation_compression11,
-        wheel_drift_row_of_y_numbers[7], present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    /* filter with group 1: innovation, row by row */
+    status = wheel_drift_filter_with_group_3(&self->predicted_compression_deviation[2],
+        innovation_1, innovation_4, innovation_5, &self->predicted_compression_covariance[3],
+        covariance_compression1, mean_host, deviation_compression1,
+        wheel_drift_filter_with_group_3_numbers[1], wheel_drift_filter_with_group_2_numbers[1],
+        present, ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
 
-    /* innovation, row by row */
-    status = wheel_drift_innovation_3(&self->predicted_compression_deviation[24], innovation_0,
+    /* filter with group 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_3(&self->predicted_compression_deviation[4],
+        innovation_2, innovation_4, innovation_5, &self->predicted_compression_covariance[6],
+        covariance_compression2, mean_host, deviation_compression2,
+        wheel_drift_filter_with_group_3_numbers[2], wheel_drift_filter_with_group_2_numbers[2],
+        present, ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_3(&self->predicted_compression_deviation[6],
+        innovation_3, innovation_4, innovation_5, &self->predicted_compression_covariance[9],
+        covariance_compression3, mean_host, deviation_compression3,
+        wheel_drift_filter_with_group_3_numbers[3], wheel_drift_filter_with_group_2_numbers[3],
+        present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[8],
+        innovation_0, innovation_1, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[12], covariance_compression4, mean_host,
+        deviation_compression4, wheel_drift_filter_with_group_5_numbers[0],
+        wheel_drift_filter_with_group_2_numbers[4], wheel_drift_filter_with_group_numbers[0],
+        present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[10],
+        innovation_0, innovation_2, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[15], covariance_compression5, mean_host,
+        deviation_compression5, wheel_drift_filter_with_group_5_numbers[1],
+        wheel_drift_filter_with_group_2_numbers[5], wheel_drift_filter_with_group_numbers[1],
+        present, ((present & 0x1u) != 0u), ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[12],
+        innovation_0, innovation_3, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[18], covariance_compression6, mean_host,
+        deviation_compression6, wheel_drift_filter_with_group_5_numbers[2],
+        wheel_drift_filter_with_group_2_numbers[6], wheel_drift_filter_with_group_numbers[2],
+        present, ((present & 0x1u) != 0u), ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 1, 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[14],
+        innovation_1, innovation_2, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[21], covariance_compression7, mean_host,
+        deviation_compression7, wheel_drift_filter_with_group_5_numbers[3],
+        wheel_drift_filter_with_group_2_numbers[7], wheel_drift_filter_with_group_numbers[3],
+        present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 1, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[16],
+        innovation_1, innovation_3, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[24], covariance_compression8, mean_host,
+        deviation_compression8, wheel_drift_filter_with_group_5_numbers[4],
+        wheel_drift_filter_with_group_2_numbers[8], wheel_drift_filter_with_group_numbers[4],
+        present, ((present & 0x2u) != 0u), ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 2, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[18],
         innovation_2, innovation_3, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[36], mean_host, innovation_1, host_state,
+        &self->predicted_compression_covariance[27], covariance_compression9, mean_host,
+        deviation_compression9, wheel_drift_filter_with_group_5_numbers[5],
+        wheel_drift_filter_with_group_2_numbers[9], wheel_drift_filter_with_group_numbers[5],
+        present, ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1, 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_11(&self->predicted_compression_deviation[20],
+        innovation_0, innovation_1, innovation_2, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[30], mean_host, innovation_3, host_state,
         deviation_compression, deviation_compression1, deviation_compression2,
         deviation_compression3, deviation_compression4, deviation_compression5,
         deviation_compression6, deviation_compression7, deviation_compression8,
-        deviation_compression9, deviation_compression10, deviation_compression11,
-        self->predicted_collecting, self->predicted_covariance[0], determinant_host_0,
-        log_constant_host, quadratic_host, next->filtered_state, covariance_host,
-        next->filtered_covariance, next->compression_deviation, covariance_compression,
-        next->compression_covariance, covariance_compression1, covariance_compression2,
-        covariance_compression3, covariance_compression4, covariance_compression5,
-        covariance_compression6, covariance_compression7, covariance_compression8,
-        covariance_compression9, covariance_compression10, covariance_compression11,
-        next->innovation, next->innovation_covariance, &next->nis, &next->log_likelihood,
-        self->predicted_window_left, &next->window_left, next->collecting, next->test_statistic,
-        next->test_dof, next->fault_declared, present);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+        deviation_compression9, self->predicted_collecting, self->predicted_covariance[0],
+        determinant_host_0, log_constant_host, quadratic_host, next->filtered_state,
+        covariance_host, next->filtered_covariance, next->compression_deviation,
+        covariance_compression, next->compression_covariance, covariance_compression1,
+        covariance_compression2, covariance_compression3, covariance_compression4,
+        covariance_compression5, covariance_compression6, covariance_compression7,
+        covariance_compression8, covariance_compression9, next->innovation,
+        next->innovation_covariance, &next->nis, &next->log_likelihood, self->predicted_window_left,
+        &next->window_left, next->collecting, next->test_statistic, next->test_dof,
+        next->fault_declared, present);
+    if (status != WHEEL_DRIFT_OK) { return status; }
     return WHEEL_DRIFT_OK;
 }
 
 /* At the end of a window: reads *self, writes the results to *next. */
 static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, wheel_drift_t *next)
 {
-    double difference_0[3] = { 0.0 };
-    double shift_0[2] = { 0.0 };
-    double scale_0[2] = { 0.0 };
     double statistic_0 = 0.0;
     double dof_0 = 0.0;
-    double threshold_0 = 0.0;
-    double inverse_0_1 = 0.0;
-    double difference_1[3] = { 0.0 };
-    double shift_1[2] = { 0.0 };
-    double scale_1[2] = { 0.0 };
     double statistic_1 = 0.0;
     double dof_1 = 0.0;
-    double threshold_1 = 0.0;
-    double inverse_1_1 = 0.0;
     double statistic_2 = 0.0;
     double dof_2 = 0.0;
     double statistic_3 = 0.0;
@@ -2275,50 +1583,15 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     double closed_covariance[3] = { 0.0 };
 
     /* test of group 0 */
-    wheel_drift_test_of_group(self->collecting[0], self->filtered_covariance,
-        self->compression_covariance, difference_0, self->compression_deviation, shift_0, scale_0,
-        &statistic_0, &dof_0, &threshold_0);
-    const double t0 = 1.0e-11 * scale_0[1];
-    const double t1 = difference_0[2] - t0;
-    if (t1 > 0.0)
-    {
-        inverse_0_1 = 1.0 / difference_0[2];
-        const double t2 = shift_0[1] * inverse_0_1;
-        const double t3 = shift_0[1] * t2;
-        statistic_0 = statistic_0 + t3;
-        dof_0 = 2.0;
-        threshold_0 = 13.815510557964274;
-    }
-
-    /* test of group 1 */
-    wheel_drift_test_of_group(self->collecting[1], self->filtered_covariance,
-        &self->compression_covariance[3], difference_1, &self->compression_deviation[2], shift_1,
-        scale_1, &statistic_1, &dof_1, &threshold_1);
-    const double t4 = 1.0e-11 * scale_1[1];
-    const double t5 = difference_1[2] - t4;
-    if (t5 > 0.0)
-    {
-        inverse_1_1 = 1.0 / difference_1[2];
-        const double t6 = shift_1[1] * inverse_1_1;
-        const double t7 = shift_1[1] * t6;
-        statistic_1 = statistic_1 + t7;
-        dof_1 = 2.0;
-        threshold_1 = 13.815510557964274;
-    }
-
-    /* test of group 2 */
-    wheel_drift_test_of_group_2(self->collecting, self->filtered_covariance,
-        self->compression_covariance, self->compression_deviation, &statistic_2, &dof_2,
-        &statistic_3, &dof_3, &accepted_0, &rejected_0, statistic_0, threshold_0, &accepted_1,
-        &rejected_1, statistic_1, threshold_1, &accepted_2, &rejected_2, &accepted_3, &rejected_3,
+    wheel_drift_test_of_group_3(self->collecting, self->filtered_covariance,
+        self->compression_covariance, self->compression_deviation, &statistic_0, &dof_0,
+        &statistic_1, &dof_1, &statistic_2, &dof_2, &statistic_3, &dof_3, &accepted_0, &rejected_0,
+        &accepted_1, &rejected_1, &accepted_2, &rejected_2, &accepted_3, &rejected_3,
         self->filtered_state, closed_state, closed_covariance);
 
     /* the host takes over: group 1, 2, 3 */
-    const double t8 = -2.5 - accepted_0;
-    const double t9 = t8 + accepted_1;
-    const double t10 = t9 + accepted_2;
-    const double t11 = t10 + accepted_3;
-    if (t11 > 0.0)
+    const double t0 = (-2.5 - accepted_0) + accepted_1 + accepted_2 + accepted_3;
+    if (t0 > 0.0)
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[26];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[27];
@@ -2328,11 +1601,8 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     }
 
     /* the host takes over: group 0, 1, 2, 3 */
-    const double t12 = -3.5 + accepted_0;
-    const double t13 = t12 + accepted_1;
-    const double t14 = t13 + accepted_2;
-    const double t15 = t14 + accepted_3;
-    if (t15 > 0.0)
+    const double t1 = -3.5 + accepted_0 + accepted_1 + accepted_2 + accepted_3;
+    if (t1 > 0.0)
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[28];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[29];
@@ -2453,15 +1723,12 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
 {
     double A = 0.0;
     double Q[2] = { 0.0 };
-    double left = 0.0;
+    double left;
     wheel_drift_status_t status;
     A = -params->dt;
     Q[0] = 0.0225 * params->dt;
     Q[1] = 0.010000000000000002 * params->dt;
-    if (!((Q[0] >= 0.0) && (Q[1] >= 0.0)))
-    {
-        return WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE;
-    }
+    if (!((Q[0] >= 0.0) && (Q[1] >= 0.0))) { return WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE; }
 
     /* samples left in the window */
     left = self->window_left - 1.0;
@@ -2472,15 +1739,53 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     }
 
     /* prediction of the next sample */
-    status = wheel_drift_prediction_of_the_next(A, self->filtered_state, u[0],
-        self->filtered_covariance, Q, self->compression_deviation, self->compression_covariance,
-        next->predicted_state, next->predicted_covariance, next->predicted_compression_deviation,
-        next->predicted_compression_covariance, left, &next->predicted_window_left,
-        self->collecting, next->predicted_collecting, params);
-    if (status != WHEEL_DRIFT_OK)
+    const double t1 = self->filtered_state[0] + (A * self->filtered_state[1]) + (params->dt * u[0]);
+    const double t2 = self->filtered_covariance[0] + (A * self->filtered_covariance[1]);
+    const double t3 = (self->filtered_covariance[1] + (A * self->filtered_covariance[2])) * A;
+    const double t4 = t2 + t3 + Q[0];
+    const double t5 = self->filtered_covariance[2] + Q[1];
+    if (!wheel_drift_finite(wheel_drift_defect(t1) + wheel_drift_defect(self->filtered_state[1]) +
+        wheel_drift_defect(t4) + wheel_drift_defect(t5)))
     {
-        return status;
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
+    next->predicted_state[0] = t1;
+    next->predicted_state[1] = self->filtered_state[1];
+    next->predicted_covariance[0] = t4;
+    next->predicted_covariance[2] = t5;
+    next->predicted_window_left = left;
+    next->predicted_collecting[0] = self->collecting[0];
+    next->predicted_collecting[1] = self->collecting[1];
+    next->predicted_collecting[2] = self->collecting[2];
+    next->predicted_collecting[3] = self->collecting[3];
+    const double t6 = self->filtered_covariance[2] * A;
+    next->predicted_covariance[1] = self->filtered_covariance[1] + t6;
+    status = wheel_drift_prediction_of_the_next(A, self->compression_deviation,
+        self->compression_covariance, Q, next->predicted_compression_deviation,
+        next->predicted_compression_covariance);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_prediction_of_the_next(A, &self->compression_deviation[6],
+        &self->compression_covariance[9], Q, &next->predicted_compression_deviation[6],
+        &next->predicted_compression_covariance[9]);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_prediction_of_the_next(A, &self->compression_deviation[12],
+        &self->compression_covariance[18], Q, &next->predicted_compression_deviation[12],
+        &next->predicted_compression_covariance[18]);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_prediction_of_the_next(A, &self->compression_deviation[18],
+        &self->compression_covariance[27], Q, &next->predicted_compression_deviation[18],
+        &next->predicted_compression_covariance[27]);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_prediction_of_the_next(A, &self->compression_deviation[24],
+        &self->compression_covariance[36], Q, &next->predicted_compression_deviation[24],
+        &next->predicted_compression_covariance[36]);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[1], A,
+        &next->predicted_compression_covariance[1]);
+    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[22], A,
+        &next->predicted_compression_covariance[22]);
+    const double t7 = self->compression_covariance[44] * A;
+    next->predicted_compression_covariance[43] = self->compression_covariance[43] + t7;
     return WHEEL_DRIFT_OK;
 }
 
@@ -2498,10 +1803,7 @@ static void wheel_drift_fill(double *to, int size, const double *from, int perio
 
 wheel_drift_status_t wheel_drift_init(wheel_drift_t *self)
 {
-    if (self == NULL)
-    {
-        return WHEEL_DRIFT_NULL_POINTER;
-    }
+    if (self == NULL) { return WHEEL_DRIFT_NULL_POINTER; }
     wheel_drift_fill(self->predicted_state, 2, wheel_drift_zero_0, 1);
     wheel_drift_fill(self->predicted_covariance, 3, wheel_drift_predicted_covariance_0, 3);
     wheel_drift_fill(self->filtered_state, 2, wheel_drift_zero_0, 1);
@@ -2527,10 +1829,7 @@ wheel_drift_status_t wheel_drift_init(wheel_drift_t *self)
 
 wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params)
 {
-    if (params == NULL)
-    {
-        return WHEEL_DRIFT_NULL_POINTER;
-    }
+    if (params == NULL) { return WHEEL_DRIFT_NULL_POINTER; }
     params->dt = 0.01;
     return WHEEL_DRIFT_OK;
 }
@@ -2547,28 +1846,16 @@ wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_p
     {
         return WHEEL_DRIFT_NULL_POINTER;
     }
-    if (!wheel_drift_finite_input(u))
-    {
-        return WHEEL_DRIFT_INPUT_NOT_FINITE;
-    }
-    if (!wheel_drift_present_rows(y, valid, &present))
-    {
-        return WHEEL_DRIFT_INPUT_NOT_FINITE;
-    }
+    if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (!wheel_drift_present_rows(y, valid, &present)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
     next = *self;
     status = wheel_drift_correct(self, y, present, &next);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
     if (!(next.window_left > 0.0))
     {
         status = wheel_drift_close_window(&next, &next);
     }
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
         (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) ||
@@ -2581,20 +1868,11 @@ wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_
 {
     wheel_drift_t next;
     wheel_drift_status_t status;
-    if ((self == NULL) || (params == NULL) || (u == NULL))
-    {
-        return WHEEL_DRIFT_NULL_POINTER;
-    }
-    if (!wheel_drift_finite_input(u))
-    {
-        return WHEEL_DRIFT_INPUT_NOT_FINITE;
-    }
+    if ((self == NULL) || (params == NULL) || (u == NULL)) { return WHEEL_DRIFT_NULL_POINTER; }
+    if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
     next = *self;
     status = wheel_drift_propagate(self, params, u, &next);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
     *self = next;
     return WHEEL_DRIFT_OK;
 }
@@ -2609,32 +1887,17 @@ wheel_drift_status_t wheel_drift_step(wheel_drift_t *self, const wheel_drift_par
     {
         return WHEEL_DRIFT_NULL_POINTER;
     }
-    if (!wheel_drift_finite_input(u))
-    {
-        return WHEEL_DRIFT_INPUT_NOT_FINITE;
-    }
-    if (!wheel_drift_present_rows(y, valid, &present))
-    {
-        return WHEEL_DRIFT_INPUT_NOT_FINITE;
-    }
+    if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (!wheel_drift_present_rows(y, valid, &present)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
     status = wheel_drift_correct(self, y, present, &next);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
     if (!(next.window_left > 0.0))
     {
         status = wheel_drift_close_window(&next, &next);
     }
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
     status = wheel_drift_propagate(&next, params, u, &next);
-    if (status != WHEEL_DRIFT_OK)
-    {
-        return status;
-    }
+    if (status != WHEEL_DRIFT_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
         (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) ||

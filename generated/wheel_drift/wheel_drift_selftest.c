@@ -134,10 +134,7 @@ static int same(const double *a, const double *b, int size)
     int i;
     for (i = 0; i < size; ++i)
     {
-        if (!((a[i] <= b[i]) && (a[i] >= b[i])))
-        {
-            return 0;
-        }
+        if (!((a[i] <= b[i]) && (a[i] >= b[i]))) { return 0; }
     }
     return 1;
 }
@@ -163,20 +160,14 @@ wheel_drift_status_t wheel_drift_selftest(void)
     const double *expected = final;
     wheel_drift_params_t params;
     int k;
-    if (wheel_drift_init(&filter) != WHEEL_DRIFT_OK)
-    {
-        return WHEEL_DRIFT_NULL_POINTER;
-    }
+    if (wheel_drift_init(&filter) != WHEEL_DRIFT_OK) { return WHEEL_DRIFT_NULL_POINTER; }
     (void)wheel_drift_params_init(&params);
     filter.predicted_window_left = 3.0;
     for (k = 0; k < SAMPLES; ++k)
     {
         const wheel_drift_status_t status = wheel_drift_step(&filter, &params, input[k],
             measurement[k], valid[k]);
-        if ((int)status < 0)
-        {
-            return status;
-        }
+        if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], WHEEL_DRIFT_NX))
         {
             return WHEEL_DRIFT_SELFTEST_FAILED;

@@ -132,8 +132,9 @@ def _update(design: Pair) -> Phase:
     for at, (subset, (d, P)) in enumerate(zip(design.subsets, priors, strict=True)):
         tag = f"_compression{at}" if at else "_compression"
         part = _part(whole, innovation, design.rows(subset), "compression filter")
-        found = condition(script, (d, unpack(P, n)), part, tag=tag, form=design.form)
-        deviations.append(script.let(f"deviation{tag}", found.mean - correction))
+        with script.titled(f"filter with group {', '.join(map(str, subset))}"):
+            found = condition(script, (d, unpack(P, n)), part, tag=tag, form=design.form)
+            deviations.append(script.let(f"deviation{tag}", found.mean - correction))
         covariances.append(found.covariance)
     demand_finite(script, ca.vertcat(filtered, *deviations))
     counted = collect(script, symbols, design.soft)
