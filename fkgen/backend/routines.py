@@ -258,6 +258,12 @@ class _Run:
         above = [n.text for chunk in reversed(before) for n in chunk if isinstance(n, Heading)]
         return inside or above[:1] or [self.function.name.replace("_", " ")]
 
+    @property
+    def is_call(self) -> bool:
+        """Whether it does nothing but call one routine."""
+        done = [node for node in self.statements if not isinstance(node, Heading)]
+        return len(done) == 1 and isinstance(done[0], Call)
+
     def is_private(self, name: str) -> bool:
         """Whether nothing outside uses a local."""
         inside = range(self.start, self.start + self.length)
@@ -375,7 +381,8 @@ class _Book:
             runs = self._like(run, seen)
             lines = lines_of(run.statements)
             saved = (len(runs) - 1) * lines - OVERHEAD - 4 * len(runs)
-            if len(runs) > 1 and lines >= SHORTEST and saved > best[0]:
+            enough = len(runs) > 1 and lines >= SHORTEST and not run.is_call
+            if enough and saved > best[0]:
                 best = saved, runs
         return best[1]
 
@@ -439,8 +446,7 @@ class _Book:
         function.split()
         while lines_of(function.body) > LONGEST:
             run = max(self._pieces(function), key=lambda run: lines_of(run.statements))
-            alone = run.length == 1 and isinstance(run.statements[-1], Call)
-            if alone or run.length == len(function.chunks):
+            if run.is_call or run.length == len(function.chunks):
                 return
             self.take([run])
 

@@ -374,14 +374,13 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_propagate_2(const double *mode_fil
     moved_state[1] = t1 + (numbers[1] * u) + (0.0001 * u * mode_deviation);
 }
 
-/* hypothesis 0: innovation, row by row; hypothesis 2: innovation, row by row. */
+/* hypothesis 0: innovation, row by row; hypothesis 1: innovation, row by row; hypothesis 2:
+ * innovation, row by row; hypothesis 3: innovation, row by row. */
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(const double *y,
     const double *mode_state, double *innovation_0, const double u, double *innovation_1,
     double *mean, const double *mode_covariance, double *covariance, double *pivot_0,
     double *quadratic, double *log_constant, double *determinant_0, double *pivot_1,
-    double *innovation_0_2, double *innovation_1_2, double *mean_2, double *covariance_2,
-    double *pivot_0_2, double *quadratic_2, double *log_constant_2, double *determinant_0_2,
-    double *pivot_1_2, const double *numbers_of_0, const double *numbers_of_1, uint32_t present)
+    const double *numbers_of_0, uint32_t present)
 {
     dc_motor_unknown_status_t status;
 
@@ -395,17 +394,49 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    return DC_MOTOR_UNKNOWN_OK;
+}
+
+/* hypothesis 0: innovation, row by row; hypothesis 2: innovation, row by row. */
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(const double *y,
+    const double *mode_state, double *innovation_0, const double u, double *innovation_1,
+    double *mean, const double *mode_covariance, double *covariance, double *pivot_0,
+    double *quadratic, double *log_constant, double *determinant_0, double *pivot_1,
+    double *innovation_0_2, double *innovation_1_2, double *mean_2, double *covariance_2,
+    double *pivot_0_2, double *quadratic_2, double *log_constant_2, double *determinant_0_2,
+    double *pivot_1_2, const double *numbers_of_0, const double *numbers_of_1, uint32_t present)
+{
+    dc_motor_unknown_status_t status;
+
+    /* hypothesis 0: innovation, row by row */
+    status = dc_motor_unknown_hypothesis_2(y, mode_state, innovation_0, u, innovation_1, mean,
+        mode_covariance, covariance, pivot_0, quadratic, log_constant, determinant_0, pivot_1,
+        numbers_of_0, present);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
 
     /* hypothesis 1: innovation, row by row */
-    status = dc_motor_unknown_hypothesis(y, &mode_state[2], innovation_0_2, u, innovation_1_2,
+    status = dc_motor_unknown_hypothesis_2(y, &mode_state[2], innovation_0_2, u, innovation_1_2,
         mean_2, &mode_covariance[3], covariance_2, pivot_0_2, quadratic_2, log_constant_2,
         determinant_0_2, pivot_1_2, numbers_of_1, present);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(mean_2[0]) +
-        dc_motor_unknown_defect(mean_2[1])))
+    return DC_MOTOR_UNKNOWN_OK;
+}
+
+/* combined prediction. */
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combined_prediction_2(const
+    double *moved_state, const double *moved_covariance, double *mode_state,
+    double *mode_covariance)
+{
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[0]) +
+        dc_motor_unknown_defect(moved_state[1]) + dc_motor_unknown_defect(moved_covariance[0]) +
+        dc_motor_unknown_defect(moved_covariance[2])))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
+    mode_state[0] = moved_state[0];
+    mode_state[1] = moved_state[1];
+    mode_covariance[0] = moved_covariance[0];
+    mode_covariance[2] = moved_covariance[2];
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -543,7 +574,7 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined
 }
 
 /* hypothesis 4: innovation, row by row. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(const double *y,
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_4(const double *y,
     const double *mode_state, const double u, const double *mode_covariance,
     const double determinant_h0_0, const double log_constant_h0, const double quadratic_h0,
     const double determinant_h1_0, const double log_constant_h1, const double quadratic_h1,
@@ -829,7 +860,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     }
 
     /* hypothesis 0: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_2(y, self->mode_state, &innovation_h0_0, u[0],
+    status = dc_motor_unknown_hypothesis_3(y, self->mode_state, &innovation_h0_0, u[0],
         &innovation_h0_1, mean_h0, self->mode_covariance, covariance_h0, &pivot_h0_0, &quadratic_h0,
         &log_constant_h0, &determinant_h0_0, &pivot_h0_1, &innovation_h1_0, &innovation_h1_1,
         mean_h1, covariance_h1, &pivot_h1_0, &quadratic_h1, &log_constant_h1, &determinant_h1_0,
@@ -838,7 +869,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
 
     /* hypothesis 2: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_2(y, &self->mode_state[4], &innovation_h2_0, u[0],
+    status = dc_motor_unknown_hypothesis_3(y, &self->mode_state[4], &innovation_h2_0, u[0],
         &innovation_h2_1, mean_h2, &self->mode_covariance[6], covariance_h2, &pivot_h2_0,
         &quadratic_h2, &log_constant_h2, &determinant_h2_0, &pivot_h2_1, &innovation_h3_0,
         &innovation_h3_1, mean_h3, covariance_h3, &pivot_h3_0, &quadratic_h3, &log_constant_h3,
@@ -847,7 +878,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
 
     /* hypothesis 4: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_3(y, self->mode_state, u[0], &self->mode_covariance[12],
+    status = dc_motor_unknown_hypothesis_4(y, self->mode_state, u[0], &self->mode_covariance[12],
         determinant_h0_0, log_constant_h0, quadratic_h0, determinant_h1_0, log_constant_h1,
         quadratic_h1, determinant_h2_0, log_constant_h2, quadratic_h2, determinant_h3_0,
         log_constant_h3, quadratic_h3, self->mode_probability, self->log_weight, pivot_h0_0,
@@ -871,6 +902,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     double moved_state[10] = { 0.0 };
     double moved_covariance[15] = { 0.0 };
     double combined_state[2];
+    dc_motor_unknown_status_t status;
     dc_motor_unknown_propagate_2(self->mode_filtered_state, u[0], self->mode_deviation[0],
         moved_state, dc_motor_unknown_propagate_2_numbers[0]);
     dc_motor_unknown_propagate_2(&self->mode_filtered_state[2], u[0], self->mode_deviation[1],
@@ -960,56 +992,21 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     next->predicted_state[1] = combined_state[1];
     next->predicted_covariance[0] = t22;
     next->predicted_covariance[2] = t48;
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[0]) +
-        dc_motor_unknown_defect(moved_state[1]) + dc_motor_unknown_defect(moved_covariance[0]) +
-        dc_motor_unknown_defect(moved_covariance[2])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    next->mode_state[0] = moved_state[0];
-    next->mode_state[1] = moved_state[1];
-    next->mode_covariance[0] = moved_covariance[0];
-    next->mode_covariance[2] = moved_covariance[2];
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[2]) +
-        dc_motor_unknown_defect(moved_state[3]) + dc_motor_unknown_defect(moved_covariance[3]) +
-        dc_motor_unknown_defect(moved_covariance[5])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    next->mode_state[2] = moved_state[2];
-    next->mode_state[3] = moved_state[3];
-    next->mode_covariance[3] = moved_covariance[3];
-    next->mode_covariance[5] = moved_covariance[5];
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[4]) +
-        dc_motor_unknown_defect(moved_state[5]) + dc_motor_unknown_defect(moved_covariance[6]) +
-        dc_motor_unknown_defect(moved_covariance[8])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    next->mode_state[4] = moved_state[4];
-    next->mode_state[5] = moved_state[5];
-    next->mode_covariance[6] = moved_covariance[6];
-    next->mode_covariance[8] = moved_covariance[8];
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[6]) +
-        dc_motor_unknown_defect(moved_state[7]) + dc_motor_unknown_defect(moved_covariance[9]) +
-        dc_motor_unknown_defect(moved_covariance[11])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    next->mode_state[6] = moved_state[6];
-    next->mode_state[7] = moved_state[7];
-    next->mode_covariance[9] = moved_covariance[9];
-    next->mode_covariance[11] = moved_covariance[11];
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[8]) +
-        dc_motor_unknown_defect(moved_state[9]) + dc_motor_unknown_defect(moved_covariance[12]) +
-        dc_motor_unknown_defect(moved_covariance[14])))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    next->mode_state[8] = moved_state[8];
-    next->mode_state[9] = moved_state[9];
-    next->mode_covariance[12] = moved_covariance[12];
-    next->mode_covariance[14] = moved_covariance[14];
+    status = dc_motor_unknown_combined_prediction_2(moved_state, moved_covariance, next->mode_state,
+        next->mode_covariance);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    status = dc_motor_unknown_combined_prediction_2(&moved_state[2], &moved_covariance[3],
+        &next->mode_state[2], &next->mode_covariance[3]);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    status = dc_motor_unknown_combined_prediction_2(&moved_state[4], &moved_covariance[6],
+        &next->mode_state[4], &next->mode_covariance[6]);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    status = dc_motor_unknown_combined_prediction_2(&moved_state[6], &moved_covariance[9],
+        &next->mode_state[6], &next->mode_covariance[9]);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    status = dc_motor_unknown_combined_prediction_2(&moved_state[8], &moved_covariance[12],
+        &next->mode_state[8], &next->mode_covariance[12]);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     return DC_MOTOR_UNKNOWN_OK;
 }
 

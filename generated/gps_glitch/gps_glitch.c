@@ -518,18 +518,24 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_2(const double *mode_state
     return GPS_GLITCH_OK;
 }
 
+/* mixing and prediction of every mode; combination; mixing and prediction 3. */
+GPS_GLITCH_INLINE void gps_glitch_part_3(const double *mixing_1, double *share)
+{
+    double inverse;
+    inverse = 1.0 / (mixing_1[0] + mixing_1[1] + GPS_GLITCH_TINY);
+    share[0] = mixing_1[0] * inverse;
+    share[1] = mixing_1[1] * inverse;
+}
+
 /* combination. */
 GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double *mean,
     const double *mean_2, double *combined_mean, const double *covariance,
     const double *covariance_2, double *combined_covariance)
 {
-    double combined_inverse;
-    double combined_share[2];
+    double combined_share[2] = { 0.0 };
     double combined_apart[3];
     double combined_apart_squared[6];
-    combined_inverse = 1.0 / (weight[0] + weight[1] + GPS_GLITCH_TINY);
-    combined_share[0] = weight[0] * combined_inverse;
-    combined_share[1] = weight[1] * combined_inverse;
+    gps_glitch_part_3(weight, combined_share);
     combined_apart[0] = mean[0] - mean_2[0];
     combined_apart[1] = mean[1] - mean_2[1];
     combined_apart[2] = mean[2] - mean_2[2];
@@ -607,12 +613,9 @@ GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixing_0
     const double *mode_filtered_state, double *mixed_apart_squared, double *mixed_0_mean,
     const double *mode_filtered_covariance, double *mixed_0_covariance)
 {
-    double mixed_0_inverse;
     double mixed_0_share[2] = { 0.0 };
     double mixed_apart[3];
-    mixed_0_inverse = 1.0 / (mixing_0[0] + mixing_0[1] + GPS_GLITCH_TINY);
-    mixed_0_share[0] = mixing_0[0] * mixed_0_inverse;
-    mixed_0_share[1] = mixing_0[1] * mixed_0_inverse;
+    gps_glitch_part_3(mixing_0, mixed_0_share);
     mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[3];
     mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[4];
     mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[5];
@@ -624,6 +627,22 @@ GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixing_0
     mixed_apart_squared[5] = mixed_apart[2] * mixed_apart[2];
     gps_glitch_mixing_and_prediction(mixed_0_share, mode_filtered_state, mixed_0_mean,
         mode_filtered_covariance, mixed_apart_squared, mixed_0_covariance);
+}
+
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_4(const double *path_share_3,
+    const double path_share_inverse_3, const double *mode_filtered_state, double *mixed_3_mean,
+    const double *mode_filtered_covariance, const double *mixed_apart_squared,
+    double *mixed_3_covariance)
+{
+    double mixed_3_inverse;
+    double mixed_3_share[2] = { 0.0 };
+    const double t0 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_inverse = 1.0 / (t0 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
+    mixed_3_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_inverse;
+    mixed_3_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_inverse;
+    gps_glitch_mixing_and_prediction(mixed_3_share, mode_filtered_state, mixed_3_mean,
+        mode_filtered_covariance, mixed_apart_squared, mixed_3_covariance);
 }
 
 /* innovation of the mixture. */
@@ -760,196 +779,6 @@ GPS_GLITCH_INLINE void gps_glitch_combination_2(const double *combined_innovatio
     gps_glitch_copy(covariance_m1, &mode_filtered_covariance[6], 6);
     gps_glitch_copy(covariance_m2, &mode_filtered_covariance[12], 6);
     gps_glitch_copy(covariance_m3, &mode_filtered_covariance[18], 6);
-}
-
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mixing_and_prediction_4(const double
-    *mode_probability, const double *log_weight, const double *mixing_0,
-    const double *mode_filtered_state, const double *mode_filtered_covariance, const double *Q,
-    const double *mixing_1, const double mode_prediction_0, const double mode_prediction_1,
-    const double *filtered_state, const double *filtered_covariance,
-    double *predicted_mode_probability, double *predicted_log_weight, double *mode_state,
-    double *mode_covariance, double *predicted_state, double *predicted_covariance,
-    const gps_glitch_params_t *params)
-{
-    double mode_prediction_2 = 0.0;
-    double mixing_2[4] = { 0.0 };
-    double mode_prediction_3;
-    double log_path_3[4];
-    double log_path_largest_3;
-    double path_share_3[4];
-    double path_share_total_3;
-    double path_share_inverse_3;
-    double mixed_0_0_3_share[2] = { 0.0 };
-    double mixed_apart_0_1_squared[6] = { 0.0 };
-    double mixed_0_0_1_mean[3] = { 0.0 };
-    double mixed_0_0_1_covariance[6] = { 0.0 };
-    double mixed_apart_2_3_squared[6] = { 0.0 };
-    double mixed_0_2_3_mean[3] = { 0.0 };
-    double mixed_0_2_3_covariance[6] = { 0.0 };
-    double moved_state_0[3] = { 0.0 };
-    double moved_covariance_0[6] = { 0.0 };
-    double mixed_1_0_3_share[2] = { 0.0 };
-    double mixed_1_0_1_inverse;
-    double mixed_1_0_1_share[2] = { 0.0 };
-    double mixed_1_0_1_mean[3] = { 0.0 };
-    double mixed_1_0_1_covariance[6] = { 0.0 };
-    double mixed_1_2_3_inverse;
-    double mixed_1_2_3_share[2] = { 0.0 };
-    double mixed_1_2_3_mean[3] = { 0.0 };
-    double mixed_1_2_3_covariance[6] = { 0.0 };
-    double moved_state_1[3] = { 0.0 };
-    double moved_covariance_1[6] = { 0.0 };
-    double mixed_2_0_3_share[2] = { 0.0 };
-    double moved_state_2[3] = { 0.0 };
-    double moved_covariance_2[6] = { 0.0 };
-    double mixed_3_0_3_share[2] = { 0.0 };
-    double mixed_3_0_1_inverse;
-    double mixed_3_0_1_share[2] = { 0.0 };
-    double mixed_3_0_1_mean[3] = { 0.0 };
-    double mixed_3_0_1_covariance[6] = { 0.0 };
-    double mixed_3_2_3_inverse;
-    double mixed_3_2_3_share[2] = { 0.0 };
-    double mixed_3_2_3_mean[3] = { 0.0 };
-    double mixed_3_2_3_covariance[6] = { 0.0 };
-    double mixed_3_0_3_mean[3] = { 0.0 };
-    double mixed_3_0_3_covariance[6] = { 0.0 };
-    double moved_state_3[3];
-    double moved_covariance_3[6];
-    gps_glitch_law_of_the_next(mode_probability, &mode_prediction_2, mixing_2,
-        gps_glitch_law_of_the_next_numbers[2]);
-    const double t0 = 3.375e-10 * mode_probability[0];
-    const double t1 = t0 + (7.489875000000001e-06 * mode_probability[1]);
-    const double t2 = t1 + (4.493925e-05 * mode_probability[2]);
-    mode_prediction_3 = t2 + (0.9973018225000001 * mode_probability[3]);
-    log_path_3[0] = log_weight[0] + -21.809455605615963;
-    log_path_3[1] = log_weight[1] + -11.801958449492966;
-    log_path_3[2] = log_weight[2] + -10.01019898026491;
-    log_path_3[3] = log_weight[3] + -0.0027018241419124473;
-    const double t3 = (log_path_3[0] > log_path_3[1]) ? log_path_3[0] : log_path_3[1];
-    const double t4 = (t3 > log_path_3[2]) ? t3 : log_path_3[2];
-    log_path_largest_3 = (t4 > log_path_3[3]) ? t4 : log_path_3[3];
-    path_share_3[0] = gps_glitch_exp(log_path_3[0] - log_path_largest_3);
-    path_share_3[1] = gps_glitch_exp(log_path_3[1] - log_path_largest_3);
-    path_share_3[2] = gps_glitch_exp(log_path_3[2] - log_path_largest_3);
-    path_share_3[3] = gps_glitch_exp(log_path_3[3] - log_path_largest_3);
-    path_share_total_3 = path_share_3[0] + path_share_3[1] + path_share_3[2] + path_share_3[3];
-    path_share_inverse_3 = 1.0 / path_share_total_3;
-
-    /* mixing and prediction of every mode */
-    mixed_0_0_3_share[0] = mixing_0[0] + mixing_0[1];
-    mixed_0_0_3_share[1] = mixing_0[2] + mixing_0[3];
-    gps_glitch_mixing_and_prediction_3(mixing_0, mode_filtered_state, mixed_apart_0_1_squared,
-        mixed_0_0_1_mean, mode_filtered_covariance, mixed_0_0_1_covariance);
-    gps_glitch_mixing_and_prediction_3(&mixing_0[2], &mode_filtered_state[6],
-        mixed_apart_2_3_squared, mixed_0_2_3_mean, &mode_filtered_covariance[12],
-        mixed_0_2_3_covariance);
-    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share,
-        mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_0, Q, moved_covariance_0,
-        params);
-    mixed_1_0_3_share[0] = mixing_1[0] + mixing_1[1];
-    mixed_1_0_3_share[1] = mixing_1[2] + mixing_1[3];
-    mixed_1_0_1_inverse = 1.0 / (mixing_1[0] + mixing_1[1] + GPS_GLITCH_TINY);
-    mixed_1_0_1_share[0] = mixing_1[0] * mixed_1_0_1_inverse;
-    mixed_1_0_1_share[1] = mixing_1[1] * mixed_1_0_1_inverse;
-    gps_glitch_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
-        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    mixed_1_2_3_inverse = 1.0 / (mixing_1[2] + mixing_1[3] + GPS_GLITCH_TINY);
-    mixed_1_2_3_share[0] = mixing_1[2] * mixed_1_2_3_inverse;
-    mixed_1_2_3_share[1] = mixing_1[3] * mixed_1_2_3_inverse;
-    gps_glitch_mixing_and_prediction(mixed_1_2_3_share, &mode_filtered_state[6], mixed_1_2_3_mean,
-        &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_1_2_3_covariance);
-    gps_glitch_mixing_and_prediction_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share,
-        mixed_1_0_1_covariance, mixed_1_2_3_covariance, moved_state_1, Q, moved_covariance_1,
-        params);
-    mixed_2_0_3_share[0] = mixing_2[0] + mixing_2[1];
-    mixed_2_0_3_share[1] = mixing_2[2] + mixing_2[3];
-    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_2_0_3_share,
-        mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_2, Q, moved_covariance_2,
-        params);
-    const double t5 = path_share_3[0] * path_share_inverse_3;
-    mixed_3_0_3_share[0] = t5 + (path_share_3[1] * path_share_inverse_3);
-    const double t6 = path_share_3[2] * path_share_inverse_3;
-    mixed_3_0_3_share[1] = t6 + (path_share_3[3] * path_share_inverse_3);
-    const double t7 = path_share_3[0] * path_share_inverse_3;
-    mixed_3_0_1_inverse = 1.0 / (t7 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
-    mixed_3_0_1_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_0_1_inverse;
-    mixed_3_0_1_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_0_1_inverse;
-    gps_glitch_mixing_and_prediction(mixed_3_0_1_share, mode_filtered_state, mixed_3_0_1_mean,
-        mode_filtered_covariance, mixed_apart_0_1_squared, mixed_3_0_1_covariance);
-    const double t8 = path_share_3[2] * path_share_inverse_3;
-    mixed_3_2_3_inverse = 1.0 / (t8 + (path_share_3[3] * path_share_inverse_3) + GPS_GLITCH_TINY);
-    mixed_3_2_3_share[0] = path_share_3[2] * path_share_inverse_3 * mixed_3_2_3_inverse;
-    mixed_3_2_3_share[1] = path_share_3[3] * path_share_inverse_3 * mixed_3_2_3_inverse;
-    gps_glitch_mixing_and_prediction(mixed_3_2_3_share, &mode_filtered_state[6], mixed_3_2_3_mean,
-        &mode_filtered_covariance[12], mixed_apart_2_3_squared, mixed_3_2_3_covariance);
-    gps_glitch_part_2(mixed_3_0_1_mean, mixed_3_2_3_mean, mixed_3_0_3_share, mixed_3_0_3_mean,
-        mixed_3_0_1_covariance, mixed_3_2_3_covariance, mixed_3_0_3_covariance);
-    moved_state_3[0] = mixed_3_0_3_mean[0] + (params->dt * mixed_3_0_3_mean[1]);
-    moved_state_3[1] = mixed_3_0_3_mean[1];
-    moved_state_3[2] = mixed_3_0_3_mean[2];
-    const double t9 = mixed_3_0_3_covariance[0] + (params->dt * mixed_3_0_3_covariance[1]);
-    const double t10 = mixed_3_0_3_covariance[1] + (params->dt * mixed_3_0_3_covariance[2]);
-    moved_covariance_3[0] = t9 + (t10 * params->dt) + Q[0];
-    const double t11 = mixed_3_0_3_covariance[1] + (mixed_3_0_3_covariance[2] * params->dt);
-    moved_covariance_3[1] = t11 + Q[1];
-    moved_covariance_3[2] = mixed_3_0_3_covariance[2] + params->dt;
-    moved_covariance_3[3] = mixed_3_0_3_covariance[3] + (mixed_3_0_3_covariance[4] * params->dt);
-    moved_covariance_3[5] = mixed_3_0_3_covariance[5] + Q[3];
-    moved_covariance_3[4] = mixed_3_0_3_covariance[4];
-
-    /* combined prediction */
-    predicted_log_weight[0] = gps_glitch_log(mode_prediction_0);
-    predicted_log_weight[1] = gps_glitch_log(mode_prediction_1);
-    predicted_log_weight[2] = gps_glitch_log(mode_prediction_2);
-    predicted_log_weight[3] = log_path_largest_3 + gps_glitch_log(path_share_total_3);
-    predicted_state[0] = filtered_state[0] + (params->dt * filtered_state[1]);
-    const double t12 = filtered_covariance[0] + (params->dt * filtered_covariance[1]);
-    const double t13 = filtered_covariance[1] + (params->dt * filtered_covariance[2]);
-    predicted_covariance[0] = t12 + (t13 * params->dt) + Q[0];
-    predicted_covariance[1] = filtered_covariance[1] + (filtered_covariance[2] * params->dt) + Q[1];
-    predicted_covariance[2] = filtered_covariance[2] + params->dt;
-    predicted_covariance[3] = filtered_covariance[3] + (filtered_covariance[4] * params->dt);
-    predicted_covariance[5] = filtered_covariance[5] + Q[3];
-    const double t14 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0] + moved_state_3[0];
-    const double t15 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1] + moved_state_3[1];
-    const double t16 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2] + moved_state_3[2];
-    const double t17 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
-    const double t18 = t17 + moved_covariance_3[0];
-    const double t19 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
-    const double t20 = t19 + moved_covariance_3[2];
-    const double t21 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
-    const double t22 = t21 + moved_covariance_3[5];
-    if (!gps_glitch_finite(gps_glitch_defect(t14) + gps_glitch_defect(t15) +
-        gps_glitch_defect(t16) + gps_glitch_defect(t18) + gps_glitch_defect(t20) +
-        gps_glitch_defect(t22)))
-    {
-        return GPS_GLITCH_RESULT_NOT_FINITE;
-    }
-    predicted_mode_probability[0] = mode_prediction_0;
-    predicted_mode_probability[1] = mode_prediction_1;
-    predicted_mode_probability[2] = mode_prediction_2;
-    predicted_mode_probability[3] = mode_prediction_3;
-    mode_state[0] = moved_state_0[0];
-    mode_state[1] = moved_state_0[1];
-    mode_state[2] = moved_state_0[2];
-    mode_state[3] = moved_state_1[0];
-    mode_state[4] = moved_state_1[1];
-    mode_state[5] = moved_state_1[2];
-    mode_state[6] = moved_state_2[0];
-    mode_state[7] = moved_state_2[1];
-    mode_state[8] = moved_state_2[2];
-    mode_state[9] = moved_state_3[0];
-    mode_state[10] = moved_state_3[1];
-    mode_state[11] = moved_state_3[2];
-    gps_glitch_copy(moved_covariance_0, mode_covariance, 6);
-    gps_glitch_copy(moved_covariance_1, &mode_covariance[6], 6);
-    gps_glitch_copy(moved_covariance_2, &mode_covariance[12], 6);
-    gps_glitch_copy(moved_covariance_3, &mode_covariance[18], 6);
-    predicted_state[1] = filtered_state[1];
-    predicted_state[2] = filtered_state[2];
-    predicted_covariance[4] = filtered_covariance[4];
-    return GPS_GLITCH_OK;
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -1204,7 +1033,44 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     double mixing_0[4] = { 0.0 };
     double mode_prediction_1 = 0.0;
     double mixing_1[4] = { 0.0 };
-    gps_glitch_status_t status;
+    double mode_prediction_2 = 0.0;
+    double mixing_2[4] = { 0.0 };
+    double mode_prediction_3;
+    double log_path_3[4];
+    double log_path_largest_3;
+    double path_share_3[4] = { 0.0 };
+    double path_share_total_3;
+    double path_share_inverse_3 = 0.0;
+    double mixed_0_0_3_share[2] = { 0.0 };
+    double mixed_apart_0_1_squared[6] = { 0.0 };
+    double mixed_0_0_1_mean[3] = { 0.0 };
+    double mixed_0_0_1_covariance[6] = { 0.0 };
+    double mixed_apart_2_3_squared[6] = { 0.0 };
+    double mixed_0_2_3_mean[3] = { 0.0 };
+    double mixed_0_2_3_covariance[6] = { 0.0 };
+    double moved_state_0[3] = { 0.0 };
+    double moved_covariance_0[6] = { 0.0 };
+    double mixed_1_0_3_share[2] = { 0.0 };
+    double mixed_1_0_1_share[2] = { 0.0 };
+    double mixed_1_0_1_mean[3] = { 0.0 };
+    double mixed_1_0_1_covariance[6] = { 0.0 };
+    double mixed_1_2_3_share[2] = { 0.0 };
+    double mixed_1_2_3_mean[3] = { 0.0 };
+    double mixed_1_2_3_covariance[6] = { 0.0 };
+    double moved_state_1[3] = { 0.0 };
+    double moved_covariance_1[6] = { 0.0 };
+    double mixed_2_0_3_share[2] = { 0.0 };
+    double moved_state_2[3] = { 0.0 };
+    double moved_covariance_2[6] = { 0.0 };
+    double mixed_3_0_3_share[2] = { 0.0 };
+    double mixed_3_0_1_mean[3] = { 0.0 };
+    double mixed_3_0_1_covariance[6] = { 0.0 };
+    double mixed_3_2_3_mean[3] = { 0.0 };
+    double mixed_3_2_3_covariance[6] = { 0.0 };
+    double mixed_3_0_3_mean[3] = { 0.0 };
+    double mixed_3_0_3_covariance[6] = { 0.0 };
+    double moved_state_3[3];
+    double moved_covariance_3[6];
     const double t0 = params->dt * params->dt;
     Q[0] = (params->dt * t0) / 3.0;
     const double t1 = t0 / 2.0;
@@ -1221,12 +1087,132 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
         gps_glitch_law_of_the_next_numbers[0]);
     gps_glitch_law_of_the_next(self->mode_probability, &mode_prediction_1, mixing_1,
         gps_glitch_law_of_the_next_numbers[1]);
-    status = gps_glitch_mixing_and_prediction_4(self->mode_probability, self->log_weight, mixing_0,
-        self->mode_filtered_state, self->mode_filtered_covariance, Q, mixing_1, mode_prediction_0,
-        mode_prediction_1, self->filtered_state, self->filtered_covariance,
-        next->predicted_mode_probability, next->predicted_log_weight, next->mode_state,
-        next->mode_covariance, next->predicted_state, next->predicted_covariance, params);
-    if (status != GPS_GLITCH_OK) { return status; }
+    gps_glitch_law_of_the_next(self->mode_probability, &mode_prediction_2, mixing_2,
+        gps_glitch_law_of_the_next_numbers[2]);
+    const double t2 = 3.375e-10 * self->mode_probability[0];
+    const double t3 = t2 + (7.489875000000001e-06 * self->mode_probability[1]);
+    const double t4 = t3 + (4.493925e-05 * self->mode_probability[2]);
+    mode_prediction_3 = t4 + (0.9973018225000001 * self->mode_probability[3]);
+    log_path_3[0] = self->log_weight[0] + -21.809455605615963;
+    log_path_3[1] = self->log_weight[1] + -11.801958449492966;
+    log_path_3[2] = self->log_weight[2] + -10.01019898026491;
+    log_path_3[3] = self->log_weight[3] + -0.0027018241419124473;
+    const double t5 = (log_path_3[0] > log_path_3[1]) ? log_path_3[0] : log_path_3[1];
+    const double t6 = (t5 > log_path_3[2]) ? t5 : log_path_3[2];
+    log_path_largest_3 = (t6 > log_path_3[3]) ? t6 : log_path_3[3];
+    path_share_3[0] = gps_glitch_exp(log_path_3[0] - log_path_largest_3);
+    path_share_3[1] = gps_glitch_exp(log_path_3[1] - log_path_largest_3);
+    path_share_3[2] = gps_glitch_exp(log_path_3[2] - log_path_largest_3);
+    path_share_3[3] = gps_glitch_exp(log_path_3[3] - log_path_largest_3);
+    path_share_total_3 = path_share_3[0] + path_share_3[1] + path_share_3[2] + path_share_3[3];
+    path_share_inverse_3 = 1.0 / path_share_total_3;
+
+    /* mixing and prediction of every mode */
+    mixed_0_0_3_share[0] = mixing_0[0] + mixing_0[1];
+    mixed_0_0_3_share[1] = mixing_0[2] + mixing_0[3];
+    gps_glitch_mixing_and_prediction_3(mixing_0, self->mode_filtered_state, mixed_apart_0_1_squared,
+        mixed_0_0_1_mean, self->mode_filtered_covariance, mixed_0_0_1_covariance);
+    gps_glitch_mixing_and_prediction_3(&mixing_0[2], &self->mode_filtered_state[6],
+        mixed_apart_2_3_squared, mixed_0_2_3_mean, &self->mode_filtered_covariance[12],
+        mixed_0_2_3_covariance);
+    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share,
+        mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_0, Q, moved_covariance_0,
+        params);
+    mixed_1_0_3_share[0] = mixing_1[0] + mixing_1[1];
+    mixed_1_0_3_share[1] = mixing_1[2] + mixing_1[3];
+    gps_glitch_part_3(mixing_1, mixed_1_0_1_share);
+    gps_glitch_mixing_and_prediction(mixed_1_0_1_share, self->mode_filtered_state, mixed_1_0_1_mean,
+        self->mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    gps_glitch_part_3(&mixing_1[2], mixed_1_2_3_share);
+    gps_glitch_mixing_and_prediction(mixed_1_2_3_share, &self->mode_filtered_state[6],
+        mixed_1_2_3_mean, &self->mode_filtered_covariance[12], mixed_apart_2_3_squared,
+        mixed_1_2_3_covariance);
+    gps_glitch_mixing_and_prediction_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share,
+        mixed_1_0_1_covariance, mixed_1_2_3_covariance, moved_state_1, Q, moved_covariance_1,
+        params);
+    mixed_2_0_3_share[0] = mixing_2[0] + mixing_2[1];
+    mixed_2_0_3_share[1] = mixing_2[2] + mixing_2[3];
+    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_2_0_3_share,
+        mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_2, Q, moved_covariance_2,
+        params);
+    const double t7 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_0_3_share[0] = t7 + (path_share_3[1] * path_share_inverse_3);
+    const double t8 = path_share_3[2] * path_share_inverse_3;
+    mixed_3_0_3_share[1] = t8 + (path_share_3[3] * path_share_inverse_3);
+    gps_glitch_mixing_and_prediction_4(path_share_3, path_share_inverse_3,
+        self->mode_filtered_state, mixed_3_0_1_mean, self->mode_filtered_covariance,
+        mixed_apart_0_1_squared, mixed_3_0_1_covariance);
+    gps_glitch_mixing_and_prediction_4(&path_share_3[2], path_share_inverse_3,
+        &self->mode_filtered_state[6], mixed_3_2_3_mean, &self->mode_filtered_covariance[12],
+        mixed_apart_2_3_squared, mixed_3_2_3_covariance);
+    gps_glitch_part_2(mixed_3_0_1_mean, mixed_3_2_3_mean, mixed_3_0_3_share, mixed_3_0_3_mean,
+        mixed_3_0_1_covariance, mixed_3_2_3_covariance, mixed_3_0_3_covariance);
+    moved_state_3[0] = mixed_3_0_3_mean[0] + (params->dt * mixed_3_0_3_mean[1]);
+    moved_state_3[1] = mixed_3_0_3_mean[1];
+    moved_state_3[2] = mixed_3_0_3_mean[2];
+    const double t9 = mixed_3_0_3_covariance[0] + (params->dt * mixed_3_0_3_covariance[1]);
+    const double t10 = mixed_3_0_3_covariance[1] + (params->dt * mixed_3_0_3_covariance[2]);
+    moved_covariance_3[0] = t9 + (t10 * params->dt) + Q[0];
+    const double t11 = mixed_3_0_3_covariance[1] + (mixed_3_0_3_covariance[2] * params->dt);
+    moved_covariance_3[1] = t11 + Q[1];
+    moved_covariance_3[2] = mixed_3_0_3_covariance[2] + params->dt;
+    moved_covariance_3[3] = mixed_3_0_3_covariance[3] + (mixed_3_0_3_covariance[4] * params->dt);
+    moved_covariance_3[5] = mixed_3_0_3_covariance[5] + Q[3];
+    moved_covariance_3[4] = mixed_3_0_3_covariance[4];
+
+    /* combined prediction */
+    next->predicted_log_weight[0] = gps_glitch_log(mode_prediction_0);
+    next->predicted_log_weight[1] = gps_glitch_log(mode_prediction_1);
+    next->predicted_log_weight[2] = gps_glitch_log(mode_prediction_2);
+    next->predicted_log_weight[3] = log_path_largest_3 + gps_glitch_log(path_share_total_3);
+    next->predicted_state[0] = self->filtered_state[0] + (params->dt * self->filtered_state[1]);
+    const double t12 = self->filtered_covariance[0] + (params->dt * self->filtered_covariance[1]);
+    const double t13 = self->filtered_covariance[1] + (params->dt * self->filtered_covariance[2]);
+    next->predicted_covariance[0] = t12 + (t13 * params->dt) + Q[0];
+    const double t14 = self->filtered_covariance[1] + (self->filtered_covariance[2] * params->dt);
+    next->predicted_covariance[1] = t14 + Q[1];
+    next->predicted_covariance[2] = self->filtered_covariance[2] + params->dt;
+    const double t15 = self->filtered_covariance[4] * params->dt;
+    next->predicted_covariance[3] = self->filtered_covariance[3] + t15;
+    next->predicted_covariance[5] = self->filtered_covariance[5] + Q[3];
+    const double t16 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0] + moved_state_3[0];
+    const double t17 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1] + moved_state_3[1];
+    const double t18 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2] + moved_state_3[2];
+    const double t19 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
+    const double t20 = t19 + moved_covariance_3[0];
+    const double t21 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
+    const double t22 = t21 + moved_covariance_3[2];
+    const double t23 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
+    const double t24 = t23 + moved_covariance_3[5];
+    if (!gps_glitch_finite(gps_glitch_defect(t16) + gps_glitch_defect(t17) +
+        gps_glitch_defect(t18) + gps_glitch_defect(t20) + gps_glitch_defect(t22) +
+        gps_glitch_defect(t24)))
+    {
+        return GPS_GLITCH_RESULT_NOT_FINITE;
+    }
+    next->predicted_mode_probability[0] = mode_prediction_0;
+    next->predicted_mode_probability[1] = mode_prediction_1;
+    next->predicted_mode_probability[2] = mode_prediction_2;
+    next->predicted_mode_probability[3] = mode_prediction_3;
+    next->mode_state[0] = moved_state_0[0];
+    next->mode_state[1] = moved_state_0[1];
+    next->mode_state[2] = moved_state_0[2];
+    next->mode_state[3] = moved_state_1[0];
+    next->mode_state[4] = moved_state_1[1];
+    next->mode_state[5] = moved_state_1[2];
+    next->mode_state[6] = moved_state_2[0];
+    next->mode_state[7] = moved_state_2[1];
+    next->mode_state[8] = moved_state_2[2];
+    next->mode_state[9] = moved_state_3[0];
+    next->mode_state[10] = moved_state_3[1];
+    next->mode_state[11] = moved_state_3[2];
+    gps_glitch_copy(moved_covariance_0, next->mode_covariance, 6);
+    gps_glitch_copy(moved_covariance_1, &next->mode_covariance[6], 6);
+    gps_glitch_copy(moved_covariance_2, &next->mode_covariance[12], 6);
+    gps_glitch_copy(moved_covariance_3, &next->mode_covariance[18], 6);
+    next->predicted_state[1] = self->filtered_state[1];
+    next->predicted_state[2] = self->filtered_state[2];
+    next->predicted_covariance[4] = self->filtered_covariance[4];
     return GPS_GLITCH_OK;
 }
 

@@ -277,6 +277,14 @@ MARKOV_JUMP_INLINE void markov_jump_propagate_2(const double *mode_second_moment
     moved_moment[5] = numbers[4] * mode_second_moment[5];
 }
 
+/* propagate; every mode's step. */
+MARKOV_JUMP_INLINE void markov_jump_part_3(const double *mode_law, double *plant_noise,
+    const double *numbers_of_0, const double *numbers_of_1)
+{
+    markov_jump_part_2(mode_law, plant_noise, numbers_of_0);
+    markov_jump_part_2(mode_law, &plant_noise[3], numbers_of_1);
+}
+
 /* innovation, row by row. */
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
     const double *augmented_state, double *innovation_0, double *mean,
@@ -849,8 +857,8 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_every_mode_s_step_2(const do
     markov_jump_status_t status;
 
     /* every mode's step */
-    markov_jump_part_2(mode_law, plant_noise_2, markov_jump_part_2_numbers[4]);
-    markov_jump_part_2(mode_law, &plant_noise_2[3], markov_jump_part_2_numbers[5]);
+    markov_jump_part_3(mode_law, plant_noise_2, markov_jump_part_2_numbers[4],
+        markov_jump_part_2_numbers[5]);
     moved_state[2] = 0.6 * augmented_filtered_state[2];
     moved_state[5] = 0.8 * augmented_filtered_state[5];
     const double t0 = -0.30000000000000004 * augmented_filtered_state[2];
@@ -1119,10 +1127,10 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_
     moved_moment_1[5] = 0.6400000000000001 * self->mode_second_moment[11];
     markov_jump_propagate_2(&self->mode_second_moment[12], moved_moment_2,
         markov_jump_propagate_2_numbers[1]);
-    markov_jump_part_2(self->mode_law, plant_noise_0, markov_jump_part_2_numbers[0]);
-    markov_jump_part_2(self->mode_law, &plant_noise_0[3], markov_jump_part_2_numbers[1]);
-    markov_jump_part_2(self->mode_law, plant_noise_1, markov_jump_part_2_numbers[2]);
-    markov_jump_part_2(self->mode_law, &plant_noise_1[3], markov_jump_part_2_numbers[3]);
+    markov_jump_part_3(self->mode_law, plant_noise_0, markov_jump_part_2_numbers[0],
+        markov_jump_part_2_numbers[1]);
+    markov_jump_part_3(self->mode_law, plant_noise_1, markov_jump_part_2_numbers[2],
+        markov_jump_part_2_numbers[3]);
 
     /* every mode's step */
     status = markov_jump_every_mode_s_step_2(self->mode_law, self->augmented_filtered_state,

@@ -301,7 +301,7 @@ SHIP_TRACK_INLINE void ship_track_copy(const double *from, double *to, int size)
 }
 
 /* mode 0: the model: row 2 of y, report_speed_east. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_2(const double pivot_1, double *mean,
+SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_3(const double pivot_1, double *mean,
     const double mode_state, const double innovation_1, double *quadratic, double *log_constant,
     double *determinant_0, double *covariance, uint32_t present)
 {
@@ -424,7 +424,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const dou
 
     /* mode 0: the model: row 1 of y, report_north */
     pivot_1 = covariance[2] + 36.0;
-    status = ship_track_mode_2(pivot_1, mean, mode_state[1], innovation_1[0], quadratic,
+    status = ship_track_mode_3(pivot_1, mean, mode_state[1], innovation_1[0], quadratic,
         log_constant, determinant_0, covariance, present);
     if (status != SHIP_TRACK_OK) { return status; }
     pivot_2 = covariance[5] + 0.04;
@@ -495,73 +495,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const dou
 }
 
 /* mixing and prediction of every mode; part 2. */
-SHIP_TRACK_INLINE void ship_track_part_3(const double *mixed_0_0_1_mean,
-    const double *mode_filtered_state, const double *mixed_0_0_2_share, double *mixed_0_0_2_mean,
-    const double *mixed_0_0_1_covariance, const double *covariance, double *mixed_0_0_2_covariance)
+SHIP_TRACK_INLINE void ship_track_part_4(const double *apart_0_1, double *apart_0_1_squared)
 {
-    double mixed_0_0_2_apart[4];
-    mixed_0_0_2_apart[0] = mixed_0_0_1_mean[0] - mode_filtered_state[0];
-    mixed_0_0_2_apart[1] = mixed_0_0_1_mean[1] - mode_filtered_state[1];
-    mixed_0_0_2_apart[2] = mixed_0_0_1_mean[2] - mode_filtered_state[2];
-    mixed_0_0_2_apart[3] = mixed_0_0_1_mean[3] - mode_filtered_state[3];
-    const double t0 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[0];
-    mixed_0_0_2_mean[0] = t0 + (mixed_0_0_2_share[1] * mode_filtered_state[0]);
-    const double t1 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[1];
-    mixed_0_0_2_mean[1] = t1 + (mixed_0_0_2_share[1] * mode_filtered_state[1]);
-    const double t2 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[2];
-    mixed_0_0_2_mean[2] = t2 + (mixed_0_0_2_share[1] * mode_filtered_state[2]);
-    const double t3 = mixed_0_0_2_share[0] * mixed_0_0_1_mean[3];
-    mixed_0_0_2_mean[3] = t3 + (mixed_0_0_2_share[1] * mode_filtered_state[3]);
-    const double t4 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
-    const double t5 = t4 + (mixed_0_0_2_share[1] * covariance[0]);
-    const double t6 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
-    mixed_0_0_2_covariance[0] = t5 + (t6 * mixed_0_0_2_apart[0] * mixed_0_0_2_apart[0]);
-    const double t7 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
-    const double t8 = t7 + (mixed_0_0_2_share[1] * covariance[1]);
-    const double t9 = t6 * mixed_0_0_2_apart[1];
-    mixed_0_0_2_covariance[1] = t8 + (t9 * mixed_0_0_2_apart[0]);
-    const double t10 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
-    const double t11 = t10 + (mixed_0_0_2_share[1] * covariance[2]);
-    mixed_0_0_2_covariance[2] = t11 + (t9 * mixed_0_0_2_apart[1]);
-    const double t12 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
-    const double t13 = t12 + (mixed_0_0_2_share[1] * covariance[3]);
-    const double t14 = t6 * mixed_0_0_2_apart[2];
-    mixed_0_0_2_covariance[3] = t13 + (t14 * mixed_0_0_2_apart[0]);
-    const double t15 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
-    const double t16 = t15 + (mixed_0_0_2_share[1] * covariance[4]);
-    mixed_0_0_2_covariance[4] = t16 + (t14 * mixed_0_0_2_apart[1]);
-    const double t17 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
-    const double t18 = t17 + (mixed_0_0_2_share[1] * covariance[5]);
-    mixed_0_0_2_covariance[5] = t18 + (t14 * mixed_0_0_2_apart[2]);
-    const double t19 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
-    const double t20 = t19 + (mixed_0_0_2_share[1] * covariance[6]);
-    const double t21 = t6 * mixed_0_0_2_apart[3];
-    mixed_0_0_2_covariance[6] = t20 + (t21 * mixed_0_0_2_apart[0]);
-    const double t22 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
-    const double t23 = t22 + (mixed_0_0_2_share[1] * covariance[7]);
-    mixed_0_0_2_covariance[7] = t23 + (t21 * mixed_0_0_2_apart[1]);
-    const double t24 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
-    const double t25 = t24 + (mixed_0_0_2_share[1] * covariance[8]);
-    mixed_0_0_2_covariance[8] = t25 + (t21 * mixed_0_0_2_apart[2]);
-    const double t26 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
-    const double t27 = t26 + (mixed_0_0_2_share[1] * covariance[9]);
-    mixed_0_0_2_covariance[9] = t27 + (t21 * mixed_0_0_2_apart[3]);
-}
-
-/* combination; combined prediction. */
-SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *mean_m1,
-    const double *combined_0_1_share, const double *covariance, const double *covariance_2,
-    const double *mean_m2, const double *combined_0_2_share, double *combined_0_2_mean,
-    const double *covariance_3, double *combined_0_2_covariance)
-{
-    double apart_0_1[4];
-    double apart_0_1_squared[10];
-    double combined_0_1_mean[4] = { 0.0 };
-    double combined_0_1_covariance[10] = { 0.0 };
-    apart_0_1[0] = mean_m0[0] - mean_m1[0];
-    apart_0_1[1] = mean_m0[1] - mean_m1[1];
-    apart_0_1[2] = mean_m0[2] - mean_m1[2];
-    apart_0_1[3] = mean_m0[3] - mean_m1[3];
     apart_0_1_squared[0] = apart_0_1[0] * apart_0_1[0];
     apart_0_1_squared[1] = apart_0_1[1] * apart_0_1[0];
     apart_0_1_squared[2] = apart_0_1[1] * apart_0_1[1];
@@ -572,45 +507,113 @@ SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *me
     apart_0_1_squared[7] = apart_0_1[3] * apart_0_1[1];
     apart_0_1_squared[8] = apart_0_1[3] * apart_0_1[2];
     apart_0_1_squared[9] = apart_0_1[3] * apart_0_1[3];
-    const double t0 = combined_0_1_share[0] * mean_m0[0];
-    combined_0_1_mean[0] = t0 + (combined_0_1_share[1] * mean_m1[0]);
-    const double t1 = combined_0_1_share[0] * mean_m0[1];
-    combined_0_1_mean[1] = t1 + (combined_0_1_share[1] * mean_m1[1]);
-    const double t2 = combined_0_1_share[0] * mean_m0[2];
-    combined_0_1_mean[2] = t2 + (combined_0_1_share[1] * mean_m1[2]);
-    const double t3 = combined_0_1_share[0] * mean_m0[3];
-    combined_0_1_mean[3] = t3 + (combined_0_1_share[1] * mean_m1[3]);
-    const double t4 = combined_0_1_share[0] * covariance[0];
-    const double t5 = t4 + (combined_0_1_share[1] * covariance_2[0]);
-    const double t6 = combined_0_1_share[0] * combined_0_1_share[1];
-    combined_0_1_covariance[0] = t5 + (t6 * apart_0_1_squared[0]);
-    const double t7 = combined_0_1_share[0] * covariance[1];
-    const double t8 = t7 + (combined_0_1_share[1] * covariance_2[1]);
-    combined_0_1_covariance[1] = t8 + (t6 * apart_0_1_squared[1]);
-    const double t9 = combined_0_1_share[0] * covariance[2];
-    const double t10 = t9 + (combined_0_1_share[1] * covariance_2[2]);
-    combined_0_1_covariance[2] = t10 + (t6 * apart_0_1_squared[2]);
-    const double t11 = combined_0_1_share[0] * covariance[3];
-    const double t12 = t11 + (combined_0_1_share[1] * covariance_2[3]);
-    combined_0_1_covariance[3] = t12 + (t6 * apart_0_1_squared[3]);
-    const double t13 = combined_0_1_share[0] * covariance[4];
-    const double t14 = t13 + (combined_0_1_share[1] * covariance_2[4]);
-    combined_0_1_covariance[4] = t14 + (t6 * apart_0_1_squared[4]);
-    const double t15 = combined_0_1_share[0] * covariance[5];
-    const double t16 = t15 + (combined_0_1_share[1] * covariance_2[5]);
-    combined_0_1_covariance[5] = t16 + (t6 * apart_0_1_squared[5]);
-    const double t17 = combined_0_1_share[0] * covariance[6];
-    const double t18 = t17 + (combined_0_1_share[1] * covariance_2[6]);
-    combined_0_1_covariance[6] = t18 + (t6 * apart_0_1_squared[6]);
-    const double t19 = combined_0_1_share[0] * covariance[7];
-    const double t20 = t19 + (combined_0_1_share[1] * covariance_2[7]);
-    combined_0_1_covariance[7] = t20 + (t6 * apart_0_1_squared[7]);
-    const double t21 = combined_0_1_share[0] * covariance[8];
-    const double t22 = t21 + (combined_0_1_share[1] * covariance_2[8]);
-    combined_0_1_covariance[8] = t22 + (t6 * apart_0_1_squared[8]);
-    const double t23 = combined_0_1_share[0] * covariance[9];
-    const double t24 = t23 + (combined_0_1_share[1] * covariance_2[9]);
-    combined_0_1_covariance[9] = t24 + (t6 * apart_0_1_squared[9]);
+}
+
+/* part 2; part 3. */
+SHIP_TRACK_INLINE void ship_track_part_5(const double *combined_0_1_share, const double *mean,
+    const double *mean_m1, double *combined_0_1_mean)
+{
+    combined_0_1_mean[0] = (combined_0_1_share[0] * mean[0]) + (combined_0_1_share[1] * mean_m1[0]);
+    combined_0_1_mean[1] = (combined_0_1_share[0] * mean[1]) + (combined_0_1_share[1] * mean_m1[1]);
+}
+
+/* mixing and prediction of every mode; part 2. */
+SHIP_TRACK_INLINE void ship_track_part_3(const double *mixed_0_0_1_mean,
+    const double *mode_filtered_state, const double *mixed_0_0_2_share, double *mixed_0_0_2_mean,
+    const double *mixed_0_0_1_covariance, const double *covariance, double *mixed_0_0_2_covariance)
+{
+    double mixed_0_0_2_apart[4];
+    mixed_0_0_2_apart[0] = mixed_0_0_1_mean[0] - mode_filtered_state[0];
+    mixed_0_0_2_apart[1] = mixed_0_0_1_mean[1] - mode_filtered_state[1];
+    mixed_0_0_2_apart[2] = mixed_0_0_1_mean[2] - mode_filtered_state[2];
+    mixed_0_0_2_apart[3] = mixed_0_0_1_mean[3] - mode_filtered_state[3];
+    ship_track_part_5(mixed_0_0_2_share, mixed_0_0_1_mean, mode_filtered_state, mixed_0_0_2_mean);
+    ship_track_part_5(mixed_0_0_2_share, &mixed_0_0_1_mean[2], &mode_filtered_state[2],
+        &mixed_0_0_2_mean[2]);
+    const double t0 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[0];
+    const double t1 = t0 + (mixed_0_0_2_share[1] * covariance[0]);
+    const double t2 = mixed_0_0_2_share[0] * mixed_0_0_2_share[1];
+    mixed_0_0_2_covariance[0] = t1 + (t2 * mixed_0_0_2_apart[0] * mixed_0_0_2_apart[0]);
+    const double t3 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[1];
+    const double t4 = t3 + (mixed_0_0_2_share[1] * covariance[1]);
+    const double t5 = t2 * mixed_0_0_2_apart[1];
+    mixed_0_0_2_covariance[1] = t4 + (t5 * mixed_0_0_2_apart[0]);
+    const double t6 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[2];
+    const double t7 = t6 + (mixed_0_0_2_share[1] * covariance[2]);
+    mixed_0_0_2_covariance[2] = t7 + (t5 * mixed_0_0_2_apart[1]);
+    const double t8 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[3];
+    const double t9 = t8 + (mixed_0_0_2_share[1] * covariance[3]);
+    const double t10 = t2 * mixed_0_0_2_apart[2];
+    mixed_0_0_2_covariance[3] = t9 + (t10 * mixed_0_0_2_apart[0]);
+    const double t11 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[4];
+    const double t12 = t11 + (mixed_0_0_2_share[1] * covariance[4]);
+    mixed_0_0_2_covariance[4] = t12 + (t10 * mixed_0_0_2_apart[1]);
+    const double t13 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[5];
+    const double t14 = t13 + (mixed_0_0_2_share[1] * covariance[5]);
+    mixed_0_0_2_covariance[5] = t14 + (t10 * mixed_0_0_2_apart[2]);
+    const double t15 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[6];
+    const double t16 = t15 + (mixed_0_0_2_share[1] * covariance[6]);
+    const double t17 = t2 * mixed_0_0_2_apart[3];
+    mixed_0_0_2_covariance[6] = t16 + (t17 * mixed_0_0_2_apart[0]);
+    const double t18 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[7];
+    const double t19 = t18 + (mixed_0_0_2_share[1] * covariance[7]);
+    mixed_0_0_2_covariance[7] = t19 + (t17 * mixed_0_0_2_apart[1]);
+    const double t20 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[8];
+    const double t21 = t20 + (mixed_0_0_2_share[1] * covariance[8]);
+    mixed_0_0_2_covariance[8] = t21 + (t17 * mixed_0_0_2_apart[2]);
+    const double t22 = mixed_0_0_2_share[0] * mixed_0_0_1_covariance[9];
+    const double t23 = t22 + (mixed_0_0_2_share[1] * covariance[9]);
+    mixed_0_0_2_covariance[9] = t23 + (t17 * mixed_0_0_2_apart[3]);
+}
+
+/* combination; combined prediction. */
+SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *mean_m1,
+    const double *combined_0_1_share, const double *covariance, const double *covariance_2,
+    const double *mean_m2, const double *combined_0_2_share, double *combined_0_2_mean,
+    const double *covariance_3, double *combined_0_2_covariance)
+{
+    double apart_0_1[4] = { 0.0 };
+    double apart_0_1_squared[10] = { 0.0 };
+    double combined_0_1_mean[4] = { 0.0 };
+    double combined_0_1_covariance[10] = { 0.0 };
+    apart_0_1[0] = mean_m0[0] - mean_m1[0];
+    apart_0_1[1] = mean_m0[1] - mean_m1[1];
+    apart_0_1[2] = mean_m0[2] - mean_m1[2];
+    apart_0_1[3] = mean_m0[3] - mean_m1[3];
+    ship_track_part_4(apart_0_1, apart_0_1_squared);
+    ship_track_part_5(combined_0_1_share, mean_m0, mean_m1, combined_0_1_mean);
+    ship_track_part_5(combined_0_1_share, &mean_m0[2], &mean_m1[2], &combined_0_1_mean[2]);
+    const double t0 = combined_0_1_share[0] * covariance[0];
+    const double t1 = t0 + (combined_0_1_share[1] * covariance_2[0]);
+    const double t2 = combined_0_1_share[0] * combined_0_1_share[1];
+    combined_0_1_covariance[0] = t1 + (t2 * apart_0_1_squared[0]);
+    const double t3 = combined_0_1_share[0] * covariance[1];
+    const double t4 = t3 + (combined_0_1_share[1] * covariance_2[1]);
+    combined_0_1_covariance[1] = t4 + (t2 * apart_0_1_squared[1]);
+    const double t5 = combined_0_1_share[0] * covariance[2];
+    const double t6 = t5 + (combined_0_1_share[1] * covariance_2[2]);
+    combined_0_1_covariance[2] = t6 + (t2 * apart_0_1_squared[2]);
+    const double t7 = combined_0_1_share[0] * covariance[3];
+    const double t8 = t7 + (combined_0_1_share[1] * covariance_2[3]);
+    combined_0_1_covariance[3] = t8 + (t2 * apart_0_1_squared[3]);
+    const double t9 = combined_0_1_share[0] * covariance[4];
+    const double t10 = t9 + (combined_0_1_share[1] * covariance_2[4]);
+    combined_0_1_covariance[4] = t10 + (t2 * apart_0_1_squared[4]);
+    const double t11 = combined_0_1_share[0] * covariance[5];
+    const double t12 = t11 + (combined_0_1_share[1] * covariance_2[5]);
+    combined_0_1_covariance[5] = t12 + (t2 * apart_0_1_squared[5]);
+    const double t13 = combined_0_1_share[0] * covariance[6];
+    const double t14 = t13 + (combined_0_1_share[1] * covariance_2[6]);
+    combined_0_1_covariance[6] = t14 + (t2 * apart_0_1_squared[6]);
+    const double t15 = combined_0_1_share[0] * covariance[7];
+    const double t16 = t15 + (combined_0_1_share[1] * covariance_2[7]);
+    combined_0_1_covariance[7] = t16 + (t2 * apart_0_1_squared[7]);
+    const double t17 = combined_0_1_share[0] * covariance[8];
+    const double t18 = t17 + (combined_0_1_share[1] * covariance_2[8]);
+    combined_0_1_covariance[8] = t18 + (t2 * apart_0_1_squared[8]);
+    const double t19 = combined_0_1_share[0] * covariance[9];
+    const double t20 = t19 + (combined_0_1_share[1] * covariance_2[9]);
+    combined_0_1_covariance[9] = t20 + (t2 * apart_0_1_squared[9]);
     ship_track_part_3(combined_0_1_mean, mean_m2, combined_0_2_share, combined_0_2_mean,
         combined_0_1_covariance, covariance_3, combined_0_2_covariance);
 }
@@ -662,8 +665,50 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction(const double *mixed_0_1_
     mixed_0_1_covariance[9] = t24 + (t6 * mixed_apart_0_1_squared[9]);
 }
 
+/* mixing and prediction of every mode. */
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *A,
+    const double *mixed_0_mean, double *moved_state)
+{
+    moved_state[0] = mixed_0_mean[0] + (A[0] * mixed_0_mean[2]) + (A[4] * mixed_0_mean[3]);
+    moved_state[1] = mixed_0_mean[1] + (A[1] * mixed_0_mean[2]) + (A[5] * mixed_0_mean[3]);
+    moved_state[2] = (A[2] * mixed_0_mean[2]) + (A[6] * mixed_0_mean[3]);
+    moved_state[3] = (A[3] * mixed_0_mean[2]) + (A[7] * mixed_0_mean[3]);
+}
+
 /* innovation of the mixture. */
-SHIP_TRACK_INLINE void ship_track_innovation_of_the_mixture(const double
+SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture(const double
+    whitening_pivot_combined, double *whitening_inverse_combined, int row_0)
+{
+    if (row_0 != 0)
+    {
+        if (!(whitening_pivot_combined > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
+        whitening_inverse_combined[0] = 1.0 / whitening_pivot_combined;
+    }
+    return SHIP_TRACK_OK;
+}
+
+/* mode 0: the model: innovation, row by row; mode 1: with its own A, Q: innovation, row by row. */
+SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_2(const double *y, const double *mode_state,
+    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
+    const double *mode_covariance, double *variance, double *mean, double *covariance,
+    double *log_density, uint32_t present)
+{
+    double quadratic = 0.0;
+    double log_constant = 0.0;
+    double determinant_0 = 1.0;
+    ship_track_status_t status;
+
+    /* mode 0: the model: innovation, row by row */
+    status = ship_track_mode(y, mode_state, innovation_0, innovation_1, innovation_2, innovation_3,
+        mode_covariance, variance, mean, covariance, &quadratic, &log_constant, &determinant_0,
+        present);
+    if (status != SHIP_TRACK_OK) { return status; }
+    log_density[0] = -0.5 * (quadratic + (log_constant + ship_track_log(determinant_0)));
+    return SHIP_TRACK_OK;
+}
+
+/* innovation of the mixture. */
+SHIP_TRACK_INLINE void ship_track_innovation_of_the_mixture_2(const double
     *predicted_mode_probability, const double *variance_m0, const double *variance_m1,
     const double *variance_m2, const double *predicted_y_m0, const double *predicted_y_m1,
     const double *predicted_y_m2, double *combined_variance)
@@ -811,15 +856,18 @@ SHIP_TRACK_INLINE void ship_track_combination(const double *combined_innovation,
 }
 
 /* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *log_path_1,
-    const double log_path_largest_1, double *path_share_total_1, const double *mode_probability,
-    double *mode_prediction_2, const double *log_weight, double *log_path_largest_2,
-    double *path_share_total_2, const double *mixing_0, const double *mode_filtered_state,
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_3(const double *mode_probability,
+    double *mode_prediction_0, double *mode_prediction_1, const double *log_weight,
+    double *log_path_largest_1, double *path_share_total_1, double *mode_prediction_2,
+    double *log_path_largest_2, double *path_share_total_2, const double *mode_filtered_state,
     const double *mode_filtered_covariance, double *moved_state_0, const double *Q,
     double *moved_covariance_0, const double *A, double *moved_state_1, double *moved_covariance_1,
     double *mixed_2_0_2_share, double *mixed_2_0_2_apart, double *mixed_2_0_2_mean,
     const ship_track_params_t *params)
 {
+    double mode_prediction_inverse_0;
+    double mixing_0[3];
+    double log_path_1[2];
     double path_share_1[2];
     double path_share_inverse_1;
     double log_path_2[2];
@@ -828,7 +876,7 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *log_path
     double mixed_0_0_2_share[2] = { 0.0 };
     double mixed_0_0_1_inverse;
     double mixed_0_0_1_share[2] = { 0.0 };
-    double mixed_apart_0_1[4];
+    double mixed_apart_0_1[4] = { 0.0 };
     double mixed_apart_0_1_squared[10] = { 0.0 };
     double mixed_0_0_1_mean[4] = { 0.0 };
     double mixed_0_0_1_covariance[10] = { 0.0 };
@@ -838,8 +886,18 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *log_path
     double mixed_1_0_1_share[2] = { 0.0 };
     double mixed_1_0_1_mean[4] = { 0.0 };
     double mixed_1_0_1_covariance[10] = { 0.0 };
-    path_share_1[0] = ship_track_exp(log_path_1[0] - log_path_largest_1);
-    path_share_1[1] = ship_track_exp(log_path_1[1] - log_path_largest_1);
+    const double t0 = (0.9 * mode_probability[0]) + (0.15 * mode_probability[1]);
+    mode_prediction_0[0] = t0 + (0.15 * mode_probability[2]);
+    mode_prediction_inverse_0 = 1.0 / mode_prediction_0[0];
+    mixing_0[0] = 0.9 * mode_probability[0] * mode_prediction_inverse_0;
+    mixing_0[1] = 0.15 * mode_probability[1] * mode_prediction_inverse_0;
+    mixing_0[2] = 0.15 * mode_probability[2] * mode_prediction_inverse_0;
+    mode_prediction_1[0] = (0.05 * mode_probability[0]) + (0.85 * mode_probability[1]);
+    log_path_1[0] = log_weight[0] + -2.995732273553991;
+    log_path_1[1] = log_weight[1] + -0.16251892949777494;
+    log_path_largest_1[0] = (log_path_1[0] > log_path_1[1]) ? log_path_1[0] : log_path_1[1];
+    path_share_1[0] = ship_track_exp(log_path_1[0] - log_path_largest_1[0]);
+    path_share_1[1] = ship_track_exp(log_path_1[1] - log_path_largest_1[0]);
     path_share_total_1[0] = path_share_1[0] + path_share_1[1];
     path_share_inverse_1 = 1.0 / path_share_total_1[0];
     mode_prediction_2[0] = (0.05 * mode_probability[0]) + (0.85 * mode_probability[2]);
@@ -861,16 +919,7 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *log_path
     mixed_apart_0_1[1] = mode_filtered_state[1] - mode_filtered_state[5];
     mixed_apart_0_1[2] = mode_filtered_state[2] - mode_filtered_state[6];
     mixed_apart_0_1[3] = mode_filtered_state[3] - mode_filtered_state[7];
-    mixed_apart_0_1_squared[0] = mixed_apart_0_1[0] * mixed_apart_0_1[0];
-    mixed_apart_0_1_squared[1] = mixed_apart_0_1[1] * mixed_apart_0_1[0];
-    mixed_apart_0_1_squared[2] = mixed_apart_0_1[1] * mixed_apart_0_1[1];
-    mixed_apart_0_1_squared[3] = mixed_apart_0_1[2] * mixed_apart_0_1[0];
-    mixed_apart_0_1_squared[4] = mixed_apart_0_1[2] * mixed_apart_0_1[1];
-    mixed_apart_0_1_squared[5] = mixed_apart_0_1[2] * mixed_apart_0_1[2];
-    mixed_apart_0_1_squared[6] = mixed_apart_0_1[3] * mixed_apart_0_1[0];
-    mixed_apart_0_1_squared[7] = mixed_apart_0_1[3] * mixed_apart_0_1[1];
-    mixed_apart_0_1_squared[8] = mixed_apart_0_1[3] * mixed_apart_0_1[2];
-    mixed_apart_0_1_squared[9] = mixed_apart_0_1[3] * mixed_apart_0_1[3];
+    ship_track_part_4(mixed_apart_0_1, mixed_apart_0_1_squared);
     ship_track_mixing_and_prediction(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
     ship_track_part_3(mixed_0_0_1_mean, &mode_filtered_state[8], mixed_0_0_2_share,
@@ -880,257 +929,235 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *log_path
     moved_state_0[1] = mixed_0_0_2_mean[1] + (params->dt * mixed_0_0_2_mean[3]);
     moved_state_0[2] = mixed_0_0_2_mean[2];
     moved_state_0[3] = mixed_0_0_2_mean[3];
-    const double t0 = mixed_0_0_2_covariance[0] + (params->dt * mixed_0_0_2_covariance[3]);
-    const double t1 = mixed_0_0_2_covariance[3] + (params->dt * mixed_0_0_2_covariance[5]);
-    moved_covariance_0[0] = t0 + (t1 * params->dt) + Q[0];
-    const double t2 = mixed_0_0_2_covariance[1] + (params->dt * mixed_0_0_2_covariance[6]);
-    const double t3 = mixed_0_0_2_covariance[4] + (params->dt * mixed_0_0_2_covariance[8]);
-    moved_covariance_0[1] = t2 + (t3 * params->dt);
-    const double t4 = mixed_0_0_2_covariance[2] + (params->dt * mixed_0_0_2_covariance[7]);
-    const double t5 = mixed_0_0_2_covariance[7] + (params->dt * mixed_0_0_2_covariance[9]);
-    moved_covariance_0[2] = t4 + (t5 * params->dt) + Q[2];
-    const double t6 = mixed_0_0_2_covariance[3] + (mixed_0_0_2_covariance[5] * params->dt);
-    moved_covariance_0[3] = t6 + Q[1];
+    const double t1 = mixed_0_0_2_covariance[0] + (params->dt * mixed_0_0_2_covariance[3]);
+    const double t2 = mixed_0_0_2_covariance[3] + (params->dt * mixed_0_0_2_covariance[5]);
+    moved_covariance_0[0] = t1 + (t2 * params->dt) + Q[0];
+    const double t3 = mixed_0_0_2_covariance[1] + (params->dt * mixed_0_0_2_covariance[6]);
+    const double t4 = mixed_0_0_2_covariance[4] + (params->dt * mixed_0_0_2_covariance[8]);
+    moved_covariance_0[1] = t3 + (t4 * params->dt);
+    const double t5 = mixed_0_0_2_covariance[2] + (params->dt * mixed_0_0_2_covariance[7]);
+    const double t6 = mixed_0_0_2_covariance[7] + (params->dt * mixed_0_0_2_covariance[9]);
+    moved_covariance_0[2] = t5 + (t6 * params->dt) + Q[2];
+    const double t7 = mixed_0_0_2_covariance[3] + (mixed_0_0_2_covariance[5] * params->dt);
+    moved_covariance_0[3] = t7 + Q[1];
     moved_covariance_0[4] = mixed_0_0_2_covariance[4] + (mixed_0_0_2_covariance[8] * params->dt);
     moved_covariance_0[5] = mixed_0_0_2_covariance[5] + Q[5];
     moved_covariance_0[6] = mixed_0_0_2_covariance[6] + (mixed_0_0_2_covariance[8] * params->dt);
-    const double t7 = mixed_0_0_2_covariance[7] + (mixed_0_0_2_covariance[9] * params->dt);
-    moved_covariance_0[7] = t7 + Q[3];
+    const double t8 = mixed_0_0_2_covariance[7] + (mixed_0_0_2_covariance[9] * params->dt);
+    moved_covariance_0[7] = t8 + Q[3];
     moved_covariance_0[9] = mixed_0_0_2_covariance[9] + Q[7];
     moved_covariance_0[8] = mixed_0_0_2_covariance[8];
-    const double t8 = path_share_1[0] * path_share_inverse_1;
-    mixed_1_0_1_inverse = 1.0 / (t8 + (path_share_1[1] * path_share_inverse_1) + SHIP_TRACK_TINY);
+    const double t9 = path_share_1[0] * path_share_inverse_1;
+    mixed_1_0_1_inverse = 1.0 / (t9 + (path_share_1[1] * path_share_inverse_1) + SHIP_TRACK_TINY);
     mixed_1_0_1_share[0] = path_share_1[0] * path_share_inverse_1 * mixed_1_0_1_inverse;
     mixed_1_0_1_share[1] = path_share_1[1] * path_share_inverse_1 * mixed_1_0_1_inverse;
     ship_track_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    const double t9 = mixed_1_0_1_mean[0] + (A[0] * mixed_1_0_1_mean[2]);
-    moved_state_1[0] = t9 + (A[4] * mixed_1_0_1_mean[3]);
-    const double t10 = mixed_1_0_1_mean[1] + (A[1] * mixed_1_0_1_mean[2]);
-    moved_state_1[1] = t10 + (A[5] * mixed_1_0_1_mean[3]);
-    moved_state_1[2] = (A[2] * mixed_1_0_1_mean[2]) + (A[6] * mixed_1_0_1_mean[3]);
-    moved_state_1[3] = (A[3] * mixed_1_0_1_mean[2]) + (A[7] * mixed_1_0_1_mean[3]);
-    const double t11 = mixed_1_0_1_covariance[0] + (A[0] * mixed_1_0_1_covariance[3]);
-    const double t12 = t11 + (A[4] * mixed_1_0_1_covariance[6]);
-    const double t13 = mixed_1_0_1_covariance[3] + (A[0] * mixed_1_0_1_covariance[5]);
-    const double t14 = t12 + ((t13 + (A[4] * mixed_1_0_1_covariance[8])) * A[0]);
-    const double t15 = mixed_1_0_1_covariance[6] + (A[0] * mixed_1_0_1_covariance[8]);
-    moved_covariance_1[0] = t14 + ((t15 + (A[4] * mixed_1_0_1_covariance[9])) * A[4]) + Q[8];
-    const double t16 = mixed_1_0_1_covariance[1] + (A[1] * mixed_1_0_1_covariance[3]);
-    const double t17 = t16 + (A[5] * mixed_1_0_1_covariance[6]);
-    const double t18 = mixed_1_0_1_covariance[4] + (A[1] * mixed_1_0_1_covariance[5]);
-    const double t19 = t18 + (A[5] * mixed_1_0_1_covariance[8]);
-    const double t20 = t17 + (t19 * A[0]);
-    const double t21 = mixed_1_0_1_covariance[7] + (A[1] * mixed_1_0_1_covariance[8]);
-    const double t22 = t21 + (A[5] * mixed_1_0_1_covariance[9]);
-    moved_covariance_1[1] = t20 + (t22 * A[4]);
-    const double t23 = mixed_1_0_1_covariance[2] + (A[1] * mixed_1_0_1_covariance[4]);
-    const double t24 = t23 + (A[5] * mixed_1_0_1_covariance[7]) + (t19 * A[1]) + (t22 * A[5]);
-    moved_covariance_1[2] = t24 + Q[10];
-    const double t25 = (A[2] * mixed_1_0_1_covariance[3]) + (A[6] * mixed_1_0_1_covariance[6]);
-    const double t26 = (A[2] * mixed_1_0_1_covariance[5]) + (A[6] * mixed_1_0_1_covariance[8]);
-    const double t27 = t25 + (t26 * A[0]);
-    const double t28 = (A[2] * mixed_1_0_1_covariance[8]) + (A[6] * mixed_1_0_1_covariance[9]);
-    moved_covariance_1[3] = t27 + (t28 * A[4]) + Q[9];
-    const double t29 = (A[2] * mixed_1_0_1_covariance[4]) + (A[6] * mixed_1_0_1_covariance[7]);
-    moved_covariance_1[4] = t29 + (t26 * A[1]) + (t28 * A[5]);
-    moved_covariance_1[5] = (t26 * A[2]) + (t28 * A[6]) + Q[13];
-    const double t30 = (A[3] * mixed_1_0_1_covariance[3]) + (A[7] * mixed_1_0_1_covariance[6]);
-    const double t31 = (A[3] * mixed_1_0_1_covariance[5]) + (A[7] * mixed_1_0_1_covariance[8]);
-    const double t32 = t30 + (t31 * A[0]);
-    const double t33 = (A[3] * mixed_1_0_1_covariance[8]) + (A[7] * mixed_1_0_1_covariance[9]);
-    moved_covariance_1[6] = t32 + (t33 * A[4]);
-    const double t34 = (A[3] * mixed_1_0_1_covariance[4]) + (A[7] * mixed_1_0_1_covariance[7]);
-    moved_covariance_1[7] = t34 + (t31 * A[1]) + (t33 * A[5]) + Q[11];
-    moved_covariance_1[8] = (t31 * A[2]) + (t33 * A[6]);
-    moved_covariance_1[9] = (t31 * A[3]) + (t33 * A[7]) + Q[15];
+    ship_track_mixing_and_prediction_2(A, mixed_1_0_1_mean, moved_state_1);
+    const double t10 = mixed_1_0_1_covariance[0] + (A[0] * mixed_1_0_1_covariance[3]);
+    const double t11 = t10 + (A[4] * mixed_1_0_1_covariance[6]);
+    const double t12 = mixed_1_0_1_covariance[3] + (A[0] * mixed_1_0_1_covariance[5]);
+    const double t13 = t11 + ((t12 + (A[4] * mixed_1_0_1_covariance[8])) * A[0]);
+    const double t14 = mixed_1_0_1_covariance[6] + (A[0] * mixed_1_0_1_covariance[8]);
+    moved_covariance_1[0] = t13 + ((t14 + (A[4] * mixed_1_0_1_covariance[9])) * A[4]) + Q[8];
+    const double t15 = mixed_1_0_1_covariance[1] + (A[1] * mixed_1_0_1_covariance[3]);
+    const double t16 = t15 + (A[5] * mixed_1_0_1_covariance[6]);
+    const double t17 = mixed_1_0_1_covariance[4] + (A[1] * mixed_1_0_1_covariance[5]);
+    const double t18 = t17 + (A[5] * mixed_1_0_1_covariance[8]);
+    const double t19 = t16 + (t18 * A[0]);
+    const double t20 = mixed_1_0_1_covariance[7] + (A[1] * mixed_1_0_1_covariance[8]);
+    const double t21 = t20 + (A[5] * mixed_1_0_1_covariance[9]);
+    moved_covariance_1[1] = t19 + (t21 * A[4]);
+    const double t22 = mixed_1_0_1_covariance[2] + (A[1] * mixed_1_0_1_covariance[4]);
+    const double t23 = t22 + (A[5] * mixed_1_0_1_covariance[7]) + (t18 * A[1]) + (t21 * A[5]);
+    moved_covariance_1[2] = t23 + Q[10];
+    const double t24 = (A[2] * mixed_1_0_1_covariance[3]) + (A[6] * mixed_1_0_1_covariance[6]);
+    const double t25 = (A[2] * mixed_1_0_1_covariance[5]) + (A[6] * mixed_1_0_1_covariance[8]);
+    const double t26 = t24 + (t25 * A[0]);
+    const double t27 = (A[2] * mixed_1_0_1_covariance[8]) + (A[6] * mixed_1_0_1_covariance[9]);
+    moved_covariance_1[3] = t26 + (t27 * A[4]) + Q[9];
+    const double t28 = (A[2] * mixed_1_0_1_covariance[4]) + (A[6] * mixed_1_0_1_covariance[7]);
+    moved_covariance_1[4] = t28 + (t25 * A[1]) + (t27 * A[5]);
+    moved_covariance_1[5] = (t25 * A[2]) + (t27 * A[6]) + Q[13];
+    const double t29 = (A[3] * mixed_1_0_1_covariance[3]) + (A[7] * mixed_1_0_1_covariance[6]);
+    const double t30 = (A[3] * mixed_1_0_1_covariance[5]) + (A[7] * mixed_1_0_1_covariance[8]);
+    const double t31 = t29 + (t30 * A[0]);
+    const double t32 = (A[3] * mixed_1_0_1_covariance[8]) + (A[7] * mixed_1_0_1_covariance[9]);
+    moved_covariance_1[6] = t31 + (t32 * A[4]);
+    const double t33 = (A[3] * mixed_1_0_1_covariance[4]) + (A[7] * mixed_1_0_1_covariance[7]);
+    moved_covariance_1[7] = t33 + (t30 * A[1]) + (t32 * A[5]) + Q[11];
+    moved_covariance_1[8] = (t30 * A[2]) + (t32 * A[6]);
+    moved_covariance_1[9] = (t30 * A[3]) + (t32 * A[7]) + Q[15];
     mixed_2_0_2_share[0] = path_share_2[0] * path_share_inverse_2;
     mixed_2_0_2_share[1] = path_share_2[1] * path_share_inverse_2;
     mixed_2_0_2_apart[0] = mode_filtered_state[0] - mode_filtered_state[8];
     mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
     mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
     mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
-    const double t35 = mixed_2_0_2_share[0] * mode_filtered_state[0];
-    mixed_2_0_2_mean[0] = t35 + (mixed_2_0_2_share[1] * mode_filtered_state[8]);
-    const double t36 = mixed_2_0_2_share[0] * mode_filtered_state[1];
-    mixed_2_0_2_mean[1] = t36 + (mixed_2_0_2_share[1] * mode_filtered_state[9]);
-    const double t37 = mixed_2_0_2_share[0] * mode_filtered_state[2];
-    mixed_2_0_2_mean[2] = t37 + (mixed_2_0_2_share[1] * mode_filtered_state[10]);
+    const double t34 = mixed_2_0_2_share[0] * mode_filtered_state[0];
+    mixed_2_0_2_mean[0] = t34 + (mixed_2_0_2_share[1] * mode_filtered_state[8]);
+    const double t35 = mixed_2_0_2_share[0] * mode_filtered_state[1];
+    mixed_2_0_2_mean[1] = t35 + (mixed_2_0_2_share[1] * mode_filtered_state[9]);
+    const double t36 = mixed_2_0_2_share[0] * mode_filtered_state[2];
+    mixed_2_0_2_mean[2] = t36 + (mixed_2_0_2_share[1] * mode_filtered_state[10]);
 }
 
-/* law of the next mode, and mixing weights. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_law_of_the_next(const double *mode_probability,
-    double *mode_prediction_0, double *mode_prediction_1, const double *log_weight,
-    double *log_path_largest_1, double *path_share_total_1, double *mode_prediction_2,
-    double *log_path_largest_2, double *path_share_total_2, const double *mode_filtered_state,
-    const double *mode_filtered_covariance, double *moved_state_0, double *moved_covariance_0,
-    double *moved_state_1, double *moved_covariance_1, double *moved_state_2,
-    double *moved_covariance_2, double *predicted_0_2_share, double *predicted_0_1_inverse,
+/* combined prediction. */
+SHIP_TRACK_INLINE ship_track_status_t ship_track_combined_prediction(const double *mode_probability,
+    const double *log_weight, const double *mode_filtered_state,
+    const double *mode_filtered_covariance, const double *Q, const double *A,
+    double *predicted_mode_probability, double *predicted_log_weight, double *mode_state,
+    double *mode_covariance, double *predicted_state, double *predicted_covariance,
     const ship_track_params_t *params)
 {
-    double A[16] = { 0.0 };
-    double Q[16] = { 0.0 };
-    double mode_prediction_inverse_0;
-    double mixing_0[3] = { 0.0 };
-    double log_path_1[2] = { 0.0 };
+    double mode_prediction_0 = 0.0;
+    double mode_prediction_1 = 0.0;
+    double log_path_largest_1 = 0.0;
+    double path_share_total_1 = 0.0;
+    double mode_prediction_2 = 0.0;
+    double log_path_largest_2 = 0.0;
+    double path_share_total_2 = 0.0;
+    double moved_state_0[4] = { 0.0 };
+    double moved_covariance_0[10] = { 0.0 };
+    double moved_state_1[4] = { 0.0 };
+    double moved_covariance_1[10] = { 0.0 };
     double mixed_2_0_2_share[2] = { 0.0 };
     double mixed_2_0_2_apart[4] = { 0.0 };
     double mixed_2_0_2_mean[4] = { 0.0 };
     double mixed_2_0_2_covariance[10];
-    const double t0 = params->turn * params->dt;
-    const double t1 = ship_track_sin(t0);
-    const double t2 = t1 / params->turn;
-    const double t3 = ship_track_cos(t0);
-    const double t4 = (1.0 - t3) / params->turn;
-    const double t5 = -t4;
-    const double t6 = -t1;
-    A[0] = t2;
-    A[1] = t4;
-    A[2] = t3;
-    A[3] = t1;
-    A[4] = t5;
-    A[5] = t2;
-    A[6] = t6;
-    A[7] = t3;
-    A[8] = t2;
-    A[9] = t5;
-    A[10] = t3;
-    A[11] = t6;
-    A[12] = t4;
-    A[13] = t2;
-    A[14] = t1;
-    A[15] = t3;
-    const double t7 = params->dt * params->dt;
-    const double t8 = params->dt * t7;
-    const double t9 = (0.02 * t8) / 3.0;
-    const double t10 = (0.02 * t7) / 2.0;
-    const double t11 = 0.02 * params->dt;
-    const double t12 = (0.3 * t8) / 3.0;
-    const double t13 = (0.3 * t7) / 2.0;
-    const double t14 = 0.3 * params->dt;
-    Q[0] = t9;
-    Q[1] = t10;
-    Q[2] = t9;
-    Q[3] = t10;
-    Q[4] = t10;
-    Q[5] = t11;
-    Q[6] = t10;
-    Q[7] = t11;
-    Q[8] = t12;
-    Q[9] = t13;
-    Q[10] = t12;
-    Q[11] = t13;
-    Q[12] = t13;
-    Q[13] = t14;
-    Q[14] = t13;
-    Q[15] = t14;
-    if (!((Q[0] >= 0.0) && (Q[2] >= 0.0) && (Q[5] >= 0.0) && (Q[7] >= 0.0)))
-    {
-        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
-    }
-    if (!((Q[8] >= 0.0) && (Q[10] >= 0.0) && (Q[13] >= 0.0) && (Q[15] >= 0.0)))
-    {
-        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
-    }
-
-    /* law of the next mode, and mixing weights */
-    const double t15 = (0.9 * mode_probability[0]) + (0.15 * mode_probability[1]);
-    mode_prediction_0[0] = t15 + (0.15 * mode_probability[2]);
-    mode_prediction_inverse_0 = 1.0 / mode_prediction_0[0];
-    mixing_0[0] = 0.9 * mode_probability[0] * mode_prediction_inverse_0;
-    mixing_0[1] = 0.15 * mode_probability[1] * mode_prediction_inverse_0;
-    mixing_0[2] = 0.15 * mode_probability[2] * mode_prediction_inverse_0;
-    mode_prediction_1[0] = (0.05 * mode_probability[0]) + (0.85 * mode_probability[1]);
-    log_path_1[0] = log_weight[0] + -2.995732273553991;
-    log_path_1[1] = log_weight[1] + -0.16251892949777494;
-    log_path_largest_1[0] = (log_path_1[0] > log_path_1[1]) ? log_path_1[0] : log_path_1[1];
-    ship_track_mixing_and_prediction_2(log_path_1, log_path_largest_1[0], path_share_total_1,
-        mode_probability, mode_prediction_2, log_weight, log_path_largest_2, path_share_total_2,
-        mixing_0, mode_filtered_state, mode_filtered_covariance, moved_state_0, Q,
-        moved_covariance_0, A, moved_state_1, moved_covariance_1, mixed_2_0_2_share,
-        mixed_2_0_2_apart, mixed_2_0_2_mean, params);
-    const double t16 = mixed_2_0_2_share[0] * mode_filtered_state[3];
-    mixed_2_0_2_mean[3] = t16 + (mixed_2_0_2_share[1] * mode_filtered_state[11]);
-    const double t17 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
-    const double t18 = t17 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
-    const double t19 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
-    mixed_2_0_2_covariance[0] = t18 + (t19 * mixed_2_0_2_apart[0] * mixed_2_0_2_apart[0]);
-    const double t20 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
-    const double t21 = t20 + (mixed_2_0_2_share[1] * mode_filtered_covariance[21]);
-    const double t22 = t19 * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[1] = t21 + (t22 * mixed_2_0_2_apart[0]);
-    const double t23 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
-    const double t24 = t23 + (mixed_2_0_2_share[1] * mode_filtered_covariance[22]);
-    mixed_2_0_2_covariance[2] = t24 + (t22 * mixed_2_0_2_apart[1]);
-    const double t25 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
-    const double t26 = t25 + (mixed_2_0_2_share[1] * mode_filtered_covariance[23]);
-    const double t27 = t19 * mixed_2_0_2_apart[2];
-    mixed_2_0_2_covariance[3] = t26 + (t27 * mixed_2_0_2_apart[0]);
-    const double t28 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
-    const double t29 = t28 + (mixed_2_0_2_share[1] * mode_filtered_covariance[24]);
-    mixed_2_0_2_covariance[4] = t29 + (t27 * mixed_2_0_2_apart[1]);
-    const double t30 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
-    const double t31 = t30 + (mixed_2_0_2_share[1] * mode_filtered_covariance[25]);
-    mixed_2_0_2_covariance[5] = t31 + (t27 * mixed_2_0_2_apart[2]);
-    const double t32 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
-    const double t33 = t32 + (mixed_2_0_2_share[1] * mode_filtered_covariance[26]);
-    const double t34 = t19 * mixed_2_0_2_apart[3];
-    mixed_2_0_2_covariance[6] = t33 + (t34 * mixed_2_0_2_apart[0]);
-    const double t35 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
-    const double t36 = t35 + (mixed_2_0_2_share[1] * mode_filtered_covariance[27]);
-    mixed_2_0_2_covariance[7] = t36 + (t34 * mixed_2_0_2_apart[1]);
-    const double t37 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
-    const double t38 = t37 + (mixed_2_0_2_share[1] * mode_filtered_covariance[28]);
-    mixed_2_0_2_covariance[8] = t38 + (t34 * mixed_2_0_2_apart[2]);
-    const double t39 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
-    const double t40 = t39 + (mixed_2_0_2_share[1] * mode_filtered_covariance[29]);
-    mixed_2_0_2_covariance[9] = t40 + (t34 * mixed_2_0_2_apart[3]);
-    const double t41 = mixed_2_0_2_mean[0] + (A[8] * mixed_2_0_2_mean[2]);
-    moved_state_2[0] = t41 + (A[12] * mixed_2_0_2_mean[3]);
-    const double t42 = mixed_2_0_2_mean[1] + (A[9] * mixed_2_0_2_mean[2]);
-    moved_state_2[1] = t42 + (A[13] * mixed_2_0_2_mean[3]);
-    moved_state_2[2] = (A[10] * mixed_2_0_2_mean[2]) + (A[14] * mixed_2_0_2_mean[3]);
-    moved_state_2[3] = (A[11] * mixed_2_0_2_mean[2]) + (A[15] * mixed_2_0_2_mean[3]);
-    const double t43 = mixed_2_0_2_covariance[0] + (A[8] * mixed_2_0_2_covariance[3]);
-    const double t44 = t43 + (A[12] * mixed_2_0_2_covariance[6]);
-    const double t45 = mixed_2_0_2_covariance[3] + (A[8] * mixed_2_0_2_covariance[5]);
-    const double t46 = t44 + ((t45 + (A[12] * mixed_2_0_2_covariance[8])) * A[8]);
-    const double t47 = mixed_2_0_2_covariance[6] + (A[8] * mixed_2_0_2_covariance[8]);
-    moved_covariance_2[0] = t46 + ((t47 + (A[12] * mixed_2_0_2_covariance[9])) * A[12]) + Q[8];
-    const double t48 = mixed_2_0_2_covariance[1] + (A[9] * mixed_2_0_2_covariance[3]);
-    const double t49 = t48 + (A[13] * mixed_2_0_2_covariance[6]);
-    const double t50 = mixed_2_0_2_covariance[4] + (A[9] * mixed_2_0_2_covariance[5]);
-    const double t51 = t50 + (A[13] * mixed_2_0_2_covariance[8]);
-    const double t52 = t49 + (t51 * A[8]);
-    const double t53 = mixed_2_0_2_covariance[7] + (A[9] * mixed_2_0_2_covariance[8]);
-    const double t54 = t53 + (A[13] * mixed_2_0_2_covariance[9]);
-    moved_covariance_2[1] = t52 + (t54 * A[12]);
-    const double t55 = mixed_2_0_2_covariance[2] + (A[9] * mixed_2_0_2_covariance[4]);
-    const double t56 = t55 + (A[13] * mixed_2_0_2_covariance[7]) + (t51 * A[9]) + (t54 * A[13]);
-    moved_covariance_2[2] = t56 + Q[10];
-    const double t57 = (A[10] * mixed_2_0_2_covariance[3]) + (A[14] * mixed_2_0_2_covariance[6]);
-    const double t58 = (A[10] * mixed_2_0_2_covariance[5]) + (A[14] * mixed_2_0_2_covariance[8]);
-    const double t59 = t57 + (t58 * A[8]);
-    const double t60 = (A[10] * mixed_2_0_2_covariance[8]) + (A[14] * mixed_2_0_2_covariance[9]);
-    moved_covariance_2[3] = t59 + (t60 * A[12]) + Q[9];
-    const double t61 = (A[10] * mixed_2_0_2_covariance[4]) + (A[14] * mixed_2_0_2_covariance[7]);
-    moved_covariance_2[4] = t61 + (t58 * A[9]) + (t60 * A[13]);
-    moved_covariance_2[5] = (t58 * A[10]) + (t60 * A[14]) + Q[13];
-    const double t62 = (A[11] * mixed_2_0_2_covariance[3]) + (A[15] * mixed_2_0_2_covariance[6]);
-    const double t63 = (A[11] * mixed_2_0_2_covariance[5]) + (A[15] * mixed_2_0_2_covariance[8]);
-    const double t64 = t62 + (t63 * A[8]);
-    const double t65 = (A[11] * mixed_2_0_2_covariance[8]) + (A[15] * mixed_2_0_2_covariance[9]);
-    moved_covariance_2[6] = t64 + (t65 * A[12]);
-    const double t66 = (A[11] * mixed_2_0_2_covariance[4]) + (A[15] * mixed_2_0_2_covariance[7]);
-    moved_covariance_2[7] = t66 + (t63 * A[9]) + (t65 * A[13]) + Q[11];
-    moved_covariance_2[8] = (t63 * A[10]) + (t65 * A[14]);
-    moved_covariance_2[9] = (t63 * A[11]) + (t65 * A[15]) + Q[15];
+    double moved_state_2[4] = { 0.0 };
+    double moved_covariance_2[10] = { 0.0 };
+    double predicted_0_2_share[2] = { 0.0 };
+    double predicted_0_1_inverse;
+    double predicted_0_1_share[2] = { 0.0 };
+    double predicted_0_2_mean[4] = { 0.0 };
+    double predicted_0_2_covariance[10] = { 0.0 };
+    ship_track_mixing_and_prediction_3(mode_probability, &mode_prediction_0, &mode_prediction_1,
+        log_weight, &log_path_largest_1, &path_share_total_1, &mode_prediction_2,
+        &log_path_largest_2, &path_share_total_2, mode_filtered_state, mode_filtered_covariance,
+        moved_state_0, Q, moved_covariance_0, A, moved_state_1, moved_covariance_1,
+        mixed_2_0_2_share, mixed_2_0_2_apart, mixed_2_0_2_mean, params);
+    const double t0 = mixed_2_0_2_share[0] * mode_filtered_state[3];
+    mixed_2_0_2_mean[3] = t0 + (mixed_2_0_2_share[1] * mode_filtered_state[11]);
+    const double t1 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
+    const double t2 = t1 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
+    const double t3 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
+    mixed_2_0_2_covariance[0] = t2 + (t3 * mixed_2_0_2_apart[0] * mixed_2_0_2_apart[0]);
+    const double t4 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
+    const double t5 = t4 + (mixed_2_0_2_share[1] * mode_filtered_covariance[21]);
+    const double t6 = t3 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[1] = t5 + (t6 * mixed_2_0_2_apart[0]);
+    const double t7 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
+    const double t8 = t7 + (mixed_2_0_2_share[1] * mode_filtered_covariance[22]);
+    mixed_2_0_2_covariance[2] = t8 + (t6 * mixed_2_0_2_apart[1]);
+    const double t9 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
+    const double t10 = t9 + (mixed_2_0_2_share[1] * mode_filtered_covariance[23]);
+    const double t11 = t3 * mixed_2_0_2_apart[2];
+    mixed_2_0_2_covariance[3] = t10 + (t11 * mixed_2_0_2_apart[0]);
+    const double t12 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
+    const double t13 = t12 + (mixed_2_0_2_share[1] * mode_filtered_covariance[24]);
+    mixed_2_0_2_covariance[4] = t13 + (t11 * mixed_2_0_2_apart[1]);
+    const double t14 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
+    const double t15 = t14 + (mixed_2_0_2_share[1] * mode_filtered_covariance[25]);
+    mixed_2_0_2_covariance[5] = t15 + (t11 * mixed_2_0_2_apart[2]);
+    const double t16 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
+    const double t17 = t16 + (mixed_2_0_2_share[1] * mode_filtered_covariance[26]);
+    const double t18 = t3 * mixed_2_0_2_apart[3];
+    mixed_2_0_2_covariance[6] = t17 + (t18 * mixed_2_0_2_apart[0]);
+    const double t19 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
+    const double t20 = t19 + (mixed_2_0_2_share[1] * mode_filtered_covariance[27]);
+    mixed_2_0_2_covariance[7] = t20 + (t18 * mixed_2_0_2_apart[1]);
+    const double t21 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
+    const double t22 = t21 + (mixed_2_0_2_share[1] * mode_filtered_covariance[28]);
+    mixed_2_0_2_covariance[8] = t22 + (t18 * mixed_2_0_2_apart[2]);
+    const double t23 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
+    const double t24 = t23 + (mixed_2_0_2_share[1] * mode_filtered_covariance[29]);
+    mixed_2_0_2_covariance[9] = t24 + (t18 * mixed_2_0_2_apart[3]);
+    ship_track_mixing_and_prediction_2(&A[8], mixed_2_0_2_mean, moved_state_2);
+    const double t25 = mixed_2_0_2_covariance[0] + (A[8] * mixed_2_0_2_covariance[3]);
+    const double t26 = t25 + (A[12] * mixed_2_0_2_covariance[6]);
+    const double t27 = mixed_2_0_2_covariance[3] + (A[8] * mixed_2_0_2_covariance[5]);
+    const double t28 = t26 + ((t27 + (A[12] * mixed_2_0_2_covariance[8])) * A[8]);
+    const double t29 = mixed_2_0_2_covariance[6] + (A[8] * mixed_2_0_2_covariance[8]);
+    moved_covariance_2[0] = t28 + ((t29 + (A[12] * mixed_2_0_2_covariance[9])) * A[12]) + Q[8];
+    const double t30 = mixed_2_0_2_covariance[1] + (A[9] * mixed_2_0_2_covariance[3]);
+    const double t31 = t30 + (A[13] * mixed_2_0_2_covariance[6]);
+    const double t32 = mixed_2_0_2_covariance[4] + (A[9] * mixed_2_0_2_covariance[5]);
+    const double t33 = t32 + (A[13] * mixed_2_0_2_covariance[8]);
+    const double t34 = t31 + (t33 * A[8]);
+    const double t35 = mixed_2_0_2_covariance[7] + (A[9] * mixed_2_0_2_covariance[8]);
+    const double t36 = t35 + (A[13] * mixed_2_0_2_covariance[9]);
+    moved_covariance_2[1] = t34 + (t36 * A[12]);
+    const double t37 = mixed_2_0_2_covariance[2] + (A[9] * mixed_2_0_2_covariance[4]);
+    const double t38 = t37 + (A[13] * mixed_2_0_2_covariance[7]) + (t33 * A[9]) + (t36 * A[13]);
+    moved_covariance_2[2] = t38 + Q[10];
+    const double t39 = (A[10] * mixed_2_0_2_covariance[3]) + (A[14] * mixed_2_0_2_covariance[6]);
+    const double t40 = (A[10] * mixed_2_0_2_covariance[5]) + (A[14] * mixed_2_0_2_covariance[8]);
+    const double t41 = t39 + (t40 * A[8]);
+    const double t42 = (A[10] * mixed_2_0_2_covariance[8]) + (A[14] * mixed_2_0_2_covariance[9]);
+    moved_covariance_2[3] = t41 + (t42 * A[12]) + Q[9];
+    const double t43 = (A[10] * mixed_2_0_2_covariance[4]) + (A[14] * mixed_2_0_2_covariance[7]);
+    moved_covariance_2[4] = t43 + (t40 * A[9]) + (t42 * A[13]);
+    moved_covariance_2[5] = (t40 * A[10]) + (t42 * A[14]) + Q[13];
+    const double t44 = (A[11] * mixed_2_0_2_covariance[3]) + (A[15] * mixed_2_0_2_covariance[6]);
+    const double t45 = (A[11] * mixed_2_0_2_covariance[5]) + (A[15] * mixed_2_0_2_covariance[8]);
+    const double t46 = t44 + (t45 * A[8]);
+    const double t47 = (A[11] * mixed_2_0_2_covariance[8]) + (A[15] * mixed_2_0_2_covariance[9]);
+    moved_covariance_2[6] = t46 + (t47 * A[12]);
+    const double t48 = (A[11] * mixed_2_0_2_covariance[4]) + (A[15] * mixed_2_0_2_covariance[7]);
+    moved_covariance_2[7] = t48 + (t45 * A[9]) + (t47 * A[13]) + Q[11];
+    moved_covariance_2[8] = (t45 * A[10]) + (t47 * A[14]);
+    moved_covariance_2[9] = (t45 * A[11]) + (t47 * A[15]) + Q[15];
 
     /* combined prediction */
-    predicted_0_2_share[0] = mode_prediction_0[0] + mode_prediction_1[0];
-    predicted_0_2_share[1] = mode_prediction_2[0];
-    const double t67 = mode_prediction_0[0] + mode_prediction_1[0] + SHIP_TRACK_TINY;
-    predicted_0_1_inverse[0] = 1.0 / t67;
+    predicted_0_2_share[0] = mode_prediction_0 + mode_prediction_1;
+    predicted_0_2_share[1] = mode_prediction_2;
+    predicted_0_1_inverse = 1.0 / (mode_prediction_0 + mode_prediction_1 + SHIP_TRACK_TINY);
+    predicted_0_1_share[0] = mode_prediction_0 * predicted_0_1_inverse;
+    predicted_0_1_share[1] = mode_prediction_1 * predicted_0_1_inverse;
+    ship_track_part_2(moved_state_0, moved_state_1, predicted_0_1_share, moved_covariance_0,
+        moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
+        moved_covariance_2, predicted_0_2_covariance);
+    predicted_log_weight[0] = ship_track_log(mode_prediction_0);
+    predicted_log_weight[1] = log_path_largest_1 + ship_track_log(path_share_total_1);
+    predicted_log_weight[2] = log_path_largest_2 + ship_track_log(path_share_total_2);
+    const double t49 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0];
+    const double t50 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1];
+    const double t51 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2];
+    const double t52 = moved_state_0[3] + moved_state_1[3] + moved_state_2[3];
+    const double t53 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
+    const double t54 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
+    const double t55 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
+    const double t56 = moved_covariance_0[9] + moved_covariance_1[9] + moved_covariance_2[9];
+    if (!ship_track_finite(ship_track_defect(t49) + ship_track_defect(t50) +
+        ship_track_defect(t51) + ship_track_defect(t52) + ship_track_defect(t53) +
+        ship_track_defect(t54) + ship_track_defect(t55) + ship_track_defect(t56)))
+    {
+        return SHIP_TRACK_RESULT_NOT_FINITE;
+    }
+    predicted_mode_probability[0] = mode_prediction_0;
+    predicted_mode_probability[1] = mode_prediction_1;
+    predicted_mode_probability[2] = mode_prediction_2;
+    mode_state[0] = moved_state_0[0];
+    mode_state[1] = moved_state_0[1];
+    mode_state[2] = moved_state_0[2];
+    mode_state[3] = moved_state_0[3];
+    mode_state[4] = moved_state_1[0];
+    mode_state[5] = moved_state_1[1];
+    mode_state[6] = moved_state_1[2];
+    mode_state[7] = moved_state_1[3];
+    mode_state[8] = moved_state_2[0];
+    mode_state[9] = moved_state_2[1];
+    mode_state[10] = moved_state_2[2];
+    mode_state[11] = moved_state_2[3];
+    ship_track_copy(moved_covariance_0, mode_covariance, 10);
+    ship_track_copy(moved_covariance_1, &mode_covariance[10], 10);
+    ship_track_copy(moved_covariance_2, &mode_covariance[20], 10);
+    predicted_state[0] = predicted_0_2_mean[0];
+    predicted_state[1] = predicted_0_2_mean[1];
+    predicted_state[2] = predicted_0_2_mean[2];
+    predicted_state[3] = predicted_0_2_mean[3];
+    ship_track_copy(predicted_0_2_covariance, predicted_covariance, 10);
     return SHIP_TRACK_OK;
 }
 
@@ -1145,10 +1172,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double variance_m0[10] = { 0.0 };
     double mean_m0[4] = { 0.0 };
     double covariance_m0[10] = { 0.0 };
-    double quadratic_m0 = 0.0;
-    double log_constant_m0 = 0.0;
-    double determinant_m0_0 = 1.0;
-    double log_density_m0;
+    double log_density_m0 = 0.0;
     double innovation_m1_0 = 0.0;
     double innovation_m1_1 = 0.0;
     double innovation_m1_2 = 0.0;
@@ -1156,10 +1180,7 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double variance_m1[10] = { 0.0 };
     double mean_m1[4] = { 0.0 };
     double covariance_m1[10] = { 0.0 };
-    double quadratic_m1 = 0.0;
-    double log_constant_m1 = 0.0;
-    double determinant_m1_0 = 1.0;
-    double log_density_m1;
+    double log_density_m1 = 0.0;
     double innovation_m2_0 = 0.0;
     double innovation_m2_1 = 0.0;
     double innovation_m2_2 = 0.0;
@@ -1185,16 +1206,16 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double predicted_y_m2[4] = { 0.0 };
     double combined_variance[10] = { 0.0 };
     double combined_innovation[4] = { 0.0 };
-    double whitening_pivot_combined_0;
+    double whitening_pivot_combined_0 = 0.0;
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1 = 0.0;
     double whitening_combined_0_2 = 0.0;
     double whitening_combined_0_3 = 0.0;
-    double whitening_pivot_combined_1;
+    double whitening_pivot_combined_1 = 0.0;
     double whitening_inverse_combined_1 = 0.0;
     double whitening_combined_1_2 = 0.0;
     double whitening_combined_1_3 = 0.0;
-    double whitening_pivot_combined_2;
+    double whitening_pivot_combined_2 = 0.0;
     double whitening_inverse_combined_2 = 0.0;
     double whitening_combined_2_3 = 0.0;
     double whitening_pivot_combined_3;
@@ -1222,18 +1243,16 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     }
 
     /* mode 0: the model: innovation, row by row */
-    status = ship_track_mode(y, self->mode_state, &innovation_m0_0, &innovation_m0_1,
+    status = ship_track_mode_2(y, self->mode_state, &innovation_m0_0, &innovation_m0_1,
         &innovation_m0_2, &innovation_m0_3, self->mode_covariance, variance_m0, mean_m0,
-        covariance_m0, &quadratic_m0, &log_constant_m0, &determinant_m0_0, present);
+        covariance_m0, &log_density_m0, present);
     if (status != SHIP_TRACK_OK) { return status; }
-    log_density_m0 = -0.5 * (quadratic_m0 + (log_constant_m0 + ship_track_log(determinant_m0_0)));
 
     /* mode 1: with its own A, Q: innovation, row by row */
-    status = ship_track_mode(y, &self->mode_state[4], &innovation_m1_0, &innovation_m1_1,
+    status = ship_track_mode_2(y, &self->mode_state[4], &innovation_m1_0, &innovation_m1_1,
         &innovation_m1_2, &innovation_m1_3, &self->mode_covariance[10], variance_m1, mean_m1,
-        covariance_m1, &quadratic_m1, &log_constant_m1, &determinant_m1_0, present);
+        covariance_m1, &log_density_m1, present);
     if (status != SHIP_TRACK_OK) { return status; }
-    log_density_m1 = -0.5 * (quadratic_m1 + (log_constant_m1 + ship_track_log(determinant_m1_0)));
 
     /* mode 2: with its own A, Q: innovation, row by row */
     status = ship_track_mode(y, &self->mode_state[8], &innovation_m2_0, &innovation_m2_1,
@@ -1293,8 +1312,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     predicted_y_m2[1] = self->mode_state[9];
     predicted_y_m2[2] = self->mode_state[10];
     predicted_y_m2[3] = self->mode_state[11];
-    ship_track_innovation_of_the_mixture(self->predicted_mode_probability, variance_m0, variance_m1,
-        variance_m2, predicted_y_m0, predicted_y_m1, predicted_y_m2, combined_variance);
+    ship_track_innovation_of_the_mixture_2(self->predicted_mode_probability, variance_m0,
+        variance_m1, variance_m2, predicted_y_m0, predicted_y_m1, predicted_y_m2,
+        combined_variance);
     const double t5 = self->predicted_mode_probability[0] * innovation_m0_0;
     const double t6 = t5 + (self->predicted_mode_probability[1] * innovation_m1_0);
     combined_innovation[0] = t6 + (self->predicted_mode_probability[2] * innovation_m2_0);
@@ -1308,21 +1328,17 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     const double t12 = t11 + (self->predicted_mode_probability[1] * innovation_m1_3);
     combined_innovation[3] = t12 + (self->predicted_mode_probability[2] * innovation_m2_3);
     whitening_pivot_combined_0 = combined_variance[0];
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(whitening_pivot_combined_0 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
-    }
+    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_0,
+        &whitening_inverse_combined_0, ((present & 0x1u) != 0u));
+    if (status != SHIP_TRACK_OK) { return status; }
     whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
     whitening_combined_0_2 = combined_variance[3] * whitening_inverse_combined_0;
     whitening_combined_0_3 = combined_variance[6] * whitening_inverse_combined_0;
     const double t13 = whitening_combined_0_1 * combined_variance[1];
     whitening_pivot_combined_1 = combined_variance[2] - t13;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(whitening_pivot_combined_1 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
-    }
+    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_1,
+        &whitening_inverse_combined_1, ((present & 0x2u) != 0u));
+    if (status != SHIP_TRACK_OK) { return status; }
     const double t14 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
     whitening_combined_1_2 = t14 * whitening_inverse_combined_1;
     const double t15 = combined_variance[7] - (whitening_combined_0_3 * combined_variance[1]);
@@ -1330,11 +1346,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     const double t16 = combined_variance[5] - (whitening_combined_0_2 * combined_variance[3]);
     const double t17 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
     whitening_pivot_combined_2 = t16 - (whitening_combined_1_2 * t17);
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(whitening_pivot_combined_2 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_2 = 1.0 / whitening_pivot_combined_2;
-    }
+    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_2,
+        &whitening_inverse_combined_2, ((present & 0x4u) != 0u));
+    if (status != SHIP_TRACK_OK) { return status; }
     const double t18 = combined_variance[8] - (whitening_combined_0_3 * combined_variance[3]);
     const double t19 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
     const double t20 = t18 - (whitening_combined_1_3 * t19);
@@ -1382,77 +1396,71 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
 SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *self,
     const ship_track_params_t *params, ship_track_t *next)
 {
-    double mode_prediction_0 = 0.0;
-    double mode_prediction_1 = 0.0;
-    double log_path_largest_1 = 0.0;
-    double path_share_total_1 = 0.0;
-    double mode_prediction_2 = 0.0;
-    double log_path_largest_2 = 0.0;
-    double path_share_total_2 = 0.0;
-    double moved_state_0[4] = { 0.0 };
-    double moved_covariance_0[10] = { 0.0 };
-    double moved_state_1[4] = { 0.0 };
-    double moved_covariance_1[10] = { 0.0 };
-    double moved_state_2[4] = { 0.0 };
-    double moved_covariance_2[10] = { 0.0 };
-    double predicted_0_2_share[2] = { 0.0 };
-    double predicted_0_1_inverse = 0.0;
-    double predicted_0_1_share[2] = { 0.0 };
-    double predicted_0_2_mean[4] = { 0.0 };
-    double predicted_0_2_covariance[10] = { 0.0 };
+    double A[16] = { 0.0 };
+    double Q[16] = { 0.0 };
     ship_track_status_t status;
-    status = ship_track_law_of_the_next(self->mode_probability, &mode_prediction_0,
-        &mode_prediction_1, self->log_weight, &log_path_largest_1, &path_share_total_1,
-        &mode_prediction_2, &log_path_largest_2, &path_share_total_2, self->mode_filtered_state,
-        self->mode_filtered_covariance, moved_state_0, moved_covariance_0, moved_state_1,
-        moved_covariance_1, moved_state_2, moved_covariance_2, predicted_0_2_share,
-        &predicted_0_1_inverse, params);
-    if (status != SHIP_TRACK_OK) { return status; }
-    predicted_0_1_share[0] = mode_prediction_0 * predicted_0_1_inverse;
-    predicted_0_1_share[1] = mode_prediction_1 * predicted_0_1_inverse;
-    ship_track_part_2(moved_state_0, moved_state_1, predicted_0_1_share, moved_covariance_0,
-        moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
-        moved_covariance_2, predicted_0_2_covariance);
-    next->predicted_log_weight[0] = ship_track_log(mode_prediction_0);
-    next->predicted_log_weight[1] = log_path_largest_1 + ship_track_log(path_share_total_1);
-    next->predicted_log_weight[2] = log_path_largest_2 + ship_track_log(path_share_total_2);
-    const double t0 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0];
-    const double t1 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1];
-    const double t2 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2];
-    const double t3 = moved_state_0[3] + moved_state_1[3] + moved_state_2[3];
-    const double t4 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
-    const double t5 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
-    const double t6 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
-    const double t7 = moved_covariance_0[9] + moved_covariance_1[9] + moved_covariance_2[9];
-    if (!ship_track_finite(ship_track_defect(t0) + ship_track_defect(t1) + ship_track_defect(t2) +
-        ship_track_defect(t3) + ship_track_defect(t4) + ship_track_defect(t5) +
-        ship_track_defect(t6) + ship_track_defect(t7)))
+    const double t0 = params->turn * params->dt;
+    const double t1 = ship_track_sin(t0);
+    const double t2 = t1 / params->turn;
+    const double t3 = ship_track_cos(t0);
+    const double t4 = (1.0 - t3) / params->turn;
+    const double t5 = -t4;
+    const double t6 = -t1;
+    A[0] = t2;
+    A[1] = t4;
+    A[2] = t3;
+    A[3] = t1;
+    A[4] = t5;
+    A[5] = t2;
+    A[6] = t6;
+    A[7] = t3;
+    A[8] = t2;
+    A[9] = t5;
+    A[10] = t3;
+    A[11] = t6;
+    A[12] = t4;
+    A[13] = t2;
+    A[14] = t1;
+    A[15] = t3;
+    const double t7 = params->dt * params->dt;
+    const double t8 = params->dt * t7;
+    const double t9 = (0.02 * t8) / 3.0;
+    const double t10 = (0.02 * t7) / 2.0;
+    const double t11 = 0.02 * params->dt;
+    const double t12 = (0.3 * t8) / 3.0;
+    const double t13 = (0.3 * t7) / 2.0;
+    const double t14 = 0.3 * params->dt;
+    Q[0] = t9;
+    Q[1] = t10;
+    Q[2] = t9;
+    Q[3] = t10;
+    Q[4] = t10;
+    Q[5] = t11;
+    Q[6] = t10;
+    Q[7] = t11;
+    Q[8] = t12;
+    Q[9] = t13;
+    Q[10] = t12;
+    Q[11] = t13;
+    Q[12] = t13;
+    Q[13] = t14;
+    Q[14] = t13;
+    Q[15] = t14;
+    if (!((Q[0] >= 0.0) && (Q[2] >= 0.0) && (Q[5] >= 0.0) && (Q[7] >= 0.0)))
     {
-        return SHIP_TRACK_RESULT_NOT_FINITE;
+        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
     }
-    next->predicted_mode_probability[0] = mode_prediction_0;
-    next->predicted_mode_probability[1] = mode_prediction_1;
-    next->predicted_mode_probability[2] = mode_prediction_2;
-    next->mode_state[0] = moved_state_0[0];
-    next->mode_state[1] = moved_state_0[1];
-    next->mode_state[2] = moved_state_0[2];
-    next->mode_state[3] = moved_state_0[3];
-    next->mode_state[4] = moved_state_1[0];
-    next->mode_state[5] = moved_state_1[1];
-    next->mode_state[6] = moved_state_1[2];
-    next->mode_state[7] = moved_state_1[3];
-    next->mode_state[8] = moved_state_2[0];
-    next->mode_state[9] = moved_state_2[1];
-    next->mode_state[10] = moved_state_2[2];
-    next->mode_state[11] = moved_state_2[3];
-    ship_track_copy(moved_covariance_0, next->mode_covariance, 10);
-    ship_track_copy(moved_covariance_1, &next->mode_covariance[10], 10);
-    ship_track_copy(moved_covariance_2, &next->mode_covariance[20], 10);
-    next->predicted_state[0] = predicted_0_2_mean[0];
-    next->predicted_state[1] = predicted_0_2_mean[1];
-    next->predicted_state[2] = predicted_0_2_mean[2];
-    next->predicted_state[3] = predicted_0_2_mean[3];
-    ship_track_copy(predicted_0_2_covariance, next->predicted_covariance, 10);
+    if (!((Q[8] >= 0.0) && (Q[10] >= 0.0) && (Q[13] >= 0.0) && (Q[15] >= 0.0)))
+    {
+        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
+    }
+
+    /* law of the next mode, and mixing weights */
+    status = ship_track_combined_prediction(self->mode_probability, self->log_weight,
+        self->mode_filtered_state, self->mode_filtered_covariance, Q, A,
+        next->predicted_mode_probability, next->predicted_log_weight, next->mode_state,
+        next->mode_covariance, next->predicted_state, next->predicted_covariance, params);
+    if (status != SHIP_TRACK_OK) { return status; }
     return SHIP_TRACK_OK;
 }
 

@@ -340,6 +340,24 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_2(const do
     return WHEEL_DRIFT_OK;
 }
 
+/* filter with group 0, 1, 2, 3; filter with group 0; filter with group 0, 1, 2; filter with group
+ * 0, 1. */
+WHEEL_DRIFT_INLINE void wheel_drift_filter_with_group_11(const double innovation_4,
+    const double predicted_compression_deviation, double *innovation, const double innovation_5,
+    double *innovation_2, uint32_t present)
+{
+    if ((present & 0x10u) != 0u)
+    {
+        innovation[0] = innovation_4 - predicted_compression_deviation;
+    }
+    if ((present & 0x20u) != 0u)
+    {
+        innovation_2[0] = innovation_5 - predicted_compression_deviation;
+    }
+
+    /* filter with group 0, 1, 2, 3 */
+}
+
 /* What differs between the calls of wheel_drift_filter_with_group_9, a row for each. */
 static const double wheel_drift_filter_with_group_9_numbers[2][1] = {
     { 0.25 },
@@ -385,16 +403,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_3(const do
     {
         innovation_0 = innovation - (numbers[0] * predicted_compression_deviation[0]);
     }
-    if ((present & 0x10u) != 0u)
-    {
-        innovation_1 = innovation_4 - predicted_compression_deviation[0];
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        innovation_2 = innovation_5 - predicted_compression_deviation[0];
-    }
-
-    /* filter with group 0 */
+    wheel_drift_filter_with_group_11(innovation_4, predicted_compression_deviation[0],
+        &innovation_1, innovation_5, &innovation_2, present);
     mean[0] = predicted_compression_deviation[0];
     mean[1] = predicted_compression_deviation[1];
     covariance[0] = predicted_compression_covariance[0];
@@ -458,16 +468,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_4(const do
     {
         innovation_2_2 = innovation_3 - (0.9903931860948796 * predicted_compression_deviation[0]);
     }
-    if ((present & 0x10u) != 0u)
-    {
-        innovation_3_2 = innovation_4 - predicted_compression_deviation[0];
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        innovation_4_2 = innovation_5 - predicted_compression_deviation[0];
-    }
-
-    /* filter with group 0, 1, 2 */
+    wheel_drift_filter_with_group_11(innovation_4, predicted_compression_deviation[0],
+        &innovation_3_2, innovation_5, &innovation_4_2, present);
     mean[0] = predicted_compression_deviation[0];
     mean[1] = predicted_compression_deviation[1];
     covariance[0] = predicted_compression_covariance[0];
@@ -545,16 +547,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_5(const do
     {
         innovation_1 = innovation_2 - (numbers[1] * predicted_compression_deviation[0]);
     }
-    if ((present & 0x10u) != 0u)
-    {
-        innovation_2_2 = innovation_4 - predicted_compression_deviation[0];
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        innovation_3 = innovation_5 - predicted_compression_deviation[0];
-    }
-
-    /* filter with group 0, 1 */
+    wheel_drift_filter_with_group_11(innovation_4, predicted_compression_deviation[0],
+        &innovation_2_2, innovation_5, &innovation_3, present);
     mean[0] = predicted_compression_deviation[0];
     mean[1] = predicted_compression_deviation[1];
     covariance[0] = predicted_compression_covariance[0];
@@ -727,16 +721,6 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct_2(const double
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
-    if (!((predicted_compression_covariance[9] >= 0.0) && (predicted_compression_covariance[11] >=
-        0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((predicted_compression_covariance[12] >= 0.0) && (predicted_compression_covariance[14] >=
-        0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
     return WHEEL_DRIFT_OK;
 }
 
@@ -754,23 +738,87 @@ WHEEL_DRIFT_INLINE void wheel_drift_prediction_of_the_next_3(const double *compr
     predicted_compression_covariance[9] = compression_covariance[9] + t3;
     const double t4 = compression_covariance[13] * A;
     predicted_compression_covariance[12] = compression_covariance[12] + t4;
-    const double t5 = compression_covariance[16] * A;
-    predicted_compression_covariance[15] = compression_covariance[15] + t5;
-    const double t6 = compression_covariance[19] * A;
-    predicted_compression_covariance[18] = compression_covariance[18] + t6;
 }
 
-/* filter with group 0, 1, 2: innovation, row by row. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_11(const double
-    *predicted_compression_deviation, const double innovation_0, const double innovation_1,
-    const double innovation_2, const double innovation_4, const double innovation_5,
+/* filter with group 0, 1: innovation, row by row; filter with group 1, 2: innovation, row by
+ * row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const double
+    *predicted_compression_deviation, const double innovation, const double innovation_2,
+    const double innovation_4, const double innovation_5,
+    const double *predicted_compression_covariance, double *covariance, const double *mean_host,
+    double *deviation, const double innovation_3, double *covariance_2, double *deviation_2,
+    const double *numbers_of_0, const double *numbers_of_1, const double *numbers_of_2,
+    const double *numbers_of_3, const double *numbers_of_4, const double *numbers_of_5,
+    uint32_t present, int row_0, int row_1, int row_2)
+{
+    wheel_drift_status_t status;
+
+    /* filter with group 0, 1: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(predicted_compression_deviation, innovation,
+        innovation_2, innovation_4, innovation_5, predicted_compression_covariance, covariance,
+        mean_host, deviation, numbers_of_0, numbers_of_1, numbers_of_2, present, row_0, row_1);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[2], innovation,
+        innovation_3, innovation_4, innovation_5, &predicted_compression_covariance[3],
+        covariance_2, mean_host, deviation_2, numbers_of_3, numbers_of_4, numbers_of_5, present,
+        row_0, row_2);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    return WHEEL_DRIFT_OK;
+}
+
+/* filter with group 0: innovation, row by row; filter with group 2: innovation, row by row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_13(const double
+    *predicted_compression_deviation, const double innovation, const double innovation_4,
+    const double innovation_5, const double *predicted_compression_covariance, double *covariance,
+    const double *mean_host, double *deviation, const double innovation_2, double *covariance_2,
+    double *deviation_2, const double *numbers_of_0, const double *numbers_of_1,
+    const double *numbers_of_2, const double *numbers_of_3, uint32_t present, int row_0, int row_1)
+{
+    wheel_drift_status_t status;
+
+    /* filter with group 0: innovation, row by row */
+    status = wheel_drift_filter_with_group_3(predicted_compression_deviation, innovation,
+        innovation_4, innovation_5, predicted_compression_covariance, covariance, mean_host,
+        deviation, numbers_of_0, numbers_of_1, present, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 1: innovation, row by row */
+    status = wheel_drift_filter_with_group_3(&predicted_compression_deviation[2], innovation_2,
+        innovation_4, innovation_5, &predicted_compression_covariance[3], covariance_2, mean_host,
+        deviation_2, numbers_of_2, numbers_of_3, present, row_1);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    return WHEEL_DRIFT_OK;
+}
+
+/* verdict on group 1; verdict on group 2; verdict on group 3. */
+WHEEL_DRIFT_INLINE void wheel_drift_verdict_on_group(const double collecting, double *accepted,
+    double *rejected, const double statistic, const double threshold)
+{
+    accepted[0] = collecting;
+    rejected[0] = 0.0;
+    const double t0 = statistic - threshold;
+    if (t0 > 0.0)
+    {
+        accepted[0] = 0.0;
+        rejected[0] = 1.0;
+    }
+
+    /* verdict on group 1 */
+}
+
+/* filter with group 2, 3: innovation, row by row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_14(const double
+    *predicted_compression_deviation, const double innovation_2, const double innovation_3,
+    const double innovation_4, const double innovation_5,
     const double *predicted_compression_covariance, const double *mean_host,
-    const double innovation_3, const double *host_state, const double *deviation_compression,
-    const double *deviation_compression1, const double *deviation_compression2,
-    const double *deviation_compression3, const double *deviation_compression4,
-    const double *deviation_compression5, const double *deviation_compression6,
-    const double *deviation_compression7, const double *deviation_compression8,
-    const double *deviation_compression9, const double *predicted_collecting,
+    const double innovation_0, const double innovation_1, const double *host_state,
+    const double *deviation_compression, const double *deviation_compression1,
+    const double *deviation_compression2, const double *deviation_compression3,
+    const double *deviation_compression4, const double *deviation_compression5,
+    const double *deviation_compression6, const double *deviation_compression7,
+    const double *deviation_compression8, const double *predicted_collecting,
     const double predicted_covariance, const double determinant_host_0,
     const double log_constant_host, const double quadratic_host, double *filtered_state,
     const double *covariance_host, double *filtered_covariance, double *compression_deviation,
@@ -779,11 +827,12 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_11(const d
     const double *covariance_compression3, const double *covariance_compression4,
     const double *covariance_compression5, const double *covariance_compression6,
     const double *covariance_compression7, const double *covariance_compression8,
-    const double *covariance_compression9, double *innovation, double *innovation_covariance,
-    double *nis, double *log_likelihood, const double predicted_window_left, double *window_left,
-    double *collecting, double *test_statistic, double *test_dof, double *fault_declared,
-    uint32_t present)
+    double *innovation, double *innovation_covariance, double *nis, double *log_likelihood,
+    const double predicted_window_left, double *window_left, double *collecting,
+    double *test_statistic, double *test_dof, double *fault_declared, uint32_t present)
 {
+    double covariance_compression9[3] = { 0.0 };
+    double deviation_compression9[2] = { 0.0 };
     double covariance_compression10[3] = { 0.0 };
     double deviation_compression10[2] = { 0.0 };
     double covariance_compression11[3] = { 0.0 };
@@ -807,37 +856,46 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_11(const d
     double collecting_3;
     wheel_drift_status_t status;
 
+    /* filter with group 2, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(predicted_compression_deviation, innovation_2,
+        innovation_3, innovation_4, innovation_5, predicted_compression_covariance,
+        covariance_compression9, mean_host, deviation_compression9,
+        wheel_drift_filter_with_group_5_numbers[5], wheel_drift_filter_with_group_2_numbers[9],
+        wheel_drift_filter_with_group_numbers[5], present, ((present & 0x4u) != 0u),
+        ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
     /* filter with group 0, 1, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(predicted_compression_deviation, innovation_0,
-        innovation_1, innovation_2, innovation_4, innovation_5, predicted_compression_covariance,
-        covariance_compression10, mean_host, deviation_compression10,
-        wheel_drift_filter_with_group_4_numbers[0], wheel_drift_filter_with_group_2_numbers[10],
-        wheel_drift_filter_with_group_numbers[6], present, ((present & 0x1u) != 0u),
-        ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[2], innovation_0,
+        innovation_1, innovation_2, innovation_4, innovation_5,
+        &predicted_compression_covariance[3], covariance_compression10, mean_host,
+        deviation_compression10, wheel_drift_filter_with_group_4_numbers[0],
+        wheel_drift_filter_with_group_2_numbers[10], wheel_drift_filter_with_group_numbers[6],
+        present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[2], innovation_0,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[4], innovation_0,
         innovation_1, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[3], covariance_compression11, mean_host,
+        &predicted_compression_covariance[6], covariance_compression11, mean_host,
         deviation_compression11, wheel_drift_filter_with_group_4_numbers[1],
         wheel_drift_filter_with_group_2_numbers[11], wheel_drift_filter_with_group_numbers[7],
         present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[4], innovation_0,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[6], innovation_0,
         innovation_2, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[6], covariance_compression12, mean_host,
+        &predicted_compression_covariance[9], covariance_compression12, mean_host,
         deviation_compression12, wheel_drift_filter_with_group_4_numbers[2],
         wheel_drift_filter_with_group_2_numbers[12], wheel_drift_filter_with_group_numbers[8],
         present, ((present & 0x1u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 1, 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[6], innovation_1,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[8], innovation_1,
         innovation_2, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[9], covariance_compression13, mean_host,
+        &predicted_compression_covariance[12], covariance_compression13, mean_host,
         deviation_compression13, wheel_drift_filter_with_group_4_numbers[3],
         wheel_drift_filter_with_group_2_numbers[13], wheel_drift_filter_with_group_numbers[9],
         present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
@@ -846,56 +904,48 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_11(const d
     /* filter with group 0, 1, 2, 3: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        const double t0 = 0.9921619208254787 * predicted_compression_deviation[8];
+        const double t0 = 0.9921619208254787 * predicted_compression_deviation[10];
         innovation_compression14_0 = innovation_0 - t0;
     }
     if ((present & 0x2u) != 0u)
     {
-        const double t1 = 0.9921619208254787 * predicted_compression_deviation[8];
+        const double t1 = 0.9921619208254787 * predicted_compression_deviation[10];
         innovation_compression14_1 = innovation_1 - t1;
     }
     if ((present & 0x4u) != 0u)
     {
-        const double t2 = 0.9903931860948796 * predicted_compression_deviation[8];
+        const double t2 = 0.9903931860948796 * predicted_compression_deviation[10];
         innovation_compression14_2 = innovation_2 - t2;
     }
     if ((present & 0x8u) != 0u)
     {
-        const double t3 = 0.9903931860948796 * predicted_compression_deviation[8];
+        const double t3 = 0.9903931860948796 * predicted_compression_deviation[10];
         innovation_compression14_3 = innovation_3 - t3;
     }
-    if ((present & 0x10u) != 0u)
-    {
-        innovation_compression14_4 = innovation_4 - predicted_compression_deviation[8];
-    }
-    if ((present & 0x20u) != 0u)
-    {
-        innovation_compression14_5 = innovation_5 - predicted_compression_deviation[8];
-    }
-
-    /* filter with group 0, 1, 2, 3 */
-    mean_compression14[0] = predicted_compression_deviation[8];
-    mean_compression14[1] = predicted_compression_deviation[9];
-    covariance_compression14[0] = predicted_compression_covariance[12];
-    covariance_compression14[1] = predicted_compression_covariance[13];
-    covariance_compression14[2] = predicted_compression_covariance[14];
+    wheel_drift_filter_with_group_11(innovation_4, predicted_compression_deviation[10],
+        &innovation_compression14_4, innovation_5, &innovation_compression14_5, present);
+    mean_compression14[0] = predicted_compression_deviation[10];
+    mean_compression14[1] = predicted_compression_deviation[11];
+    covariance_compression14[0] = predicted_compression_covariance[15];
+    covariance_compression14[1] = predicted_compression_covariance[16];
+    covariance_compression14[2] = predicted_compression_covariance[17];
 
     /* filter with group 0, 1, 2, 3: row 0 of y, wheel_fl: compression filter */
-    status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[12],
-        innovation_compression14_0, &predicted_compression_deviation[8], mean_compression14,
+    status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[15],
+        innovation_compression14_0, &predicted_compression_deviation[10], mean_compression14,
         covariance_compression14, wheel_drift_filter_with_group_2_numbers[14], ((present & 0x1u) !=
         0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
     status = wheel_drift_filter_with_group_6(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[8], innovation_compression14_1,
+        predicted_compression_deviation[10], innovation_compression14_1,
         wheel_drift_filter_with_group_6_numbers[0], ((present & 0x2u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
     status = wheel_drift_filter_with_group_6(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[8], innovation_compression14_2,
+        predicted_compression_deviation[10], innovation_compression14_2,
         wheel_drift_filter_with_group_6_numbers[1], ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
     status = wheel_drift_filter_with_group(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[8], innovation_compression14_3, innovation_compression14_4,
+        predicted_compression_deviation[10], innovation_compression14_3, innovation_compression14_4,
         innovation_compression14_5, wheel_drift_filter_with_group_numbers[10], present,
         ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
@@ -1089,16 +1139,15 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_11(const d
     return WHEEL_DRIFT_OK;
 }
 
-/* test of group 0. */
+/* test of group 1. */
 WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     const double *filtered_covariance, const double *compression_covariance,
-    const double *compression_deviation, double *statistic_0, double *dof_0, double *statistic_1,
-    double *dof_1, double *statistic_2, double *dof_2, double *statistic_3, double *dof_3,
-    double *accepted_0, double *rejected_0, double *accepted_1, double *rejected_1,
+    const double *compression_deviation, double *statistic_1, double *dof_1, double *statistic_2,
+    double *dof_2, double *statistic_3, double *dof_3, double *accepted_0, double *rejected_0,
+    const double statistic_0, const double threshold_0, double *accepted_1, double *rejected_1,
     double *accepted_2, double *rejected_2, double *accepted_3, double *rejected_3,
     const double *filtered_state, double *closed_state, double *closed_covariance)
 {
-    double threshold_0 = 0.0;
     double threshold_1 = 0.0;
     double threshold_2 = 0.0;
     double difference_3[3] = { 0.0 };
@@ -1106,10 +1155,6 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     double scale_3[2] = { 0.0 };
     double threshold_3 = 0.0;
     double inverse_3_1 = 0.0;
-
-    /* test of group 0 */
-    wheel_drift_test_of_group_2(collecting[0], filtered_covariance, compression_covariance,
-        compression_deviation, statistic_0, dof_0, &threshold_0);
 
     /* test of group 1 */
     wheel_drift_test_of_group_2(collecting[1], filtered_covariance, &compression_covariance[3],
@@ -1133,40 +1178,15 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* verdict on group 0 */
-    accepted_0[0] = collecting[0];
-    rejected_0[0] = 0.0;
-    const double t1 = statistic_0[0] - threshold_0;
-    if (t1 > 0.0)
-    {
-        accepted_0[0] = 0.0;
-        rejected_0[0] = 1.0;
-    }
-
-    /* verdict on group 1 */
-    accepted_1[0] = collecting[1];
-    rejected_1[0] = 0.0;
-    const double t2 = statistic_1[0] - threshold_1;
-    if (t2 > 0.0)
-    {
-        accepted_1[0] = 0.0;
-        rejected_1[0] = 1.0;
-    }
-
-    /* verdict on group 2 */
-    accepted_2[0] = collecting[2];
-    rejected_2[0] = 0.0;
-    const double t3 = statistic_2[0] - threshold_2;
-    if (t3 > 0.0)
-    {
-        accepted_2[0] = 0.0;
-        rejected_2[0] = 1.0;
-    }
-
-    /* verdict on group 3 */
+    wheel_drift_verdict_on_group(collecting[0], accepted_0, rejected_0, statistic_0, threshold_0);
+    wheel_drift_verdict_on_group(collecting[1], accepted_1, rejected_1, statistic_1[0],
+        threshold_1);
+    wheel_drift_verdict_on_group(collecting[2], accepted_2, rejected_2, statistic_2[0],
+        threshold_2);
     accepted_3[0] = collecting[3];
     rejected_3[0] = 0.0;
-    const double t4 = statistic_3[0] - threshold_3;
-    if (t4 > 0.0)
+    const double t1 = statistic_3[0] - threshold_3;
+    if (t1 > 0.0)
     {
         accepted_3[0] = 0.0;
         rejected_3[0] = 1.0;
@@ -1178,8 +1198,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     closed_covariance[2] = filtered_covariance[2];
 
     /* the host takes over: group 0 */
-    const double t5 = (((-0.5 + accepted_0[0]) - accepted_1[0]) - accepted_2[0]) - accepted_3[0];
-    if (t5 > 0.0)
+    const double t2 = (((-0.5 + accepted_0[0]) - accepted_1[0]) - accepted_2[0]) - accepted_3[0];
+    if (t2 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[0];
         closed_state[1] = filtered_state[1] + compression_deviation[1];
@@ -1189,8 +1209,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 1 */
-    const double t6 = (((-0.5 - accepted_0[0]) + accepted_1[0]) - accepted_2[0]) - accepted_3[0];
-    if (t6 > 0.0)
+    const double t3 = (((-0.5 - accepted_0[0]) + accepted_1[0]) - accepted_2[0]) - accepted_3[0];
+    if (t3 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[2];
         closed_state[1] = filtered_state[1] + compression_deviation[3];
@@ -1200,8 +1220,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 2 */
-    const double t7 = (((-0.5 - accepted_0[0]) - accepted_1[0]) + accepted_2[0]) - accepted_3[0];
-    if (t7 > 0.0)
+    const double t4 = (((-0.5 - accepted_0[0]) - accepted_1[0]) + accepted_2[0]) - accepted_3[0];
+    if (t4 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[4];
         closed_state[1] = filtered_state[1] + compression_deviation[5];
@@ -1211,8 +1231,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 3 */
-    const double t8 = (((-0.5 - accepted_0[0]) - accepted_1[0]) - accepted_2[0]) + accepted_3[0];
-    if (t8 > 0.0)
+    const double t5 = (((-0.5 - accepted_0[0]) - accepted_1[0]) - accepted_2[0]) + accepted_3[0];
+    if (t5 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[6];
         closed_state[1] = filtered_state[1] + compression_deviation[7];
@@ -1222,8 +1242,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 0, 1 */
-    const double t9 = ((-1.5 + accepted_0[0] + accepted_1[0]) - accepted_2[0]) - accepted_3[0];
-    if (t9 > 0.0)
+    const double t6 = ((-1.5 + accepted_0[0] + accepted_1[0]) - accepted_2[0]) - accepted_3[0];
+    if (t6 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[8];
         closed_state[1] = filtered_state[1] + compression_deviation[9];
@@ -1233,8 +1253,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 0, 2 */
-    const double t10 = (((-1.5 + accepted_0[0]) - accepted_1[0]) + accepted_2[0]) - accepted_3[0];
-    if (t10 > 0.0)
+    const double t7 = (((-1.5 + accepted_0[0]) - accepted_1[0]) + accepted_2[0]) - accepted_3[0];
+    if (t7 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[10];
         closed_state[1] = filtered_state[1] + compression_deviation[11];
@@ -1244,8 +1264,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 0, 3 */
-    const double t11 = (((-1.5 + accepted_0[0]) - accepted_1[0]) - accepted_2[0]) + accepted_3[0];
-    if (t11 > 0.0)
+    const double t8 = (((-1.5 + accepted_0[0]) - accepted_1[0]) - accepted_2[0]) + accepted_3[0];
+    if (t8 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[12];
         closed_state[1] = filtered_state[1] + compression_deviation[13];
@@ -1255,8 +1275,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 1, 2 */
-    const double t12 = ((-1.5 - accepted_0[0]) + accepted_1[0] + accepted_2[0]) - accepted_3[0];
-    if (t12 > 0.0)
+    const double t9 = ((-1.5 - accepted_0[0]) + accepted_1[0] + accepted_2[0]) - accepted_3[0];
+    if (t9 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[14];
         closed_state[1] = filtered_state[1] + compression_deviation[15];
@@ -1266,8 +1286,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 1, 3 */
-    const double t13 = (((-1.5 - accepted_0[0]) + accepted_1[0]) - accepted_2[0]) + accepted_3[0];
-    if (t13 > 0.0)
+    const double t10 = (((-1.5 - accepted_0[0]) + accepted_1[0]) - accepted_2[0]) + accepted_3[0];
+    if (t10 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[16];
         closed_state[1] = filtered_state[1] + compression_deviation[17];
@@ -1277,8 +1297,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 2, 3 */
-    const double t14 = ((-1.5 - accepted_0[0]) - accepted_1[0]) + accepted_2[0] + accepted_3[0];
-    if (t14 > 0.0)
+    const double t11 = ((-1.5 - accepted_0[0]) - accepted_1[0]) + accepted_2[0] + accepted_3[0];
+    if (t11 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[18];
         closed_state[1] = filtered_state[1] + compression_deviation[19];
@@ -1288,8 +1308,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 0, 1, 2 */
-    const double t15 = (-2.5 + accepted_0[0] + accepted_1[0] + accepted_2[0]) - accepted_3[0];
-    if (t15 > 0.0)
+    const double t12 = (-2.5 + accepted_0[0] + accepted_1[0] + accepted_2[0]) - accepted_3[0];
+    if (t12 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[20];
         closed_state[1] = filtered_state[1] + compression_deviation[21];
@@ -1299,8 +1319,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 0, 1, 3 */
-    const double t16 = ((-2.5 + accepted_0[0] + accepted_1[0]) - accepted_2[0]) + accepted_3[0];
-    if (t16 > 0.0)
+    const double t13 = ((-2.5 + accepted_0[0] + accepted_1[0]) - accepted_2[0]) + accepted_3[0];
+    if (t13 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[22];
         closed_state[1] = filtered_state[1] + compression_deviation[23];
@@ -1310,14 +1330,25 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
     }
 
     /* the host takes over: group 0, 2, 3 */
-    const double t17 = ((-2.5 + accepted_0[0]) - accepted_1[0]) + accepted_2[0] + accepted_3[0];
-    if (t17 > 0.0)
+    const double t14 = ((-2.5 + accepted_0[0]) - accepted_1[0]) + accepted_2[0] + accepted_3[0];
+    if (t14 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[24];
         closed_state[1] = filtered_state[1] + compression_deviation[25];
         closed_covariance[0] = compression_covariance[36];
         closed_covariance[1] = compression_covariance[37];
         closed_covariance[2] = compression_covariance[38];
+    }
+
+    /* the host takes over: group 1, 2, 3 */
+    const double t15 = (-2.5 - accepted_0[0]) + accepted_1[0] + accepted_2[0] + accepted_3[0];
+    if (t15 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[26];
+        closed_state[1] = filtered_state[1] + compression_deviation[27];
+        closed_covariance[0] = compression_covariance[39];
+        closed_covariance[1] = compression_covariance[40];
+        closed_covariance[2] = compression_covariance[41];
     }
 }
 
@@ -1359,8 +1390,6 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double deviation_compression7[2] = { 0.0 };
     double covariance_compression8[3] = { 0.0 };
     double deviation_compression8[2] = { 0.0 };
-    double covariance_compression9[3] = { 0.0 };
-    double deviation_compression9[2] = { 0.0 };
     wheel_drift_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
     {
@@ -1368,9 +1397,13 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     }
     status = wheel_drift_correct_2(self->predicted_compression_covariance);
     if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_correct_2(&self->predicted_compression_covariance[15]);
+    status = wheel_drift_correct_2(&self->predicted_compression_covariance[9]);
     if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_correct_2(&self->predicted_compression_covariance[30]);
+    status = wheel_drift_correct_2(&self->predicted_compression_covariance[18]);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_correct_2(&self->predicted_compression_covariance[27]);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    status = wheel_drift_correct_2(&self->predicted_compression_covariance[36]);
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* innovation, row by row */
@@ -1455,52 +1488,34 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     host_state[1] = self->predicted_state[1] + mean_host[1];
 
     /* filter with group 0: innovation, row by row */
-    status = wheel_drift_filter_with_group_3(self->predicted_compression_deviation, innovation_0,
+    status = wheel_drift_filter_with_group_13(self->predicted_compression_deviation, innovation_0,
         innovation_4, innovation_5, self->predicted_compression_covariance, covariance_compression,
-        mean_host, deviation_compression, wheel_drift_filter_with_group_3_numbers[0],
-        wheel_drift_filter_with_group_2_numbers[0], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 1: innovation, row by row */
-    status = wheel_drift_filter_with_group_3(&self->predicted_compression_deviation[2],
-        innovation_1, innovation_4, innovation_5, &self->predicted_compression_covariance[3],
-        covariance_compression1, mean_host, deviation_compression1,
-        wheel_drift_filter_with_group_3_numbers[1], wheel_drift_filter_with_group_2_numbers[1],
-        present, ((present & 0x2u) != 0u));
+        mean_host, deviation_compression, innovation_1, covariance_compression1,
+        deviation_compression1, wheel_drift_filter_with_group_3_numbers[0],
+        wheel_drift_filter_with_group_2_numbers[0], wheel_drift_filter_with_group_3_numbers[1],
+        wheel_drift_filter_with_group_2_numbers[1], present, ((present & 0x1u) != 0u),
+        ((present & 0x2u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_3(&self->predicted_compression_deviation[4],
+    status = wheel_drift_filter_with_group_13(&self->predicted_compression_deviation[4],
         innovation_2, innovation_4, innovation_5, &self->predicted_compression_covariance[6],
-        covariance_compression2, mean_host, deviation_compression2,
-        wheel_drift_filter_with_group_3_numbers[2], wheel_drift_filter_with_group_2_numbers[2],
-        present, ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_3(&self->predicted_compression_deviation[6],
-        innovation_3, innovation_4, innovation_5, &self->predicted_compression_covariance[9],
-        covariance_compression3, mean_host, deviation_compression3,
-        wheel_drift_filter_with_group_3_numbers[3], wheel_drift_filter_with_group_2_numbers[3],
-        present, ((present & 0x8u) != 0u));
+        covariance_compression2, mean_host, deviation_compression2, innovation_3,
+        covariance_compression3, deviation_compression3, wheel_drift_filter_with_group_3_numbers[2],
+        wheel_drift_filter_with_group_2_numbers[2], wheel_drift_filter_with_group_3_numbers[3],
+        wheel_drift_filter_with_group_2_numbers[3], present, ((present & 0x4u) != 0u),
+        ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[8],
+    status = wheel_drift_filter_with_group_12(&self->predicted_compression_deviation[8],
         innovation_0, innovation_1, innovation_4, innovation_5,
         &self->predicted_compression_covariance[12], covariance_compression4, mean_host,
-        deviation_compression4, wheel_drift_filter_with_group_5_numbers[0],
-        wheel_drift_filter_with_group_2_numbers[4], wheel_drift_filter_with_group_numbers[0],
-        present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 0, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[10],
-        innovation_0, innovation_2, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[15], covariance_compression5, mean_host,
-        deviation_compression5, wheel_drift_filter_with_group_5_numbers[1],
+        deviation_compression4, innovation_2, covariance_compression5, deviation_compression5,
+        wheel_drift_filter_with_group_5_numbers[0], wheel_drift_filter_with_group_2_numbers[4],
+        wheel_drift_filter_with_group_numbers[0], wheel_drift_filter_with_group_5_numbers[1],
         wheel_drift_filter_with_group_2_numbers[5], wheel_drift_filter_with_group_numbers[1],
-        present, ((present & 0x1u) != 0u), ((present & 0x4u) != 0u));
+        present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 3: innovation, row by row */
@@ -1513,46 +1528,29 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 1, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[14],
+    status = wheel_drift_filter_with_group_12(&self->predicted_compression_deviation[14],
         innovation_1, innovation_2, innovation_4, innovation_5,
         &self->predicted_compression_covariance[21], covariance_compression7, mean_host,
-        deviation_compression7, wheel_drift_filter_with_group_5_numbers[3],
-        wheel_drift_filter_with_group_2_numbers[7], wheel_drift_filter_with_group_numbers[3],
-        present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 1, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[16],
-        innovation_1, innovation_3, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[24], covariance_compression8, mean_host,
-        deviation_compression8, wheel_drift_filter_with_group_5_numbers[4],
+        deviation_compression7, innovation_3, covariance_compression8, deviation_compression8,
+        wheel_drift_filter_with_group_5_numbers[3], wheel_drift_filter_with_group_2_numbers[7],
+        wheel_drift_filter_with_group_numbers[3], wheel_drift_filter_with_group_5_numbers[4],
         wheel_drift_filter_with_group_2_numbers[8], wheel_drift_filter_with_group_numbers[4],
-        present, ((present & 0x2u) != 0u), ((present & 0x8u) != 0u));
+        present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[18],
+    status = wheel_drift_filter_with_group_14(&self->predicted_compression_deviation[18],
         innovation_2, innovation_3, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[27], covariance_compression9, mean_host,
-        deviation_compression9, wheel_drift_filter_with_group_5_numbers[5],
-        wheel_drift_filter_with_group_2_numbers[9], wheel_drift_filter_with_group_numbers[5],
-        present, ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 0, 1, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_11(&self->predicted_compression_deviation[20],
-        innovation_0, innovation_1, innovation_2, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[30], mean_host, innovation_3, host_state,
-        deviation_compression, deviation_compression1, deviation_compression2,
+        &self->predicted_compression_covariance[27], mean_host, innovation_0, innovation_1,
+        host_state, deviation_compression, deviation_compression1, deviation_compression2,
         deviation_compression3, deviation_compression4, deviation_compression5,
         deviation_compression6, deviation_compression7, deviation_compression8,
-        deviation_compression9, self->predicted_collecting, self->predicted_covariance[0],
-        determinant_host_0, log_constant_host, quadratic_host, next->filtered_state,
-        covariance_host, next->filtered_covariance, next->compression_deviation,
-        covariance_compression, next->compression_covariance, covariance_compression1,
-        covariance_compression2, covariance_compression3, covariance_compression4,
-        covariance_compression5, covariance_compression6, covariance_compression7,
-        covariance_compression8, covariance_compression9, next->innovation,
+        self->predicted_collecting, self->predicted_covariance[0], determinant_host_0,
+        log_constant_host, quadratic_host, next->filtered_state, covariance_host,
+        next->filtered_covariance, next->compression_deviation, covariance_compression,
+        next->compression_covariance, covariance_compression1, covariance_compression2,
+        covariance_compression3, covariance_compression4, covariance_compression5,
+        covariance_compression6, covariance_compression7, covariance_compression8, next->innovation,
         next->innovation_covariance, &next->nis, &next->log_likelihood, self->predicted_window_left,
         &next->window_left, next->collecting, next->test_statistic, next->test_dof,
         next->fault_declared, present);
@@ -1565,6 +1563,7 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
 {
     double statistic_0 = 0.0;
     double dof_0 = 0.0;
+    double threshold_0 = 0.0;
     double statistic_1 = 0.0;
     double dof_1 = 0.0;
     double statistic_2 = 0.0;
@@ -1583,26 +1582,20 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     double closed_covariance[3] = { 0.0 };
 
     /* test of group 0 */
-    wheel_drift_test_of_group_3(self->collecting, self->filtered_covariance,
+    wheel_drift_test_of_group_2(self->collecting[0], self->filtered_covariance,
         self->compression_covariance, self->compression_deviation, &statistic_0, &dof_0,
-        &statistic_1, &dof_1, &statistic_2, &dof_2, &statistic_3, &dof_3, &accepted_0, &rejected_0,
-        &accepted_1, &rejected_1, &accepted_2, &rejected_2, &accepted_3, &rejected_3,
+        &threshold_0);
+
+    /* test of group 1 */
+    wheel_drift_test_of_group_3(self->collecting, self->filtered_covariance,
+        self->compression_covariance, self->compression_deviation, &statistic_1, &dof_1,
+        &statistic_2, &dof_2, &statistic_3, &dof_3, &accepted_0, &rejected_0, statistic_0,
+        threshold_0, &accepted_1, &rejected_1, &accepted_2, &rejected_2, &accepted_3, &rejected_3,
         self->filtered_state, closed_state, closed_covariance);
 
-    /* the host takes over: group 1, 2, 3 */
-    const double t0 = (-2.5 - accepted_0) + accepted_1 + accepted_2 + accepted_3;
-    if (t0 > 0.0)
-    {
-        closed_state[0] = self->filtered_state[0] + self->compression_deviation[26];
-        closed_state[1] = self->filtered_state[1] + self->compression_deviation[27];
-        closed_covariance[0] = self->compression_covariance[39];
-        closed_covariance[1] = self->compression_covariance[40];
-        closed_covariance[2] = self->compression_covariance[41];
-    }
-
     /* the host takes over: group 0, 1, 2, 3 */
-    const double t1 = -3.5 + accepted_0 + accepted_1 + accepted_2 + accepted_3;
-    if (t1 > 0.0)
+    const double t0 = -3.5 + accepted_0 + accepted_1 + accepted_2 + accepted_3;
+    if (t0 > 0.0)
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[28];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[29];
@@ -1782,10 +1775,10 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     if (status != WHEEL_DRIFT_OK) { return status; }
     wheel_drift_prediction_of_the_next_3(&self->compression_covariance[1], A,
         &next->predicted_compression_covariance[1]);
-    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[22], A,
-        &next->predicted_compression_covariance[22]);
-    const double t7 = self->compression_covariance[44] * A;
-    next->predicted_compression_covariance[43] = self->compression_covariance[43] + t7;
+    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[16], A,
+        &next->predicted_compression_covariance[16]);
+    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[31], A,
+        &next->predicted_compression_covariance[31]);
     return WHEEL_DRIFT_OK;
 }
 

@@ -9,9 +9,10 @@ import spread
 from plants import motor
 
 from fkgen.backend import routines
-from fkgen.backend.ir import Assign, Call, Literal, Operate, Operator, Temp, walk
+from fkgen.backend.expressions import joined
+from fkgen.backend.ir import Assign, Call, Expression, Literal, Operate, Operator, Phase, Temp, walk
 from fkgen.backend.lower import lower
-from fkgen.backend.routines import expanded, form_of, lines_of, outline, stored
+from fkgen.backend.routines import Outline, expanded, form_of, lines_of, outline
 from fkgen.families import family
 
 
@@ -71,18 +72,49 @@ def test_the_same_statements_on_other_arrays_have_one_form():
     assert (one.literals, other.literals) == ((2.0,), (5.0,))
 
 
+def body_of(*statements, fits=True):
+    phase = Phase(locals=(), body=statements, reads_input=False, reads_parameters=False)
+    return joined(Outline((phase,), ()), lambda _, __: fits).phases[0].body
+
+
+ELEMENT = routines.Element(routines.Space.LOCAL, "a", 0)
+PRODUCT = Operate(Temp(0), Operator.MUL, (Literal(2.0), Literal(3.0)))
+
+
+def test_a_result_that_is_read_once_is_stored_by_its_operation():
+    value = Expression(Operator.MUL, (Literal(2.0), Literal(3.0)))
+    assert body_of(PRODUCT, Assign(ELEMENT, Temp(0))) == (Assign(ELEMENT, value),)
+
+
 def test_a_result_that_is_read_again_keeps_its_temporary():
-    element = routines.Element(routines.Space.LOCAL, "a", 0)
-    product = Operate(Temp(0), Operator.MUL, (Literal(2.0), Literal(3.0)))
-    once = (product, Assign(element, Temp(0)))
-    assert [type(node).__name__ for node in stored(once)] == ["Store"]
-    twice = (*once, Assign(replace(element, index=1), Temp(0)))
-    assert len(stored(twice)) == 3
-    overwritten = (
-        product,
-        Operate(Temp(1), Operator.ADD, (element, Literal(1.0))),
-        Assign(element, Temp(0)),
-        Assign(replace(element, index=1), Temp(1)),
+    twice = (PRODUCT, Assign(ELEMENT, Temp(0)), Assign(replace(ELEMENT, index=1), Temp(0)))
+    assert body_of(*twice) == twice
+
+
+def test_an_element_that_is_still_read_is_not_overwritten_early():
+    body = body_of(
+        PRODUCT,
+        Operate(Temp(1), Operator.ADD, (ELEMENT, Literal(1.0))),
+        Assign(ELEMENT, Temp(0)),
+        Assign(replace(ELEMENT, index=1), Temp(1)),
     )
-    kinds = [type(node).__name__ for node in stored(overwritten)]
-    assert kinds == ["Operate", "Store", "Assign"]
+    places = [node.target.index for node in body if isinstance(node, Assign)]
+    assert places == [1, 0]
+
+
+def test_values_are_joined_in_the_order_in_which_they_are_computed():
+    """The first of two factors stays a name where the second does: their order is kept."""
+    other = Operate(Temp(1), Operator.DIV, (Literal(1.0), ELEMENT))
+    total = Operate(Temp(2), Operator.SUB, (Temp(0), Temp(1)))
+    body = body_of(PRODUCT, other, total, Assign(replace(ELEMENT, index=1), Temp(2)))
+    (only,) = body
+    assert [each.operator for each in only.value.arguments] == [Operator.MUL, Operator.DIV]
+    assert len(body_of(PRODUCT, other, total, fits=False)) == 3
+
+
+def test_elements_that_are_copied_in_a_row_are_one_copy():
+    pairs = [(replace(ELEMENT, index=i), replace(ELEMENT, name="b", index=i + 2)) for i in range(7)]
+    (copy,) = body_of(*(Assign(*pair) for pair in pairs))
+    assert (copy.target, copy.source, copy.size) == (*pairs[0], 7)
+    gap = body_of(*(Assign(*pair) for pair in pairs[:3] + pairs[4:]))
+    assert all(isinstance(node, Assign) for node in gap)
