@@ -16,7 +16,7 @@ from song_hu import AFTER, HERE, MODELS, Floats, input_anomaly, peak, sensor_fau
 from theorem1 import growth
 
 import fkgen
-from fkgen.oracle import LinearSystem, simulate
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.profiles import pulse
 
 SENSORS = {"Y1": np.array([1.0, 0.0]), "Y2": np.array([0.0, 1.0])}

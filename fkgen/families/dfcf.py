@@ -29,8 +29,8 @@ def build(spec: Spec) -> Recursion:
 
 def proof() -> Proof:
     """The joint distribution of each window, rejected and accepted."""
-    from fkgen.oracle import COMPRESSION_IDENTITIES
     from fkgen.oracle.claims.compression import ACCEPTED, REJECTED, WINDOWS
+    from fkgen.oracle.theorems.compression import COMPRESSION_IDENTITIES
 
     return Proof((WINDOWS, REJECTED, ACCEPTED), COMPRESSION_IDENTITIES)
 

@@ -13,8 +13,8 @@ from fkgen.problem.finding import Finding
 from fkgen.problem.table.place import Place
 
 if TYPE_CHECKING:  # reading a spec loads none of what proves and builds its filter
-    from fkgen.oracle import Identity
     from fkgen.oracle.claims.claim import ClosedForm
+    from fkgen.oracle.theorems.identity import Identity
     from fkgen.symbolic.recursion import Recursion
 
 #: ``reader(table, place, defaults, model, family)`` reads one section of ``faults``.

@@ -85,16 +85,17 @@ def build(spec: Spec) -> Recursion:
 
 def proof() -> Proof:
     """Eqs. (23) with whole matrices, and the projection on the second moments of all samples."""
-    from fkgen.oracle import LINEAR_IDENTITIES
     from fkgen.oracle.claims.sensor import LEMMA_2_FORM, LINEAR_BATCH
+    from fkgen.oracle.theorems.linear_optimal import LINEAR_IDENTITIES
 
     return Proof((LEMMA_2_FORM, LINEAR_BATCH), LINEAR_IDENTITIES)
 
 
 def lemma_2(spec: Spec) -> tuple[Finding, ...]:
     """Sigalov & Oshman, Lemma 2: without it (23) is neither the LMMSE nor knows its error."""
-    from fkgen.oracle import SensorLaw, satisfies_lemma_2
     from fkgen.oracle.claims.sensor import lemma_2_holds
+    from fkgen.oracle.exact.moments import satisfies_lemma_2
+    from fkgen.oracle.plants.sensor import SensorLaw
 
     faults = spec.faults.sensor
     if faults is None or spec.filter.options.form != "lemma2" or lemma_2_holds(spec):
@@ -126,7 +127,10 @@ def lemma_2(spec: Spec) -> tuple[Finding, ...]:
 
 def _errors(spec: Spec) -> tuple[float | None, float | None]:
     """Trace of the believed and of the true error covariance, where both can be computed."""
-    from fkgen.oracle import FaultMoments, LinearSystem, SensorLaw, linear_optimal, true_covariance
+    from fkgen.oracle.exact.moments import FaultMoments
+    from fkgen.oracle.plants.actuator import LinearSystem
+    from fkgen.oracle.plants.sensor import SensorLaw
+    from fkgen.oracle.textbook.linear_optimal import linear_optimal, true_covariance
 
     faults = spec.faults.sensor
     if faults is None or not faults.kernel:

@@ -29,7 +29,8 @@ def build(spec: Spec) -> Recursion:
 
 def proof() -> Proof:
     """The best linear estimate of the whole record, the optimal gain, the Riccati equation."""
-    from fkgen.oracle.claims.gaussian import BATCH, IDENTITIES, OPTIMAL_GAIN, RICCATI
+    from fkgen.oracle.claims.gaussian import BATCH, OPTIMAL_GAIN, RICCATI
+    from fkgen.oracle.theorems.mkf import IDENTITIES
 
     return Proof((BATCH, OPTIMAL_GAIN, RICCATI), IDENTITIES)
 

@@ -100,7 +100,8 @@ def build(spec: Spec) -> Recursion:
 
 def proof() -> Proof:
     """Matrix filters with plain probabilities, and the joint density of all samples."""
-    from fkgen.oracle.claims.gaussian import IDENTITIES, MME_BATCH, MME_TEXTBOOK
+    from fkgen.oracle.claims.gaussian import MME_BATCH, MME_TEXTBOOK
+    from fkgen.oracle.theorems.mkf import IDENTITIES
 
     return Proof((MME_TEXTBOOK, MME_BATCH), IDENTITIES)
 

@@ -12,9 +12,9 @@ from fkgen.backend.execute import Machine
 from fkgen.backend.ir import CProgram
 from fkgen.backend.lower import generate
 from fkgen.backend.source import Source
-from fkgen.oracle import draw_record
 from fkgen.oracle.claims.claim import Record
 from fkgen.oracle.claims.gaussian import digits_at_stake
+from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Code, Number, Operation, Spec
 from fkgen.problem.text.expression import Expression
 from fkgen.proof.experiment import distance, natural_deviation

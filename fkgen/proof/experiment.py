@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.oracle import LinearSystem, draw_record
 from fkgen.oracle.claims.claim import Array, Record
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 
 #: Ratio of prior to measurement variance beyond which a milder prior takes the place of the spec's.

@@ -7,9 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.oracle import LinearSystem, constant_input_noise, stationary_prediction_by_control
 from fkgen.oracle.claims.claim import Record
 from fkgen.oracle.claims.gaussian import digits_at_stake
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_prediction_by_control
 from fkgen.problem import Spec
 from fkgen.proof.experiment import distance
 from fkgen.symbolic.interpreter import Interpreter

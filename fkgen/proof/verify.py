@@ -13,7 +13,7 @@ from functools import cached_property, partial
 from fkgen.backend.lower import generate
 from fkgen.backend.source import Source
 from fkgen.families import family
-from fkgen.oracle import Identity
+from fkgen.oracle.theorems.identity import Identity
 from fkgen.problem import Spec
 from fkgen.proof import agreement, selftest, steady_state
 from fkgen.proof.validate import validate

@@ -60,8 +60,10 @@ def test_a_closed_form_imports_nothing_of_what_it_judges(path):
 def test_the_closed_forms_run_without_casadi():
     statement = (
         "import numpy as np, fkgen\n"
-        "from fkgen.oracle import LinearSystem, batch_lmmse, simulate, textbook_mme\n"
-        "from fkgen.oracle import stationary_prediction, batch_posterior\n"
+        "from fkgen.oracle.exact.batch import batch_lmmse\n"
+        "from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme\n"
+        "from fkgen.oracle.plants.actuator import LinearSystem, simulate\n"
+        "from fkgen.oracle.textbook.riccati import stationary_prediction\n"
         "one = [[1.0]]\n"
         "model = dict(A=[[0.5]], C=one, Q=one, R=one, x0=[0.0], P0=one)\n"
         "table = dict(name='a', filter=dict(family='kf'), model=model)\n"

@@ -6,7 +6,8 @@ import numpy as np
 from plants import covariance
 
 import fkgen
-from fkgen.oracle import LinearSystem, draw_record
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.sampled import draw_record
 
 T = 40
 CLOSE = 1e-12

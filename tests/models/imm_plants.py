@@ -9,7 +9,9 @@ from plants import covariance, random_model
 from scipy.special import softmax
 
 import fkgen
-from fkgen.oracle import JumpSystem, LinearSystem, batch_lmmse, simulate_jumps
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.jump import JumpSystem, simulate_jumps
 
 DENSE = [[0.6, 0.3, 0.1], [0.2, 0.5, 0.3], [0.25, 0.15, 0.6]]
 HOLES = [[0.7, 0.3, 0.0], [0.0, 0.4, 0.6], [1.0, 0.0, 0.0]]

@@ -9,8 +9,9 @@ import numpy as np
 from plants import covariance, interpreted
 
 import fkgen
-from fkgen.oracle import JumpSystem, composite, simulate_jumps, textbook_jumps
 from fkgen.oracle.claims.jump import loss_test, steady_state, unobserved_chain
+from fkgen.oracle.plants.jump import JumpSystem, simulate_jumps
+from fkgen.oracle.textbook.jump import composite, textbook_jumps
 
 #: Gilbert-Elliott, states ordered (lost, arrived).
 GILBERT = [[0.4, 0.6], [0.1, 0.9]]

@@ -8,8 +8,9 @@ import numpy as np
 from plants import random_model, system_of, table
 
 import fkgen
-from fkgen.oracle import partial_compression, simulate
 from fkgen.oracle.claims.partial_compression import design_of
+from fkgen.oracle.exact.partial_compression import partial_compression
+from fkgen.oracle.plants.actuator import simulate
 
 #: Lee & Lee, (48): position at every fifth sample, velocity at every one.
 DELTA = 0.2

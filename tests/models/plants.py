@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 import fkgen
-from fkgen.oracle import LinearSystem, simulate
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.symbolic.interpreter import Interpreter
 
 MOTOR = {

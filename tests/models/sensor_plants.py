@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fkgen.oracle import LinearSystem, SensorLaw, mode_plant
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.sensor import SensorLaw, mode_plant
 
 ALTERNATING = np.array([[0.1, 0.9], [0.9, 0.1]])
 STICKY = np.array([[0.9, 0.1], [0.2, 0.8]])

@@ -9,13 +9,10 @@ from imm_plants import ALIKE, any_modes, jumping
 from plants import PARAMETERS, VARYING, random_model, run
 
 import fkgen
-from fkgen.oracle import (
-    LinearSystem,
-    SensorLaw,
-    simulate_sensor,
-    textbook_imm,
-    textbook_one_step,
-)
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.sensor import SensorLaw, simulate_sensor
+from fkgen.oracle.textbook.gpb1 import textbook_one_step
+from fkgen.oracle.textbook.imm import textbook_imm
 
 #: The plant of sec. VI, without its law.
 SCALAR = {

@@ -8,7 +8,7 @@ import numpy as np
 from plants import covariance, random_model, system_of, table
 
 import fkgen
-from fkgen.oracle import Policy, batch_compression
+from fkgen.oracle.exact.compression import Policy, batch_compression
 
 #: The simulation of Lee & Lee, (48): position every fifth sample, speed at every one.
 DELTA = 0.2

@@ -18,7 +18,8 @@ from soft_plants import expected, soft
 import fkgen
 from fkgen.estimators.windows import compression, window
 from fkgen.estimators.windows.window import Pair
-from fkgen.oracle import COMPRESSION_IDENTITIES, PrintedCompression
+from fkgen.oracle.textbook.compression import PrintedCompression
+from fkgen.oracle.theorems.compression import COMPRESSION_IDENTITIES
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.linalg import pack
 

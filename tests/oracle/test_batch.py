@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from fkgen.errors import DataError
-from fkgen.oracle import LinearSystem, batch_lmmse, joint_distribution, simulate
+from fkgen.oracle.exact.batch import batch_lmmse, joint_distribution
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
 
 # Two double-precision solutions of well-conditioned problems differ by rounding, some 1e-13.
 ROUNDING = 1e-9

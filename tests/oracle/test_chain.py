@@ -10,7 +10,10 @@ from sensor_specs import PROBLEMS, sensed, shaken, varying
 
 from fkgen.faults import JumpFaults
 from fkgen.faults.chain import ModeChain
-from fkgen.oracle import JumpSystem, LinearSystem, SensorLaw, composite, sensed_modes
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.oracle.plants.sensor import SensorLaw, sensed_modes
+from fkgen.oracle.textbook.jump import composite
 
 T = 3
 

@@ -11,7 +11,9 @@ from scipy.stats import norm
 from sensor_plants import any_law, close, inputs, law, plant, with_modes
 
 from fkgen.errors import DataError
-from fkgen.oracle import batch_lmmse, enumerate_modes, gamma_delta, simulate_sensor
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.enumeration import enumerate_modes
+from fkgen.oracle.plants.sensor import gamma_delta, simulate_sensor
 
 PORTS = (
     "filtered_state",

@@ -11,10 +11,7 @@ from sensor_plants import (
 )
 
 import fkgen
-from fkgen.oracle import (
-    FaultMoments,
-    satisfies_lemma_2,
-)
+from fkgen.oracle.exact.moments import FaultMoments, satisfies_lemma_2
 
 RARE = np.array([[0.8, 0.2], [0.8, 0.2]])
 DRIFTING = np.array([[0.9, 0.1], [0.3, 0.7]])  # E[delta] depends on time

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fkgen import oracle
 from fkgen.errors import DataError
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.problem import Spec
 
 MODEL = {
@@ -36,7 +37,7 @@ def spec(actuator, *, family="mkf", **options):
 
 
 def test_defaults_hold_where_nothing_is_given():
-    system = oracle.LinearSystem.from_spec(spec(None, family="kf"), 3)
+    system = LinearSystem.from_spec(spec(None, family="kf"), 3)
     assert system.A.shape == (3, 2, 2)
     np.testing.assert_allclose(system.A[2], [[np.exp(-0.2), 0.0], [0.1, 0.9]], rtol=1e-15)
     np.testing.assert_array_equal(system.B[0], [[1.0, 0.0], [3.0, 1.0]])
@@ -47,7 +48,7 @@ def test_defaults_hold_where_nothing_is_given():
 
 def test_parameters_may_be_numbers_or_records():
     tau = np.array([0.5, 1.0, 0.5, 2.0])
-    system = oracle.LinearSystem.from_spec(spec(None, family="kf"), 4, {"tau": tau, "gain": 2.0})
+    system = LinearSystem.from_spec(spec(None, family="kf"), 4, {"tau": tau, "gain": 2.0})
     np.testing.assert_allclose(system.A[:, 0, 0], np.exp(-0.1 / tau), rtol=1e-15)
     np.testing.assert_array_equal(system.B[:, 1, 0], 4.0)
 
@@ -74,7 +75,7 @@ def test_parameters_may_be_numbers_or_records():
     ],
 )
 def test_the_dependence_decides_the_covariance_of_the_faults(actuator, rate, covariance):
-    system = oracle.LinearSystem.from_spec(spec(actuator), 2)
+    system = LinearSystem.from_spec(spec(actuator), 2)
     # xi (1 - xi) rounds in the last digit.
     np.testing.assert_allclose(system.rate, [rate, rate], rtol=1e-15)
     np.testing.assert_allclose(system.fault_covariance, [covariance, covariance], rtol=1e-14)
@@ -82,7 +83,7 @@ def test_the_dependence_decides_the_covariance_of_the_faults(actuator, rate, cov
 
 def test_the_success_rate_may_change_with_a_parameter():
     actuator = {"success_rate": "gain/10", "dependence": "common"}
-    system = oracle.LinearSystem.from_spec(spec(actuator), 2, {"gain": np.array([5.0, 10.0])})
+    system = LinearSystem.from_spec(spec(actuator), 2, {"gain": np.array([5.0, 10.0])})
     np.testing.assert_array_equal(system.rate, [[0.5, 0.5], [1.0, 1.0]])
     np.testing.assert_array_equal(system.fault_covariance[:, 0, 1], [0.25, 0.0])
 
@@ -93,11 +94,11 @@ def test_the_success_rate_may_change_with_a_parameter():
 )
 def test_a_hypothesis_takes_the_place_of_the_rate(dependence, hypothesis, off_diagonal):
     unknown = spec({"dependence": dependence}, family="mme", hypotheses=[0.3, 0.6])
-    system = oracle.LinearSystem.from_spec(unknown, 2, rates=hypothesis)
+    system = LinearSystem.from_spec(unknown, 2, rates=hypothesis)
     np.testing.assert_allclose(system.rate, 0.3, rtol=1e-15)
     np.testing.assert_allclose(system.fault_covariance[0, 0], [0.21, off_diagonal], rtol=1e-14)
     with pytest.raises(DataError, match="success rate"):
-        oracle.LinearSystem.from_spec(unknown, 2)
+        LinearSystem.from_spec(unknown, 2)
 
 
 def test_a_plant_without_inputs_needs_no_u():
@@ -105,7 +106,7 @@ def test_a_plant_without_inputs_needs_no_u():
     kalman = Spec.from_dict(
         {"name": "plant", "model": model, "parameters": PARAMETERS, "filter": {"family": "kf"}}
     )
-    system = oracle.LinearSystem.from_spec(kalman, 4)
+    system = LinearSystem.from_spec(kalman, 4)
     assert system.nu == 0
-    y = oracle.simulate(system, None, np.random.default_rng(1))
-    assert oracle.batch_lmmse(system, y, None).filtered_state.shape == (4, 2)
+    y = simulate(system, None, np.random.default_rng(1))
+    assert batch_lmmse(system, y, None).filtered_state.shape == (4, 2)

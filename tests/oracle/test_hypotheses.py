@@ -7,14 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fkgen.oracle import (
-    LinearSystem,
-    batch_lmmse,
-    batch_posterior,
-    joint_distribution,
-    simulate,
-    textbook_mme,
-)
+from fkgen.oracle.exact.batch import batch_lmmse, joint_distribution
+from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
 
 RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
 UNIFORM = np.full(5, 0.2)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fkgen.oracle import IDENTITIES, Identity
-from fkgen.oracle.theorems.mkf import setting
+from fkgen.oracle.theorems.identity import Identity
+from fkgen.oracle.theorems.mkf import IDENTITIES, setting
 
 
 @pytest.mark.parametrize("identity", IDENTITIES, ids=lambda identity: identity.claim)

@@ -19,7 +19,9 @@ from imm_plants import (
 from sensor_plants import close
 
 from fkgen.errors import DataError
-from fkgen.oracle import batch_lmmse, enumerate_jumps, interacting
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.enumeration import enumerate_jumps
+from fkgen.oracle.textbook.imm import interacting
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.4])

@@ -23,14 +23,9 @@ from jump_plants import (
 from plants import distance, run
 
 from fkgen.faults.chain import mean_square_radius
-from fkgen.oracle import (
-    JumpSystem,
-    composite,
-    enumerate_paths,
-    simulate_jumps,
-    stationary_jumps,
-    textbook_jumps,
-)
+from fkgen.oracle.exact.paths import enumerate_paths
+from fkgen.oracle.plants.jump import JumpSystem, simulate_jumps
+from fkgen.oracle.textbook.jump import composite, stationary_jumps, textbook_jumps
 
 ESTIMATES = (
     *("filtered_state", "filtered_covariance", "predicted_state", "predicted_covariance"),

@@ -13,13 +13,10 @@ from sensor_plants import (
     product_law,
 )
 
-from fkgen.oracle import (
-    FaultMoments,
-    joint_moments,
-    linear_optimal,
-    simulate_sensor,
-    true_covariance,
-)
+from fkgen.oracle.exact.moments import FaultMoments
+from fkgen.oracle.exact.uncertain import joint_moments
+from fkgen.oracle.plants.sensor import simulate_sensor
+from fkgen.oracle.textbook.linear_optimal import linear_optimal, true_covariance
 
 RARE = np.array([[0.8, 0.2], [0.8, 0.2]])
 DRIFTING = np.array([[0.9, 0.1], [0.3, 0.7]])  # E[delta] depends on time

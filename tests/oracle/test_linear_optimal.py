@@ -17,14 +17,10 @@ from sensor_plants import (
 )
 
 from fkgen.errors import DataError
-from fkgen.oracle import (
-    FaultMoments,
-    batch_lmmse,
-    batch_uncertain,
-    joint_moments,
-    linear_optimal,
-    satisfies_lemma_2,
-)
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.moments import FaultMoments, satisfies_lemma_2
+from fkgen.oracle.exact.uncertain import batch_uncertain, joint_moments
+from fkgen.oracle.textbook.linear_optimal import linear_optimal
 
 PORTS = (
     "filtered_state",

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 import sympy
 
-from fkgen.oracle import IDENTITIES, LINEAR_IDENTITIES, Identity
-from fkgen.oracle.theorems.linear_optimal import step
+from fkgen.oracle.theorems.identity import Identity
+from fkgen.oracle.theorems.linear_optimal import LINEAR_IDENTITIES, step
+from fkgen.oracle.theorems.mkf import IDENTITIES
 
 #: Two seconds and more of SymPy each.
 LONG = ("(23e) is", "for independent gamma", "the covariance form", "V = A V A'", "for gamma = 1")

@@ -10,14 +10,10 @@ from plants import covariance
 from theorem_4 import Theorem4
 
 from fkgen.faults.partial_state import measured_states, similarity
-from fkgen.oracle import (
-    PARTIAL_IDENTITIES,
-    LinearSystem,
-    PartialCompression,
-    batch_lmmse,
-    partial_compression,
-    simulate,
-)
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.partial_compression import PartialCompression, partial_compression
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
+from fkgen.oracle.theorems.compression import PARTIAL_IDENTITIES
 
 #: Random well-conditioned problems of a dozen samples.
 ROUNDING = 1e-10

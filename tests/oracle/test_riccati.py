@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fkgen.oracle import (
-    LinearSystem,
-    batch_lmmse,
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.textbook.riccati import (
     constant_input_noise,
     stationary_prediction,
     stationary_prediction_by_control,

@@ -12,7 +12,7 @@ from sensor_plants import ALTERNATING, STICKY, any_law, inputs, law, plant, prod
 
 from fkgen.errors import DataError
 from fkgen.faults import SensorFaults
-from fkgen.oracle import (
+from fkgen.oracle.plants.sensor import (
     SensorLaw,
     aggregate,
     draw_modes,

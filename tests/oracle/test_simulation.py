@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from fkgen.oracle import LinearSystem, draw_gamma, joint_distribution, simulate
+from fkgen.oracle.exact.batch import joint_distribution
+from fkgen.oracle.plants.actuator import LinearSystem, draw_gamma, simulate
 
 #: Standard errors allowed: exceeded once in a million draws, and the seed is fixed.
 SIGMAS = 5.0

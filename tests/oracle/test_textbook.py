@@ -8,7 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from fkgen.oracle import LinearSystem, batch_lmmse, simulate, textbook_mme
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.hypotheses import textbook_mme
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
 
 PORTS = (
     "filtered_state",

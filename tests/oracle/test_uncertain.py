@@ -21,15 +21,10 @@ from sensor_plants import (
 )
 
 from fkgen.errors import DataError
-from fkgen.oracle import (
-    FaultMoments,
-    batch_lmmse,
-    batch_uncertain,
-    joint_distribution,
-    joint_moments,
-    simulate_sensor,
-)
-from fkgen.oracle.exact.uncertain import joint_uncertain
+from fkgen.oracle.exact.batch import batch_lmmse, joint_distribution
+from fkgen.oracle.exact.moments import FaultMoments
+from fkgen.oracle.exact.uncertain import batch_uncertain, joint_moments, joint_uncertain
+from fkgen.oracle.plants.sensor import simulate_sensor
 
 PORTS = (
     "filtered_state",

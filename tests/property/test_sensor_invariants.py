@@ -12,7 +12,9 @@ from sensor_specs import DENSE, EVERY, SWITCHING, chain, every, plane, sensed
 
 import fkgen
 from fkgen.errors import StepRefused
-from fkgen.oracle import LinearSystem, SensorLaw, enumerate_modes
+from fkgen.oracle.exact.enumeration import enumerate_modes
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.sensor import SensorLaw
 
 WEIGHING = ("one_step", "one_step_paper", "imm", "imm_zeros", "imm_product", "imm3", "imm_jump")
 GAUSSIAN = ("one_step", "imm")

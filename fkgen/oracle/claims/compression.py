@@ -9,12 +9,11 @@ import numpy as np
 
 from fkgen.errors import InternalError
 from fkgen.faults import SoftFaults
-from fkgen.oracle import Policy, accepted_rows, batch_compression, batch_lmmse
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
 from fkgen.oracle.claims.gaussian import digits_at_stake, system_of
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.compression import Policy, accepted_rows, batch_compression
 from fkgen.problem import Spec
-
-__all__ = ["ACCEPTED", "REJECTED", "WINDOWS"]
 
 PAPER = "Lee & Lee"
 

@@ -9,21 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from fkgen.faults.chain import Mode
-from fkgen.oracle import (
-    IDENTITIES,
-    LinearSystem,
-    batch_lmmse,
-    batch_posterior,
-    constant_input_noise,
-    informed,
-    stationary_prediction,
-    textbook_mme,
-)
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.sampled import informed
+from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_prediction
 from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
-
-__all__ = ["BATCH", "IDENTITIES", "MME_BATCH", "MME_TEXTBOOK", "OPTIMAL_GAIN", "RICCATI"]
 
 #: Relative error that well-conditioned double arithmetic stays far below, and no wrong formula
 #: does.

@@ -7,22 +7,14 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from fkgen.oracle import (
-    JumpResult,
-    JumpSystem,
-    LossTest,
-    SteadyState,
-    composite,
-    enumerate_paths,
-    stationary_jumps,
-    textbook_jumps,
-)
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
 from fkgen.oracle.claims.gaussian import EXACT, RANK_DEFICIENT
+from fkgen.oracle.exact.paths import JumpResult, enumerate_paths
+from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.oracle.textbook.jump import SteadyState, composite, stationary_jumps, textbook_jumps
+from fkgen.oracle.textbook.loss_tests import LossTest
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
-
-__all__ = ["PATHS", "TEXTBOOK"]
 
 #: Paths of modes that are written side by side.
 MANY_PATHS = 1000

@@ -8,13 +8,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from fkgen.faults.partial_state import similarity, typical_deviation
-from fkgen.oracle import PartialCompression, batch_lmmse, partial_compression
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
 from fkgen.oracle.claims.compression import contradiction, soft_faults_of
 from fkgen.oracle.claims.gaussian import digits_at_stake, has_exact_rows, system_of
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.partial_compression import PartialCompression, partial_compression
 from fkgen.problem import Spec
-
-__all__ = ["CONTRADICTED", "HOST_ALONE", "PRIMITIVE_NOISES"]
 
 #: Sample of a short record at which its first window ends, if the window of the spec is longer.
 FIRST_END = 4

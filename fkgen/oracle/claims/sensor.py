@@ -8,27 +8,17 @@ from dataclasses import fields, replace
 import numpy as np
 
 from fkgen.faults.sensor import is_white
-from fkgen.oracle import (
-    LINEAR_IDENTITIES,
-    FaultMoments,
-    JumpSystem,
-    Lumping,
-    SensorLaw,
-    batch_uncertain,
-    enumerate_jumps,
-    interacting,
-    is_lumpable,
-    linear_optimal,
-    satisfies_lemma_2,
-    sensed_modes,
-    silent_lumped,
-    textbook_one_step,
-)
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
 from fkgen.oracle.claims.gaussian import digits_at_stake, has_exact_rows, system_of
+from fkgen.oracle.exact.enumeration import enumerate_jumps
+from fkgen.oracle.exact.moments import FaultMoments, satisfies_lemma_2
+from fkgen.oracle.exact.uncertain import batch_uncertain
+from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.oracle.plants.sensor import SensorLaw, is_lumpable, sensed_modes
+from fkgen.oracle.textbook.gpb1 import textbook_one_step
+from fkgen.oracle.textbook.imm import Lumping, interacting, silent_lumped
+from fkgen.oracle.textbook.linear_optimal import linear_optimal
 from fkgen.problem import Spec
-
-__all__ = ["ENUMERATION", "IMM", "LEMMA_2_FORM", "LINEAR_BATCH", "LINEAR_IDENTITIES", "ONE_STEP"]
 
 PAPER = "Sigalov & Oshman"
 

@@ -1,155 +1,182 @@
-"""The algebra behind compression filters, proved by SymPy for one or two states.
+"""The algebra behind full and partial compression filters, proved for one or two states.
 
 References
 ----------
 Lee & Lee, Lemmas 1 and 2, Theorem 1, with the misprints corrected: e' = x - xhat' in (4), minus in
-front of both cross terms of (6), P-_{k+1} on the left of (13).
+front of both cross terms of (6), P-_{k+1} on the left of (13). Theorem 4 and Appendix D, with F11
+in the cross terms of R, G1 q G' in (43), and the bracket of (47).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
-from fkgen.oracle.theorems.mkf import Identity
+from fkgen.oracle.theorems.identity import Theorems, general, scalar, symmetric, sympy
 
-PAPER = "Lee & Lee"
-
-
-def _matrix(letter: str, rows: int, columns: int) -> Any:
-    import sympy  # noqa: PLC0415 - slow to import
-
-    return sympy.Matrix(rows, columns, lambda i, j: sympy.Symbol(f"{letter}{i}{j}", real=True))
+_FULL, _PARTIAL = Theorems("Lee & Lee"), Theorems("Lee & Lee")
 
 
-def _symmetric(letter: str, size: int) -> Any:
-    import sympy  # noqa: PLC0415 - slow to import
-
-    return sympy.Matrix(
-        size, size, lambda i, j: sympy.Symbol(f"{letter}{max(i, j)}{min(i, j)}", real=True)
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Estimate:
+def _best(M: Any, z: Any, H: Any, R: Any, S: Any) -> tuple[Any, Any]:
     """Mean and covariance of x given z = H e + v with cov(v, e) = S: (6)."""
-
-    correction: Any
-    covariance: Any
-
-
-def _best(M: Any, z: Any, H: Any, R: Any, S: Any) -> _Estimate:
     K = (M * H.T + S.T) * (H * M * H.T + H * S.T + S * H.T + R).inv()
-    return _Estimate(K * z, M - K * (H * M + S))
+    return K * z, M - K * (H * M + S)
 
 
-def _difference(a: _Estimate, b: _Estimate) -> tuple[Any, ...]:
-    return a.correction - b.correction, a.covariance - b.covariance
+def _difference(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, ...]:
+    return a[0] - b[0], a[1] - b[1]
 
 
+@_FULL.claim(
+    "stacking two measurements is the same as using one and maintaining the other",
+    "Lemma 1, eqs. (2)-(4)",
+)
 def _stack_or_maintain() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
-    M, h, g = _symmetric("m", 2), _matrix("h", 1, 2), _matrix("g", 1, 2)
-    r, s, z, w = (sympy.Matrix([[sympy.Symbol(name, real=True)]]) for name in "rszw")
-    zero = sympy.zeros(1, 2)
-    both = _best(
-        M,
-        sympy.Matrix.vstack(z, w),
-        sympy.Matrix.vstack(h, g),
-        sympy.diag(r, s),
-        sympy.zeros(2, 2),
-    )
-    first = _best(M, z, h, r, zero)
-    second = _best(first.covariance, w - g * first.correction, g, s, zero)
-    total = _Estimate(first.correction + second.correction, second.covariance)
-    return _difference(both, total)
+    M, h, g = symmetric("m", 2), general("h", 1, 2), general("g", 1, 2)
+    r, s, z, w = map(scalar, "rszw")
+    none = sympy.zeros(1, 2)
+    both = _best(M, z.col_join(w), h.col_join(g), sympy.diag(r, s), sympy.zeros(2, 2))
+    first, P = _best(M, z, h, r, none)
+    second, P = _best(P, w - g * first, g, s, none)
+    return _difference(both, (first + second, P))
 
 
+@_FULL.claim("a measurement may be scaled by any regular matrix", "Lemma 2-(i), eq. (7)")
 def _scaled() -> tuple[Any, ...]:
-    M, H, S, C = _symmetric("m", 1), _matrix("h", 2, 1), _matrix("s", 2, 1), _matrix("c", 2, 2)
-    R, z = _symmetric("r", 2), _matrix("z", 2, 1)
+    M, H, S, C = symmetric("m", 1), general("h", 2, 1), general("s", 2, 1), general("c", 2, 2)
+    R, z = symmetric("r", 2), general("z", 2, 1)
     return _difference(_best(M, z, H, R, S), _best(M, C * z, C * H, C * R * C.T, C * S))
 
 
+@_FULL.claim("noise correlated with the prior error may be de-correlated", "Lemma 2-(ii), eq. (8)")
 def _decorrelated() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
-    M, H, S = _symmetric("m", 2), _matrix("h", 1, 2), _matrix("s", 1, 2)
-    r, z = (sympy.Matrix([[sympy.Symbol(name, real=True)]]) for name in "rz")
+    M, H, S = symmetric("m", 2), general("h", 1, 2), general("s", 1, 2)
+    r, z = map(scalar, "rz")
     free = _best(M, z, H + S * M.inv(), r - S * M.inv() * S.T, sympy.zeros(1, 2))
     return _difference(_best(M, z, H, r, S), free)
 
 
+@_FULL.claim("rows beyond the number of states may be compressed", "Lemma 2-(iii), eq. (9)")
 def _compressed() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
-    M, H, z = _symmetric("m", 1), _matrix("h", 2, 1), _matrix("z", 2, 1)
-    R = _symmetric("r", 2)
+    M, H, R, z = symmetric("m", 1), general("h", 2, 1), symmetric("r", 2), general("z", 2, 1)
     noise = (H.T * R.inv() * H).inv()
     short = noise * H.T * R.inv() * z
-    one = sympy.eye(1)
     whole = _best(M, z, H, R, sympy.zeros(2, 1))
-    return _difference(whole, _best(M, short, one, noise, sympy.zeros(1, 1)))
+    return _difference(whole, _best(M, short, sympy.eye(1), noise, sympy.zeros(1, 1)))
 
 
+@_FULL.claim(
+    "a measurement may be used one sample late, propagated with H F^-1",
+    "Theorem 1, eqs. (12)-(16)",
+)
 def _propagated() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
-    M, F, Q = _symmetric("m", 2), _matrix("f", 2, 2), _symmetric("q", 2)
-    h, S = _matrix("h", 1, 2), _matrix("s", 1, 2)
-    r, z = (sympy.Matrix([[sympy.Symbol(name, real=True)]]) for name in "rz")
-    now = _best(M, z, h, r, S)
-    moved = _Estimate(F * now.correction, F * now.covariance * F.T + Q)
+    M, F, Q = symmetric("m", 2), general("f", 2, 2), symmetric("q", 2)
+    h, S = general("h", 1, 2), general("s", 1, 2)
+    r, z = map(scalar, "rz")
+    correction, P = _best(M, z, h, r, S)
     H = h * F.inv()
     late = _best(F * M * F.T + Q, z, H, r + H * Q * H.T, S * F.T - H * Q)
-    return _difference(moved, late)
+    return _difference((F * correction, F * P * F.T + Q), late)
 
 
+@_FULL.claim(
+    "a row of the host changes P - P* into a sum of squares",
+    "Theorem 3 as two Kalman filters, eqs. (29), (33)",
+)
 def _pair_of_filters() -> tuple[Any, ...]:
     """D = P - P* after a row of the host, as a sum of squares: nothing but D is needed for d."""
-    import sympy  # noqa: PLC0415 - slow to import
-
-    P, D, h = _symmetric("p", 2), _symmetric("d", 2), _matrix("h", 1, 2)
-    r = sympy.Matrix([[sympy.Symbol("r", positive=True)]])
-    zero, z = sympy.zeros(1, 2), sympy.Matrix([[sympy.Symbol("z")]])
-    host, other = _best(P, z, h, r, zero), _best(P - D, z, h, r, zero)
-    K = P * h.T * (h * P * h.T + r).inv()
-    A = sympy.eye(2) - K * h
+    P, D, h = symmetric("p", 2), symmetric("d", 2), general("h", 1, 2)
+    r, z = map(scalar, "rz")
+    none = sympy.zeros(1, 2)
+    _, host = _best(P, z, h, r, none)
+    _, other = _best(P - D, z, h, r, none)
+    A = sympy.eye(2) - P * h.T * (h * P * h.T + r).inv() * h
     v = A * D * h.T
     squares = A * D * A.T + v * (h * (P - D) * h.T + r).inv() * v.T
-    return (host.covariance - other.covariance - squares,)
+    return (host - other - squares,)
 
 
-COMPRESSION_IDENTITIES = (
-    Identity(
-        claim="stacking two measurements is the same as using one and maintaining the other",
-        source=f"{PAPER}, Lemma 1, eqs. (2)-(4)",
-        residual=_stack_or_maintain,
-    ),
-    Identity(
-        claim="a measurement may be scaled by any regular matrix",
-        source=f"{PAPER}, Lemma 2-(i), eq. (7)",
-        residual=_scaled,
-    ),
-    Identity(
-        claim="noise correlated with the prior error may be de-correlated",
-        source=f"{PAPER}, Lemma 2-(ii), eq. (8)",
-        residual=_decorrelated,
-    ),
-    Identity(
-        claim="rows beyond the number of states may be compressed",
-        source=f"{PAPER}, Lemma 2-(iii), eq. (9)",
-        residual=_compressed,
-    ),
-    Identity(
-        claim="a measurement may be used one sample late, propagated with H F^-1",
-        source=f"{PAPER}, Theorem 1, eqs. (12)-(16)",
-        residual=_propagated,
-    ),
-    Identity(
-        claim="a row of the host changes P - P* into a sum of squares",
-        source=f"{PAPER}, Theorem 3 as two Kalman filters, eqs. (29), (33)",
-        residual=_pair_of_filters,
-    ),
+def _blocks() -> tuple[Any, Any, Any, Any]:
+    """Moments of e and V: the joint covariance, and its blocks P, S and R."""
+    joint = symmetric("j", 3)
+    return joint, joint[:2, :2], joint[2:, :2], joint[2:, 2:]
+
+
+@_PARTIAL.claim(
+    "R and S move as the moments of F11 V - F12 e2 - G1 w do",
+    "(43) with F11 in the cross terms and G1 q G'; (D2), (D3)",
 )
+def _propagation() -> tuple[Any, ...]:
+    """E+ = F e + G w, V+ = F11 V - F12 e2 - G1 w, (D2)."""
+    joint, P, S, R = _blocks()
+    F, G, q = general("f", 2, 2), general("g", 2, 1), scalar("q")
+    moved = sympy.diag(F, F[0, 0])
+    moved[2, 1] = -F[0, 1]
+    entering = G.col_join(-G[:1, :])
+    after = moved * joint * moved.T + entering * q * entering.T
+    F11, F12, G1, S2 = F[:1, :1], F[:1, 1:], G[:1, :], S[:, 1:]
+    noise = F11 * R * F11.T + F12 * P[1:, 1:] * F12.T + G1 * q * G1.T
+    noise -= F11 * S2 * F12.T + F12 * S2.T * F11.T
+    cross = (F11 * S - F12 * P[1:, :]) * F.T - G1 * q * G.T
+    return after[2:, 2:] - noise, after[2:, :2] - cross
+
+
+def _maintained(K: Any, L: Any, h: Any, r: Any) -> tuple[Any, Any]:
+    """Moments of e - K z and V - L z with z = h e + v, and what is left of cov(Z, z)."""
+    joint, *_ = _blocks()
+    moved = sympy.eye(3) - K.col_join(L) * h.row_join(sympy.zeros(1, 1))
+    entering = -K.col_join(L)
+    after = moved * joint * moved.T + entering * r * entering.T
+    return after, sympy.Matrix([[1, 0, 1]]) * (moved * joint[:, :2] * h.T + entering * r)
+
+
+@_PARTIAL.claim(
+    "the optimal maintenance leaves Z uncorrelated with the innovation of the host",
+    "Lemma 1-(ii) for correlated noise, in place of (44)",
+)
+def _maintenance() -> tuple[Any, ...]:
+    """Z without all that is correlated with z = h e + v."""
+    _, P, S, R = _blocks()
+    h, r = general("h", 1, 2), scalar("r")
+    s = h * P * h.T + r
+    K, L = P * h.T * s.inv(), S * h.T * s.inv()
+    after, correlation = _maintained(K, L, h, r)
+    kept = S * (sympy.eye(2) - K * h).T
+    return after[2:, 2:] - (R - L * s * L.T), after[2:, :2] - kept, correlation
+
+
+@_PARTIAL.claim(
+    "(44) has the moments it states, and leaves Z correlated with the innovation by S h'", "(44)"
+)
+def _printed_maintenance() -> tuple[Any, ...]:
+    """(44) leaves V as it is, and Z correlated with z by S h'."""
+    _, P, S, _ = _blocks()
+    h, r = general("h", 1, 2), scalar("r")
+    K = P * h.T * (h * P * h.T + r).inv()
+    after, correlation = _maintained(K, sympy.zeros(1, 1), h, r)
+    return after[2:, :2] - S * (sympy.eye(2) - K * h).T, correlation - S * h.T
+
+
+@_PARTIAL.claim("(46) needs no inverse of R: it is a Kalman update of V", "(46)")
+def _compression() -> tuple[Any, ...]:
+    """(46) with and without inverses, and the gain of a Kalman filter for V."""
+    R, r, one = scalar("R"), scalar("r"), sympy.eye(1)
+    B = r * (R + r).inv()
+    kept = (R.inv() + r.inv()).inv()
+    return kept - B * R, kept * R.inv() - B, one - B - R * (R + r).inv()
+
+
+@_PARTIAL.claim(
+    "the host update is the best linear estimate from Z",
+    "(47) with its bracket closed before the inverse",
+)
+def _host_update() -> tuple[Any, ...]:
+    """(47) is the best linear estimate of e from Z = h e + V."""
+    joint, P, S, R = _blocks()
+    h, measures = sympy.Matrix([[1, 0]]), sympy.Matrix([[1, 0, 1]])
+    cross, W = joint[:2, :] * measures.T, measures * joint * measures.T
+    K = (P * h.T + S.T) * (h * P * h.T + h * S.T + S * h.T + R).inv()
+    return K - cross * W.inv(), P - K * (S + h * P) - (P - cross * W.inv() * cross.T)
+
+
+COMPRESSION_IDENTITIES = tuple(_FULL.identities)
+PARTIAL_IDENTITIES = tuple(_PARTIAL.identities)

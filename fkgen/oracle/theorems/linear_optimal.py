@@ -1,20 +1,19 @@
-"""One step of the linear filter for faulty sensors in SymPy symbols, eq. (23).
-
-SymPy has no static types: `Any` stands for its matrices and expressions.
-
-The algebra behind the linear filter for faulty sensors, proved by SymPy, eq. (19)-(23), (29).
+"""The algebra behind the linear filter for faulty sensors, eq. (19)-(23), (29).
 
 Scalar states and measurements where the paper's argument is followed step by step, matrices where
-one form is turned into another. SymPy has no static types: `Any` stands for its expressions.
+one form is turned into another.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
-from fkgen.oracle.theorems.mkf import Identity
+from fkgen.oracle.theorems.identity import Theorems, general, symmetric, sympy
+
+_THEOREMS = Theorems("Sigalov, Oshman")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,35 +29,18 @@ class Step:
     p: Any
     pair: Any  # E[G_i G_j]
 
-    @property
-    def predicted(self) -> Any:
-        """A V A', the second moment of the predicted estimate."""
-        return self.A * self.V * self.A.T
-
-    @property
-    def signal(self) -> Any:
-        """E[z z'], noise included."""
-        return self.pair.multiply_elementwise(self.H * self.C * self.H.T) + self.R
-
-    @property
-    def bracket(self) -> Any:
-        """What is inverted in eq. (23c)."""
-        return self.signal - self.p * self.H * self.predicted * self.H.T * self.p
-
-    @property
-    def numerator(self) -> Any:
-        """What multiplies the inverse in eq. (23c)."""
-        return self.C * self.H.T * self.g - self.predicted * self.H.T * self.p
-
-    @property
-    def F2(self) -> Any:
-        """Eq. (23c)."""
-        return self.numerator * self.bracket.adjugate() / self.bracket.det().expand()
-
-    @property
-    def F1(self) -> Any:
-        """Eq. (23b)."""
-        return self.A - self.F2 * self.p * self.H * self.A
+    # A V A', the second moment of the predicted estimate, and the prediction error covariance
+    predicted = property(lambda s: s.A * s.V * s.A.T)
+    prediction_error = property(lambda s: s.C - s.predicted)
+    # E[z z'], noise included
+    signal = property(lambda s: s.pair.multiply_elementwise(s.H * s.C * s.H.T) + s.R)
+    # What is inverted in eq. (23c), and what multiplies the inverse
+    bracket = property(lambda s: s.signal - s.p * s.H * s.predicted * s.H.T * s.p)
+    numerator = property(lambda s: s.C * s.H.T * s.g - s.predicted * s.H.T * s.p)
+    # Eq. (23c), (23b) and C - V with (23e)
+    F2 = property(lambda s: s.numerator * s.bracket.adjugate() / s.bracket.det().expand())
+    F1 = property(lambda s: s.A - s.F2 * s.p * s.H * s.A)
+    error = property(lambda s: s.C - s.estimate_moment(s.F1, s.F2))
 
     def estimate_moment(self, F1: Any, F2: Any) -> Any:
         """Eq. (23e) for any gains."""
@@ -67,56 +49,30 @@ class Step:
 
 
 def step(n: int = 1, p: int = 1, faulty: Sequence[int] = (0,)) -> Step:
-    """Write down the symbols for n states and p measurements.
-
-    Parameters
-    ----------
-    n, p : int
-        Dimensions.
-    faulty : sequence of int
-        Rows subject to faults.
-
-    Returns
-    -------
-    Step
-    """
-    import sympy  # noqa: PLC0415 - slow to import
-
-    def general(name: str, rows: int, columns: int) -> Any:
-        return sympy.Matrix(rows, columns, lambda i, j: sympy.Symbol(f"{name}{i}{j}", real=True))
-
-    def symmetric(name: str, size: int) -> Any:
-        return sympy.Matrix(
-            size, size, lambda i, j: sympy.Symbol(f"{name}{max(i, j)}{min(i, j)}", real=True)
-        )
-
+    """Write down the symbols for n states and p measurements, with the rows subject to faults."""
     rate, persistence = sympy.symbols("g p", real=True)
-
-    def diagonal(value: Any) -> Any:
-        return sympy.diag(*(value if i in faulty else 1 for i in range(p)))
-
+    failing = [i in faulty for i in range(p)]
     return Step(
         A=general("a", n, n),
         H=general("h", p, n),
         C=symmetric("c", n),
         V=symmetric("v", n),
         R=symmetric("r", p),
-        g=diagonal(rate),
-        p=diagonal(persistence),
-        pair=sympy.Matrix(p, p, lambda i, j: rate if i in faulty or j in faulty else 1),
+        g=sympy.diag(*(rate if fails else 1 for fails in failing)),
+        p=sympy.diag(*(persistence if fails else 1 for fails in failing)),
+        pair=sympy.Matrix(p, p, lambda i, j: rate if failing[i] or failing[j] else 1),
     )
 
 
-PAPER = "Sigalov, Oshman"
-
-
+@_THEOREMS.claim(
+    "under Lemma 2 and (23b) the error is orthogonal to each past measurement, any gain",
+    "eq. (20), i <= k, (21), Lemma 2",
+)
 def _past_measurement() -> tuple[Any, ...]:
     """E[(xhat_(k+1) - x_(k+1)) z_i'] for i <= k, with E[xhat_k z_i'] = E[x_k z_i'] from before.
 
     For gamma_i = 1 of rate g_i: E[x_k z_i'] = g_i E[x_k x_i'] H', E[gamma_(k+1) gamma_i] = p g_i.
     """
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = step(2, 1)
     lagged = sympy.Matrix(2, 2, lambda i, j: sympy.Symbol(f"x{i}{j}"))  # E[x_k x_i']
     rate = sympy.Symbol("g_i")
@@ -127,6 +83,9 @@ def _past_measurement() -> tuple[Any, ...]:
     return (F1 * x_z + F2 * s.H * gamma_x_z - s.A * x_z,)
 
 
+@_THEOREMS.claim(
+    "with (23b) and (23c) the error is orthogonal to the new measurement", "eq. (20), i = k + 1"
+)
 def _new_measurement() -> tuple[Any, ...]:
     """E[(xhat_(k+1) - x_(k+1)) z_(k+1)'], with E[xhat_k gamma x_k'] = p V_k."""
     s = step(2, 1)
@@ -134,18 +93,18 @@ def _new_measurement() -> tuple[Any, ...]:
     return (s.F1 * xhat_z + s.F2 * s.signal - s.C * s.H.T * s.g,)
 
 
+@_THEOREMS.claim("(23b) and (23c) solve (22)", "eq. (22)")
 def _equation_22() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = step(2, 1)
     left = s.g[0, 0] * (sympy.eye(2) - s.F2 * s.H) * s.C * s.H.T
     return (left - s.F1 * s.p[0, 0] * s.V * s.A.T * s.H.T - s.F2 * s.R,)
 
 
+@_THEOREMS.claim(
+    "(23e) is E[xhat xhat'] for any gains, and E[xhat x'] for those of (23)", "eq. (23e)"
+)
 def _estimate_moment() -> tuple[Any, ...]:
     """V_(k+1) from (x, xhat, z) against eq. (23e) for any gains, and against E[xhat x']."""
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = step(2, 1)
     F2 = sympy.Matrix(sympy.symbols("f0:2"))
     F1 = sympy.Matrix(2, 2, sympy.symbols("e0:4"))
@@ -159,6 +118,7 @@ def _estimate_moment() -> tuple[Any, ...]:
     )
 
 
+@_THEOREMS.claim("V = A V A' + F2 M F2' with M the bracket of (23c)", "eq. (23c), (23e)")
 def _innovation_form() -> tuple[Any, ...]:
     s = step(2, 1)
     return (s.estimate_moment(s.F1, s.F2) - s.predicted - s.F2 * s.bracket * s.F2.T,)
@@ -166,10 +126,8 @@ def _innovation_form() -> tuple[Any, ...]:
 
 def _covariance_form(n: int, p: int, faulty: Sequence[int]) -> tuple[Any, ...]:
     """N, M, F2 and P from the prediction error covariance against C - V."""
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = step(n, p, faulty)
-    prediction = s.C - s.predicted  # Pp = C_(k+1) - A V_k A'
+    prediction = s.prediction_error  # Pp = C_(k+1) - A V_k A'
     weight = s.pair - s.p * sympy.ones(p, p) * s.p
     M = s.p * s.H * prediction * s.H.T * s.p + weight.multiply_elementwise(s.H * s.C * s.H.T) + s.R
     N = prediction * s.H.T * s.p + s.C * s.H.T * (s.g - s.p)
@@ -177,17 +135,28 @@ def _covariance_form(n: int, p: int, faulty: Sequence[int]) -> tuple[Any, ...]:
     return (
         N - s.numerator,
         M - s.bracket,
-        prediction - N * inverse * N.T - (s.C - s.estimate_moment(s.F1, s.F2)),
+        prediction - N * inverse * N.T - s.error,
     )
 
 
+for _claim, _n, _p, _faulty in (
+    ("the covariance form equals C - V", 2, 1, (0,)),
+    ("the same for two rows of which one never fails", 1, 2, (1,)),
+    ("the same for two rows that fail together", 1, 2, (0, 1)),
+):
+    _form = partial(_covariance_form, _n, _p, _faulty)
+    _THEOREMS.claim(_claim, f"eq. (23); n = {_n}, p = {_p}")(_form)
+
+
+@_THEOREMS.claim(
+    "three samples of (23) satisfy all orthogonality conditions, time-varying p11",
+    "eq. (20), (23); n = p = 1",
+)
 def _first_samples() -> tuple[Any, ...]:
     """Three samples of a scalar plant without induction: the errors against z_0, z_1 and z_2.
 
     E[gamma_0], E[gamma_1], E[gamma_2], p11(1) and p11(2) are free, as for an absorbing chain.
     """
-    import sympy  # noqa: PLC0415 - slow to import
-
     # Elements of a field of rational functions: sums of them are reduced at once.
     field, *free = sympy.field("g0 g1 g2 p1 p2", sympy.QQ)
     a, q, r = sympy.Rational(-4, 5), 1, 3
@@ -216,46 +185,51 @@ def _first_samples() -> tuple[Any, ...]:
     return ([entry.as_expr() for entry in entries],)
 
 
+@Theorems("Nahi 1969", _THEOREMS.identities).claim(
+    "for independent gamma the filter is Nahi's",
+    "Optimal recursive estimation with uncertain observation",
+)
 def _nahi() -> tuple[Any, ...]:
     """p11 = E[gamma]: gain and covariance as Nahi has them."""
     s = step(2, 1)
     s = replace(s, p=s.g)
     g = s.g[0, 0]
-    prediction = s.C - s.predicted
+    prediction = s.prediction_error
     M = g**2 * s.H * prediction * s.H.T + s.R + g * (1 - g) * s.H * s.C * s.H.T
     K = g * prediction * s.H.T / M.det().expand()
     return (
         s.F2 - K,
         s.F1 - (s.A - g * K * s.H * s.A),
-        s.C - s.estimate_moment(s.F1, s.F2) - (prediction - g * K * s.H * prediction),
+        s.error - (prediction - g * K * s.H * prediction),
     )
 
 
+@_THEOREMS.claim("for gamma = 1 the filter is the Kalman filter with R E[delta]", "eq. (23)")
 def _kalman() -> tuple[Any, ...]:
     """E[gamma] = p11 = 1: the Kalman filter with R E[delta]."""
     s = step(2, 1, ())
-    prediction = s.C - s.predicted
+    prediction = s.prediction_error
     K = prediction * s.H.T / (s.H * prediction * s.H.T + s.R).det().expand()
     return (
         s.F2 - K,
-        s.C - s.estimate_moment(s.F1, s.F2) - (prediction - K * s.H * prediction),
+        s.error - (prediction - K * s.H * prediction),
     )
 
 
+@_THEOREMS.claim(
+    "for p11 = E[gamma] the estimate stays unbiased whatever the mean of x", "eq. (19), (23b)"
+)
 def _mean() -> tuple[Any, ...]:
     """E[xhat_(k+1) - x_(k+1)] for p11 = E[gamma] and an unbiased xhat_k of any mean."""
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = step(2, 1)
     mean = sympy.Matrix(sympy.symbols("m0:2"))
     s = replace(s, p=s.g)
     return (s.F1 * mean + s.F2 * s.g * s.H * s.A * mean - s.A * mean,)
 
 
+@_THEOREMS.claim("p11 after two steps is p11 only if p11 = 1 or the rows are equal", "Corollary 1")
 def _corollary() -> tuple[Any, ...]:
     """Two steps of a two-state chain, states (1, 0), and E[gamma_k] where gamma = 1 is kept."""
-    import sympy  # noqa: PLC0415 - slow to import
-
     p11, p01, start = sympy.symbols("p11 p01 pi")
     chain = sympy.Matrix([[p11, 1 - p11], [p01, 1 - p01]])
     law = sympy.Matrix([[start, 1 - start]])
@@ -266,10 +240,11 @@ def _corollary() -> tuple[Any, ...]:
     )
 
 
+@_THEOREMS.claim(
+    "example 2 has E[gamma] = 1 - q (1 - p) and the transition probabilities (29)", "eq. (28), (29)"
+)
 def _example_2() -> tuple[Any, ...]:
     """Gamma = 1 - alpha + alpha beta, alpha drawn once, beta at each sample."""
-    import sympy  # noqa: PLC0415 - slow to import
-
     p, q = sympy.symbols("p q")
     rate = (1 - q) + q * p
     both, after_failure = (1 - q) + q * p**2, q * (1 - p) * p
@@ -281,75 +256,4 @@ def _example_2() -> tuple[Any, ...]:
 
 
 #: Every claim, in the order of the derivation.
-LINEAR_IDENTITIES: tuple[Identity, ...] = (
-    Identity(
-        claim="under Lemma 2 and (23b) the error is orthogonal to each past measurement, any gain",
-        source=f"{PAPER}, eq. (20), i <= k, (21), Lemma 2",
-        residual=_past_measurement,
-    ),
-    Identity(
-        claim="with (23b) and (23c) the error is orthogonal to the new measurement",
-        source=f"{PAPER}, eq. (20), i = k + 1",
-        residual=_new_measurement,
-    ),
-    Identity(
-        claim="(23b) and (23c) solve (22)",
-        source=f"{PAPER}, eq. (22)",
-        residual=_equation_22,
-    ),
-    Identity(
-        claim="(23e) is E[xhat xhat'] for any gains, and E[xhat x'] for those of (23)",
-        source=f"{PAPER}, eq. (23e)",
-        residual=_estimate_moment,
-    ),
-    Identity(
-        claim="V = A V A' + F2 M F2' with M the bracket of (23c)",
-        source=f"{PAPER}, eq. (23c), (23e)",
-        residual=_innovation_form,
-    ),
-    Identity(
-        claim="the covariance form equals C - V",
-        source=f"{PAPER}, eq. (23); n = 2, p = 1",
-        residual=lambda: _covariance_form(2, 1, (0,)),
-    ),
-    Identity(
-        claim="the same for two rows of which one never fails",
-        source=f"{PAPER}, eq. (23); n = 1, p = 2",
-        residual=lambda: _covariance_form(1, 2, (1,)),
-    ),
-    Identity(
-        claim="the same for two rows that fail together",
-        source=f"{PAPER}, eq. (23); n = 1, p = 2",
-        residual=lambda: _covariance_form(1, 2, (0, 1)),
-    ),
-    Identity(
-        claim="three samples of (23) satisfy all orthogonality conditions, time-varying p11",
-        source=f"{PAPER}, eq. (20), (23); n = p = 1",
-        residual=_first_samples,
-    ),
-    Identity(
-        claim="for independent gamma the filter is Nahi's",
-        source="Nahi 1969, Optimal recursive estimation with uncertain observation",
-        residual=_nahi,
-    ),
-    Identity(
-        claim="for gamma = 1 the filter is the Kalman filter with R E[delta]",
-        source=f"{PAPER}, eq. (23)",
-        residual=_kalman,
-    ),
-    Identity(
-        claim="for p11 = E[gamma] the estimate stays unbiased whatever the mean of x",
-        source=f"{PAPER}, eq. (19), (23b)",
-        residual=_mean,
-    ),
-    Identity(
-        claim="p11 after two steps is p11 only if p11 = 1 or the rows are equal",
-        source=f"{PAPER}, Corollary 1",
-        residual=_corollary,
-    ),
-    Identity(
-        claim="example 2 has E[gamma] = 1 - q (1 - p) and the transition probabilities (29)",
-        source=f"{PAPER}, eq. (28), (29)",
-        residual=_example_2,
-    ),
-)
+LINEAR_IDENTITIES = tuple(_THEOREMS.identities)

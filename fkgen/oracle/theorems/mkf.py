@@ -1,19 +1,14 @@
-"""One sample of the modified Kalman filter in SymPy symbols, eq. (1), (9)-(12), (21).
-
-SymPy has no static types: `Any` stands for its matrices and expressions.
-
-The algebra behind the modified Kalman filter, proved by SymPy for small dimensions.
-
-Each identity is a residual that must be exactly zero for every value of its symbols.
-`Identity.holds` decides by expanding the numerator: a rational function is zero if and only if that
-polynomial is. SymPy has no static types: `Any` stands for its matrices.
-"""
+"""The algebra behind the modified Kalman filter, eq. (1), (9)-(12), (21), for small dimensions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
+
+from fkgen.oracle.theorems.identity import Theorems, general, scalar, symmetric, sympy
+
+_THEOREMS = Theorems("Strandt, Schneider, Yaz")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,45 +26,22 @@ class Setting:
     xi: Any  # Success rate
     faults: Any  # Cov(gamma): xi (1 - xi) for one input, free symbols for several
 
-    @property
-    def N(self) -> Any:
-        """diag(u) Cov(gamma) diag(u)."""
-        return self.U * self.faults * self.U
-
-    @property
-    def innovation(self) -> Any:
-        """Covariance of the innovation, eq. (21)."""
-        return self.C * self.P * self.C.T + self.D * self.N * self.D.T + self.R
-
-    @property
-    def inverse(self) -> Any:
-        """Om^-1 with the determinant written out, which spares SymPy most of its work."""
-        return self.innovation.adjugate() / self.innovation.det().expand()
-
-    @property
-    def cross(self) -> Any:
-        """Covariance of x[k+1] with the innovation, the right-hand side of eq. (10)."""
-        return self.A * self.P * self.C.T + self.B * self.N * self.D.T
-
-    @property
-    def gain(self) -> Any:
-        """Optimal gain, eq. (11)."""
-        return self.cross * self.inverse
-
-    @property
-    def filter_gain(self) -> Any:
-        """Gain of the measurement update alone."""
-        return self.P * self.C.T * self.inverse
-
-    @property
-    def riccati(self) -> Any:
-        """P[k+1] as in eq. (12)."""
-        return self.open_loop - self.cross * self.inverse * self.cross.T
-
-    @property
-    def open_loop(self) -> Any:
-        """P[k+1] without a measurement."""
-        return self.A * self.P * self.A.T + self.Q + self.B * self.N * self.B.T
+    # diag(u) Cov(gamma) diag(u)
+    N = property(lambda s: s.U * s.faults * s.U)
+    # Covariance of the innovation, eq. (21)
+    innovation = property(lambda s: s.C * s.P * s.C.T + s.D * s.N * s.D.T + s.R)
+    # Om^-1 with the determinant written out, which spares SymPy most of its work
+    inverse = property(lambda s: s.innovation.adjugate() / s.innovation.det().expand())
+    # Covariance of x[k+1] with the innovation, the right-hand side of eq. (10)
+    cross = property(lambda s: s.A * s.P * s.C.T + s.B * s.N * s.D.T)
+    # Optimal gain, eq. (11), and the gain of the measurement update alone
+    gain = property(lambda s: s.cross * s.inverse)
+    filter_gain = property(lambda s: s.P * s.C.T * s.inverse)
+    # P[k+1] without a measurement, and as in eq. (12)
+    open_loop = property(lambda s: s.A * s.P * s.A.T + s.Q + s.B * s.N * s.B.T)
+    riccati = property(lambda s: s.open_loop - s.cross * s.inverse * s.cross.T)
+    # Any gain, in symbols
+    free_gain = property(lambda s: general("k", *s.C.T.shape))
 
     def expanded(self, K: Any) -> Any:
         """P[k+1] for any gain as printed in eq. (9)."""
@@ -83,16 +55,6 @@ class Setting:
 
 def setting(n: int = 2, p: int = 1, q: int = 1) -> Setting:
     """Write down the symbols for n states, p measurements and q inputs."""
-    import sympy  # noqa: PLC0415 - slow to import
-
-    def general(name: str, rows: int, columns: int) -> Any:
-        return sympy.Matrix(rows, columns, lambda i, j: sympy.Symbol(f"{name}{i}{j}", real=True))
-
-    def symmetric(name: str, size: int) -> Any:
-        return sympy.Matrix(
-            size, size, lambda i, j: sympy.Symbol(f"{name}{max(i, j)}{min(i, j)}", real=True)
-        )
-
     xi = sympy.Symbol("xi", real=True)
     return Setting(
         A=general("a", n, n),
@@ -108,58 +70,32 @@ def setting(n: int = 2, p: int = 1, q: int = 1) -> Setting:
     )
 
 
-PAPER = "Strandt, Schneider, Yaz"
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Identity:
-    """One claim and the expression that must vanish if it is true."""
-
-    claim: str  # What is claimed, in a sentence
-    source: str  # Where it stands
-    residual: Callable[[], tuple[Any, ...]]  # Returns the SymPy matrices that must be zero
-
-    def holds(self) -> bool:
-        """Whether every entry of the residual is identically zero."""
-        import sympy  # noqa: PLC0415 - slow to import
-
-        entries = (entry for matrix in self.residual() for entry in sympy.Matrix(matrix))
-        return all(sympy.expand(sympy.numer(sympy.together(entry))) == 0 for entry in entries)
-
-
-def _free_gain(s: Setting) -> Any:
-    import sympy  # noqa: PLC0415 - slow to import
-
-    return sympy.Matrix(*s.C.T.shape, lambda i, j: sympy.Symbol(f"k{i}{j}", real=True))
-
-
+@_THEOREMS.claim("eq. (9) is the second moment of the error (5)", "eq. (5), (8), (9)")
 def _second_moment_of_the_error() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = setting()
-    K = _free_gain(s)
+    K = s.free_gain
     map_ = sympy.Matrix.hstack(s.A - K * s.C, (s.B - K * s.D) * s.U, sympy.eye(2), -K)
     return (map_ * sympy.diag(s.P, s.faults, s.Q, s.R) * map_.T - s.expanded(K),)
 
 
+@_THEOREMS.claim("eq. (9) equals the sum of squares (Joseph form) for any gain", "eq. (9)")
 def _stabilised_form() -> tuple[Any, ...]:
     s = setting()
-    K = _free_gain(s)
-    return (s.stabilised(K) - s.expanded(K),)
+    return (s.stabilised(s.free_gain) - s.expanded(s.free_gain),)
 
 
+@_THEOREMS.claim("the gradient of tr P[k+1] vanishes at the gain (11)", "eq. (10), (11)")
 def _gradient() -> tuple[Any, ...]:
     s = setting()
-    K = _free_gain(s)
+    K = s.free_gain
     gradient = s.expanded(K).trace().diff(K)
     return (gradient.subs(dict(zip(K, s.gain, strict=True))),)
 
 
+@_THEOREMS.claim("the Hessian of tr P[k+1] is 2 Om, a sum of squares plus R", "eq. (9), (21)")
 def _hessian() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = setting()
-    K = _free_gain(s)
+    K = s.free_gain
     hessian = sympy.hessian(s.expanded(K).trace(), list(K))
     root = sympy.Matrix([[sympy.Symbol("l00"), 0], [sympy.Symbol("l10"), sympy.Symbol("l11")]])
     along = s.C * root
@@ -168,17 +104,25 @@ def _hessian() -> tuple[Any, ...]:
     return hessian - 2 * s.innovation[0, 0] * sympy.eye(2), covariance - squares
 
 
+@_THEOREMS.claim("P(K* + d) - P(K*) = d Om d'", "eq. (9)-(11), completing the square")
 def _price_of_another_gain() -> tuple[Any, ...]:
     s = setting()
-    d = _free_gain(s)
+    d = s.free_gain
     return (s.expanded(s.gain + d) - s.expanded(s.gain) - d * s.innovation * d.T,)
 
 
+@_THEOREMS.claim(
+    "eq. (12) equals the Joseph form of eq. (9) at the gain (11)", "eq. (9), (11), (12)"
+)
 def _optimal_covariance() -> tuple[Any, ...]:
     s = setting()
     return (s.stabilised(s.gain) - s.riccati,)
 
 
+@_THEOREMS.claim(
+    "at success rates 1 and 0 gain and covariance are those of the Kalman predictor",
+    "eq. (11), (12)",
+)
 def _rate_one_and_zero() -> tuple[Any, ...]:
     s = setting()
     kalman = s.A * s.P * s.C.T * (s.C * s.P * s.C.T + s.R).inv()
@@ -187,39 +131,39 @@ def _rate_one_and_zero() -> tuple[Any, ...]:
     return tuple(ours.subs(s.xi, rate) - theirs for rate in (0, 1) for ours, theirs in pairs)
 
 
+@_THEOREMS.claim(
+    "at success rate 1 the estimate is the Kalman predictor's, at 0 it ignores u", "eq. (4)"
+)
 def _estimate_at_rate_one_and_zero() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = setting()
-    x, y, K = sympy.Matrix(sympy.symbols("x0 x1")), sympy.Matrix([sympy.Symbol("y")]), _free_gain(s)
-    ones = sympy.ones(1, 1)
-    ours = s.A * x + s.xi * s.B * s.U * ones + K * (y - s.C * x - s.xi * s.D * s.U * ones)
-    driven = s.A * x + s.B * s.U * ones + K * (y - s.C * x - s.D * s.U * ones)
+    x, y, u, K = general("x", 2, 1), scalar("y"), s.U, s.free_gain
+    ours = s.A * x + s.xi * s.B * u + K * (y - s.C * x - s.xi * s.D * u)
+    driven = s.A * x + s.B * u + K * (y - s.C * x - s.D * u)
     free = s.A * x + K * (y - s.C * x)
     return ours.subs(s.xi, 1) - driven, ours.subs(s.xi, 0) - free
 
 
+@_THEOREMS.claim("gain and covariances are the same for xi and 1 - xi", "eq. (11), (12), (21)")
 def _mirrored_rate() -> tuple[Any, ...]:
     s = setting()
     return tuple(m - m.subs(s.xi, 1 - s.xi) for m in (s.riccati, s.gain, s.innovation))
 
 
+@_THEOREMS.claim("without input gain and covariance do not depend on xi", "eq. (11), (12)")
 def _no_input() -> tuple[Any, ...]:
     s = setting()
-    still = {s.U[0, 0]: 0}
-    return s.riccati.subs(still).diff(s.xi), s.gain.subs(still).diff(s.xi)
+    return tuple(m.subs(s.U[0, 0], 0).diff(s.xi) for m in (s.riccati, s.gain))
 
 
+@_THEOREMS.claim("K - A Kf = B N D' Om^-1, zero if D = 0", "eq. (11)")
 def _two_gains() -> tuple[Any, ...]:
     s = setting()
     difference = s.gain - s.A * s.filter_gain
-    without = {s.D[0, 0]: 0}
-    return difference - s.B * s.N * s.D.T * s.inverse, difference.subs(without)
+    return difference - s.B * s.N * s.D.T * s.inverse, difference.subs(s.D[0, 0], 0)
 
 
+@_THEOREMS.claim("Pf = P - Kf Om Kf' equals its Joseph form", "eq. (11) with A = I and B = 0")
 def _filtered_covariance() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = setting()
     K = s.filter_gain
     F = sympy.eye(2) - K * s.C
@@ -228,12 +172,9 @@ def _filtered_covariance() -> tuple[Any, ...]:
 
 def _augmented(n: int, p: int, q: int) -> tuple[Any, ...]:
     """Condition z = (x, gamma - xi) on y, then move on: against eq. (12) and (11)."""
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = setting(n, p, q)
     Z = sympy.diag(s.P, s.faults)
-    row = sympy.Matrix.hstack(s.C, s.D * s.U)
-    onward = sympy.Matrix.hstack(s.A, s.B * s.U)
+    row, onward = s.C.row_join(s.D * s.U), s.A.row_join(s.B * s.U)
     covariance = row * Z * row.T + s.R
     gain = Z * row.T * s.inverse
     conditioned = Z - gain * row * Z
@@ -244,6 +185,19 @@ def _augmented(n: int, p: int, q: int) -> tuple[Any, ...]:
     )
 
 
+for _claim, _n, _p, _q in (
+    ("conditioning (x, gamma - xi) on y and moving on gives (11) and (12)", 2, 1, 1),
+    ("the same for two inputs of any fault covariance", 1, 1, 2),
+    ("the same for two measurements", 1, 2, 1),
+):
+    _equations = f"eq. (1), (11), (12); n = {_n}, p = {_p}, q = {_q}"
+    _THEOREMS.claim(_claim, _equations)(partial(_augmented, _n, _p, _q))
+
+
+@_THEOREMS.claim(
+    "the mixture over both states of the actuator has the two moments of eq. (15)",
+    "eq. (15), (21)",
+)
 def _mixture_moments() -> tuple[Any, ...]:
     s = setting()
     noise = s.C * s.P * s.C.T + s.R
@@ -253,9 +207,11 @@ def _mixture_moments() -> tuple[Any, ...]:
     return mean - s.xi * s.D * s.U, second - mean * mean.T - s.innovation
 
 
+@_THEOREMS.claim(
+    "N = s u u' for a common fault; B N B' = sum s_i u_i^2 b_i b_i' for independent ones",
+    "eq. (9), several inputs",
+)
 def _several_inputs() -> tuple[Any, ...]:
-    import sympy  # noqa: PLC0415 - slow to import
-
     s = setting(2, 1, 2)
     u = s.U * sympy.ones(2, 1)
     variance = s.xi * (1 - s.xi)
@@ -269,90 +225,4 @@ def _several_inputs() -> tuple[Any, ...]:
 
 
 #: Every claim, in the order of the derivation.
-IDENTITIES: tuple[Identity, ...] = (
-    Identity(
-        claim="eq. (9) is the second moment of the error (5)",
-        source=f"{PAPER}, eq. (5), (8), (9)",
-        residual=_second_moment_of_the_error,
-    ),
-    Identity(
-        claim="eq. (9) equals the sum of squares (Joseph form) for any gain",
-        source=f"{PAPER}, eq. (9)",
-        residual=_stabilised_form,
-    ),
-    Identity(
-        claim="the gradient of tr P[k+1] vanishes at the gain (11)",
-        source=f"{PAPER}, eq. (10), (11)",
-        residual=_gradient,
-    ),
-    Identity(
-        claim="the Hessian of tr P[k+1] is 2 Om, a sum of squares plus R",
-        source=f"{PAPER}, eq. (9), (21)",
-        residual=_hessian,
-    ),
-    Identity(
-        claim="P(K* + d) - P(K*) = d Om d'",
-        source=f"{PAPER}, eq. (9)-(11), completing the square",
-        residual=_price_of_another_gain,
-    ),
-    Identity(
-        claim="eq. (12) equals the Joseph form of eq. (9) at the gain (11)",
-        source=f"{PAPER}, eq. (9), (11), (12)",
-        residual=_optimal_covariance,
-    ),
-    Identity(
-        claim="at success rates 1 and 0 gain and covariance are those of the Kalman predictor",
-        source=f"{PAPER}, eq. (11), (12)",
-        residual=_rate_one_and_zero,
-    ),
-    Identity(
-        claim="at success rate 1 the estimate is the Kalman predictor's, at 0 it ignores u",
-        source=f"{PAPER}, eq. (4)",
-        residual=_estimate_at_rate_one_and_zero,
-    ),
-    Identity(
-        claim="gain and covariances are the same for xi and 1 - xi",
-        source=f"{PAPER}, eq. (11), (12), (21)",
-        residual=_mirrored_rate,
-    ),
-    Identity(
-        claim="without input gain and covariance do not depend on xi",
-        source=f"{PAPER}, eq. (11), (12)",
-        residual=_no_input,
-    ),
-    Identity(
-        claim="K - A Kf = B N D' Om^-1, zero if D = 0",
-        source=f"{PAPER}, eq. (11)",
-        residual=_two_gains,
-    ),
-    Identity(
-        claim="Pf = P - Kf Om Kf' equals its Joseph form",
-        source=f"{PAPER}, eq. (11) with A = I and B = 0",
-        residual=_filtered_covariance,
-    ),
-    Identity(
-        claim="conditioning (x, gamma - xi) on y and moving on gives (11) and (12)",
-        source=f"{PAPER}, eq. (1), (11), (12); n = 2, p = 1, q = 1",
-        residual=lambda: _augmented(2, 1, 1),
-    ),
-    Identity(
-        claim="the same for two inputs of any fault covariance",
-        source=f"{PAPER}, eq. (1), (11), (12); n = 1, p = 1, q = 2",
-        residual=lambda: _augmented(1, 1, 2),
-    ),
-    Identity(
-        claim="the same for two measurements",
-        source=f"{PAPER}, eq. (1), (11), (12); n = 1, p = 2, q = 1",
-        residual=lambda: _augmented(1, 2, 1),
-    ),
-    Identity(
-        claim="the mixture over both states of the actuator has the two moments of eq. (15)",
-        source=f"{PAPER}, eq. (15), (21)",
-        residual=_mixture_moments,
-    ),
-    Identity(
-        claim="N = s u u' for a common fault; B N B' = sum s_i u_i^2 b_i b_i' for independent ones",
-        source=f"{PAPER}, eq. (9), several inputs",
-        residual=_several_inputs,
-    ),
-)
+IDENTITIES = tuple(_THEOREMS.identities)

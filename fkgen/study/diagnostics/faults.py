@@ -11,8 +11,9 @@ import numpy as np
 from fkgen.estimators.models.bank import LARGEST_MIXTURE
 from fkgen.families import family
 from fkgen.faults import ActuatorFaults
-from fkgen.oracle import LinearSystem, partial_compression
 from fkgen.oracle.claims.partial_compression import design_of
+from fkgen.oracle.exact.partial_compression import partial_compression
+from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.problem import evaluate
 from fkgen.problem.probability import stationary_law, visited
 from fkgen.study.diagnostics.findings import ReportBuilder

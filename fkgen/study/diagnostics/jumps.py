@@ -10,8 +10,9 @@ from scipy.special import chdtrc, ndtr
 from fkgen.families.mjls_lmmse import DEFAULT_ALPHA
 from fkgen.faults import JumpFaults
 from fkgen.faults.chain import MARGIN, is_ergodic, mean_square_radius
-from fkgen.oracle import JumpSystem, SteadyState, composite, stationary_jumps
 from fkgen.oracle.claims.jump import unobserved_chain
+from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.oracle.textbook.jump import SteadyState, composite, stationary_jumps
 from fkgen.problem import Spec
 from fkgen.problem.probability import period, stationary_law, visited
 from fkgen.study.diagnostics.dynamics import deviations

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.oracle import LinearSystem, constant_input_noise, stationary_prediction
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_prediction
 from fkgen.problem import Spec
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError
-from fkgen.oracle import draw_record, simulate
+from fkgen.oracle.plants.actuator import simulate
+from fkgen.oracle.sampled import draw_record
 from fkgen.pipeline import build
 from fkgen.problem import Code
 from fkgen.problem.numbers import whole

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
-from fkgen.oracle import LinearSystem
+from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.problem import Signal, Spec
 from fkgen.runtime.record import choice, numbers, signal
 

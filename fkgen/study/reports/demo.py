@@ -11,7 +11,7 @@ import numpy as np
 from fkgen import pipeline
 from fkgen.backend.render import cost
 from fkgen.errors import OutputError
-from fkgen.oracle import LinearSystem, simulate
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.problem import Spec, load
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.compiler import find_compiler

@@ -13,7 +13,8 @@ from soft_plants import PAPER, TIGHT, assert_ports, case, expected, soft, thinne
 from toolchain import thorough
 
 import fkgen
-from fkgen.oracle import accepted_rows, batch_lmmse
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.compression import accepted_rows
 
 #: Each is a plant of its own, with windows, hosts and gaps of its own.
 SEEDS = range(100)

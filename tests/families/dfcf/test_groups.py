@@ -7,7 +7,8 @@ import pytest
 from plants import built, distance, interpreted, random_model, system_of
 from soft_plants import PAPER, assert_ports, expected, soft, thinned
 
-from fkgen.oracle import accepted_rows, batch_lmmse
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.compression import accepted_rows
 
 GROUPS = [[1, 3], [2]]
 

@@ -21,7 +21,9 @@ from sensor_specs import (
 import fkgen
 from fkgen.backend.execute import Machine
 from fkgen.errors import StepRefused
-from fkgen.oracle import LinearSystem, SensorLaw, batch_lmmse, gamma_delta
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.sensor import SensorLaw, gamma_delta
 from fkgen.symbolic.interface import Status
 
 PORTS = (

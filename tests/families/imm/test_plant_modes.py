@@ -29,7 +29,9 @@ from plants import PARAMETERS, VARYING, assert_agree, distance, random_model, ru
 from sensor_specs import DENSE as SENSOR_KERNEL
 from sensor_specs import chain, sensed
 
-from fkgen.oracle import batch_lmmse, enumerate_jumps, interacting
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.enumeration import enumerate_jumps
+from fkgen.oracle.textbook.imm import interacting
 
 
 def same_modes(result, expected):

@@ -27,7 +27,10 @@ from sensor_specs import (
     varying,
 )
 
-from fkgen.oracle import LinearSystem, SensorLaw, batch_lmmse, enumerate_modes
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.enumeration import enumerate_modes
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.sensor import SensorLaw
 
 BAYES = tuple(port for port in PORTS if port != "nis")
 

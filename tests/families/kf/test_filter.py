@@ -18,7 +18,8 @@ from plants import (
     system_of,
 )
 
-from fkgen.oracle import batch_lmmse, stationary_prediction_by_control
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
 
 PORTS = (
     "filtered_state",

@@ -17,15 +17,11 @@ from sensor_specs import (
     varying,
 )
 
-from fkgen.oracle import (
-    FaultMoments,
-    LinearSystem,
-    SensorLaw,
-    batch_uncertain,
-    joint_moments,
-    linear_optimal,
-    true_covariance,
-)
+from fkgen.oracle.exact.moments import FaultMoments
+from fkgen.oracle.exact.uncertain import batch_uncertain, joint_moments
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.sensor import SensorLaw
+from fkgen.oracle.textbook.linear_optimal import linear_optimal, true_covariance
 
 BATCH = (
     "filtered_state",

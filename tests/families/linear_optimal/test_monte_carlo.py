@@ -9,7 +9,9 @@ import pytest
 from plants import built
 from sensor_specs import SCALAR, product, sensed
 
-from fkgen.oracle import LinearSystem, SensorLaw, true_covariance
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.sensor import SensorLaw
+from fkgen.oracle.textbook.linear_optimal import true_covariance
 
 RECORDS, T = 10_000, 12
 START = {"P0": [[0.5]]}

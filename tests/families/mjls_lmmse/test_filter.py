@@ -17,8 +17,8 @@ from jump_plants import (
 )
 from plants import distance, interpreted, run
 
-from fkgen.oracle import enumerate_paths
 from fkgen.oracle.claims.jump import loss_test
+from fkgen.oracle.exact.paths import enumerate_paths
 
 MOMENTS = (
     *("filtered_state", "filtered_covariance", "predicted_state", "predicted_covariance"),

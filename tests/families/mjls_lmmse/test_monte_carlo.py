@@ -9,8 +9,8 @@ import pytest
 from jump_plants import EXAMPLE_A, EXAMPLE_S, spec_of
 from plants import built
 
-from fkgen.oracle import JumpSystem
 from fkgen.oracle.exact.gaussian import square_root
+from fkgen.oracle.plants.jump import JumpSystem
 
 T, M, RATE = 500, 1000, 0.85
 

@@ -17,7 +17,7 @@ from jump_plants import (
 )
 from plants import distance, interpreted, run, spec
 
-from fkgen.oracle import enumerate_paths
+from fkgen.oracle.exact.paths import enumerate_paths
 
 MOMENTS = (
     *("filtered_state", "filtered_covariance", "predicted_state", "predicted_covariance"),

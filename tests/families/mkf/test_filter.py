@@ -21,11 +21,8 @@ from plants import (
     system_of,
 )
 
-from fkgen.oracle import (
-    batch_lmmse,
-    constant_input_noise,
-    stationary_prediction_by_control,
-)
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_prediction_by_control
 
 STATES = ("filtered_state", "filtered_covariance", "predicted_state", "predicted_covariance")
 PORTS = (*STATES, "innovation", "innovation_covariance", "nis", "log_likelihood")

@@ -19,7 +19,7 @@ from plants import (
     system_of,
 )
 
-from fkgen.oracle import batch_posterior, textbook_mme
+from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
 
 ESTIMATES = ("filtered_state", "filtered_covariance", "predicted_state", "predicted_covariance")
 PORTS = (

@@ -12,7 +12,8 @@ from plants import common, motor, random_model, spec
 
 import fkgen
 from fkgen.backend.ir import Operator
-from fkgen.oracle import LinearSystem, gains, simulate
+from fkgen.oracle.plants.actuator import LinearSystem, simulate
+from fkgen.oracle.textbook.fault_effect import gains
 from fkgen.problem import Code
 from fkgen.profiles import pulse
 from fkgen.study.diagnostics.model_numbers import ModelNumbers

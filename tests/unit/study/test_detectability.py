@@ -8,7 +8,9 @@ from effect_plants import paper
 from plants import common, random_model, spec
 
 import fkgen
-from fkgen.oracle import LinearSystem, batch_lmmse, gains
+from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.textbook.fault_effect import gains
 from fkgen.profiles import step
 from fkgen.study.effects.effect import detection_power, required_noncentrality
 
@@ -141,7 +143,7 @@ def test_tests_have_the_power_they_are_said_to_have():
     found = fkgen.detectability(spec, "y1", 0.05, 0.6, T)
     rest = paper("A", resting(spec).tolist())
     system = LinearSystem.from_spec(rest, T)
-    from fkgen.oracle import simulate
+    from fkgen.oracle.plants.actuator import simulate
 
     y = np.array(
         [simulate(system, np.zeros((T, 1)), np.random.default_rng(m)) for m in range(runs)]

@@ -7,7 +7,8 @@ import pytest
 from effect_plants import MODELS, T, close, paper, varying
 
 import fkgen
-from fkgen.oracle import LinearSystem, after_pulse, after_step, gains, within_step
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.textbook.fault_effect import after_pulse, after_step, gains, within_step
 from fkgen.profiles import drift, pulse, step
 
 SEEDED = [(1, "A"), (2, None), (3, None)]

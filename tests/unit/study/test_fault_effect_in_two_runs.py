@@ -8,7 +8,8 @@ from effect_plants import MODELS, T, close, difference, missing_some, paper, pro
 from plants import common, independent, random_model, spec
 
 import fkgen
-from fkgen.oracle import LinearSystem, gains
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.textbook.fault_effect import gains
 from fkgen.profiles import pulse, ramp, step
 
 MODES = ("both", "plant", "filter")

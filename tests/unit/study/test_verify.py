@@ -136,7 +136,7 @@ def test_a_warning_fails_the_claim_and_is_quoted(specs):
 
 
 def test_theorems_that_fail_are_seen():
-    from fkgen.oracle import Identity
+    from fkgen.oracle.theorems.identity import Identity
     from fkgen.proof import verify as module
 
     def false():
