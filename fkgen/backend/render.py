@@ -76,8 +76,7 @@ def filled(template: str, context: dict[str, object]) -> str:
 
 
 def _context(program: CProgram) -> dict[str, object]:
-    c = Printer(program)
-    outlined = joined(outline(program), c.fits)
+    outlined = joined(outline(program), (c := Printer(program)).fits)
     c.take(outlined.routines)
     vectors, starts = self_test_vectors(program), _starts(program)
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")

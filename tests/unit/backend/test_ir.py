@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from plants import generated, motor
 
-from fkgen.backend.check import verify
 from fkgen.backend.ir import (
     Assign,
     Copy,
@@ -21,6 +20,7 @@ from fkgen.backend.ir import (
     Temp,
     walk,
 )
+from fkgen.backend.lower import verify
 from fkgen.backend.printer import Printer
 from fkgen.errors import InternalError
 
