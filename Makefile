@@ -46,6 +46,7 @@ lint: ## check style, types, floors and the budget
 	$(bin)/mypy --strict fkgen
 	$(bin)/lint-imports
 	$(bin)/python tools/budget.py
+	$(bin)/python tools/repetition.py
 
 golden: ## write generated/ anew; read the diff before you commit it
 	$(setup) run
