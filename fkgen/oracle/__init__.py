@@ -38,14 +38,6 @@ from fkgen.oracle.plants.sensor import (
 from fkgen.oracle.sampled import draw_record, informed
 from fkgen.oracle.textbook.compression import PrintedCompression
 from fkgen.oracle.textbook.fault_effect import Gains, after_pulse, after_step, gains, within_step
-from fkgen.oracle.textbook.gpb1 import OneStepResult, textbook_one_step
-from fkgen.oracle.textbook.imm import (
-    InteractingResult,
-    Lumping,
-    interacting,
-    silent_lumped,
-    textbook_imm,
-)
 from fkgen.oracle.textbook.jump import SteadyState, composite, stationary_jumps, textbook_jumps
 from fkgen.oracle.textbook.linear_optimal import (
     LinearOptimalResult,
@@ -58,6 +50,15 @@ from fkgen.oracle.textbook.riccati import (
     constant_input_noise,
     stationary_prediction,
     stationary_prediction_by_control,
+)
+from fkgen.oracle.textbook.switching import (
+    InteractingResult,
+    Lumping,
+    OneStepResult,
+    interacting,
+    silent_lumped,
+    textbook_imm,
+    textbook_one_step,
 )
 from fkgen.oracle.theorems.compression import COMPRESSION_IDENTITIES
 from fkgen.oracle.theorems.linear_optimal import LINEAR_IDENTITIES
