@@ -11,8 +11,7 @@ from plants import PARAMETERS, VARYING, random_model, run
 import fkgen
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.plants.sensor import SensorLaw, simulate_sensor
-from fkgen.oracle.textbook.gpb1 import textbook_one_step
-from fkgen.oracle.textbook.imm import textbook_imm
+from fkgen.oracle.textbook.switching import textbook_imm, textbook_one_step
 
 #: The plant of sec. VI, without its law.
 SCALAR = {

@@ -21,7 +21,7 @@ from sensor_plants import close
 from fkgen.errors import DataError
 from fkgen.oracle.exact.batch import batch_lmmse
 from fkgen.oracle.exact.enumeration import enumerate_jumps
-from fkgen.oracle.textbook.imm import interacting
+from fkgen.oracle.textbook.switching import interacting
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.4])

@@ -23,8 +23,7 @@ from sensor_plants import (
 from fkgen.oracle.exact.batch import batch_lmmse
 from fkgen.oracle.exact.enumeration import enumerate_modes
 from fkgen.oracle.plants.sensor import simulate_sensor
-from fkgen.oracle.textbook.gpb1 import textbook_one_step
-from fkgen.oracle.textbook.imm import textbook_imm
+from fkgen.oracle.textbook.switching import textbook_imm, textbook_one_step
 
 EXACT = tuple(port for port in PORTS if port != "nis")
 IID_NOISE = np.tile([0.8, 0.2], (2, 1))

@@ -15,9 +15,8 @@ from fkgen.oracle.exact.moments import FaultMoments, satisfies_lemma_2
 from fkgen.oracle.exact.uncertain import batch_uncertain
 from fkgen.oracle.plants.jump import JumpSystem
 from fkgen.oracle.plants.sensor import SensorLaw, is_lumpable, sensed_modes
-from fkgen.oracle.textbook.gpb1 import textbook_one_step
-from fkgen.oracle.textbook.imm import Lumping, interacting, silent_lumped
 from fkgen.oracle.textbook.linear_optimal import linear_optimal
+from fkgen.oracle.textbook.switching import Lumping, interacting, silent_lumped, textbook_one_step
 from fkgen.problem import Spec
 
 PAPER = "Sigalov & Oshman"

@@ -7,9 +7,12 @@ time-varying noise alike.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fkgen.oracle.exact.gaussian import (
     RANK_TOLERANCE,
@@ -24,46 +27,63 @@ from fkgen.oracle.plants.actuator import LinearSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joint:
-    """Means and covariance roots of all states and measurements of a record.
+    """All states and measurements of a record, linear in one vector z of uncorrelated variances 1.
 
-    All are linear in one vector z of uncorrelated unit variances: x[0], then gamma, v and w of each
-    sample.
+    z is x[0], then gamma, v and w of each sample.
     """
 
-    #: state_mean, state_root: (T + 1, n), (T + 1, n, d): x[k] = state_mean[k] + state_root[k] @
-    #: z
-    state_mean: Array
+    state_mean: Array  # (T + 1, n), (T + 1, n, d): x[k] = state_mean[k] + state_root[k] @ z
     state_root: Array
-    #: measurement_mean, measurement_root: (T, p), (T, p, d): y[k] = measurement_mean[k] +
-    #: measurement_root[k] @ z
-    measurement_mean: Array
+    measurement_mean: Array  # (T, p), (T, p, d): the same of y[k]
     measurement_root: Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class BatchResult:
-    """Linear minimum-variance estimates of one record; names and times as the ports of a filter."""
+class Estimates:
+    """Estimates of one record; names and times as the ports of a filter."""
 
-    #: filtered_state, filtered_covariance: (T, n), (T, n, n): x(k|k) and its error covariance
-    filtered_state: Array
+    filtered_state: Array  # (T, n), (T, n, n): x(k|k) and its error covariance
     filtered_covariance: Array
-    #: predicted_state, predicted_covariance: (T, n), (T, n, n): x(k+1|k) and its error
-    #: covariance
-    predicted_state: Array
+    predicted_state: Array  # (T, n), (T, n, n): x(k+1|k) and its error covariance
     predicted_covariance: Array
-    innovation: Array  # (T, p): y[k] - E[y[k] | y[0..k-1]]; NaN where y is
-    innovation_covariance: Array  # (T, p, p): Covariance of y[k] given the past, all rows
-    #: nis, log_likelihood: (T,): Normalised square and Gaussian log density of the innovation,
-    #: finite rows only; 0 if there are none
-    nis: Array
-    log_likelihood: Array
+    innovation: Array  # (T, p): y[k] less what the past lets expect; NaN where y is
+    innovation_covariance: Array  # (T, p, p): Of all rows, given the past
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, ArrayLike]]) -> Self:
+        """One array per port, from the ports of each sample."""
+        return cls(**{name: np.array([row[name] for row in rows]) for name in rows[0]})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BatchResult(Estimates):
+    """Estimates, and how well the finite rows of y fit them."""
+
+    nis: Array  # (T,): Normalised square of the innovation; 0 if there is no row
+    log_likelihood: Array  # (T,): Its Gaussian log density; 0 if there is no row
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """What measurements that were seen say about z."""
+
+    whitening: Whitening
+    coordinates: Array
+
+    @classmethod
+    def of(cls, root: Array, residual: Array) -> Self:
+        """See ``residual`` = root @ z; shapes (m, d), (m,)."""
+        whitening = whiten(root)
+        return cls(whitening, whitening.weights @ residual)
+
+    def given(self, mean: Array | float, root: Array) -> tuple[Array, Array]:
+        """Mean and covariance root of ``mean + root @ z`` when the past is known."""
+        known = root @ (self.whitening.directions @ self.coordinates)
+        return mean + known, self.whitening.unexplained(root)
 
 
 def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
-    """Write all states and measurements of a record in terms of what is random in it, eq. (1)-(3).
-
-    Shapes: u (T, q).
-    """
+    """Write a record in terms of what is random in it, eq. (1)-(3); u (T, q)."""
     T, n, p, q = system.length, system.nx, system.ny, system.nu
     u = system.inputs(u)
     size = n + T * (q + n + p)
@@ -92,78 +112,51 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
     )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _History:
-    """What the finite measurements up to some sample say about z."""
-
-    whitening: Whitening
-    coordinates: Array
-
-    def mean(self, mean: Array, root: Array) -> Array:
-        estimate: Array = mean + root @ (self.whitening.directions @ self.coordinates)
-        return estimate
-
-    def root(self, root: Array) -> Array:
-        return self.whitening.unexplained(root)
-
-
-def _history(joint: Joint, y: Array, samples: int) -> _History:
-    """Condition on the finite entries of y[0], ..., y[samples - 1]."""
-    finite = np.isfinite(y[:samples])
-    root = joint.measurement_root[:samples][finite]
-    whitening = whiten(root)
-    residual = (y[:samples] - joint.measurement_mean[:samples])[finite]
-    return _History(whitening=whitening, coordinates=whitening.weights @ residual)
-
-
 def batch_lmmse(system: LinearSystem, y: Array, u: Array | None) -> BatchResult:
-    """Estimate each state by projecting it on all measurements up to its time.
+    """Estimate each state by projecting it on all measurements up to its time; y (T, p), u (T, q).
 
     Where the joint covariance is singular the projection is the one on its range, with the rank
     decided on rows of unit variance.
-
-    Shapes: y (T, p); u (T, q).
     """
-    T, n, p = system.length, system.nx, system.ny
-    joint = joint_distribution(system, u)
-    result = BatchResult(
-        filtered_state=np.empty((T, n)),
-        filtered_covariance=np.empty((T, n, n)),
-        predicted_state=np.empty((T, n)),
-        predicted_covariance=np.empty((T, n, n)),
-        innovation=np.empty((T, p)),
-        innovation_covariance=np.empty((T, p, p)),
-        nis=np.zeros(T),
-        log_likelihood=np.zeros(T),
-    )
-    history = _history(joint, y, 0)
-    for k in range(T):
-        _record_innovation(result, joint, history, y[k], k)
-        history = _history(joint, y, k + 1)
-        result.filtered_state[k] = history.mean(joint.state_mean[k], joint.state_root[k])
-        result.filtered_covariance[k] = _covariance(history.root(joint.state_root[k]))
-        result.predicted_state[k] = history.mean(joint.state_mean[k + 1], joint.state_root[k + 1])
-        result.predicted_covariance[k] = _covariance(history.root(joint.state_root[k + 1]))
-    return result
+    return project(joint_distribution(system, u), y)
 
 
-def _record_innovation(result: BatchResult, joint: Joint, past: _History, y: Array, k: int) -> None:
-    """Fill in row k of the innovation and of what follows from it, given the past."""
-    before = joint.measurement_root[k]
-    root = past.root(before)
-    innovation = y - past.mean(joint.measurement_mean[k], before)
-    result.innovation[k] = innovation
-    result.innovation_covariance[k] = _covariance(root)
-    finite = np.isfinite(y)
-    if finite.any():
-        # What is left of a row that the past determines is rounding of the row as it was.
-        dust = RANK_TOLERANCE * np.linalg.norm(before[finite], axis=1)
-        whitening = whiten(root[finite], negligible=dust)
-        result.nis[k] = np.sum((whitening.weights @ innovation[finite]) ** 2)
-        result.log_likelihood[k] = log_density(innovation[finite], whitening)
+def project(joint: Joint, y: Array) -> BatchResult:
+    """Project each state of a joint distribution on the finite measurements up to its time."""
+    rows, past = [], _past(joint, y[:0])
+    for k, now in enumerate(y):
+        mean, root = past.given(joint.measurement_mean[k], joint.measurement_root[k])
+        row: dict[str, ArrayLike] = {
+            "innovation": now - mean,
+            "innovation_covariance": root @ root.T,
+            **agreement(now - mean, root, joint.measurement_root[k]),
+        }
+        past = _past(joint, y[: k + 1])
+        for at, when in ((k, "filtered"), (k + 1, "predicted")):
+            mean, root = past.given(joint.state_mean[at], joint.state_root[at])
+            row |= {f"{when}_state": mean, f"{when}_covariance": root @ root.T}
+        rows.append(row)
+    return BatchResult.of(rows)
 
 
-def _covariance(root: Array) -> Array:
-    """Square a root."""
-    covariance: Array = root @ root.T
-    return covariance
+def _past(joint: Joint, y: Array) -> Past:
+    finite, samples = np.isfinite(y), len(y)
+    residual = (y - joint.measurement_mean[:samples])[finite]
+    return Past.of(joint.measurement_root[:samples][finite], residual)
+
+
+def agreement(innovation: Array, root: Array, before: Array) -> dict[str, float]:
+    """The ports `nis` and `log_likelihood` of the finite rows of an innovation.
+
+    `root` is that of the rows given the past, `before` that of the rows as they were.
+    """
+    finite = np.isfinite(innovation)
+    if not finite.any():
+        return {"nis": 0.0, "log_likelihood": 0.0}
+    # What is left of a row that the past determines is rounding of the row as it was.
+    dust = RANK_TOLERANCE * np.linalg.norm(before[finite], axis=1)
+    whitening = whiten(root[finite], negligible=dust)
+    return {
+        "nis": float(np.sum((whitening.weights @ innovation[finite]) ** 2)),
+        "log_likelihood": log_density(innovation[finite], whitening),
+    }

@@ -20,12 +20,10 @@ RANK_TOLERANCE = 1e-13
 
 
 def square_root(covariance: Array) -> Array:
-    """Square roots of positive semidefinite matrices, exact in rank, blind to units.
+    """Square roots of positive semidefinite matrices (..., n, n), exact in rank, blind to units.
 
     The eigenvalues are those of the correlation matrix, so that a variance of 1e-8 beside one of
     1e8 keeps its digits.
-
-    Shapes: covariance (..., n, n); returns (..., n, n).
     """
     deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
     unit = np.where(deviation > 0.0, deviation, 1.0)
@@ -53,20 +51,14 @@ class Whitening:
         return int(self.directions.shape[1])
 
     def unexplained(self, root: Array) -> Array:
-        """Root of another vector's covariance when ``y`` is known.
-
-        Shapes: root (a, d); returns (a, d).
-        """
+        """Root of another vector's covariance when ``y`` is known, (a, d) from (a, d)."""
         remainder: Array = root - (root @ self.directions) @ self.directions.T
         # A second pass removes what rounding left of a long vector along the directions.
         return remainder - (remainder @ self.directions) @ self.directions.T
 
 
 def whiten(root: Array, *, negligible: Array | float = 0.0) -> Whitening:
-    """Find what a vector reveals, with the rank decided on unit rows.
-
-    Shapes: root (m, d); negligible (m,).
-    """
+    """Find what a vector reveals, the rank decided on unit rows; root (m, d), negligible (m,)."""
     norms = np.linalg.norm(root, axis=1)
     alive = norms > negligible
     scale = norms[alive]
@@ -79,10 +71,15 @@ def whiten(root: Array, *, negligible: Array | float = 0.0) -> Whitening:
 
 
 def log_density(residual: Array, whitening: Whitening) -> float:
-    """Log of the Gaussian density of ``y`` at a distance ``residual`` from its mean, eq. (15).
-
-    Shapes: residual (m,).
-    """
+    """Log of the Gaussian density of ``y`` at a distance ``residual`` from its mean, eq. (15)."""
     coordinates = whitening.weights @ residual
     constant = whitening.rank * np.log(2.0 * np.pi) + whitening.log_determinant
     return -0.5 * float(constant + coordinates @ coordinates)
+
+
+def mixture(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
+    """Mean and covariance of a mixture, the latter with the spread of the means."""
+    mean = weights @ means
+    spread = means - mean
+    within = np.einsum("i,ijk->jk", weights, covariances)
+    return mean, within + np.einsum("i,ij,ik->jk", weights, spread, spread)

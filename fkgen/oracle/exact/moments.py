@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -10,11 +9,8 @@ import numpy as np
 
 from fkgen.errors import DataError
 from fkgen.oracle.exact.gaussian import Array, square_root
-from fkgen.oracle.plants.sensor import SAME_PROBABILITY, SensorLaw
+from fkgen.oracle.plants.sensor import GAMMA, SAME_PROBABILITY, SensorLaw
 from fkgen.problem import Spec
-
-#: gamma of the four modes.
-GAMMA = np.array([1.0, 1.0, 0.0, 0.0])
 
 #: Samples over which Lemma 2 is examined. The condition on neighbours i and i + 1 is a quadratic
 #: form in the law of four modes, and those have ten dimensions: by then it holds for ever.
@@ -70,10 +66,7 @@ class FaultMoments:
         rows: tuple[int, ...],
         noise_factor: float = 1.0,
     ) -> Self:
-        """Take Lemma 2 for granted: E[gamma_k gamma_i] = p11(k) E[gamma_i] for all i < k.
-
-        Shapes: gamma_rate, gamma_persistence (T,); delta_nominal_rate (T,).
-        """
+        """Take Lemma 2 for granted: E[gamma_k gamma_i] = p11(k) E[gamma_i] for all i < k."""
         gamma, persistence, nominal = (
             np.array(np.broadcast_to(np.asarray(rate, dtype=float), (T,)))
             for rate in (gamma_rate, gamma_persistence, delta_nominal_rate)
@@ -166,19 +159,14 @@ def satisfies_lemma_2(
 
     Shapes: kernel, initial (4, 4), (4,). Sigalov, Oshman, Lemma 2.
     """
-    differences = [float(np.ptp(row)) for row in _conditionals(kernel, initial, horizon)]
-    largest = max(differences, default=0.0)
-    return largest <= SAME_PROBABILITY, largest
-
-
-def _conditionals(kernel: Array, initial: Array, horizon: int) -> Iterator[Array]:
-    """For each k the probabilities Pr(gamma_k = 1 | gamma_i = 1) of all i < k that have one."""
     laws, returns = _laws(initial, kernel, horizon), _returns(kernel, horizon)
     given = [i for i in range(horizon) if laws[i] @ GAMMA > SAME_PROBABILITY]
-    for k in range(1, horizon):
-        row = [(laws[i] * GAMMA) @ returns[k - i] / (laws[i] @ GAMMA) for i in given if i < k]
-        if row:
-            yield np.array(row)
+    conditionals = (
+        [(laws[i] * GAMMA) @ returns[k - i] / (laws[i] @ GAMMA) for i in given if i < k]
+        for k in range(1, horizon)
+    )
+    largest = max((float(np.ptp(row)) for row in conditionals if row), default=0.0)
+    return largest <= SAME_PROBABILITY, largest
 
 
 def _laws(initial: Array, kernel: Array, T: int) -> Array:

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from fkgen.oracle.exact.batch import BatchResult
 from fkgen.oracle.exact.gaussian import Array, log_density, square_root, whiten
 from fkgen.oracle.plants.actuator import LinearSystem
 
@@ -43,27 +44,17 @@ class PartialCompression:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PartialCompressionResult:
-    """One record; names and times as the ports of the filter, in the coordinates of the system."""
+class PartialCompressionResult(BatchResult):
+    """Estimates of the host, after its update by the compression filter where there is one.
 
-    #: filtered_state, filtered_covariance: (T, n), (T, n, n): Of the host, after its update by
-    #: the compression filter where there is one
-    filtered_state: Array
-    filtered_covariance: Array
-    predicted_state: Array  # predicted_state, predicted_covariance: (T, n), (T, n, n)
-    predicted_covariance: Array
-    #: innovation, innovation_covariance: (T, p), (T, p, p): Of all rows, with respect to the
-    #: prediction of the host
-    innovation: Array
-    innovation_covariance: Array
-    nis: Array  # nis, log_likelihood: (T,): Of the rows of the host
-    log_likelihood: Array
-    #: test_statistic, test_dof, fault_declared: (T,): NaN, 0 and 0 where no test is made
-    test_statistic: Array
+    The innovation is that of all rows, `nis` and `log_likelihood` are those of the host's.
+    """
+
+    test_statistic: Array  # (T,), as the next two: NaN, 0 and 0 where no test is made
     test_dof: Array
     fault_declared: Array
-    #: compressed_measurement, compressed_noise: (T, m), (T, m, m): Z and the covariance R of V
-    #: = Z - e^1 before the host makes use of it; zeros without one
+    #: (T, m), (T, m, m): Z and the covariance R of V = Z - e^1 before the host makes use of it;
+    #: zeros without one
     compressed_measurement: Array
     compressed_noise: Array
     compressed_cross_covariance: Array  # (T, m, n): S = E[V e']
@@ -72,27 +63,13 @@ class PartialCompressionResult:
 def partial_compression(
     system: LinearSystem, design: PartialCompression, y: Array, u: Array | None
 ) -> PartialCompressionResult:
-    """Filter a record with host and compression filter.
+    """Filter a record with host and compression filter; y (T, p), u (T, q).
 
-    Shapes: y (T, p); u (T, q). Lee & Lee, compression filters, Theorem 4 and Appendix D.
+    Lee & Lee, compression filters, Theorem 4 and Appendix D.
     """
-    run = _Run(_transformed(system, design.T), design)
-    inputs = system.inputs(u)
-    rows = [run.step(k, y[k] - system.D[k] @ inputs[k], inputs[k]) for k in range(len(y))]
-    found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    back = np.linalg.inv(design.T)
-    for when in ("filtered", "predicted"):
-        found[f"{when}_state"] = found[f"{when}_state"] @ back.T
-        found[f"{when}_covariance"] = back @ found[f"{when}_covariance"] @ back.T
-    found["compressed_cross_covariance"] = found["compressed_cross_covariance"] @ back.T
-    return PartialCompressionResult(**found)
-
-
-def _transformed(system: LinearSystem, T: Array) -> LinearSystem:
-    """The equivalent system for the state T x, (39)."""
-    back = np.linalg.inv(T)
-    return replace(
-        system,
+    T, back, inputs = design.T, np.linalg.inv(design.T), system.inputs(u)
+    transformed = replace(
+        system,  # for the state T x, (39)
         A=T @ system.A @ back,
         B=T @ system.B,
         C=system.C @ back,
@@ -100,6 +77,14 @@ def _transformed(system: LinearSystem, T: Array) -> LinearSystem:
         x0=T @ system.x0,
         P0=T @ system.P0 @ T.T,
     )
+    run = _Run(transformed, design)
+    rows = [run.step(k, y[k] - system.D[k] @ inputs[k], inputs[k]) for k in range(len(y))]
+    result = PartialCompressionResult.of(rows)
+    ports = {"compressed_cross_covariance": result.compressed_cross_covariance @ back.T}
+    for when in ("filtered", "predicted"):
+        ports[f"{when}_state"] = getattr(result, f"{when}_state") @ back.T
+        ports[f"{when}_covariance"] = back @ getattr(result, f"{when}_covariance") @ back.T
+    return replace(result, **ports)
 
 
 @dataclass(slots=True)
@@ -210,15 +195,18 @@ class _Run:
 
     def _end_of_window(self, k: int) -> dict[str, Array | float]:
         """(50), (51), (47); whatever comes of it, the next compression filter starts anew."""
-        none = {"test_statistic": np.nan, "test_dof": 0.0, "fault_declared": 0.0}
+        from scipy.special import chdtri  # noqa: PLC0415 - slow to import
+
+        verdict: dict[str, Array | float]
+        verdict = {"test_statistic": np.nan, "test_dof": 0.0, "fault_declared": 0.0}
         if not self.design.is_end(k) or not self.alive:
-            return {**none}
+            return verdict
         size = np.linalg.norm(np.hstack([self.V, self.e[: self.Z.size]]), axis=1)
         seen = whiten(self.coefficients, negligible=np.sqrt(NEGLIGIBLE) * size)
         correction = self.e @ seen.directions @ (seen.weights @ self.Z)
         statistic, rejected = float(np.sum((seen.weights @ self.Z) ** 2)), False
         if self.design.false_alarm is not None and seen.rank:
-            rejected = statistic > _threshold(self.design.false_alarm, seen.rank)
+            rejected = bool(statistic > chdtri(seen.rank, self.design.false_alarm))
         if not rejected:
             self.e, self.x = seen.unexplained(self.e), self.x + correction
         self.rejections = self.rejections + 1 if rejected else 0
@@ -226,10 +214,10 @@ class _Run:
             self.e[:, self.slot(k + 1) - 1] += correction
         self.alive, self.Z = False, np.zeros_like(self.Z)
         self.coefficients = np.zeros_like(self.coefficients)
-        if not seen.rank:
-            return {**none}
-        values = (statistic, float(seen.rank), float(rejected))
-        return dict(zip(none, values, strict=True))
+        if seen.rank:
+            values = (statistic, float(seen.rank), float(rejected))
+            verdict = dict(zip(verdict, values, strict=True))
+        return verdict
 
     def _propagate(self, k: int, u: Array) -> None:
         """(28), (43); the noise of the process enters the error of the host alone."""
@@ -238,9 +226,3 @@ class _Run:
         self.e = A @ self.e
         self.e[:, at : at + n] += square_root(self.system.Q[k])
         self.Z, self.coefficients = A[:m, :m] @ self.Z, A[:m, :m] @ self.coefficients
-
-
-def _threshold(false_alarm: float, dof: int) -> float:
-    from scipy.stats import chi2  # noqa: PLC0415 - slow to import
-
-    return float(chi2.isf(false_alarm, dof))

@@ -11,27 +11,16 @@ from dataclasses import replace
 import numpy as np
 
 from fkgen.errors import DataError
-from fkgen.oracle.exact.batch import BatchResult, Joint, joint_distribution
-from fkgen.oracle.exact.gaussian import (
-    RANK_TOLERANCE,
-    Array,
-    Whitening,
-    log_density,
-    square_root,
-    whiten,
-)
+from fkgen.oracle.exact.batch import BatchResult, Joint, joint_distribution, project
+from fkgen.oracle.exact.gaussian import Array, square_root
 from fkgen.oracle.exact.moments import FaultMoments
 from fkgen.oracle.plants.actuator import LinearSystem
-from fkgen.oracle.textbook.mixture import stacked
 
 
 def joint_moments(
     system: LinearSystem, moments: FaultMoments, u: Array | None
 ) -> tuple[Array, Array]:
-    """Mean and covariance of all states and measurements, pair of times by pair of times.
-
-    Shapes: u (T, q).
-    """
+    """Mean and covariance of all states and measurements, one pair of times after another."""
     require_sensor_faults_only(system, moments)
     T, n, p = system.length, system.nx, system.ny
     u = system.inputs(u)
@@ -77,8 +66,6 @@ def joint_uncertain(system: LinearSystem, moments: FaultMoments, u: Array | None
 
     With gamma = E[gamma] + L e a measurement is linear in z, in e and in all products e_a z_b. If e
     and z are independent, white and of unit variance, so are all of these together.
-
-    Shapes: u (T, q).
     """
     require_sensor_faults_only(system, moments)
     T, n, p = system.length, system.nx, system.ny
@@ -111,23 +98,8 @@ def joint_uncertain(system: LinearSystem, moments: FaultMoments, u: Array | None
 def batch_uncertain(
     system: LinearSystem, moments: FaultMoments, y: Array, u: Array | None
 ) -> BatchResult:
-    """Project each state on all measurements up to its time; the rank decided on unit rows.
-
-    Shapes: y (T, p); u (T, q).
-    """
-    joint = joint_uncertain(system, moments, u)
-    rows, past = [], _past(joint, y, 0)
-    for k in range(system.length):
-        mean, root = _given(past, joint.measurement_mean[k], joint.measurement_root[k])
-        nis, density = _agreement(y[k] - mean, root, joint.measurement_root[k])
-        row = {"innovation": y[k] - mean, "innovation_covariance": root @ root.T}
-        row |= {"nis": np.array(nis), "log_likelihood": np.array(density)}
-        past = _past(joint, y, k + 1)
-        for at, of in ((k, "filtered"), (k + 1, "predicted")):
-            mean, root = _given(past, joint.state_mean[at], joint.state_root[at])
-            row |= {f"{of}_state": mean, f"{of}_covariance": root @ root.T}
-        rows.append(row)
-    return BatchResult(**stacked(rows))
+    """Project each state on all measurements up to its time; y (T, p), u (T, q)."""
+    return project(joint_uncertain(system, moments, u), y)
 
 
 def require_sensor_faults_only(system: LinearSystem, moments: FaultMoments) -> None:
@@ -140,29 +112,3 @@ def require_sensor_faults_only(system: LinearSystem, moments: FaultMoments) -> N
             given=f"{moments.length} samples",
             expected=f"{system.length}, as the plant has",
         )
-
-
-def _past(joint: Joint, y: Array, samples: int) -> tuple[Whitening, Array]:
-    """What the finite measurements up to some sample reveal: directions and coordinates."""
-    finite = np.isfinite(y[:samples])
-    whitening = whiten(joint.measurement_root[:samples][finite])
-    residual = (y[:samples] - joint.measurement_mean[:samples])[finite]
-    return whitening, whitening.weights @ residual
-
-
-def _given(past: tuple[Whitening, Array], mean: Array, root: Array) -> tuple[Array, Array]:
-    """Mean and covariance root of a vector when the past is known."""
-    whitening, coordinates = past
-    return mean + root @ (whitening.directions @ coordinates), whitening.unexplained(root)
-
-
-def _agreement(innovation: Array, root: Array, before: Array) -> tuple[float, float]:
-    """Normalised square and Gaussian log density of the finite rows of an innovation."""
-    finite = np.isfinite(innovation)
-    if not finite.any():
-        return 0.0, 0.0
-    # What is left of a row that the past determines is rounding of the row as it was.
-    dust = RANK_TOLERANCE * np.linalg.norm(before[finite], axis=1)
-    whitening = whiten(root[finite], negligible=dust)
-    nis = float(np.sum((whitening.weights @ innovation[finite]) ** 2))
-    return nis, log_density(innovation[finite], whitening)

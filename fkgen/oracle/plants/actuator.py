@@ -1,6 +1,4 @@
-"""A plant with intermittent actuator faults over a record, and its simulation, eq. (1)-(3).
-
-Actuators that fail now and then: the covariance of their states and their enumeration.
+"""A plant over a record, one whose actuators fail now and then, and its simulation, eq. (1)-(3).
 
 ``gamma`` in {0, 1}^q says which actuators work in a sample; its mean is the success rate, eq. (3).
 """
@@ -10,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -21,41 +19,20 @@ from fkgen.problem import Spec, evaluate
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LinearSystem:
-    """x[k+1] = A x + B g u + v,  y[k] = C x + D g u + w with one g = diag(gamma) for both, eq. (1).
+class Plant:
+    """Matrices of T samples, (T, ...) or (T, N, ...) where there are N modes."""
 
-    Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, eq.
-    (1)-(3).
-    """
+    #: What has one value for each sample
+    VARYING: ClassVar[tuple[str, ...]] = ("A", "B", "C", "D", "Q", "R")
 
-    #: A, B, C, D: (T, n, n), (T, n, q), (T, p, n), (T, p, q): The plant at each sample; q may
-    #: be 0
-    A: Array
+    A: Array  # A, B, C, D: (..., n, n), (..., n, q), (..., p, n), (..., p, q); q may be 0
     B: Array
     C: Array
     D: Array
-    #: Q, R: (T, n, n), (T, p, p): Covariances of v and w as they enter x and y (F V F' and G W
-    #: G' of the paper)
-    Q: Array
+    Q: Array  # Q, R: (..., n, n), (..., p, p): Covariances of the noises as they enter x and y
     R: Array
     x0: Array  # x0, P0: (n,), (n, n): Mean and covariance of x[0], eq. (2)
     P0: Array
-    rate: Array  # (T, q): Mean of gamma; ones where nothing fails
-    fault_covariance: Array  # (T, q, q): Covariance of gamma; zeros where nothing fails
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that do not fit, which NumPy would broadcast in silence."""
-        T, n, p, q = self.length, self.nx, self.ny, self.nu
-        for name, expected in {
-            "A": (T, n, n), "B": (T, n, q), "C": (T, p, n), "D": (T, p, q),
-            "Q": (T, n, n), "R": (T, p, p), "x0": (n,), "P0": (n, n),
-            "rate": (T, q), "fault_covariance": (T, q, q),
-        }.items():  # fmt: skip
-            actual = getattr(self, name).shape
-            if actual != expected:
-                raise DataError(
-                    f"{name} of a LinearSystem", given=f"shape {actual}", expected=f"{expected}"
-                )
 
     @property
     def length(self) -> int:
@@ -77,21 +54,49 @@ class LinearSystem:
         """Number of inputs, q."""
         return int(self.B.shape[-1])
 
-    def inputs(self, u: Array | None) -> Array:
-        """Check the inputs of a record and supply them for a plant that has none.
+    def first(self, samples: int) -> Self:
+        """The same plant over its first samples."""
+        return self.over(slice(samples))
 
-        Shapes: u (T, q); returns (T, q).
-        """
+    def over(self, piece: slice) -> Self:
+        """The same plant over a piece of its samples, its prior unchanged."""
+        return replace(self, **{name: getattr(self, name)[piece] for name in self.VARYING})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinearSystem(Plant):
+    """x[k+1] = A x + B g u + v,  y[k] = C x + D g u + w with one g = diag(gamma) for both, eq. (1).
+
+    Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, eq.
+    (1)-(3).
+    """
+
+    VARYING = (*Plant.VARYING, "rate", "fault_covariance")
+
+    rate: Array  # (T, q): Mean of gamma; ones where nothing fails
+    fault_covariance: Array  # (T, q, q): Covariance of gamma; zeros where nothing fails
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that do not fit, which NumPy would broadcast in silence."""
+        T, n, p, q = self.length, self.nx, self.ny, self.nu
+        for name, expected in {
+            "A": (T, n, n), "B": (T, n, q), "C": (T, p, n), "D": (T, p, q),
+            "Q": (T, n, n), "R": (T, p, p), "x0": (n,), "P0": (n, n),
+            "rate": (T, q), "fault_covariance": (T, q, q),
+        }.items():  # fmt: skip
+            actual = getattr(self, name).shape
+            if actual != expected:
+                raise DataError(
+                    f"{name} of a LinearSystem", given=f"shape {actual}", expected=f"{expected}"
+                )
+
+    def inputs(self, u: Array | None) -> Array:
+        """Inputs of a record as checked, (T, q); supplied for a plant that has none."""
         expected = (self.length, self.nu)
         record = np.zeros((self.length, 0)) if u is None else np.asarray(u, dtype=float)
         if record.shape != expected:
             raise DataError("u", given=f"shape {record.shape}", expected=f"shape {expected}")
         return record
-
-    def first(self, samples: int) -> Self:
-        """The same plant over its first samples."""
-        varying = ("A", "B", "C", "D", "Q", "R", "rate", "fault_covariance")
-        return replace(self, **{name: getattr(self, name)[:samples] for name in varying})
 
     @classmethod
     def from_spec(
@@ -101,15 +106,12 @@ class LinearSystem:
         params: Mapping[str, Array | float] | None = None,
         rates: tuple[float, ...] | None = None,
     ) -> Self:
-        """Sample the plant of a spec.
-
-        Shapes: params (T,).
-        """
+        """Sample the plant of a spec; params (T,)."""
         samples, which = parameter_samples(spec, T, params)
         model = spec.model
         plant = {
             name: np.array([getattr(model, name).values(sample) for sample in samples])[which]
-            for name in ("A", "B", "C", "D", "Q", "R")
+            for name in Plant.VARYING
         }
         faults = [
             _fault_moments(spec.faults.actuator, model.nu, sample, rates) for sample in samples
@@ -159,22 +161,9 @@ def _fault_moments(
 def simulate(
     system: LinearSystem, u: Array | None, rng: np.random.Generator, *, missing: float = 0.0
 ) -> Array:
-    """Draw one record of measurements.
+    """Draw one record of measurements (T, p), each entry NaN with the probability `missing`.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The plant; x[0], v and w are Gaussian, gamma is in {0, 1} (see `draw_gamma`).
-    u : (T, q) ndarray or None
-        Inputs as commanded.
-    rng : numpy.random.Generator
-        Source of the random numbers.
-    missing : float
-        Probability of each entry of y to be NaN.
-
-    Returns
-    -------
-    (T, p) ndarray
+    x[0], v and w are Gaussian, gamma is in {0, 1} (see `draw_gamma`); u (T, q) as commanded.
     """
     T, n, p = system.length, system.nx, system.ny
     effective = draw_gamma(system, rng) * system.inputs(u)
@@ -190,14 +179,12 @@ def simulate(
 
 
 def draw_gamma(system: LinearSystem, rng: np.random.Generator) -> Array:
-    """Draw which actuators work in each sample.
+    """Draw which actuators work in each sample, (T, q).
 
     One coin where all inputs fail together, q coins where they fail independently, the exact joint
     distribution for two correlated inputs. For more than two correlated inputs the binary
     distribution is not determined by mean and covariance: a Gaussian vector of the same two moments
     takes its place, which a linear filter cannot tell apart.
-
-    Shapes: returns (T, q).
     """
     T, q = system.rate.shape
     moments = np.hstack([system.rate, system.fault_covariance.reshape(T, q * q)])
@@ -219,19 +206,14 @@ def _draw(rate: Array, covariance: Array, count: int, rng: np.random.Generator) 
     if is_common(rate, covariance):
         return np.repeat((rng.random((count, 1)) < rate[0]).astype(float), q, axis=1)
     if q == 2:  # the last case that two moments determine
-        patterns, probabilities = pair_patterns(rate, covariance)
-        drawn: Array = patterns[
-            rng.choice(len(patterns), size=count, p=probabilities / probabilities.sum())
-        ]
+        patterns, chance = pair_patterns(rate, covariance)
+        drawn: Array = patterns[rng.choice(len(patterns), size=count, p=chance / chance.sum())]
         return drawn
     return rate + rng.standard_normal((count, q)) @ square_root(covariance).T
 
 
 def fault_covariance(dependence: str, rate: Array, given: Array | None = None) -> Array:
-    """Covariance of ``gamma`` in one sample.
-
-    Shapes: rate (q,); given (q, q); returns (q, q).
-    """
+    """Covariance of ``gamma`` in one sample, (q, q); rate (q,), given (q, q)."""
     if given is not None and dependence == "covariance":
         return given
     variance = rate * (1.0 - rate)
@@ -251,27 +233,18 @@ def is_independent(covariance: Array) -> bool:
 
 
 def common_patterns(rate: Array) -> tuple[Array, Array]:
-    """Both states of inputs that fail together.
-
-    Shapes: rate (q,).
-    """
+    """Both states of inputs that fail together, and their probabilities; rate (q,)."""
     return np.array([np.zeros(rate.size), np.ones(rate.size)]), np.array([1.0 - rate[0], rate[0]])
 
 
 def independent_patterns(rate: Array) -> tuple[Array, Array]:
-    """All states of inputs that fail independently.
-
-    Shapes: rate (q,).
-    """
+    """All states of inputs that fail independently; rate (q,)."""
     patterns = np.array(list(product((0.0, 1.0), repeat=rate.size))).reshape(-1, rate.size)
     return patterns, np.prod(np.where(patterns > 0.0, rate, 1.0 - rate), axis=1)
 
 
 def pair_patterns(rate: Array, covariance: Array) -> tuple[Array, Array]:
-    """Enumerate two correlated inputs: Pr(both work) = Cov_12 + xi_1 xi_2.
-
-    Shapes: rate (2,); covariance (2, 2).
-    """
+    """Enumerate two correlated inputs: Pr(both work) = Cov_12 + xi_1 xi_2."""
     both = covariance[0, 1] + rate[0] * rate[1]
     patterns = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
     probabilities = np.array([1.0 - rate.sum() + both, rate[1] - both, rate[0] - both, both])

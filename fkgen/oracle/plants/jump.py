@@ -11,27 +11,17 @@ from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.oracle.exact.gaussian import Array, square_root
-from fkgen.oracle.plants.actuator import parameter_samples
+from fkgen.oracle.plants.actuator import Plant, parameter_samples
 from fkgen.problem import Spec
-
-_LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JumpSystem:
+class JumpSystem(Plant):
     """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u) + v, with i = mode[k]."""
 
-    #: A, B, C, D: (T, N, n, n), (T, N, n, q), (T, N, p, n), (T, N, p, q): The plant at each
-    #: sample in each mode; q may be 0
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    Q: Array  # Q, R: (T, N, n, n), (T, N, p, p): Covariances of w and v
-    R: Array
+    VARYING = (*Plant.VARYING, "c")
+
     c: Array  # (T, N, n): Known offsets
-    x0: Array  # x0, P0: (n,), (n, n): Mean and covariance of x[0]
-    P0: Array
     #: transition, initial: (N, N), (N,): Pr(j at k+1 | i at k), and the law of mode[0]
     transition: Array
     initial: Array
@@ -41,28 +31,9 @@ class JumpSystem:
     arrival_initial: Array
 
     @property
-    def length(self) -> int:
-        """Number of samples, T."""
-        return int(self.A.shape[0])
-
-    @property
     def count(self) -> int:
         """Number of modes, N."""
         return int(self.A.shape[1])
-
-    @property
-    def nx(self) -> int:
-        """Number of states, n."""
-        return int(self.A.shape[-1])
-
-    @property
-    def ny(self) -> int:
-        """Number of measurements, p."""
-        return int(self.C.shape[-2])
-
-    def first(self, samples: int) -> Self:
-        """The same plant over its first samples."""
-        return replace(self, **{name: getattr(self, name)[:samples] for name in _LETTERS})
 
     def offsets(self, u: Array) -> tuple[Array, Array]:
         """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u, (T, N, p)."""
@@ -88,10 +59,7 @@ class JumpSystem:
     def from_spec(
         cls, spec: Spec, T: int, params: Mapping[str, Array | float] | None = None
     ) -> Self:
-        """Sample the plant of a spec.
-
-        Shapes: params (T,).
-        """
+        """Sample the plant of a spec; params (T,)."""
         faults = spec.faults.jump
         if faults is None:
             raise DataError("faults.jump", given="nothing", expected="modes and their chain")
@@ -100,7 +68,7 @@ class JumpSystem:
             name: np.array(
                 [[getattr(mode, name).values(at) for mode in faults.modes] for at in samples]
             )[which]
-            for name in _LETTERS
+            for name in cls.VARYING
         }
         plant["c"] = plant["c"][..., 0]
         rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
@@ -138,10 +106,7 @@ class JumpRecord:
 
 
 def simulate_jumps(system: JumpSystem, u: Array, rng: np.random.Generator) -> JumpRecord:
-    """Draw one record.
-
-    Shapes: u (T, q).
-    """
+    """Draw one record; u (T, q)."""
     T, n, p = system.length, system.nx, system.ny
     mode = draw_chain(system.transition, system.initial, T, rng)
     arrived = draw_chain(system.arrival, system.arrival_initial, T, rng) == 1

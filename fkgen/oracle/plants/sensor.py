@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.oracle.exact.gaussian import Array, square_root
 from fkgen.oracle.plants.actuator import LinearSystem
-from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.oracle.plants.jump import JumpSystem, draw_chain, lasting_law
 from fkgen.problem import Spec
+
+#: gamma of the four modes.
+GAMMA = np.array([1.0, 1.0, 0.0, 0.0])
 
 #: Probabilities closer than this are the same: rounding of sums of four numbers up to one.
 SAME_PROBABILITY = 1e-12
@@ -66,32 +69,23 @@ class SensorLaw:
 def mode_plant(
     system: LinearSystem, law: SensorLaw, k: int, mode: int
 ) -> tuple[Array, Array, Array]:
-    """The measurement of one mode: y = G C x + G D u + v with Cov v = T R T, eq. (2).
-
-    Shapes: returns (p, n), (p, q) and (p, p).
-    """
+    """The measurement of one mode: y = G C x + G D u + v with Cov v = T R T, eq. (2)."""
     gamma, delta = gamma_delta(law, np.array([mode]))
-    signal, noise = np.ones(system.ny), np.ones(system.ny)
-    signal[list(law.rows)] = gamma[0]
-    noise[list(law.rows)] = np.sqrt(delta[0])
-    G, T = np.diag(signal), np.diag(noise)
-    return G @ system.C[k], G @ system.D[k], T @ system.R[k] @ T
+    signal, noise = np.ones((2, system.ny, 1))
+    signal[list(law.rows)], noise[list(law.rows)] = gamma, np.sqrt(delta)
+    return signal * system.C[k], signal * system.D[k], noise * system.R[k] * noise.T
 
 
 def sensed_modes(system: LinearSystem, law: SensorLaw) -> JumpSystem:
     """The four conditions of the sensor as modes that all move alike."""
     T = system.length
     plants = [[mode_plant(system, law, k, mode) for mode in range(4)] for k in range(T)]
-    measured = {
-        letter: np.array([[plant[at] for plant in row] for row in plants])
-        for at, letter in enumerate("CDR")
-    }
-    moving = {
-        letter: np.repeat(getattr(system, letter)[:, np.newaxis], 4, axis=1) for letter in "ABQ"
-    }
     return JumpSystem(
-        **measured,
-        **moving,
+        **{
+            name: np.array([[each[at] for each in row] for row in plants])
+            for at, name in enumerate("CDR")
+        },
+        **{name: np.repeat(getattr(system, name)[:, np.newaxis], 4, axis=1) for name in "ABQ"},
         c=np.zeros((T, 4, system.nx)),
         x0=system.x0,
         P0=system.P0,
@@ -103,35 +97,19 @@ def sensed_modes(system: LinearSystem, law: SensorLaw) -> JumpSystem:
 
 
 def gamma_delta(law: SensorLaw, modes: NDArray[np.int64]) -> tuple[Array, Array]:
-    """The fault indicators of modes.
-
-    Shapes: modes (T,); returns (T,).
-    """
-    gamma = np.array([1.0, 1.0, 0.0, 0.0])[modes]
-    delta = np.array([1.0, law.noise_factor, 1.0, law.noise_factor])[modes]
-    return gamma, delta
+    """The fault indicators of modes, (T,) each."""
+    return GAMMA[modes], np.array([1.0, law.noise_factor, 1.0, law.noise_factor])[modes]
 
 
 def draw_modes(law: SensorLaw, T: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draw the modes of T samples.
-
-    Shapes: returns (T,).
-    """
-    modes = np.zeros(T, dtype=np.int64)
-    now = law.initial
-    for k in range(T):
-        modes[k] = rng.choice(4, p=now / now.sum())
-        now = law.kernel[modes[k]]
-    return modes
+    """Draw the modes of T samples."""
+    return draw_chain(law.kernel, law.initial, T, rng)
 
 
 def simulate_sensor(
     system: LinearSystem, law: SensorLaw, u: Array | None, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Draw one record of measurements and the modes behind it, eq. (1)-(2).
-
-    Shapes: u (T, q).
-    """
+    """Draw one record of measurements and the modes behind it, eq. (1)-(2); u (T, q)."""
     T, n, p = system.length, system.nx, system.ny
     u = system.inputs(u)
     modes = draw_modes(law, T, rng)
@@ -152,8 +130,7 @@ def nominal_share(law: SensorLaw) -> float:
     law takes its place, then the sum of all ways that lead from visited modes to gamma = 0; where
     that is impossible as well the answer is 1.
     """
-    visited = np.atleast_1d(_reaches(law.kernel)[law.initial > 0.0].any(axis=0))
-    ways = law.kernel[visited].sum(axis=0)
+    ways = law.kernel[_visited(law)].sum(axis=0)
     for now in (_stationary_law(law.kernel), law.initial, ways):
         if now is not None and now[2] + now[3] > 0.0:
             return float(now[2] / (now[2] + now[3]))
@@ -161,10 +138,7 @@ def nominal_share(law: SensorLaw) -> float:
 
 
 def aggregate(law: SensorLaw) -> tuple[Array, Array]:
-    """Kernel and initial law of the three modes (1, 1), (1, C) and {gamma = 0}, sec. IV.
-
-    Shapes: returns (3, 3) and (3,).
-    """
+    """Kernel and initial law of the three modes (1, 1), (1, C) and {gamma = 0}, sec. IV."""
     share = nominal_share(law)
     within = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, share, 1.0 - share]])
     members = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 1]])
@@ -178,8 +152,7 @@ def is_lumpable(law: SensorLaw) -> tuple[bool, float]:
     in the same share whatever the mode before it was, and at the start. Modes that cannot be
     reached from the initial law are not asked.
     """
-    share = nominal_share(law)
-    visited = np.atleast_1d(_reaches(law.kernel)[law.initial > 0.0].any(axis=0))
+    share, visited = nominal_share(law), _visited(law)
     laws = np.vstack([law.initial, law.kernel[visited]])
     size = float(np.abs(laws[:, 2] - share * (laws[:, 2] + laws[:, 3])).max())
     if visited[2] and visited[3]:
@@ -187,15 +160,18 @@ def is_lumpable(law: SensorLaw) -> tuple[bool, float]:
     return size <= SAME_PROBABILITY, size
 
 
+def _visited(law: SensorLaw) -> NDArray[np.bool_]:
+    """Modes that can be reached from the initial law."""
+    return np.atleast_1d(_reaches(law.kernel)[law.initial > 0.0].any(axis=0))
+
+
 def _stationary_law(kernel: Array) -> Array | None:
     """The law with law @ kernel == law; None if there are several."""
     common = np.asarray(_reaches(kernel).all(axis=0))  # the class that no start avoids for ever
     if not common.any():
         return None
-    inside = kernel[np.ix_(common, common)]
-    equations = np.vstack([inside.T - np.eye(len(inside)), np.ones(len(inside))])
     law = np.zeros(4)
-    law[common] = np.linalg.lstsq(equations, np.append(np.zeros(len(inside)), 1.0), rcond=None)[0]
+    law[common] = lasting_law(kernel[np.ix_(common, common)])
     return law
 
 

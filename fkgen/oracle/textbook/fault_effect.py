@@ -30,10 +30,7 @@ class Gains:
 
 
 def gains(system: LinearSystem, u: Array | None = None, y: Array | None = None) -> Gains:
-    """Run the Riccati recursion (3), (4) in matrices, in Joseph form.
-
-    Shapes: u (T, q); y (T, p).
-    """
+    """Run the Riccati recursion (3), (4) in matrices, in Joseph form; u (T, q), y (T, p)."""
     T, n, p = system.length, system.nx, system.ny
     inputs = np.zeros((T, system.nu)) if u is None else u
     P = system.P0
@@ -61,31 +58,19 @@ def product(M: Array, lo: int, hi: int) -> Array:
 
 
 def after_pulse(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
-    """Deviation at k0 + i of a pulse ``a`` at k0, eqs. (9) and (20).
-
-    Shapes: M (T - 1, n, n); entry (T, n, m); a (m,); returns (n,).
-    """
+    """Deviation (n,) at k0 + i of a pulse ``a`` (m,) at k0, eqs. (9), (20); entry (T, n, m)."""
     moved: Array = product(M, k0, k0 + i - 1) @ entry[k0] @ a
     return moved
 
 
 def within_step(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
-    """Deviation at k0 + i of a step ``a`` that is on at k0, ..., k0 + i, eqs. (12) and (23).
-
-    Shapes: returns (n,).
-    """
-    total = entry[k0 + i].copy()
-    for c in range(1, i + 1):
-        total += product(M, k0 + c - 1, k0 + i - 1) @ entry[k0 + c - 1]
-    moved: Array = total @ a
-    return moved
+    """Deviation at k0 + i of a step ``a`` that is on at k0, ..., k0 + i, eqs. (12), (23); (n,)."""
+    pulses = [after_pulse(M, entry, k, k0 + i - k, a) for k in range(k0, k0 + i + 1)]
+    return np.asarray(np.sum(pulses, axis=0))
 
 
 def after_step(M: Array, entry: Array, span: tuple[int, int], j: int, a: Array) -> Array:
-    """Deviation j samples after the last faulty one, eqs. (15) and (26).
-
-    Shapes: returns (n,).
-    """
+    """Deviation j samples after the last faulty one, eqs. (15) and (26); (n,)."""
     k0, i = span
     moved: Array = product(M, k0 + i, k0 + i + j - 1) @ within_step(M, entry, k0, i, a)
     return moved

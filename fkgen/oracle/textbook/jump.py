@@ -12,12 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from fkgen.oracle.exact.gaussian import Array
 from fkgen.oracle.exact.paths import JumpResult
 from fkgen.oracle.plants.jump import JumpSystem
-from fkgen.oracle.textbook.loss_tests import LossTest
+from fkgen.oracle.textbook.loss_tests import LossTest, verdict
 from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
 
 
@@ -28,18 +28,13 @@ def composite(system: JumpSystem) -> JumpSystem:
     zero.
     """
     twice = {
-        name: np.concatenate([getattr(system, name)] * 2, axis=1) for name in ("A", "B", "Q", "R")
-    }
-    signal = {
-        name: np.concatenate([getattr(system, name), 0.0 * getattr(system, name)], axis=1)
-        for name in ("C", "D")
+        name: np.concatenate([each, 0.0 * each if name in "CD" else each], axis=1)
+        for name, each in ((name, getattr(system, name)) for name in system.VARYING)
     }
     lost, arrived = system.arrival_initial
     return replace(
         system.always_arriving(),
         **twice,
-        **signal,
-        c=np.concatenate([system.c] * 2, axis=1),
         transition=np.asarray(np.kron(system.arrival[::-1, ::-1], system.transition), float),
         initial=np.asarray(np.kron([arrived, lost], system.initial), float),
     )
@@ -85,13 +80,20 @@ def start_of(system: JumpSystem) -> tuple[Array, Array]:
     return np.kron(system.initial, one), system.initial[:, None, None] * second
 
 
+def with_constant(system: JumpSystem, k: int, added: Array) -> Array:
+    """The matrices that move (x, 1) in each mode, and the noise in it, (2, N, n + 1, n + 1)."""
+    n = system.nx
+    both = np.zeros((2, system.count, n + 1, n + 1))
+    both[0, :, :n, :n], both[0, :, :n, n], both[0, :, n, n] = system.A[k], added, 1.0
+    both[1, :, :n, :n] = system.Q[k]
+    return both
+
+
 def split_at(system: JumpSystem, u: Array, k: int, moments: Array, law: Array) -> Split:
     """The split plant at sample k: Costa 1994, Lemma 3 of Sun & Zhao & Yin for the moments."""
-    N, n, P = system.count, system.nx, system.transition
+    N, P = system.count, system.transition
     added, sensed = system.offsets(u)
-    A, Q = np.zeros((2, N, n + 1, n + 1))
-    A[:, :n, :n], A[:, :n, n], A[:, n, n] = system.A[k], added[k], 1.0
-    Q[:, :n, :n] = system.Q[k]
+    A, Q = with_constant(system, k, added[k])
     signal = np.concatenate([system.C[k], sensed[k][:, :, None]], axis=2)
     F = np.block([[P[i, j] * A[i] for i in range(N)] for j in range(N)])
     each = A @ moments @ A.transpose(0, 2, 1) + law[:, None, None] * Q
@@ -140,23 +142,6 @@ class SteadyState:
         return replace(self.split, F=split.F, L=split.L)
 
 
-@dataclass(slots=True)
-class _Memory:
-    """What is carried from sample to sample."""
-
-    z: Array
-    X: Array
-    q: Array
-    moments: Array
-    run: int = 0
-
-    @classmethod
-    def of(cls, system: JumpSystem) -> _Memory:
-        """Before sample 0."""
-        start, blocks = start_of(system)
-        return cls(start, block_diagonal(blocks) - np.outer(start, start), start, blocks)
-
-
 def textbook_jumps(
     system: JumpSystem,
     y: Array,
@@ -165,74 +150,49 @@ def textbook_jumps(
     test: LossTest | None = None,
     steady: SteadyState | None = None,
 ) -> JumpResult:
-    """Filter a record.
-
-    Shapes: y, u (T, p), (T, q).
-    """
-    T, n, N, p = system.length, system.nx, system.count, system.ny
+    """Filter a record; y, u (T, p), (T, q)."""
+    n, N = system.nx, system.count
     rate, laws = float(system.arrival_initial[1]), system.mode_law()
-    memory = _Memory.of(system)
-    result = JumpResult.blank(T, n, p, laws)
-    E = np.tile(np.eye(n, n + 1), N)
-    for k in range(T):
-        split = split_at(system, u, k, memory.moments, laws[k])
-        L, X, S = rate * split.L, memory.X, split.innovation_covariance(memory.X, rate)
+    q, moments = start_of(system)
+    z, X = q, block_diagonal(moments) - np.outer(q, q)
+    E, results = np.tile(np.eye(n, n + 1), N), []
+    for k, now in enumerate(y):
+        split = split_at(system, u, k, moments, laws[k])
+        L, S = rate * split.L, split.innovation_covariance(X, rate)
         if steady is not None:
             X, S, split = steady.covariance, steady.innovation_covariance, steady.at(split)
-        r = y[k] - L @ memory.z
-        result.innovation[k], result.innovation_covariance[k] = r, S
-        rows = np.flatnonzero(np.isfinite(y[k]))
-        _look(result, k, rows)
-        restart = _judged(result, k, (y[k], split.R), memory, test)
-        accepted = rows[:0] if result.fault_declared[k] else rows
+        r = now - L @ z
+        verdicts, restart = verdict(test, now, r, S, split.R)
+        row: dict[str, ArrayLike] = {
+            "innovation": r,
+            "innovation_covariance": S,
+            "mode_law": laws[k],
+            **_agreement(r, S),
+            **verdicts,
+        }
+        accepted = np.flatnonzero(np.isfinite(now) & (not verdicts["fault_declared"]))
         inverse = np.linalg.pinv(S[np.ix_(accepted, accepted)], rcond=1e-13, hermitian=True)
         K = X @ L[accepted].T @ inverse if steady is None else steady.gain[:, accepted]
-        z, X = memory.z + K @ r[accepted], X - K @ L[accepted] @ X
+        z, X = z + K @ r[accepted], X - K @ L[accepted] @ X
         if restart:
-            z, X = memory.q, split.now - np.outer(memory.q, memory.q)
-        memory.z, memory.X = split.F @ z, split.F @ X @ split.F.T + split.noise
-        if steady is not None:
-            X, memory.X = steady.filtered, steady.covariance
-        result.filtered_state[k], result.filtered_covariance[k] = E @ z, E @ X @ E.T
-        memory.q, memory.moments = split.F @ memory.q, diagonal_blocks(split.moved, N)
-        result.predicted_state[k], result.predicted_covariance[k] = E @ memory.z, E @ memory.X @ E.T
-    return result
+            z, X = q, split.now - np.outer(q, q)
+        shown = X if steady is None else steady.filtered
+        row |= {"filtered_state": E @ z, "filtered_covariance": E @ shown @ E.T}
+        z, X = split.F @ z, split.F @ X @ split.F.T + split.noise
+        shown = X if steady is None else steady.covariance
+        row |= {"predicted_state": E @ z, "predicted_covariance": E @ shown @ E.T}
+        q, moments = split.F @ q, diagonal_blocks(split.moved, N)
+        results.append(row)
+    return JumpResult.of(results)
 
 
-def _look(result: JumpResult, k: int, rows: NDArray[np.intp]) -> None:
-    """Fill in how well the rows present fit their prediction."""
-    if rows.size:
-        r, S = result.innovation[k][rows], result.innovation_covariance[k][np.ix_(rows, rows)]
-        result.nis[k] = r @ np.linalg.pinv(S, rcond=1e-13, hermitian=True) @ r
-        determinant = np.linalg.slogdet(2.0 * np.pi * S)[1]
-        result.log_likelihood[k] = -0.5 * (result.nis[k] + determinant)
-
-
-def _judged(
-    result: JumpResult,
-    k: int,
-    sample: tuple[Array, Array],
-    memory: _Memory,
-    test: LossTest | None,
-) -> bool:
-    """Test a sample, ``(y, R)``, and fill in the verdict; return whether to start again."""
-    y, R = sample
-    rows = np.flatnonzero(np.isfinite(y))
-    restart = False
-    if test is not None and rows.size:
-        options, chosen = test.options, np.ix_(rows, rows)
-        S = result.innovation_covariance[k][chosen]
-        found = test.judge(y[rows], result.innovation[k][rows], S, R[chosen])
-        result.test_statistic[k], result.test_threshold[k] = found
-        result.fault_declared[k], result.test_dof[k] = found[0] > found[1], rows.size
-        locked = options.reinitialise and memory.run >= options.lock_out
-        memory.run = 0 if locked else memory.run
-        memory.run = memory.run + 1 if result.fault_declared[k] else 0
-        restart = options.reinitialise and memory.run >= options.lock_out
-        if restart:
-            test.energies.clear()
-    result.consecutive_rejections[k] = memory.run
-    return restart
+def _agreement(r: Array, S: Array) -> dict[str, float]:
+    """How well the rows present fit their prediction."""
+    rows = np.flatnonzero(np.isfinite(r))
+    r, S = r[rows], S[np.ix_(rows, rows)]
+    nis = float(r @ np.linalg.pinv(S, rcond=1e-13, hermitian=True) @ r)
+    determinant = float(np.linalg.slogdet(2.0 * np.pi * S)[1])
+    return {"nis": nis, "log_likelihood": -0.5 * (nis + determinant)}
 
 
 #: Powers of two of the moment operator after which it has stopped to change, at the latest.
@@ -242,11 +202,8 @@ DOUBLINGS = 60
 def moment_operator(system: JumpSystem) -> Array:
     """The matrix that moves the second moments of (x, 1) 1{mode}, all blocks stacked."""
     N, n, P = system.count, system.nx, system.transition
-    A, Q = np.zeros((2, N, n + 1, n + 1))
-    A[:, :n, :n], A[:, :n, n], A[:, n, n] = system.A[0], system.c[0], 1.0
-    Q[:, :n, :n] = system.Q[0]
-    corner = np.zeros((n + 1) ** 2)
-    corner[-1] = 1.0
+    A, Q = with_constant(system, 0, system.c[0])
+    corner = np.eye((n + 1) ** 2)[-1]
     each = [np.kron(A[i], A[i]) + np.outer(Q[i].ravel(), corner) for i in range(N)]
     whole: Array = np.block([[P[i, j] * each[i] for i in range(N)] for j in range(N)])
     return whole

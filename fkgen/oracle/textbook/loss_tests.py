@@ -20,6 +20,7 @@ class LossTest:
     options: Any  # detector and its thresholds
     rate: float  # Pr(a sample holds a signal), for llr
     energies: list[float] = field(default_factory=list)  # Past |r|^2, for energy
+    run: int = 0  # Rejections in a row
 
     def judge(self, y: Array, residual: Array, S: Array, R: Array) -> tuple[float, float]:
         """Statistic and threshold of one sample; a loss is declared if the first is larger.
@@ -45,3 +46,31 @@ class LossTest:
         lost = np.log1p(-self.rate) + log_density(y, whiten(square_root(R)))
         arrived = np.log(self.rate) + log_density(residual, whiten(square_root(S)))
         return float(lost - arrived)
+
+    def restarts(self, *, fault: bool) -> bool:
+        """Count one verdict; whether the rejections in a row have become too many."""
+        before = 0 if self._locked else self.run
+        self.run = before + 1 if fault else 0
+        if self._locked:
+            self.energies.clear()
+        return self._locked
+
+    @property
+    def _locked(self) -> bool:
+        return bool(self.options.reinitialise and self.run >= self.options.lock_out)
+
+
+def verdict(
+    test: LossTest | None, y: Array, residual: Array, S: Array, R: Array
+) -> tuple[dict[str, float], bool]:
+    """What the test says of the finite rows of a sample, as ports, and whether to start again."""
+    names = ("fault_declared", "test_statistic", "test_threshold", "test_dof")
+    ports, restart, rows = dict.fromkeys(names, 0.0), False, np.flatnonzero(np.isfinite(y))
+    if test is not None and rows.size:
+        chosen = np.ix_(rows, rows)
+        statistic, threshold = test.judge(y[rows], residual[rows], S[chosen], R[chosen])
+        fault = statistic > threshold
+        restart = test.restarts(fault=fault)
+        values = (float(fault), statistic, threshold, float(rows.size))
+        ports = dict(zip(names, values, strict=True))
+    return ports | {"consecutive_rejections": float(test.run if test else 0)}, restart

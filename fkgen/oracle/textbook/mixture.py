@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.exact.gaussian import Array, mixture
 
 Gaussian: TypeAlias = tuple[Array, Array]
 Ports: TypeAlias = dict[str, Array]
@@ -24,10 +24,7 @@ class Matched:
 
 
 def matched(plant: tuple[Array, Array, Array], prior: Gaussian, y: Array, u: Array) -> Matched:
-    """Update with the finite rows of y as if the mode were known, eq. (5), (6), (9).
-
-    Shapes: plant (p, n), (p, q) and (p, p); prior (n,) and (n, n); y, u (p,) and (q,).
-    """
+    """Update with the finite rows of y as if the mode were known, eq. (5), (6), (9)."""
     (C, D, R), (x, P) = plant, prior
     expected, S = C @ x + D @ u, C @ P @ C.T + R
     finite = np.isfinite(y)
@@ -70,10 +67,13 @@ def within(log_weights: Array, parts: Sequence[Gaussian]) -> Array:
 
 def merge(log_weights: Array, parts: Sequence[Gaussian]) -> Gaussian:
     """Mean and covariance of a mixture, the latter with the spread of the means."""
-    weights, means = np.exp(log_weights), np.array([x for x, _ in parts])
-    mean = weights @ means
-    spread = means - mean
-    return mean, within(log_weights, parts) + np.einsum("i,ij,ik->jk", weights, spread, spread)
+    means, covariances = (np.array(each) for each in zip(*parts, strict=True))
+    return mixture(np.exp(log_weights), means, covariances)
+
+
+def moved(A: Array, Q: Array, filtered: Gaussian, added: Array) -> Gaussian:
+    """Eq. (1): from x(k|k) to x(k+1|k)."""
+    return A @ filtered[0] + added, A @ filtered[1] @ A.T + Q
 
 
 def estimates(estimate: Gaussian, ahead: Gaussian, log_posterior: Array, log_held: Array) -> Ports:
@@ -98,8 +98,3 @@ def normalised(logs: Array) -> Array:
     """Logs of weights that add up to one; where they are huge, without adding them first."""
     relative = logs - logs.max()
     return np.asarray(relative - np.logaddexp.reduce(relative))
-
-
-def stacked(rows: list[Ports]) -> Ports:
-    """One array per port."""
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}

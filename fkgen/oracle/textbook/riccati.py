@@ -26,7 +26,7 @@ def stationary_prediction(
     """Solve P = A P A' + Q - (A P C' + S) (C P C' + R)^-1 (A P C' + S)' with SciPy.
 
     Returns None if there is no stabilising solution: a mode that is not stable and not seen in y,
-    or one on the unit circle that no noise excites.
+    or one on the unit circle that no noise excites; else P and the radius of the closed loop.
 
     Shapes: A, C (n, n), (p, n); Q, R (n, n), (p, p); S (n, p).
     """
@@ -37,16 +37,13 @@ def stationary_prediction(
         P = solve_discrete_are(A.T, C.T, Q, R, s=cross)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return _accepted(np.asarray(P, dtype=float), A, C, (Q, R, cross))
+    return _accepted(P, A, C, (Q, R, cross))
 
 
 def stationary_prediction_by_control(
     A: Array, C: Array, Q: Array, R: Array, S: Array | None = None
 ) -> tuple[Array, float] | None:
-    """Solve the same equation with python-control; arguments and result as `stationary_prediction`.
-
-    Shapes: A, C (n, n), (p, n); Q, R (n, n), (p, p); S (n, p); returns (n, n).
-    """
+    """Solve the same equation with python-control; arguments and result as above."""
     import control  # noqa: PLC0415 - slow to import
 
     cross = np.zeros((A.shape[0], C.shape[0])) if S is None else S
@@ -54,33 +51,29 @@ def stationary_prediction_by_control(
         P, _, _ = control.dare(A.T, C.T, Q, R, cross, np.eye(A.shape[0]))
     except (np.linalg.LinAlgError, ValueError, control.ControlArgument, control.ControlDimension):
         return None
-    return _accepted(np.asarray(P, dtype=float), A, C, (Q, R, cross))
+    return _accepted(P, A, C, (Q, R, cross))
 
 
 def _accepted(
     P: Array, A: Array, C: Array, noise: tuple[Array, Array, Array]
 ) -> tuple[Array, float] | None:
-    """Return P and its closed-loop radius if P solves the equation and stabilises, else None."""
+    """P and its closed-loop radius if P solves the equation and stabilises, else None."""
     Q, R, S = noise
+    P = np.asarray(P, dtype=float)
     if not np.isfinite(P).all():
         return None
     P = 0.5 * (P + P.T)
-    innovation = C @ P @ C.T + R
     cross = A @ P @ C.T + S
-    K = cross @ np.linalg.pinv(innovation, hermitian=True)
+    K = cross @ np.linalg.pinv(C @ P @ C.T + R, hermitian=True)
     radius = float(np.abs(np.linalg.eigvals(A - K @ C)).max())
     residual = np.abs(A @ P @ A.T + Q - K @ cross.T - P).max()
-    size = np.abs(P).max()
-    solved = residual <= RESIDUAL_TOLERANCE * size
-    positive = np.linalg.eigvalsh(P).min() >= -RESIDUAL_TOLERANCE * size
-    return (P, radius) if solved and positive and radius < 1.0 - STABILITY_MARGIN else None
+    negligible = RESIDUAL_TOLERANCE * np.abs(P).max()
+    solved = residual <= negligible and np.linalg.eigvalsh(P).min() >= -negligible
+    return (P, radius) if solved and radius < 1.0 - STABILITY_MARGIN else None
 
 
 def constant_input_noise(system: LinearSystem, u: Array, k: int = 0) -> tuple[Array, Array, Array]:
-    """Find the noise at a constant input: failing actuators shake x and y together, eq. (12), (22).
-
-    Shapes: u (q,).
-    """
+    """Q, R and S at a constant input (q,): failing actuators shake x and y together, (12), (22)."""
     N = np.outer(u, u) * system.fault_covariance[k]
     B, D = system.B[k], system.D[k]
     return system.Q[k] + B @ N @ B.T, system.R[k] + D @ N @ D.T, B @ N @ D.T
