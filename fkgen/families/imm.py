@@ -51,7 +51,7 @@ class ImmOptions(Options):
 
 def build(spec: Spec) -> Recursion:
     """Build the filter: a correction per mode, Bayes' rule, mixing, a prediction per mode."""
-    from fkgen.estimators.models.interacting import interacting_models
+    from fkgen.estimators.models.switching import interacting_models
 
     return interacting_models(spec)
 

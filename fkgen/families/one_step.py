@@ -38,7 +38,7 @@ class OneStepOptions(Options):
 
 def build(spec: Spec) -> Recursion:
     """Build the filter: four corrections of one prior, Bayes' rule, one Gaussian."""
-    from fkgen.estimators.models.one_step import one_step_optimal
+    from fkgen.estimators.models.switching import one_step_optimal
 
     return one_step_optimal(spec)
 

@@ -59,6 +59,26 @@ def state_ports(spec: Spec) -> tuple[Port, ...]:
     )
 
 
+def mode_estimate_ports(spec: Spec, count: int, means: tuple[str, str]) -> tuple[Port, ...]:
+    """Predicted and filtered state under each of several modes, with their covariances."""
+    return tuple(
+        port
+        for prefix, mean in zip(("mode_", "mode_filtered_"), means, strict=True)
+        for port in estimate_ports(
+            prefix, (count, spec.model.nx), (mean, "its error covariance"), start=prior_of(spec)
+        )
+    )
+
+
+def twins(name: str, shape: tuple[int, ...], meaning: str, start: Start = ()) -> tuple[Port, Port]:
+    """A number of sample k and its prediction; {of} and {k} in the meaning tell them apart."""
+    now, later = (
+        carried(of + name, shape, meaning.format(of=of, k=k), start=start)
+        for of, k in (("", "k"), ("predicted_", "k+1"))
+    )
+    return now, later
+
+
 def innovation_ports(spec: Spec) -> tuple[Port, ...]:
     """Innovation, its covariance, and the two numbers that tell whether they fit."""
     p = spec.model.ny

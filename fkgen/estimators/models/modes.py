@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from fkgen.estimators.models.markov import Kernel
+from fkgen.estimators.models.weights import Kernel
 from fkgen.problem import Spec
 from fkgen.problem.probability import visited
-from fkgen.symbolic.plant import Plant, mode_plants
+from fkgen.symbolic.plant import Plant
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +37,26 @@ class Modes:
     initial: tuple[float, ...]  # at sample 0
     entangled: bool
 
-    @property
-    def size(self) -> int:
-        """Number N of modes."""
-        return len(self.variants)
+    @classmethod
+    def of(cls, spec: Spec, plants: Sequence[Plant]) -> Modes:
+        """The modes that a spec states, made of the plants of its chain.
+
+        Three modes for four conditions of a sensor: the mixture of both noises at gamma = 0.
+        """
+        chain, sensor = spec.faults.chain(spec.model), spec.faults.sensor
+        count = len(chain.modes)
+        lumps = sensor if sensor is not None and spec.filter.option("modes", 4) < count else None
+        found = chain.lumped(tuple((i,) for i in range(count))) if lumps is None else lumps.lumped()
+        variants = tuple(
+            tuple(
+                Variant(chain.modes[i].title, share, plants[i])
+                for i, share in zip(group, shares, strict=True)
+                if share > 0.0
+            )
+            for group, shares in zip(found.groups, found.shares, strict=True)
+        )
+        entangled = lumps is not None and lumps.entangles(spec.model.R)
+        return cls(variants, found.transition, found.initial, entangled)
 
     @property
     def note(self) -> str:
@@ -78,39 +94,10 @@ def mean_noise(plants: Sequence[Plant], probability: ca.SX) -> ca.SX:
         return plants[0].Q
     total = ca.SX(*plants[0].Q.shape)
     for key, Q in distinct.items():
-        own = [probability[j] for j, each in enumerate(plants) if id(each.Q) == key]
-        total += sum(own[1:], start=own[0]) * Q
+        total += sum(probability[j] for j, each in enumerate(plants) if id(each.Q) == key) * Q
     return total
 
 
 def _identity(plant: Plant, letters: str) -> tuple[int, ...]:
     """What tells two plants apart: matrices that are equal are the same object."""
     return tuple(id(getattr(plant, letter)) for letter in letters)
-
-
-def plants_of(spec: Spec) -> tuple[Plant, ...]:
-    """The plant in every mode of its chain."""
-    return mode_plants(spec, spec.faults.chain(spec.model).modes)
-
-
-def modes_of(spec: Spec, plants: Sequence[Plant]) -> Modes:
-    """The modes that a spec states, made of `plants_of` it or of the same with named entries.
-
-    Three modes for four conditions of a sensor: the mixture of both noises at gamma = 0.
-    """
-    chain, sensor = spec.faults.chain(spec.model), spec.faults.sensor
-    lumps = sensor is not None and spec.filter.option("modes", 4) < len(chain.modes)
-    if sensor is not None and lumps:
-        found = sensor.lumped()
-    else:
-        found = chain.lumped(tuple((i,) for i in range(len(chain.modes))))
-    variants = tuple(
-        tuple(
-            Variant(chain.modes[i].title, share, plants[i])
-            for i, share in zip(group, shares, strict=True)
-            if share > 0.0
-        )
-        for group, shares in zip(found.groups, found.shares, strict=True)
-    )
-    entangled = sensor is not None and lumps and sensor.entangles(spec.model.R)
-    return Modes(variants, found.transition, found.initial, entangled)
