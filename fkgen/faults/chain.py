@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.probability import Distribution, period, stationary_law, visited
-from fkgen.problem.text.matrix import Matrix
+from fkgen.problem.text.matrix import Matrix, plain
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
 LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
@@ -52,8 +52,8 @@ class Mode:
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         letters = [letter for letter in "ABCDQR" if self.B.shape[1] or letter not in "BD"]
-        table: dict[str, object] = {letter: getattr(self, letter).plain() for letter in letters}
-        return table | {"c": [row[0] for row in self.c.plain()]}
+        table: dict[str, object] = {letter: plain(getattr(self, letter)) for letter in letters}
+        return table | {"c": [plain(row[0]) for row in self.c.rows]}
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,9 @@ class Faults:
 
     def chain(self, model: Model) -> ModeChain:
         """The modes of the plant under faults that are no soft ones, and their chain."""
-        found = self.sensor or self.jump or self.actuator
+        found = self.sensor or self.jump
         if found is None:
-            raise InternalError("no chain of modes without faults, or for soft ones")
+            raise InternalError("no chain of modes without faults of sensors or jumps")
         return found.chain(model)
 
     def plain(self) -> dict[str, object]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fkgen.problem.table.place import Place, show, suggestion
-from fkgen.problem.table.section import Section, as_list, as_number, as_text
+from fkgen.problem.table.place import Place, describe, show, suggestion
+from fkgen.problem.table.section import Section, as_list, as_number
 from fkgen.problem.text.naming import check_distinct, read_name
 
 MAX_UNIT = 40
@@ -36,34 +37,48 @@ def read_signals(section: Section, key: str, letter: str, count: int) -> tuple[S
 def _signal(entry: object, place: Place) -> Signal:
     section = Section(entry, place, known=("name", "unit"))
     name = read_name(section.require("name", "a C identifier"), place.entry("name"))
-    unit_place = place.entry("unit")
-    unit = as_text(section.table.get("unit", ""), unit_place, "a text, such as 'rad/s'")
+    unit = section.table.get("unit", "")
+    if not isinstance(unit, str):
+        raise section.error("unit", describe(unit), "a text, such as 'rad/s'")
     forbidden = any(part in unit for part in ("*/", "/*", "\\", "??"))
     if forbidden or len(unit) > MAX_UNIT or not unit.isprintable():
-        raise unit_place.error(
-            show(unit), f"at most {MAX_UNIT} printable characters that can stand in a C comment"
-        )
-    return Signal(name, unit)
+        expected = f"at most {MAX_UNIT} printable characters that can stand in a C comment"
+        raise section.error("unit", show(unit), expected)
+    return Signal(name, str(unit))
 
 
-def read_row(entry: object, place: Place, names: list[str]) -> int:
-    """Return the index of a row of y that is given by number or by name."""
+def read_rows(
+    section: Section, key: str, outputs: Sequence[Signal], which: str = "", empty: str = ""
+) -> tuple[int, ...]:
+    """Return rows of y under a key that must be there; ``empty``: what to do if there are none."""
+    names = ", ".join(signal.name for signal in outputs)
+    expected = f"a list of rows of y, out of 0..{len(outputs) - 1} ({names}){which}"
+    rows = as_rows(section.require(key, expected), section.place.entry(key), expected, outputs)
+    if not rows and empty:
+        raise section.error(key, "an empty list", f"{expected}; {empty}")
+    return rows
+
+
+def as_rows(
+    entries: object, place: Place, expected: str, outputs: Sequence[Signal]
+) -> tuple[int, ...]:
+    """Return indices of rows of y, ascending, each given once, by number or by name."""
+    rows: list[int] = []
+    for i, entry in enumerate(as_list(entries, place, expected)):
+        row = _row(entry, place.item(i), [signal.name for signal in outputs])
+        if row in rows:
+            raise place.item(i).error(f"row {row} a second time", "every row once")
+        rows.append(row)
+    return tuple(sorted(rows))
+
+
+def _row(entry: object, place: Place, names: list[str]) -> int:
     expected = f"a row of y, 0..{len(names) - 1}, or its name ({', '.join(names)})"
     if isinstance(entry, str):
         if entry not in names:
             raise place.error(show(entry), expected + suggestion(entry, names))
         return names.index(entry)
     number = as_number(entry, place, expected)
-    if number != int(number) or not 0 <= number < len(names):
+    if number not in range(len(names)):
         raise place.error(show(entry), expected)
     return int(number)
-
-
-def read_rows(entries: object, place: Place, expected: str, names: list[str]) -> tuple[int, ...]:
-    """Return the indices of rows of y, ascending, each of which is named once."""
-    given = as_list(entries, place, expected)
-    rows = [read_row(entry, place.item(i), names) for i, entry in enumerate(given)]
-    for i, row in enumerate(rows):
-        if row in rows[:i]:
-            raise place.item(i).error(f"row {row} a second time", "every row once")
-    return tuple(sorted(rows))

@@ -16,17 +16,8 @@ from dataclasses import dataclass
 
 from fkgen.problem.table.place import Place, show, suggestion
 
-FUNCTIONS: dict[str, int] = {
-    "exp": 1,
-    "log": 1,
-    "sqrt": 1,
-    "sin": 1,
-    "cos": 1,
-    "tan": 1,
-    "atan2": 2,
-    "abs": 1,
-}
-"""The functions of the expression language and the number of their arguments."""
+#: The functions of the expression language and the number of their arguments.
+FUNCTIONS = {"exp": 1, "log": 1, "sqrt": 1, "sin": 1, "cos": 1, "tan": 1, "atan2": 2, "abs": 1}
 
 MAX_DEPTH = 100
 MAX_NODES = 2000
@@ -70,14 +61,7 @@ _COMPUTE: dict[str, Callable[..., float]] = {
     "/": python_operator.truediv,
     "**": math.pow,
     "neg": python_operator.neg,
-    "exp": math.exp,
-    "log": math.log,
-    "sqrt": math.sqrt,
-    "sin": math.sin,
-    "cos": math.cos,
-    "tan": math.tan,
-    "atan2": math.atan2,
-    "abs": abs,
+    **{name: getattr(math, name, abs) for name in FUNCTIONS},
 }
 
 
@@ -179,6 +163,11 @@ def size(expression: Expression) -> int:
     if isinstance(expression, Operation):
         return 1 + sum(size(argument) for argument in expression.arguments)
     return 1
+
+
+def is_large(expression: Expression) -> bool:
+    """Whether a computed expression is too large to be written."""
+    return size(expression) > MAX_NODES or depth(expression) > MAX_DEPTH
 
 
 MAX_TEXT = 10_000
