@@ -10,16 +10,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from fkgen.problem.code import Code, read_code
 from fkgen.problem.filter import Filter, Parameter, registry
-from fkgen.problem.magnitude import check_magnitudes
 from fkgen.problem.model import Model, read_model
+from fkgen.problem.signals import PARAMETER, PREFIX, check_distinct, read_name
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section, as_number, as_table
-from fkgen.problem.text.naming import check_distinct, read_parameter_name, read_prefix
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
     from fkgen.faults import Faults, Mode
+
+#: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
+LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 
 _KEYS = ("name", "model", "parameters", "faults", "filter", "code")
 
@@ -75,7 +79,9 @@ class Spec:
             If anything in it is missing, unknown, of the wrong type or shape, or impossible.
         """
         place = Place(file)
-        whole = _whole(table, place)
+        if not as_table(table, place, "a table (a dict) with a spec in it"):
+            raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
+        whole = Section(table, place, known=_KEYS)
         given_name = whole.require("name", "a C identifier")
         given_filter = whole.require("filter", "a table with the family of the filter")
         families = registry()
@@ -87,7 +93,7 @@ class Spec:
         given_faults, where = whole.table.get("faults", {}), place.entry("faults")
         faults = families.read_faults(family, given_faults, where, defaults, model)
         spec = cls(
-            name=read_prefix(given_name, place.entry("name")),
+            name=read_name(given_name, place.entry("name"), PREFIX),
             model=model,
             parameters=parameters,
             faults=faults,
@@ -95,9 +101,9 @@ class Spec:
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             file=file,
         )
-        check_magnitudes(model, place.entry("model"), defaults, spec.code.scalar)
-        for plant, at in spec.placed_plants if faults.jump is not None else ():
-            check_magnitudes(plant, at, defaults, spec.code.scalar)
+        _check_magnitudes(model, place.entry("model"), spec)
+        for plant, at in spec.placed_plants:
+            _check_magnitudes(plant, at, spec)
         family.check_spec(spec)
         return spec
 
@@ -152,11 +158,22 @@ class Spec:
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
-def _whole(table: object, place: Place) -> Section:
-    """Return the top level of a spec, which must not be empty."""
-    if not as_table(table, place, "a table (a dict) with a spec in it"):
-        raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
-    return Section(table, place, known=_KEYS)
+def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
+    """Refuse entries beyond `LIMITS`; parameters have their default values."""
+    scalar = spec.code.scalar
+    smallest, largest = LIMITS[scalar]
+    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c"):
+        values = getattr(plant, name).values(spec.defaults) if hasattr(plant, name) else ()
+        for at, value in np.ndenumerate(values):
+            expected = ""
+            if abs(value) > largest:
+                expected = f"at most {largest:g} in magnitude"
+            elif name in {"Q", "R", "P0"} and at[0] == at[1] and 0.0 < value < smallest:
+                expected = f"0 or at least {smallest:g}"
+            if expected:
+                indices = at[:1] if name in {"x0", "c"} else at
+                where = place.entry(name).item(*indices)
+                raise where.error(f"{value:g}", f"{expected} with scalar {scalar!r}")
 
 
 def _read_parameters(whole: Section, place: Place, family: Any) -> tuple[Parameter, ...]:
@@ -165,7 +182,7 @@ def _read_parameters(whole: Section, place: Place, family: Any) -> tuple[Paramet
     entries = as_table(table, place, "a table of default values, such as tau = 0.05")
     parameters = tuple(
         Parameter(
-            read_parameter_name(name, place.entry(name)),
+            read_name(name, place.entry(name), PARAMETER),
             as_number(value, place.entry(name), "a finite number, the default"),
         )
         for name, value in entries.items()

@@ -13,6 +13,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from fkgen.problem.table.place import Place, show, suggestion
 
@@ -100,10 +101,8 @@ def _balanced(operator: str, operands: Sequence[Expression], neutral: Expression
     if len(operands) < 2:
         return operands[0] if operands else neutral
     middle = (len(operands) + 1) // 2
-    left, right = operands[:middle], operands[middle:]
-    return operation(
-        operator, _balanced(operator, left, neutral), _balanced(operator, right, neutral)
-    )
+    halves = (_balanced(operator, half, neutral) for half in (operands[:middle], operands[middle:]))
+    return operation(operator, *halves)
 
 
 def evaluate(expression: Expression, values: Mapping[str, float]) -> float:
@@ -119,8 +118,7 @@ def evaluate(expression: Expression, values: Mapping[str, float]) -> float:
 
 def _compute(operator: str, values: Sequence[float]) -> float:
     if operator == "/" and values[1] == 0.0:
-        message = f"division by zero in {_written(operator, values)}"
-        raise ArithmeticError(message)
+        raise ArithmeticError(f"division by zero in {_written(operator, values)}")
     try:
         result = _COMPUTE[operator](*values)
     except OverflowError:
@@ -129,8 +127,7 @@ def _compute(operator: str, values: Sequence[float]) -> float:
         result = math.nan
     if not math.isfinite(result):
         fault = "is not a real number" if math.isnan(result) else "is too large"
-        message = f"{_written(operator, values)} {fault}"
-        raise ArithmeticError(message)
+        raise ArithmeticError(f"{_written(operator, values)} {fault}")
     return result
 
 
@@ -142,27 +139,21 @@ def _written(operator: str, values: Sequence[float]) -> str:
 
 def names(expression: Expression) -> frozenset[str]:
     """Return the parameters an expression depends on."""
-    match expression:
-        case Number():
-            return frozenset()
-        case Name(identifier):
-            return frozenset({identifier})
-        case Operation(_, arguments):
-            return frozenset().union(*(names(argument) for argument in arguments))
+    if isinstance(expression, Operation):
+        return frozenset().union(*map(names, expression.arguments))
+    return frozenset({expression.identifier} if isinstance(expression, Name) else ())
 
 
 def depth(expression: Expression) -> int:
     """Return the height of the tree; 1 for a leaf."""
-    if isinstance(expression, Operation):
-        return 1 + max(depth(argument) for argument in expression.arguments)
-    return 1
+    arguments = expression.arguments if isinstance(expression, Operation) else ()
+    return 1 + max(map(depth, arguments), default=0)
 
 
 def size(expression: Expression) -> int:
     """Return the number of nodes of the tree."""
-    if isinstance(expression, Operation):
-        return 1 + sum(size(argument) for argument in expression.arguments)
-    return 1
+    arguments = expression.arguments if isinstance(expression, Operation) else ()
+    return 1 + sum(map(size, arguments))
 
 
 def is_large(expression: Expression) -> bool:
@@ -172,13 +163,7 @@ def is_large(expression: Expression) -> bool:
 
 MAX_TEXT = 10_000
 _ALLOWED = re.compile(r"[A-Za-z0-9_.,+\-*/() ]")
-_BINARY: dict[type[ast.operator], str] = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
-    ast.Pow: "**",
-}
+_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 _LANGUAGE = f"numbers, parameters, + - * / ** ( ) and {' '.join(FUNCTIONS)}"
 _WORDS: dict[type[ast.AST], str] = {
     ast.Attribute: "an attribute access",
@@ -211,31 +196,24 @@ class _Parser:
         self.text, self.place, self.parameters = text, place, parameters
 
     def run(self) -> Expression:
-        self.check_text()
+        line = " ".join(self.text.split())
+        if len(self.text) > MAX_TEXT:
+            raise self.error(f"at most {MAX_TEXT} characters, not {len(self.text)}")
+        if not line:
+            raise self.error("an expression, not an empty text")
+        if strange := _ALLOWED.sub("", line):
+            raise self.error(f"an expression of {_LANGUAGE}, without {strange[0]!r}")
+        if max(accumulate((each == "(") - (each == ")") for each in line)) > MAX_DEPTH:
+            raise self.too_deep()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # "1or 2" is a warning to Python, a mistake to us
-                root = ast.parse(" ".join(self.text.split()), mode="eval").body
+                root = ast.parse(line, mode="eval").body
         except (SyntaxError, ValueError, Warning):
             raise self.error(f"an expression of {_LANGUAGE}") from None
         except (RecursionError, MemoryError):
             raise self.too_deep() from None
         return self.convert(root, 1)
-
-    def check_text(self) -> None:
-        if len(self.text) > MAX_TEXT:
-            raise self.error(f"at most {MAX_TEXT} characters, not {len(self.text)}")
-        line = " ".join(self.text.split())
-        if not line:
-            raise self.error("an expression, not an empty text")
-        if strange := _ALLOWED.sub("", line):
-            raise self.error(f"an expression of {_LANGUAGE}, without {strange[0]!r}")
-        level = deepest = 0
-        for character in line:
-            level += (character == "(") - (character == ")")
-            deepest = max(deepest, level)
-        if deepest > MAX_DEPTH:
-            raise self.too_deep()
 
     def convert(self, node: ast.expr, level: int) -> Expression:
         if level > MAX_DEPTH:
@@ -284,14 +262,11 @@ class _Parser:
             hint = suggestion(function, FUNCTIONS)
             known = ", ".join(FUNCTIONS)
             raise self.error(f"one of the functions {known}, not '{function}'{hint}")
-        if len(arguments) != FUNCTIONS[function]:
-            count = FUNCTIONS[function]
-            raise self.error(
-                f"{count} argument{'s' * (count > 1)} of '{function}', not {len(arguments)}"
-            )
-        return self.operate(
-            function, *(self.convert(argument, level + 1) for argument in arguments)
-        )
+        count = FUNCTIONS[function]
+        if len(arguments) != count:
+            expected = f"{count} argument{'s' * (count > 1)} of '{function}', not {len(arguments)}"
+            raise self.error(expected)
+        return self.operate(function, *(self.convert(each, level + 1) for each in arguments))
 
     def operate(self, operator: str, *arguments: Expression) -> Expression:
         try:
