@@ -11,13 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
 from fkgen.runtime.layout import Layout
+from fkgen.symbolic.interface import Port
 
 Array = NDArray[np.floating]
-
-
-def dtype_of(layout: Layout) -> type[np.floating]:
-    """The NumPy scalar of a filter."""
-    return np.float64 if layout.scalar == "double" else np.float32
 
 
 def numbers(what: str, value: ArrayLike, dtype: type[np.floating]) -> Array:
@@ -44,17 +40,15 @@ def signal(what: str, value: ArrayLike, width: int, dtype: type[np.floating]) ->
 
 def inputs(layout: Layout, u: ArrayLike | None, samples: int) -> Array:
     """The inputs of a record, (T, q)."""
-    q, dtype = len(layout.inputs), dtype_of(layout)
-    names = ", ".join(layout.inputs)
-    if u is None:
-        if q:
-            raise DataError("u", given="nothing", expected=f"shape (T, {q}): {names}")
-        return np.zeros((samples, 0), dtype)
+    q = len(layout.inputs)
+    if u is None and q:
+        names = ", ".join(layout.inputs)
+        raise DataError("u", given="nothing", expected=f"shape (T, {q}): {names}")
     if not q:
-        if np.size(u):
+        if u is not None and np.size(u):
             raise DataError("u", given="inputs", expected="none: the model has no B")
-        return np.zeros((samples, 0), dtype)
-    array = signal("u", u, q, dtype)
+        return np.zeros((samples, 0), layout.dtype)
+    array = signal("u", np.asarray(u), q, layout.dtype)
     if len(array) != samples:
         raise DataError("u", given=f"{len(array)} samples", expected=f"{samples}, as many as y has")
     return array
@@ -62,7 +56,7 @@ def inputs(layout: Layout, u: ArrayLike | None, samples: int) -> Array:
 
 def batch(layout: Layout, y: ArrayLike, u: ArrayLike | None) -> tuple[Array, Array | None]:
     """Measurements (M, T, p), and inputs (M, T, q) or (T, q) as they were given."""
-    dtype, p = dtype_of(layout), len(layout.outputs)
+    dtype, p = layout.dtype, len(layout.outputs)
     records = numbers("y", y, dtype)
     if records.ndim != 3 or records.shape[2] != p:
         raise DataError("y", given=f"shape {records.shape}", expected=f"shape (M, T, {p})")
@@ -73,17 +67,6 @@ def batch(layout: Layout, y: ArrayLike, u: ArrayLike | None) -> tuple[Array, Arr
     return records, driven
 
 
-def parameters(
-    layout: Layout,
-    given: Mapping[str, ArrayLike] | None,
-    samples: int,
-    *,
-    records: int | None = None,
-) -> list[Array]:
-    """One array per parameter: (1,), (samples,) or, for several records, (records, samples)."""
-    return values_of(layout.parameters, given, samples, dtype_of(layout), records=records)
-
-
 def values_of(
     named: Sequence[tuple[str, float]],
     given: Mapping[str, ArrayLike] | None,
@@ -92,7 +75,7 @@ def values_of(
     *,
     records: int | None = None,
 ) -> list[Array]:
-    """The same for any parameters with defaults."""
+    """One array per parameter: (1,), (samples,) or, for several records, (records, samples)."""
     values = dict(given or {})
     known = [name for name, _ in named]
     for name in values:
@@ -118,16 +101,14 @@ def values_of(
     return result
 
 
-def kept(layout: Layout, keep: Sequence[str] | None) -> frozenset[str]:
-    """Names of the ports to store; all of them by default."""
+def kept(layout: Layout, keep: Sequence[str] | None) -> list[Port]:
+    """The ports to store; all of them by default."""
     known = [port.name for port in layout.ports]
-    if keep is None:
-        return frozenset(known)
-    names = [keep] if isinstance(keep, str) else list(keep)
+    names = known if keep is None else [keep] if isinstance(keep, str) else list(keep)
     for name in names:
         if name not in known and name != "status":
             raise DataError("keep", given=repr(name), expected=choice(name, known))
-    return frozenset(names)
+    return [port for port in layout.ports if port.name in names]
 
 
 def choice(name: str, known: Sequence[str]) -> str:
