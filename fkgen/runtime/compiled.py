@@ -62,7 +62,11 @@ class CompiledFilter:
         self._status = np.zeros(1, np.int32)
         nothing = Run({}, self._status)
         data = (self._y[np.newaxis], self._u[np.newaxis])
-        self._step_arguments = self._arguments(self._instance, data, self._parameters, nothing)
+        self._alive = self._arguments(self._instance, data, self._parameters, nothing)
+        self._step_arguments = tuple(
+            ctypes.addressof(each) if isinstance(each, ctypes.Array) else each
+            for each in self._alive
+        )
         self.reset()
 
     def run(
