@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -64,7 +64,7 @@ class Model:
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {
-            key: getattr(self, key).plain()
+            key: plain(getattr(self, key))
             for key in ("A", "B", "C", "D", "Q", "R", "P0")
             if self.nu or key not in {"B", "D"}
         }
@@ -72,8 +72,7 @@ class Model:
         if self.sample_time is not None:
             table["sample_time"] = self.sample_time
         for key in ("states", "inputs", "outputs"):
-            signals: tuple[Signal, ...] = getattr(self, key)
-            table[key] = [{"name": signal.name, "unit": signal.unit} for signal in signals]
+            table[key] = [asdict(signal) for signal in getattr(self, key)]
         return table
 
 

@@ -1,10 +1,12 @@
-"""Check a record before it goes to C: shapes, types, parameter names."""
+"""Check what a user gives at run time: records before they go to C, parameters, numbers."""
 
 from __future__ import annotations
 
 import contextlib
 import difflib
+import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -117,3 +119,22 @@ def choice(name: str, known: Sequence[str]) -> str:
     if not known:
         return "nothing: the filter has none"
     return f"{close[0]!r}" if close else f"one of: {', '.join(known)}"
+
+
+def probability(name: str, value: Any) -> float:
+    """A probability strictly between 0 and 1."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0.0 < number < 1.0:
+        raise DataError(name, given=repr(value), expected="a probability in (0, 1), such as 0.001")
+    return number
+
+
+def whole(name: str, value: Any, *, least: int, expected: str, most: float = math.inf) -> int:
+    """A whole number within bounds."""
+    number = not isinstance(value, bool) and isinstance(value, int | np.integer)
+    if not number or not least <= value <= most:
+        raise DataError(name, given=repr(value), expected=expected)
+    return int(value)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.console import Advance, progressing
 from fkgen.errors import DataError
 from fkgen.problem import Spec
-from fkgen.problem.numbers import whole
 from fkgen.runtime import record
 from fkgen.runtime.blocks import in_blocks
+from fkgen.runtime.record import whole
 from fkgen.symbolic.interface import Status
 from fkgen.trials.sampler import Overflow, Trials, sampler
 

@@ -71,15 +71,8 @@ class Matrix:
 
     def values(self, parameters: Mapping[str, float] = NO_PARAMETERS) -> NDArray[np.float64]:
         """Return the values for given parameters."""
-        result = np.empty(self.shape)
-        for i, row in enumerate(self.rows):
-            for j, entry in enumerate(row):
-                result[i, j] = evaluate(entry, parameters)
-        return result
-
-    def plain(self) -> object:
-        """Return the entries as a spec file writes them: numbers, and texts for expressions."""
-        return plain(self.rows)
+        rows = [[evaluate(entry, parameters) for entry in row] for row in self.rows]
+        return np.array(rows, float).reshape(self.shape)
 
 
 def plain(value: object) -> object:
@@ -91,6 +84,8 @@ def plain(value: object) -> object:
             return to_text(value)
         case tuple():
             return [plain(entry) for entry in value]
+        case Matrix(rows):
+            return plain(rows)
         case _:
             return value.plain() if hasattr(value, "plain") else value
 
@@ -103,8 +98,7 @@ def plain_fields(value: Any) -> dict[str, object]:
 
 def mirrored(matrix: Matrix) -> Matrix:
     """Return the symmetric matrix with the lower triangle of this one."""
-    count = range(len(matrix.rows))
-    return Matrix(tuple(tuple(matrix.rows[max(i, j)][min(i, j)] for j in count) for i in count))
+    return matrix.mapped(lambda i, j, entry: matrix.rows[j][i] if i < j else entry)
 
 
 def congruence(left: Matrix, middle: Matrix) -> Matrix:
@@ -120,5 +114,5 @@ def congruence(left: Matrix, middle: Matrix) -> Matrix:
         return total([term for term in terms if term != ZERO])
 
     size = range(len(left.rows))
-    lower = {(i, j): entry(i, j) for i in size for j in range(i + 1)}
-    return Matrix(tuple(tuple(lower[max(i, j), min(i, j)] for j in size) for i in size))
+    lower = (tuple(entry(i, j) if j <= i else ZERO for j in size) for i in size)
+    return mirrored(Matrix(tuple(lower)))

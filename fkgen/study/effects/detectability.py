@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.errors import DataError
 from fkgen.families import NAMES, family
 from fkgen.problem import Matrix, Spec
-from fkgen.problem.numbers import probability, whole
-from fkgen.runtime.record import choice, numbers
+from fkgen.runtime.record import choice, numbers, probability, whole
 from fkgen.study.diagnostics.model_numbers import ModelNumbers
 from fkgen.study.diagnostics.visibility import lasting_innovation
 from fkgen.study.effects.effect import required_noncentrality
