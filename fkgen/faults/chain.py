@@ -10,9 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from fkgen.problem.probability import Distribution, period, stationary_law, visited
+from fkgen.problem.probability import (
+    Array,
+    Distribution,
+    Transition,
+    period,
+    stationary_law,
+    visited,
+)
 from fkgen.problem.text.matrix import Matrix, plain
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
@@ -21,7 +28,6 @@ LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
 #: Mean-square radii closer to one than this are not told from one.
 MARGIN = 1e-9
 
-Array = NDArray[np.float64]
 Groups = tuple[tuple[int, ...], ...]
 
 
@@ -60,7 +66,7 @@ class Mode:
 class Channel:
     """On which samples are lost: Pr(j at k+1 | i at k) and the law of sample 0, (lost, arrived)."""
 
-    transition: tuple[Distribution, ...]
+    transition: Transition
     initial: Distribution
 
     @classmethod
@@ -77,7 +83,7 @@ class Lumping:
 
     groups: Groups
     shares: tuple[tuple[float, ...], ...]  # Pr(mode | its group), taken for a constant
-    transition: tuple[Distribution, ...]
+    transition: Transition
     initial: Distribution
     unequal_successors: float  # how far the next group depends on more than this group
     unequal_shares: float  # how far the shares are no constants
@@ -93,7 +99,7 @@ class ModeChain:
     """Modes and the chain that they follow; modes with equal matrices share the objects."""
 
     modes: tuple[Mode, ...]
-    transition: tuple[Distribution, ...]  # Pr(j at k+1 | i at k)
+    transition: Transition  # Pr(j at k+1 | i at k)
     initial: Distribution  # of sample 0
 
     def times(self, channel: Channel) -> ModeChain:
@@ -157,7 +163,7 @@ def _shares(laws: Sequence[Array], members: list[int]) -> tuple[float, ...]:
     return (1.0, *(0.0 for _ in members[1:]))
 
 
-def _rows(matrix: Array) -> tuple[Distribution, ...]:
+def _rows(matrix: Array) -> Transition:
     return tuple(tuple(row) for row in matrix.tolist())
 
 

@@ -14,7 +14,6 @@ from fkgen.problem.model import Model
 from fkgen.problem.probability import (
     Distribution,
     Transition,
-    as_probability,
     read_initial,
     read_transition,
     stationary_law,
@@ -137,11 +136,8 @@ def _mode(section: Section, model: Model) -> Mode:
 
 def _channel(section: Section) -> tuple[Arrival, float | None, Transition]:
     """What the filter knows of the channel, and its rate or chain, whichever is there."""
-    rate: float | None = None
+    rate = section.probability("arrival_rate") if "arrival_rate" in section else None
     chain: Transition = ()
-    if "arrival_rate" in section:
-        place = section.place.entry("arrival_rate")
-        rate = as_probability(section.table["arrival_rate"], place)
     if "arrival_chain" in section:
         if rate is not None:
             given = "arrival_chain beside arrival_rate"

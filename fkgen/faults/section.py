@@ -11,6 +11,7 @@ from fkgen.faults.jump import JumpFaults
 from fkgen.faults.sensor import SensorFaults
 from fkgen.faults.soft import SoftFaults
 from fkgen.problem.model import Model
+from fkgen.problem.text.matrix import plain_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +33,7 @@ class Faults:
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        sections = {kind: getattr(self, kind) for kind in KINDS}
-        return {kind: faults.plain() for kind, faults in sections.items() if faults is not None}
+        return plain_fields(self)
 
 
 #: The sections of ``faults``.

@@ -15,7 +15,6 @@ from fkgen.problem.probability import (
     Distribution,
     Transition,
     as_distribution,
-    as_probability,
     read_initial,
     read_transition,
     stationary_law,
@@ -151,9 +150,10 @@ def read_sensor_faults(
                 raise section.error("problem", given, "the problem that it belongs to")
         return SensorFaults(factor, rows)
     problem = _problem(section, family, law)
+    nominal = 1.0 if factor == 1.0 else None  # nothing need be said of delta
     if problem == "moments":
-        return SensorFaults(factor, rows, moments=_moments(section, nominal=factor == 1.0))
-    kernel, stationary = _chain(section, problem, nominal=factor == 1.0)
+        return SensorFaults(factor, rows, moments=_moments(section, nominal))
+    kernel, stationary = _chain(section, problem, nominal)
     initial = read_initial(section, stationary, 4, f"ordered {_MODES}")
     return SensorFaults(factor, rows, kernel, initial)
 
@@ -182,11 +182,10 @@ def _problem(section: Section, family: str, law: str) -> Problem:
     return found
 
 
-def _chain(section: Section, problem: Problem, *, nominal: bool) -> tuple[Transition, Array | None]:
-    """Kernel of the four modes and its stationary law, if there is just one.
-
-    With a noise factor of 1 nothing need be said of delta.
-    """
+def _chain(
+    section: Section, problem: Problem, nominal: float | None
+) -> tuple[Transition, Array | None]:
+    """Kernel of the four modes and its stationary law, if there is just one."""
     if problem == 4:
         section.require("kernel", f"a 4 x 4 matrix, modes ordered {_MODES}")
         kernel = read_transition(section, "kernel", _MODES, 4)
@@ -194,24 +193,22 @@ def _chain(section: Section, problem: Problem, *, nominal: bool) -> tuple[Transi
     if problem == 3:  # independent chains; gamma comes as (0, 1), modes begin with gamma = 1
         gamma = np.array(read_transition(section, "gamma_chain", "(0, 1)", 2))[::-1, ::-1]
         delta: Transition = ((1.0, 0.0), (1.0, 0.0))
-        if "delta_chain" in section or not nominal:
+        if "delta_chain" in section or nominal is None:
             delta = read_transition(section, "delta_chain", "(1, C)", 2)
         first, second = stationary_law(gamma), stationary_law(delta)
         law = None if first is None or second is None else np.asarray(np.kron(first, second), float)
         return tuple(map(tuple, np.kron(gamma, delta).tolist())), law
     if problem == 2:
-        given, what = (
-            section.require("joint", f"4 probabilities, ordered {_MODES}"),
-            f"ordered {_MODES}",
-        )
+        what = f"ordered {_MODES}"
+        given = section.require("joint", f"4 probabilities, {what}")
         joint = as_distribution(given, section.place.entry("joint"), 4, what)
     else:
-        g, d = _rate(section, "gamma_rate"), _delta_rate(section, nominal=nominal)
+        g, d = _rate(section, "gamma_rate"), _rate(section, "delta_nominal_rate", nominal)
         joint = tuple(s * n for s in (g, 1.0 - g) for n in (d, 1.0 - d))
     return (joint,) * 4, np.array(joint)
 
 
-def _moments(section: Section, *, nominal: bool) -> Moments:
+def _moments(section: Section, nominal: float | None) -> Moments:
     """E[gamma], p11 and E[delta], which must belong to some process."""
     g, p = _rate(section, "gamma_rate"), _rate(section, "gamma_persistence")
     if g > 0.0 and p < g - ROUNDED:
@@ -221,17 +218,11 @@ def _moments(section: Section, *, nominal: bool) -> Moments:
             f"at least gamma_rate = {g:g}: were samples less often 1 together, the mean of "
             "many would have a negative variance; a chain that alternates needs problem 3 or 4",
         )
-    return Moments(g, p, _delta_rate(section, nominal=nominal))
+    return Moments(g, p, _rate(section, "delta_nominal_rate", nominal))
 
 
-def _delta_rate(section: Section, *, nominal: bool) -> float:
-    stated = "delta_nominal_rate" in section or not nominal
-    return _rate(section, "delta_nominal_rate") if stated else 1.0
-
-
-def _rate(section: Section, key: str) -> float:
-    given = section.require(key, f"a probability in [0, 1]: {_RATES[key]}")
-    return as_probability(given, section.place.entry(key))
+def _rate(section: Section, key: str, default: float | None = None) -> float:
+    return section.probability(key, f": {_RATES[key]}", default)
 
 
 #: Largest difference of conditional probabilities that are meant to be the same.

@@ -24,12 +24,11 @@ SUM_TOLERANCE = 1e-9
 ROUNDING = 1e-14
 
 
-def as_probability(value: object, place: Place, meaning: str = "") -> float:
+def as_probability(value: object, place: Place) -> float:
     """Return a number in [0, 1]."""
-    expected = f"a probability in [0, 1]{meaning}"
-    number = as_number(value, place, expected)
+    number = as_number(value, place, "a probability in [0, 1]")
     if not 0.0 <= number <= 1.0:
-        raise place.error(show(number), expected)
+        raise place.error(show(number), "a probability in [0, 1]")
     return number
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,20 +112,17 @@ class Spec:
         return {parameter.name: parameter.default for parameter in self.parameters}
 
     @property
-    def plants(self) -> tuple[Model | Mode, ...]:
-        """The model, or every mode in place of it where the plant jumps."""
-        return (self.model,) if self.faults.jump is None else self.faults.jump.modes
+    def placed_plants(self) -> tuple[tuple[Model | Mode, Place], ...]:
+        """The model, or every mode in place of it where the plant jumps, and where it is stated."""
+        if self.faults.jump is None:
+            return ((self.model, Place(self.file, "model")),)
+        place = Place(self.file, "faults.jump.modes")
+        return tuple((mode, place.item(i)) for i, mode in enumerate(self.faults.jump.modes))
 
     @property
-    def placed_plants(self) -> Iterator[tuple[Model | Mode, Place]]:
-        """The same, each with the place where the spec states it."""
-        place = Place(self.file)
-        if self.faults.jump is None:
-            yield self.model, place.entry("model")
-            return
-        modes = place.entry("faults").entry("jump").entry("modes")
-        for i, mode in enumerate(self.faults.jump.modes):
-            yield mode, modes.item(i)
+    def plants(self) -> tuple[Model | Mode, ...]:
+        """The same without places."""
+        return tuple(plant for plant, _ in self.placed_plants)
 
     @property
     def first_rates(self) -> tuple[float, ...] | None:

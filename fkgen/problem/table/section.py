@@ -89,6 +89,11 @@ class Section:
             raise self.error(key, show(number), expected)
         return number
 
+    def probability(self, key: str, meaning: str = "", default: float | None = None) -> float:
+        """Return the number in [0, 1] that was given, or the default."""
+        expected = f"a probability in [0, 1]{meaning}"
+        return self.number(key, expected, lambda number: 0.0 <= number <= 1.0, default)
+
     def whole(self, key: str, expected: str, largest: int, default: int | None = None) -> int:
         """Return the whole number from 1 to the largest that was given, or the default."""
 
