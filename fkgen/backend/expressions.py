@@ -21,6 +21,7 @@ from fkgen.backend.ir import (
     Operand,
     Operate,
     Operator,
+    Require,
     Statement,
     Temp,
     operands,
@@ -31,7 +32,7 @@ from fkgen.backend.routines import Outline, Writer
 Body = tuple[Statement, ...]
 
 #: Elements in a row that are worth a call.
-LEAST_COPIED = 6
+LEAST_COPIED = 3
 
 #: Printed as a question that names its arguments twice: they stay names, and so does the result.
 _ASKING = {Operator.ABS, Operator.MAX, Operator.MIN}
@@ -83,12 +84,16 @@ def _elements(node: Statement) -> Iterator[Element]:
 def _joined(
     body: Body, uses: Counter[int], fits: Callable[[Statement, int], bool], depth: int
 ) -> Body:
-    """Put values into the statement right after them, the last one first."""
+    """Put values into the statement right after them, the last one first; join what is required."""
     nodes: list[Statement] = []
     for each in body:
         node = each
         if isinstance(node, IfPresent | IfPositive):
             node = replace(node, body=_joined(node.body, uses, fits, depth + 1))
+        elif isinstance(node, Require) and nodes and isinstance(before := nodes[-1], Require):
+            if (before.kind, before.status) == (node.kind, node.status):
+                node = replace(node, values=(*before.values, *node.values))
+                nodes.pop()
         elif isinstance(node, Operate | Assign) and not _asks(node):
             while nodes and (longer := _with(node, nodes[-1], uses)) and fits(longer, depth):
                 node = longer

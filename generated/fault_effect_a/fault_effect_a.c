@@ -202,9 +202,7 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     {
         innovation_1 = y[1] - (0.05 * self->predicted_state[1]);
     }
-    mean[0] = self->predicted_state[0];
-    mean[1] = self->predicted_state[1];
-    mean[2] = self->predicted_state[2];
+    fault_effect_a_copy(self->predicted_state, mean, 3);
     fault_effect_a_copy(self->predicted_covariance, covariance, 6);
 
     /* row 0 of y, Y1 */
@@ -271,9 +269,7 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     /* results of the update */
     next->innovation_covariance[2] = pivot_1 + (coupling_0 * factor_0);
     next->log_likelihood = -0.5 * (quadratic + (log_constant + fault_effect_a_log(determinant_0)));
-    next->filtered_state[0] = mean[0];
-    next->filtered_state[1] = mean[1];
-    next->filtered_state[2] = mean[2];
+    fault_effect_a_copy(mean, next->filtered_state, 3);
     fault_effect_a_copy(covariance, next->filtered_covariance, 6);
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
