@@ -159,19 +159,6 @@ static int dc_motor_known_present_rows(const double *y, uint32_t valid, uint32_t
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* Copy the elements of an array to another. */
-DC_MOTOR_KNOWN_INLINE void dc_motor_known_copy(const double *from, double *to, int size)
-{
-    int i;
-#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
-#pragma GCC unroll 128
-#endif
-    for (i = 0; i < size; ++i)
-    {
-        to[i] = from[i];
-    }
-}
-
 /* Condition on y[k]: reads *self, writes the results to *next. */
 DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double *y, uint32_t present,
@@ -200,7 +187,9 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     }
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
-    dc_motor_known_copy(self->predicted_covariance, covariance, 3);
+    covariance[0] = self->predicted_covariance[0];
+    covariance[1] = self->predicted_covariance[1];
+    covariance[2] = self->predicted_covariance[2];
 
     /* row 0 of y, speed_measured */
     pivot_0 = self->predicted_covariance[2] + 5.0e-06;
@@ -231,7 +220,9 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     next->log_likelihood = -0.5 * (quadratic + (log_constant + dc_motor_known_log(determinant_0)));
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
-    dc_motor_known_copy(covariance, next->filtered_covariance, 3);
+    next->filtered_covariance[0] = covariance[0];
+    next->filtered_covariance[1] = covariance[1];
+    next->filtered_covariance[2] = covariance[2];
     next->innovation[0] = innovation_0;
     next->innovation_covariance[0] = pivot_0;
     next->nis = quadratic;

@@ -618,8 +618,16 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     log_likelihood_h3 = -0.5 * t3;
     const double t4 = quadratic_h4 + (log_constant_h4 + dc_motor_unknown_log(determinant_h4_0));
     log_likelihood_h4 = -0.5 * t4;
-    dc_motor_unknown_copy(mode_probability, weight, 5);
-    dc_motor_unknown_copy(log_weight, log_weight_now, 5);
+    weight[0] = mode_probability[0];
+    weight[1] = mode_probability[1];
+    weight[2] = mode_probability[2];
+    weight[3] = mode_probability[3];
+    weight[4] = mode_probability[4];
+    log_weight_now[0] = log_weight[0];
+    log_weight_now[1] = log_weight[1];
+    log_weight_now[2] = log_weight[2];
+    log_weight_now[3] = log_weight[3];
+    log_weight_now[4] = log_weight[4];
     if ((present) != 0u)
     {
         log_joint[0] = log_weight[0] + log_likelihood_h0;

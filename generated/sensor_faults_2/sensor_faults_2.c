@@ -204,19 +204,6 @@ static int sensor_faults_2_present_rows(const double *y, uint32_t valid, uint32_
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* Copy the elements of an array to another. */
-SENSOR_FAULTS_2_INLINE void sensor_faults_2_copy(const double *from, double *to, int size)
-{
-    int i;
-#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
-#pragma GCC unroll 128
-#endif
-    for (i = 0; i < size; ++i)
-    {
-        to[i] = from[i];
-    }
-}
-
 /* What differs between the calls of sensor_faults_2_mode, a row for each. */
 static const double sensor_faults_2_mode_numbers[2][1] = {
     { 1.0 },
@@ -350,8 +337,14 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     log_density_m3 = -0.5 * (quadratic_m3 + log_constant_m3);
 
     /* probabilities of the modes */
-    sensor_faults_2_copy(self->predicted_mode_probability, weight, 4);
-    sensor_faults_2_copy(self->predicted_log_weight, log_weight_now, 4);
+    weight[0] = self->predicted_mode_probability[0];
+    weight[1] = self->predicted_mode_probability[1];
+    weight[2] = self->predicted_mode_probability[2];
+    weight[3] = self->predicted_mode_probability[3];
+    log_weight_now[0] = self->predicted_log_weight[0];
+    log_weight_now[1] = self->predicted_log_weight[1];
+    log_weight_now[2] = self->predicted_log_weight[2];
+    log_weight_now[3] = self->predicted_log_weight[3];
     if ((present & 0x1u) != 0u)
     {
         log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
@@ -438,8 +431,14 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     next->filtered_covariance[0] = t26 + (t32 + (weight[3] * t33 * t33));
     next->innovation[0] = combined_innovation;
     next->innovation_covariance[0] = combined_variance;
-    sensor_faults_2_copy(weight, next->mode_probability, 4);
-    sensor_faults_2_copy(log_weight_now, next->log_weight, 4);
+    next->mode_probability[0] = weight[0];
+    next->mode_probability[1] = weight[1];
+    next->mode_probability[2] = weight[2];
+    next->mode_probability[3] = weight[3];
+    next->log_weight[0] = log_weight_now[0];
+    next->log_weight[1] = log_weight_now[1];
+    next->log_weight[2] = log_weight_now[2];
+    next->log_weight[3] = log_weight_now[3];
     next->log_likelihood = log_evidence;
     next->filtered_state[0] = combined_state;
     return SENSOR_FAULTS_2_OK;

@@ -755,9 +755,18 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture_2(con
     ship_track_status_t status;
 
     /* innovation of the mixture */
-    ship_track_copy(mode_state, predicted_y_m0, 4);
-    ship_track_copy(&mode_state[4], predicted_y_m1, 4);
-    ship_track_copy(&mode_state[8], predicted_y_m2, 4);
+    predicted_y_m0[0] = mode_state[0];
+    predicted_y_m0[1] = mode_state[1];
+    predicted_y_m0[2] = mode_state[2];
+    predicted_y_m0[3] = mode_state[3];
+    predicted_y_m1[0] = mode_state[4];
+    predicted_y_m1[1] = mode_state[5];
+    predicted_y_m1[2] = mode_state[6];
+    predicted_y_m1[3] = mode_state[7];
+    predicted_y_m2[0] = mode_state[8];
+    predicted_y_m2[1] = mode_state[9];
+    predicted_y_m2[2] = mode_state[10];
+    predicted_y_m2[3] = mode_state[11];
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
     const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
     const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
@@ -1147,8 +1156,12 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + ship_track_log(determinant_m2_0)));
 
     /* probabilities of the modes */
-    ship_track_copy(self->predicted_mode_probability, weight, 3);
-    ship_track_copy(self->predicted_log_weight, log_weight_now, 3);
+    weight[0] = self->predicted_mode_probability[0];
+    weight[1] = self->predicted_mode_probability[1];
+    weight[2] = self->predicted_mode_probability[2];
+    log_weight_now[0] = self->predicted_log_weight[0];
+    log_weight_now[1] = self->predicted_log_weight[1];
+    log_weight_now[2] = self->predicted_log_weight[2];
     if ((present) != 0u)
     {
         log_joint[0] = self->predicted_log_weight[0] + log_density_m0;

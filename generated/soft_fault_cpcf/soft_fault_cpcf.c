@@ -136,19 +136,6 @@ static int soft_fault_cpcf_present_rows(const double *y, uint32_t valid, uint32_
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* Copy the elements of an array to another. */
-SOFT_FAULT_CPCF_INLINE void soft_fault_cpcf_copy(const double *from, double *to, int size)
-{
-    int i;
-#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
-#pragma GCC unroll 128
-#endif
-    for (i = 0; i < size; ++i)
-    {
-        to[i] = from[i];
-    }
-}
-
 /* Condition on y[k]: reads *self, writes the results to *next. */
 SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const soft_fault_cpcf_t
     *self, const double *y, uint32_t present, soft_fault_cpcf_t *next)
@@ -204,7 +191,9 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
     mean[2] = 0.0;
-    soft_fault_cpcf_copy(self->predicted_covariance, covariance, 3);
+    covariance[0] = self->predicted_covariance[0];
+    covariance[1] = self->predicted_covariance[1];
+    covariance[2] = self->predicted_covariance[2];
     covariance[3] = carried_compressed_cross_covariance[0];
     covariance[4] = carried_compressed_cross_covariance[1];
     covariance[5] = carried_compressed_noise;
@@ -302,7 +291,9 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     next->log_likelihood = -0.5 * (quadratic + (log_constant + soft_fault_cpcf_log(determinant_0)));
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
-    soft_fault_cpcf_copy(covariance, next->filtered_covariance, 3);
+    next->filtered_covariance[0] = covariance[0];
+    next->filtered_covariance[1] = covariance[1];
+    next->filtered_covariance[2] = covariance[2];
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
     next->innovation_covariance[1] = self->predicted_covariance[1];
@@ -340,7 +331,9 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     mean_taken[0] = 0.0;
     mean_taken[1] = 0.0;
     mean_taken[2] = 0.0;
-    soft_fault_cpcf_copy(self->filtered_covariance, covariance_taken, 3);
+    covariance_taken[0] = self->filtered_covariance[0];
+    covariance_taken[1] = self->filtered_covariance[1];
+    covariance_taken[2] = self->filtered_covariance[2];
     covariance_taken[3] = self->compressed_cross_covariance[0];
     covariance_taken[4] = self->compressed_cross_covariance[1];
     covariance_taken[5] = self->compressed_noise[0];
@@ -394,12 +387,16 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     /* the host takes over */
     closed_state[0] = self->filtered_state[0];
     closed_state[1] = self->filtered_state[1];
-    soft_fault_cpcf_copy(self->filtered_covariance, closed_covariance, 3);
+    closed_covariance[0] = self->filtered_covariance[0];
+    closed_covariance[1] = self->filtered_covariance[1];
+    closed_covariance[2] = self->filtered_covariance[2];
     if (accepted > 0.0)
     {
         closed_state[0] = self->filtered_state[0] + mean_taken[0];
         closed_state[1] = self->filtered_state[1] + mean_taken[1];
-        soft_fault_cpcf_copy(covariance_taken, closed_covariance, 3);
+        closed_covariance[0] = covariance_taken[0];
+        closed_covariance[1] = covariance_taken[1];
+        closed_covariance[2] = covariance_taken[2];
     }
 
     /* results of the window */
@@ -413,7 +410,9 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     }
     next->filtered_state[0] = closed_state[0];
     next->filtered_state[1] = closed_state[1];
-    soft_fault_cpcf_copy(closed_covariance, next->filtered_covariance, 3);
+    next->filtered_covariance[0] = closed_covariance[0];
+    next->filtered_covariance[1] = closed_covariance[1];
+    next->filtered_covariance[2] = closed_covariance[2];
     next->collecting = 0.0;
     next->fault_declared = rejected;
     return SOFT_FAULT_CPCF_OK;

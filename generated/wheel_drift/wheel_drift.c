@@ -900,7 +900,9 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const d
     /* filter with group 0, 1, 2, 3 */
     mean_compression14[0] = predicted_compression_deviation[12];
     mean_compression14[1] = predicted_compression_deviation[13];
-    wheel_drift_copy(&predicted_compression_covariance[18], covariance_compression14, 3);
+    covariance_compression14[0] = predicted_compression_covariance[18];
+    covariance_compression14[1] = predicted_compression_covariance[19];
+    covariance_compression14[2] = predicted_compression_covariance[20];
 
     /* filter with group 0, 1, 2, 3: row 0 of y, wheel_fl: compression filter */
     status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[18],
@@ -1336,7 +1338,9 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     }
     mean_host[0] = 0.0;
     mean_host[1] = 0.0;
-    wheel_drift_copy(self->predicted_covariance, covariance_host, 3);
+    covariance_host[0] = self->predicted_covariance[0];
+    covariance_host[1] = self->predicted_covariance[1];
+    covariance_host[2] = self->predicted_covariance[2];
 
     /* row 4 of y, ublox: host */
     pivot_host_0 = self->predicted_covariance[0] + 0.25;

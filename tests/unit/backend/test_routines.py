@@ -125,11 +125,19 @@ def test_values_are_joined_in_the_order_in_which_they_are_computed():
 
 
 def test_elements_that_are_copied_in_a_row_are_one_copy():
-    pairs = [(replace(ELEMENT, index=i), replace(ELEMENT, name="b", index=i + 2)) for i in range(7)]
+    pairs = [
+        (replace(ELEMENT, index=i), replace(ELEMENT, name="b", index=i + 2)) for i in range(40)
+    ]
     (copy,) = body_of(*(Assign(*pair) for pair in pairs))
-    assert (copy.target, copy.source, copy.size) == (*pairs[0], 7)
-    gap = body_of(*(Assign(*pair) for pair in pairs[:2] + pairs[3:5]))
-    assert all(isinstance(node, Assign) for node in gap)
+    assert (copy.target, copy.source, copy.size) == (*pairs[0], 40)
+    *rows, last = body_of(*(Assign(*pair) for pair in pairs[:4] + pairs[5:]))
+    assert rows == [Assign(*pair) for pair in pairs[:4]]
+    assert last.size == 35
+
+
+def test_few_copies_are_not_worth_a_function():
+    pairs = [(replace(ELEMENT, index=i), replace(ELEMENT, name="b", index=i)) for i in range(7)]
+    assert body_of(*(Assign(*pair) for pair in pairs)) == tuple(Assign(*pair) for pair in pairs)
 
 
 def test_a_number_and_an_array_of_one_have_one_form():
