@@ -72,20 +72,12 @@ class ActuatorFaults:
 
 
 def read_actuator_faults(
-    table: object,
-    place: Place,
-    defaults: Mapping[str, float],
-    model: Model,
-    family: str,
-    *,
-    rate_known: bool = True,
+    section: Section, model: Model, family: str, *, rate_known: bool = True
 ) -> ActuatorFaults:
     """The actuator faults that a table describes, for a family that is told the rate or not."""
     if not model.nu:
         expected = f"B: the family {family} is about faults of the input"
-        raise Place(place.file, "model.B").error("nothing (no input)", expected)
-    known = ("success_rate", "dependence", "covariance")
-    section = Section(table, place, known=known, defaults=defaults)
+        raise Place(section.place.file, "model.B").error("nothing (no input)", expected)
     if not rate_known:
         if "covariance" in section:
             expected = "none for the family mme: it follows from each hypothesis"

@@ -5,7 +5,6 @@ Mode and sample go together: mode[k] drives y[k] and the step from x[k] to x[k+1
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -18,14 +17,18 @@ from fkgen.problem.probability import (
     read_transition,
     stationary_law,
 )
-from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section, as_list
+from fkgen.problem.text.expression import Expression, Name, operation, total
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
 Arrival = Literal["always", "known", "unknown"]
 
 _ARRIVAL_KEYS = ("arrival", "arrival_rate", "arrival_chain")
+KEYS = ("transition", "initial", "modes", *_ARRIVAL_KEYS)
 _ORDER = "(lost, arrived)"
+
+#: Parameter of a filter that is told the mode.
+INDICATOR = "in_mode_{}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,22 @@ class JumpFaults:
         modes = tuple(replace(mode, title=_title(mode, model)) for mode in self.modes)
         return ModeChain(modes, self.transition, self.initial)
 
+    def told(self) -> Mode:
+        """The plant of one who is told the mode: parameters are 1 in it and 0 in the others."""
+        indicators = [Name(INDICATOR.format(i)) for i in range(len(self.modes))]
+
+        def chosen(letter: str) -> Matrix:
+            matrices: list[Matrix] = [getattr(mode, letter) for mode in self.modes]
+
+            def entry(i: int, j: int, first: Expression) -> Expression:
+                values = [matrix.rows[i][j] for matrix in matrices]
+                terms = [operation("*", *each) for each in zip(indicators, values, strict=True)]
+                return first if len(set(values)) == 1 else total(terms)
+
+            return matrices[0].mapped(entry)
+
+        return replace(self.modes[0], title="", **{letter: chosen(letter) for letter in LETTERS})
+
     @property
     def channel(self) -> Channel | None:
         """How samples are lost; None if nothing is said."""
@@ -77,17 +96,9 @@ def _title(mode: Mode, model: Model) -> str:
 
 
 def read_jump_faults(
-    table: object,
-    place: Place,
-    defaults: Mapping[str, float],
-    model: Model,
-    family: str,
-    *,
-    arrivals: bool = False,
+    section: Section, model: Model, family: str, *, arrivals: bool = False
 ) -> JumpFaults:
     """The jump faults that a table describes; ``arrivals``: the family knows of lost samples."""
-    known = ("transition", "initial", "modes", *_ARRIVAL_KEYS)
-    section = Section(table, place, known=known, defaults=defaults)
     for key in () if arrivals else _ARRIVAL_KEYS:
         if key in section:
             raise section.error(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from fkgen.errors import InternalError
+from fkgen.faults import jump, sensor
 from fkgen.faults.actuator import ActuatorFaults
 from fkgen.faults.chain import ModeChain
 from fkgen.faults.jump import JumpFaults
@@ -36,5 +37,10 @@ class Faults:
         return plain_fields(self)
 
 
-#: The sections of ``faults``.
-KINDS = tuple(each.name for each in fields(Faults))
+#: The sections of ``faults``, and their keys.
+KINDS = {
+    "actuator": ("success_rate", "dependence", "covariance"),
+    "sensor": sensor.KEYS,
+    "jump": jump.KEYS,
+    "soft": ("host", "window", "false_alarm", "groups"),
+}

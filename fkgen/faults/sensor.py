@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -21,12 +20,13 @@ from fkgen.problem.probability import (
     visited,
 )
 from fkgen.problem.signals import read_rows
-from fkgen.problem.table.place import Place, show
+from fkgen.problem.table.place import show
 from fkgen.problem.table.section import Section
-from fkgen.problem.text.expression import ONE, ZERO, Expression, Number, operation
+from fkgen.problem.text.expression import ONE, ZERO, Expression, Name, Number, operation
 from fkgen.problem.text.matrix import Matrix
 
 Problem = Literal[1, 2, 3, 4, "moments"]
+Law = Literal["modes", "moments", "optional"]  # What a family has to be told of it
 
 #: What each problem of the paper states about (gamma, delta).
 LAW_KEYS: dict[Problem, tuple[str, ...]] = {
@@ -37,6 +37,7 @@ LAW_KEYS: dict[Problem, tuple[str, ...]] = {
     "moments": ("gamma_rate", "gamma_persistence", "delta_nominal_rate"),
 }
 _EVERY_KEY = ("initial", *dict.fromkeys(key for keys in LAW_KEYS.values() for key in keys))
+KEYS = ("noise_factor", "rows", "problem", *_EVERY_KEY)
 _RATES = {
     "gamma_rate": "Pr(gamma = 1)",
     "gamma_persistence": "Pr(gamma = 1, given that it was 1 in an earlier sample)",
@@ -90,6 +91,10 @@ class SensorFaults:
         """Three modes: (1, 1), (1, C) and gamma = 0, whatever the noise; sec. III and IV."""
         return lump(self.kernel, self.initial, ((0,), (1,), (2, 3)))
 
+    def told(self, model: Model) -> Mode:
+        """The plant of one who is told gamma and delta, which are parameters."""
+        return self.sensed(model, Name("gamma"), Name("delta"))
+
     def sensed(self, model: Model, gamma: Expression, delta: Expression) -> Mode:
         """The plant whose rows have signal ``gamma`` and noise variance R ``delta``, eq. (2).
 
@@ -127,16 +132,9 @@ class SensorFaults:
 
 
 def read_sensor_faults(
-    table: object,
-    place: Place,
-    _: Mapping[str, float],
-    model: Model,
-    family: str,
-    *,
-    law: Literal["modes", "moments", "optional"] = "modes",
+    section: Section, model: Model, family: str, *, law: Law = "modes"
 ) -> SensorFaults:
     """The sensor faults that a table describes; moments, or no law, will do for some families."""
-    section = Section(table, place, known=("noise_factor", "rows", "problem", *_EVERY_KEY))
     expected = f"a positive number up to {LARGEST_FACTOR:g}: noise variance of a fault over R"
     factor = section.number("noise_factor", expected, lambda C: 0.0 < C <= LARGEST_FACTOR, 1.0)
     rows = tuple(range(model.ny))
@@ -158,7 +156,7 @@ def read_sensor_faults(
     return SensorFaults(factor, rows, kernel, initial)
 
 
-def _problem(section: Section, family: str, law: str) -> Problem:
+def _problem(section: Section, family: str, law: Law) -> Problem:
     expected = (
         "1 (gamma_rate, delta_nominal_rate), 2 (joint), 3 (gamma_chain, delta_chain), 4 (kernel)"
         ' or "moments" (gamma_rate, gamma_persistence, delta_nominal_rate)'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal, Self
@@ -22,6 +22,7 @@ LONGEST_WINDOW = 10_000_000
 MOST_GROUPS = 4
 
 Rows = tuple[int, ...]
+Wanted = Literal["some", "any", "optional"]  # Whether the host needs rows, or the key
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,20 +48,9 @@ class SoftFaults:
 
 
 def read_soft_faults(
-    table: object,
-    place: Place,
-    defaults: Mapping[str, float],
-    model: Model,
-    _: str,
-    *,
-    host: Literal["some", "any", "optional"] = "any",
-    single: bool = False,
+    section: Section, model: Model, _: str, *, host: Wanted = "any", single: bool = False
 ) -> SoftFaults:
-    """The soft faults that a table describes.
-
-    ``host``: whether the host needs rows, or the key; ``single``: there is one group at most.
-    """
-    section = Section(table, place, known=("host", "window", "false_alarm", "groups"))
+    """The soft faults that a table describes; ``single``: there is one group at most."""
     rows = _host(section, host, model.outputs)
     groups = _groups(section, rows, model.outputs, most=1 if single else MOST_GROUPS)
     expected = f"a whole number of samples, 1 to {LONGEST_WINDOW}, between updates of the host"
@@ -68,11 +58,11 @@ def read_soft_faults(
     expected = "a probability between 0 and 1, both excluded"
     alarm = section.number("false_alarm", expected, lambda number: 0.0 < number < 1.0, 0.05)
     faults = SoftFaults(rows, groups, window, alarm)
-    _check_noise(faults, model, place, defaults)
+    _check_noise(faults, model, section)
     return faults
 
 
-def _host(section: Section, wanted: str, outputs: Sequence[Signal]) -> Rows:
+def _host(section: Section, wanted: Wanted, outputs: Sequence[Signal]) -> Rows:
     if wanted == "optional" and "host" not in section:
         return ()
     hint = "a host that only propagates is compression_full" if wanted == "some" else ""
@@ -121,16 +111,14 @@ def _groups(
     return tuple(groups)
 
 
-def _check_noise(
-    faults: SoftFaults, model: Model, place: Place, defaults: Mapping[str, float]
-) -> None:
+def _check_noise(faults: SoftFaults, model: Model, section: Section) -> None:
     """Refuse noise that two groups share: Lee & Lee, (27), have a block-diagonal r."""
     label = dict.fromkeys(faults.host, -1)
     label |= {row: at for at, group in enumerate(faults.groups) for row in group}
-    for _, R in values_nearby(model.R, defaults):
+    for _, R in values_nearby(model.R, section.defaults):
         for i, j in combinations(range(model.ny), 2):
             if label[i] != label[j] and R[j, i] != 0.0:
-                raise Place(place.file, "model.R").error(
+                raise Place(section.place.file, "model.R").error(
                     f"entry [{j}][{i}] = {float(R[j, i]):.6g} for rows of different filters",
                     "0: noise that host and compression filter (or two groups) share would be"
                     " counted twice; put such rows into one group",

@@ -74,6 +74,10 @@ class Matrix:
         rows = [[evaluate(entry, parameters) for entry in row] for row in self.rows]
         return np.array(rows, float).reshape(self.shape)
 
+    def plain(self) -> Any:
+        """Return the entries as a spec file writes them: numbers, and texts for expressions."""
+        return plain(self.rows)
+
 
 def plain(value: object) -> object:
     """Return a value as a spec file writes it: numbers, texts, lists and tables."""
@@ -84,8 +88,6 @@ def plain(value: object) -> object:
             return to_text(value)
         case tuple():
             return [plain(entry) for entry in value]
-        case Matrix(rows):
-            return plain(rows)
         case _:
             return value.plain() if hasattr(value, "plain") else value
 
