@@ -10,17 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from fkgen.problem.probability import (
-    Array,
-    Distribution,
-    Transition,
-    period,
-    stationary_law,
-    visited,
-)
-from fkgen.problem.text.matrix import Matrix, plain
+from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
+from fkgen.problem.text.matrix import Matrix, plain, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
 LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
@@ -28,6 +21,7 @@ LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
 #: Mean-square radii closer to one than this are not told from one.
 MARGIN = 1e-9
 
+Array = NDArray[np.float64]
 Groups = tuple[tuple[int, ...], ...]
 
 
@@ -57,9 +51,9 @@ class Mode:
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        letters = [letter for letter in "ABCDQR" if self.B.shape[1] or letter not in "BD"]
-        table: dict[str, object] = {letter: plain(getattr(self, letter)) for letter in letters}
-        return table | {"c": [plain(row[0]) for row in self.c.rows]}
+        table = plain_fields(self) | {"c": [plain(row[0]) for row in self.c.rows]}
+        absent = ("title",) if self.B.shape[1] else ("title", "B", "D")
+        return {key: entry for key, entry in table.items() if key not in absent}
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ from fkgen.problem.model import Model
 from fkgen.problem.signals import Signal, as_rows, read_rows
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section, as_list
-from fkgen.problem.text.matrix import plain_fields
 
 #: Longest window, and most rejections in a row: a float counts exactly up to 2^24.
 LONGEST_WINDOW = 10_000_000
@@ -41,10 +40,6 @@ class SoftFaults:
     def compressed(self) -> Rows:
         """The rows of all groups, ascending."""
         return tuple(sorted(row for group in self.groups for row in group))
-
-    def plain(self) -> dict[str, object]:
-        """Return the table a spec file would hold."""
-        return plain_fields(self)
 
 
 def read_soft_faults(

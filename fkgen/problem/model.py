@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section, check_finite
 from fkgen.problem.text.expression import is_large
 from fkgen.problem.text.foreign import state_space
-from fkgen.problem.text.matrix import Matrix, congruence, plain
+from fkgen.problem.text.matrix import Matrix, congruence, plain, plain_fields
 
 _KEYS = (
     *("A", "B", "C", "D", "Q", "R", "F", "V", "G", "W", "x0", "P0"),
@@ -63,17 +63,9 @@ class Model:
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        table: dict[str, object] = {
-            key: plain(getattr(self, key))
-            for key in ("A", "B", "C", "D", "Q", "R", "P0")
-            if self.nu or key not in {"B", "D"}
-        }
-        table["x0"] = [plain(row[0]) for row in self.x0.rows]
-        if self.sample_time is not None:
-            table["sample_time"] = self.sample_time
-        for key in ("states", "inputs", "outputs"):
-            table[key] = [asdict(signal) for signal in getattr(self, key)]
-        return table
+        table = plain_fields(self) | {"x0": [plain(row[0]) for row in self.x0.rows]}
+        absent = () if self.nu else ("B", "D")
+        return {key: entry for key, entry in table.items() if key not in absent}
 
 
 def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Model:

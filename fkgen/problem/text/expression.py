@@ -12,6 +12,7 @@ import operator as python_operator
 import re
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -238,13 +239,10 @@ class _Parser:
     def constant(self, value: object) -> Expression:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(f"an expression of {_LANGUAGE}, without the constant {show(value)}")
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
-            raise self.error("numbers that fit a double")
-        return Number(number)
+        with suppress(OverflowError):
+            if math.isfinite(number := float(value)):
+                return Number(number)
+        raise self.error("numbers that fit a double")
 
     def name(self, identifier: str) -> Expression:
         if self.parameters is None or identifier in self.parameters:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -88,8 +88,10 @@ def plain(value: object) -> object:
             return to_text(value)
         case tuple():
             return [plain(entry) for entry in value]
+        case _ if hasattr(value, "plain"):
+            return value.plain()
         case _:
-            return value.plain() if hasattr(value, "plain") else value
+            return plain_fields(value) if is_dataclass(value) else value
 
 
 def plain_fields(value: Any) -> dict[str, object]:
