@@ -189,13 +189,15 @@ def _chain(
         kernel = read_transition(section, "kernel", _MODES, 4)
         return kernel, stationary_law(kernel)
     if problem == 3:  # independent chains; gamma comes as (0, 1), modes begin with gamma = 1
-        gamma = np.array(read_transition(section, "gamma_chain", "(0, 1)", 2))[::-1, ::-1]
+        gamma = np.array(read_transition(section, "gamma_chain", "(0, 1)", 2))
         delta: Transition = ((1.0, 0.0), (1.0, 0.0))
         if "delta_chain" in section or nominal is None:
             delta = read_transition(section, "delta_chain", "(1, C)", 2)
         first, second = stationary_law(gamma), stationary_law(delta)
-        law = None if first is None or second is None else np.asarray(np.kron(first, second), float)
-        return tuple(map(tuple, np.kron(gamma, delta).tolist())), law
+        kernel = tuple(map(tuple, np.kron(gamma[::-1, ::-1], delta).tolist()))
+        if first is None or second is None:
+            return kernel, None
+        return kernel, np.asarray(np.kron(first[::-1], second), float)
     if problem == 2:
         what = f"ordered {_MODES}"
         given = section.require("joint", f"4 probabilities, {what}")
