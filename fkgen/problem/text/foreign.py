@@ -23,6 +23,7 @@ from fkgen.problem.text.expression import (
     Name,
     Number,
     Operation,
+    Unfit,
     is_large,
     operation,
     product,
@@ -65,7 +66,7 @@ def plain_entry(value: Any, place: Place) -> object:
         case "numpy" if hasattr(value, "tolist"):
             return value.tolist()
         case "sympy" if not hasattr(value, "tolist"):
-            entry: object = _SympyScalar(place, value).convert(value)
+            entry: object = _sympy_entry(value, place)
         case "casadi":
             rows = _casadi_rows(value, place)
             entry = rows[0][0] if len(rows) == 1 and len(rows[0]) == 1 else rows
@@ -74,64 +75,65 @@ def plain_entry(value: Any, place: Place) -> object:
     return entry.value if isinstance(entry, Number) else entry
 
 
+def _sympy_entry(value: Any, place: Place) -> Expression:
+    try:
+        return _SympyScalar().converted(value)
+    except Unfit as fault:
+        expected = str(fault)
+    except ArithmeticError as fault:
+        expected = f"a finite real value, but {fault}"
+    except RecursionError:
+        expected = "an expression that is nested less deeply"
+    raise place.error(show(value), expected)
+
+
 class _SympyScalar:
     """Converts one SymPy expression, node by node."""
 
-    def __init__(self, place: Place, whole: object) -> None:
+    def __init__(self) -> None:
         self.sympy: Any = import_module("sympy")
-        self.place, self.whole, self.left = place, whole, MAX_NODES
+        self.left = MAX_NODES
 
-    def convert(self, node: Any) -> Expression:
+    def converted(self, node: Any) -> Expression:
         sympy = self.sympy
         self.left -= 1
         if self.left < 0:
-            raise self.error(f"an expression of at most {MAX_NODES} terms and factors")
+            raise Unfit(f"an expression of at most {MAX_NODES} terms and factors")
         if isinstance(node, sympy.Symbol):
             return Name(str(node.name))
         if isinstance(node, sympy.Rational | sympy.Float) or node in {sympy.pi, sympy.E}:
             with suppress(OverflowError):
                 if math.isfinite(number := float(node)):
                     return Number(number)
-            raise self.error("numbers that fit a double")
-        try:
-            return self.compound(node)
-        except ArithmeticError as fault:
-            raise self.error(f"a finite real value, but {fault}") from None
-        except RecursionError:
-            raise self.error("an expression that is nested less deeply") from None
-
-    def compound(self, node: Any) -> Expression:
-        sympy = self.sympy
+            raise Unfit("numbers that fit a double")
         if isinstance(node, sympy.Add):
-            return total([self.convert(term) for term in node.args])
-        if isinstance(node, sympy.Mul):
-            below = [each for each in node.args if self.divides(each)]
-            above = [each for each in node.args if each != -1 and not self.divides(each)]
-            result = product([self.convert(factor) for factor in above])
-            if below:
-                divisor = product([self.convert(1 / factor) for factor in below])
-                result = operation("/", result, divisor)
-            return operation("neg", result) if -1 in node.args else result
-        if isinstance(node, sympy.Pow):
-            if self.divides(node):
-                return operation("/", ONE, self.convert(1 / node))
-            if node.exp == sympy.Rational(1, 2):
-                return operation("sqrt", self.convert(node.base))
-            return operation("**", self.convert(node.base), self.convert(node.exp))
+            return total([self.converted(term) for term in node.args])
+        if isinstance(node, sympy.Mul) or self.divides(node):
+            return self.quotient(sympy.Mul.make_args(node))
+        name, arguments = self.operation(node)
+        return operation(name, *map(self.converted, arguments))
+
+    def quotient(self, factors: tuple[Any, ...]) -> Expression:
+        below = [self.converted(1 / each) for each in factors if self.divides(each)]
+        above = [self.converted(each) for each in factors if each != -1 and not self.divides(each)]
+        result = operation("/", product(above), product(below)) if below else product(above)
+        return operation("neg", result) if -1 in factors else result
+
+    def operation(self, node: Any) -> tuple[str, tuple[Any, ...]]:
         kind = type(node).__name__
         name = "abs" if kind == "Abs" else kind
-        if name in FUNCTIONS and isinstance(node, sympy.Function):
-            return operation(name, *(self.convert(argument) for argument in node.args))
-        raise self.error(
+        if isinstance(node, self.sympy.Pow):
+            root = node.exp == self.sympy.Rational(1, 2)
+            return ("sqrt", node.args[:1]) if root else ("**", node.args)
+        if name in FUNCTIONS and isinstance(node, self.sympy.Function):
+            return name, node.args
+        raise Unfit(
             "numbers, symbols, + - * / **, exp, log, sqrt, sin, cos, tan, atan2, Abs, pi and E,"
             f" without {kind}"
         )
 
     def divides(self, node: Any) -> bool:
         return bool(isinstance(node, self.sympy.Pow) and node.exp.is_Rational and node.exp < 0)
-
-    def error(self, expected: str) -> Exception:
-        return self.place.error(show(self.whole), expected)
 
 
 _CASADI = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/", "NEG": "neg", "POW": "**"}
