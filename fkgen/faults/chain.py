@@ -68,7 +68,7 @@ class Channel:
         """The channel in its stationary law; in that after a loss if there are several."""
         P = np.asarray(transition, float)
         law = stationary_law(P)
-        return cls(_rows(P), tuple((P[0] if law is None else law).tolist()))
+        return cls(tuple(map(tuple, P.tolist())), tuple((P[0] if law is None else law).tolist()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ class ModeChain:
         arrived_first = np.array(channel.transition)[::-1, ::-1]
         return ModeChain(
             (*self.modes, *(mode.silent for mode in self.modes)),
-            _rows(np.kron(arrived_first, self.transition)),
+            tuple(map(tuple, np.kron(arrived_first, self.transition).tolist())),
             tuple(np.kron(channel.initial[::-1], self.initial).tolist()),
         )
 
@@ -155,10 +155,6 @@ def _shares(laws: Sequence[Array], members: list[int]) -> tuple[float, ...]:
             first = [float(each / whole) for each in law[members[:-1]]]
             return (*first, 1.0 - sum(first))
     return (1.0, *(0.0 for _ in members[1:]))
-
-
-def _rows(matrix: Array) -> Transition:
-    return tuple(tuple(row) for row in matrix.tolist())
 
 
 def mean_square_radius(transition: Sequence[Sequence[float]], dynamics: Sequence[Array]) -> float:

@@ -76,7 +76,14 @@ def stationary_law(transition: ArrayLike) -> Array | None:
     if not reach[np.ix_(recurrent, recurrent)].all():
         return None
     law = np.zeros(len(P))
-    law[recurrent] = _irreducible_law(P[np.ix_(recurrent, recurrent)])
+    P = P[np.ix_(recurrent, recurrent)]
+    for last in range(len(P) - 1, 0, -1):
+        P[:last, last] /= P[last, :last].sum()
+        P[:last, :last] += np.outer(P[:last, last], P[last, :last])
+    found = np.ones(len(P))
+    for i in range(1, len(P)):
+        found[i] = found[:i] @ P[:i, i]
+    law[recurrent] = found / found.sum()
     return law
 
 
@@ -107,15 +114,3 @@ def _reaches(P: Array) -> NDArray[np.bool_]:
     for middle in range(len(P)):
         reach |= np.outer(reach[:, middle], reach[middle])
     return reach
-
-
-def _irreducible_law(transition: Array) -> Array:
-    P = transition.copy()
-    n = len(P)
-    for last in range(n - 1, 0, -1):
-        P[:last, last] /= P[last, :last].sum()
-        P[:last, :last] += np.outer(P[:last, last], P[last, :last])
-    law = np.ones(n)
-    for i in range(1, n):
-        law[i] = law[:i] @ P[:i, i]
-    return np.asarray(law / law.sum())

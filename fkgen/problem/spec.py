@@ -212,9 +212,8 @@ def load(path: str | os.PathLike[str]) -> Spec:
     try:
         text = Path(path).read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise place.error(
-            f"bytes that are not UTF-8 at offset {fault.start}", "a UTF-8 text"
-        ) from None
+        given = f"bytes that are not UTF-8 at offset {fault.start}"
+        raise place.error(given, "a UTF-8 text") from None
     except OSError as fault:
         reason = (fault.strerror or type(fault).__name__).lower()
         raise place.error(f"a path that cannot be read ({reason})", "a readable file") from None
@@ -226,8 +225,7 @@ def load(path: str | os.PathLike[str]) -> Spec:
         raise place.error("arrays or tables nested too deeply", "a spec in TOML") from None
     except ValueError as fault:
         last = text.count("\n") + 1
-        reason = " ".join(str(fault).split()).replace(
-            "at end of document", f"at line {last}, the end of the document"
-        )
+        end = f"at line {last}, the end of the document"
+        reason = " ".join(str(fault).split()).replace("at end of document", end)
         raise place.error(f"invalid TOML: {reason}", "a spec in TOML") from None
     return Spec.from_dict(table, file=file)

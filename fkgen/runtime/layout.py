@@ -41,10 +41,7 @@ class Layout:
 
     def to_json(self) -> str:
         """Text from which `from_json` makes an equal layout."""
-        facts = asdict(self)
-        for port in facts["ports"]:
-            port["role"] = port["role"].value
-        return json.dumps(facts, indent=1)
+        return json.dumps(asdict(self), indent=1, default=lambda role: role.value)
 
     @classmethod
     def from_json(cls, text: str) -> Layout:
