@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -17,8 +16,6 @@ from fkgen.problem import Spec
 from fkgen.problem.table.place import Place
 from fkgen.symbolic.plant import Plant, lift
 
-#: Joint probabilities of expressions may fall below zero by their rounding.
-_ROUNDED = 1e-9
 #: Codes of conditions and hypotheses fit a byte.
 _COUNTED = 255
 
@@ -45,23 +42,6 @@ class Conditions:
     lost: tuple[int, ...] = ()  # whether the sample is lost, by condition
     plants: int = 0  # N: the first N indicators say which plant moves; 0 if there is one
     rows: tuple[int, ...] = ()  # of y: signal times the next indicator, noise times the one after
-
-    def driven(self, u: ca.SX, coin: ca.SX) -> ca.SX:
-        """What reaches the plant of the inputs."""
-        return coin * u if self.coins else u
-
-    def sensors(self, outputs: int, indicator: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Signal and noise deviation of every row of y, over those of the model."""
-        signal, deviation = ca.SX.ones(outputs), ca.SX.ones(outputs)
-        for row in self.rows:
-            signal[row], deviation[row] = indicator[self.plants], indicator[self.plants + 1]
-        return signal, deviation
-
-    def moving(self, values: Sequence[ca.SX], indicator: ca.SX) -> ca.SX:
-        """A matrix of the plant that moves, from those of all of them."""
-        if len(values) == 1 or all(values[0] is value for value in values):
-            return values[0]
-        return ca.SX(sum(indicator[i] * value for i, value in enumerate(values)))
 
 
 def conditions_of(spec: Spec) -> Conditions:
@@ -192,9 +172,3 @@ def _joint(spec: Spec, rates: list[ca.SX], covariance: ca.SX) -> list[ca.SX]:
             f"pairwise covariances of {len(rates)} inputs that work or fail",
         )
     return [ca.SX(value) for value in law[:-1]]
-
-
-def demanded(probabilities: list[ca.SX]) -> list[ca.SX]:
-    """What must not be negative for a draw: every pattern, the last one too."""
-    rest = 1 - sum(probabilities[1:], start=probabilities[0])
-    return [value + _ROUNDED for value in (*probabilities, rest)]
