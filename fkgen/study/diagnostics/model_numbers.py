@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_prediction
-from fkgen.problem import Spec
+from fkgen.problem import Spec, names
 
 Array = NDArray[np.float64]
 
@@ -43,6 +43,23 @@ class ModelNumbers:
         self.outputs = [signal.name for signal in spec.model.outputs]
         self.has_faults = spec.faults.actuator is not None  # inputs fail
         self.is_float = spec.code.scalar == "float"
+
+    @cached_property
+    def spectral_radius(self) -> float:
+        """Of A."""
+        return float(np.abs(np.linalg.eigvals(self.A)).max())
+
+    @cached_property
+    def used(self) -> frozenset[str]:
+        """Names of the parameters on which the filter depends."""
+        actuator, jump, plants = self.spec.faults.actuator, self.spec.faults.jump, self.spec.plants
+        matrices = [getattr(plant, letter) for plant in plants for letter in "ABCDQR"]
+        matrices += [] if jump is None else [mode.c for mode in jump.modes]
+        used: frozenset[str] = frozenset().union(*(matrix.names for matrix in matrices))
+        if actuator is not None and self.spec.first_rates is None:
+            used = used.union(*(names(rate) for rate in actuator.success_rate))
+            used |= frozenset() if actuator.covariance is None else actuator.covariance.names
+        return used
 
     def noise(self, *, driven: bool) -> tuple[Array, Array, Array]:
         """Q, R and their cross covariance (n, p), with u = 0 or every input at 1."""

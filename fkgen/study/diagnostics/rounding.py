@@ -20,7 +20,7 @@ from fkgen.backend.ir import CProgram, Operator
 from fkgen.backend.lower import lower
 from fkgen.families import family
 from fkgen.problem import Code
-from fkgen.study.diagnostics.findings import ReportBuilder
+from fkgen.study.diagnostics.findings import Examination
 from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE
 from fkgen.symbolic.interface import Status
@@ -39,7 +39,7 @@ _FUNCTION = 4.0 * UNIT
 _HOPELESS = 0.5
 
 
-def float_suitability(model: ModelNumbers, report: ReportBuilder) -> None:
+def float_suitability(model: Examination) -> None:
     """Bound the rounding of float in x(k|k) and hold it against its standard deviation.
 
     Local bounds come from the statements of one step, near rest and at the far end of the range of
@@ -55,26 +55,20 @@ def float_suitability(model: ModelNumbers, report: ReportBuilder) -> None:
         return
     names = model.states
     deviation = np.sqrt(np.maximum(np.diag(steady.filtered), 0.0))
-    report.values |= {f"float_error_bound.{n}": float(b) for n, b in zip(names, bound, strict=True)}
+    model.values |= {f"float_error_bound.{n}": float(b) for n, b in zip(names, bound, strict=True)}
     shares = np.divide(bound, deviation, out=np.full_like(bound, np.inf), where=deviation > 0.0)
     worst = int(np.argmax(shares))
     share = float(shares[worst])
-    report.values["float_error_to_sd"] = share
+    model.values["float_error_to_sd"] = share
     size = f"{bound[worst]:.2g} {model.spec.model.states[worst].unit}".rstrip()
     text = (
         f"float rounds {names[worst]} by at most {size}, {share:.2g} of its sd at rest, "
         f"for states of the usual range (here up to {usual_range(model)[worst]:.3g})"
     )
-    if share <= _SMALL:
-        report.note("float_suitable", text, share)
-        return
     if not np.isfinite(share):
         text = f"no bound on what float rounds in {names[worst]}: no digits are certain"
-    remedy = "states of a smaller range, such as offsets from a reference"
-    if model.is_float:
-        report.warning("float_rounding", text, share, f'scalar = "double", or {remedy}')
-    else:
-        report.note("float_rounding", text, share, f"for float: {remedy}")
+    code = "float_rounding.used" if model.is_float else "float_rounding"
+    model.add("float_suitable" if share <= _SMALL else code, share, bound=text)
 
 
 def _filtered_bound(model: ModelNumbers, steady: SteadyFilter) -> Array | None:
@@ -115,7 +109,7 @@ def usual_range(model: ModelNumbers) -> Array:
     from scipy.linalg import solve_discrete_lyapunov  # noqa: PLC0415 - slow to import
 
     prior = np.abs(model.system.x0) + 3.0 * np.sqrt(np.diag(model.P0).clip(0.0))
-    if np.abs(np.linalg.eigvals(model.A)).max() >= 1.0 - ON_THE_CIRCLE:
+    if model.spectral_radius >= 1.0 - ON_THE_CIRCLE:
         return np.asarray(prior)
     variance = np.diag(solve_discrete_lyapunov(model.A, model.Q))
     size = np.abs(np.linalg.solve(np.eye(len(model.A)) - model.A, model.B)).sum(axis=1)

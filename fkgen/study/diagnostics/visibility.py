@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fkgen.oracle.exact.gaussian import square_root
 from fkgen.problem.covariance import is_singular
-from fkgen.study.diagnostics.findings import ReportBuilder
+from fkgen.study.diagnostics.findings import Examination
 from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter, listed
 from fkgen.study.effects.effect import required_noncentrality
 
@@ -105,102 +105,81 @@ def _unit_rows(matrix: Array) -> Array:
 
 def _null_space(matrix: Array, basis: Array, size: float) -> Array:
     """The part of a basis on which a matrix vanishes."""
-    if not matrix.shape[0]:
-        return basis
     _, singular, right = np.linalg.svd(matrix)
     rank = int(np.count_nonzero(singular > RANK_TOLERANCE * size))
     return np.asarray(basis @ right[rank:].T)
 
 
-def states(model: ModelNumbers, report: ReportBuilder) -> None:
+def states(model: Examination) -> None:
     """How well n samples alone determine each state, in its unit: infinite if they do not."""
     if is_singular(model.R):
         return
-    n = len(model.A)
     rows = [np.linalg.solve(square_root(model.R), model.C)]
-    for _ in range(n - 1):
+    for _ in model.states[1:]:
         rows.append(rows[-1] @ model.A)
     stacked = np.vstack(rows)
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0.0] = 1.0
     _, singular, right = np.linalg.svd(stacked / scale, full_matrices=False)
     hidden = unobservable(model.A, model.C)
-    kept = singular[: n - hidden.size]
+    kept = singular[: len(model.A) - hidden.size]
     spread = np.linalg.norm(right[: len(kept)].T / kept, axis=1) / scale
-    for i, name in enumerate(model.states):
-        unseen = i in hidden.states
-        report.values[f"observation_sd.{name}"] = math.inf if unseen else float(spread[i])
+    spread[list(hidden.states)] = math.inf
+    names = (f"observation_sd.{name}" for name in model.states)
+    model.values |= dict(zip(names, spread.tolist(), strict=True))
 
 
-def sensors(model: ModelNumbers, report: ReportBuilder) -> None:
+def sensors(model: Examination) -> None:
     """The least bias of each row that one sample shows, and what remains of a lasting one."""
     steady = model.steady
     if steady is None or not model.spec.filter.traits.linear:
         return
     inverse = np.linalg.pinv(steady.innovation, hermitian=True)
     needed = required_noncentrality(1, FALSE_ALARM, POWER)
-    for i, signal in enumerate(model.spec.model.outputs):
-        bias = np.eye(len(model.C))[i]
+    for signal, bias in zip(model.spec.model.outputs, np.eye(len(model.C)), strict=True):
         left = lasting_innovation(model, steady, bias)
         onset, after = (float(v @ inverse @ v) for v in (bias, left))
         least = math.sqrt(needed / onset) if onset > 0.0 else math.inf
         share = math.sqrt(max(after, 0.0) / onset) if onset > 0.0 else 0.0
-        report.values[f"detectable_bias.{signal.name}"] = least
-        report.values[f"visible_share.{signal.name}"] = share
+        model.values[f"detectable_bias.{signal.name}"] = least
+        model.values[f"visible_share.{signal.name}"] = share
         if share < _NOTHING:
-            message = (
-                f"a lasting bias of {signal.name} cannot be seen: the estimate takes all of it in, "
-                f"and only its first samples show in the innovation (from {least:.3g} "
-                f"{signal.unit}".rstrip()
-                + " on, GLR of one sample)"
-            )
-            report.note(
-                "unseen_bias", message, share, "a second sensor of the same, if that matters"
-            )
-    _several_sensors(model, report, steady)
+            shown = f"{least:.3g} {signal.unit}".rstrip()
+            model.add("unseen_bias", share, name=signal.name, least=shown)
+    _several_sensors(model, steady)
 
 
-def _several_sensors(model: ModelNumbers, report: ReportBuilder, steady: SteadyFilter) -> None:
+def _several_sensors(model: Examination, steady: SteadyFilter) -> None:
     """Biases of several rows at once that the estimate takes in, though it does not those of one.
 
     The rows are scaled by the standard deviations of their innovations, so units do not count.
     """
     size = np.sqrt(np.diag(steady.innovation))
-    rows = [i for i in range(len(size)) if size[i] > 0.0]
-    rows = [i for i in rows if report.values[f"visible_share.{model.outputs[i]}"] >= _NOTHING]
+    shares = np.array([model.values[f"visible_share.{name}"] for name in model.outputs])
+    rows = np.flatnonzero((size > 0.0) & (shares >= _NOTHING))
     if len(rows) < 2:
         return
-    columns = [lasting_innovation(model, steady, size[i] * np.eye(len(size))[i]) for i in rows]
-    left = np.array(columns).T[size > 0.0] / size[size > 0.0, np.newaxis]
-    _, singular, right = np.linalg.svd(left)
+    left = lasting_innovation(model, steady, np.diag(size)[:, rows])
+    _, singular, right = np.linalg.svd(left[size > 0.0] / size[size > 0.0, np.newaxis])
     unseen = right[int(np.count_nonzero(singular > _NOTHING)) :]
-    report.values["unseen_bias_directions"] = float(len(unseen))
+    model.values["unseen_bias_directions"] = float(len(unseen))
     if not len(unseen):
         return
     involved = np.flatnonzero(np.linalg.norm(unseen, axis=0) > _NOTHING)
-    names = listed([model.outputs[rows[j]] for j in involved])
     how = f"{len(unseen)} combinations"
     if len(unseen) == 1:
-        bias = unseen[0][involved] * size[[rows[j] for j in involved]]
+        bias = unseen[0][involved] * size[rows[involved]]
         how = "in the ratio " + " : ".join(f"{b / bias[0]:.3g}" for b in bias)
-    message = (
-        f"lasting biases of {names} together ({how}) cannot be seen: the estimate takes them in"
-    )
-    remedy = "a sensor that does not share their cause, if they can share one"
-    report.note("unseen_biases", message, len(unseen), remedy)
+    names = listed([model.outputs[i] for i in rows[involved]])
+    model.add("unseen_biases", len(unseen), names=names, how=how)
 
 
-def inputs(model: ModelNumbers, report: ReportBuilder) -> None:
+def inputs(model: Examination) -> None:
     """Inputs whose faults never reach y, in no sample."""
-    if not model.spec.filter.traits.linear:
-        return
-    for j, signal in enumerate(model.spec.model.inputs):
-        if not model.D[:, j].any() and not reaches(model, j):
-            message = (
-                f"a fault of the input {signal.name} cannot be seen: it reaches no measurement, "
-                "but it may reach the state"
-            )
-            report.warning("unseen_input", message, j, "measure something that it drives")
+    if model.spec.filter.traits.linear:
+        for j, signal in enumerate(model.spec.model.inputs):
+            if not model.D[:, j].any() and not reaches(model, j):
+                model.add("unseen_input", j, name=signal.name)
 
 
 def reaches(model: ModelNumbers, j: int) -> bool:
