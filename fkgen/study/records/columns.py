@@ -31,6 +31,15 @@ DEFAULT = (
 #: Square roots of the diagonals of covariances: easier to read, and to plot.
 DEVIATIONS = {"filtered_sd": "filtered_covariance", "predicted_sd": "predicted_covariance"}
 _STATUS = "status"
+#: What the last axes of a port are, by its name or the last word of it.
+_AXES = {
+    "innovation_covariance": ("outputs", "outputs"),
+    "gain": ("states", "outputs"),
+    "filtered_gain": ("states", "outputs"),
+    "success_rate_estimate": ("inputs",),
+    "state": ("states",),
+    "covariance": ("states", "states"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,20 +93,10 @@ def columns_of(layout: Layout, run: Run, selection: Selection) -> Iterator[tuple
 def _labels(layout: Layout, port: Port) -> list[Sequence[str]]:
     """Names along each axis: states, measurements, inputs, or numbers."""
     names: list[Sequence[str]] = [[str(i) for i in range(length)] for length in port.shape]
-    axes: tuple[Sequence[str], ...] = ()  # of the last axes
-    if port.per_row:
-        axes = (layout.outputs,)
-    elif port.name == "innovation_covariance":
-        axes = (layout.outputs, layout.outputs)
-    elif port.name in {"gain", "filtered_gain"}:
-        axes = (layout.states, layout.outputs)
-    elif port.name == "success_rate_estimate":
-        axes = (layout.inputs,)
-    elif port.name.endswith("_state"):
-        axes = (layout.states,)
-    elif port.name.endswith("_covariance") and port.symmetric:
-        axes = (layout.states, layout.states)
-    for axis, labels in enumerate(reversed(axes), 1):
+    kind = port.name.rpartition("_")[2]
+    axes = _AXES.get(port.name, _AXES.get(kind, ()) if port.symmetric or kind == "state" else ())
+    for axis, signals in enumerate(reversed(("outputs",) if port.per_row else axes), 1):
+        labels = getattr(layout, signals)
         if len(port.shape) >= axis and port.shape[-axis] == len(labels):
             names[-axis] = labels
     return names
@@ -128,9 +127,6 @@ def csv_text(header: Sequence[str], columns: Sequence[Sequence[object]]) -> str:
 
 
 def _texts(values: Array) -> Sequence[object]:
-    if values.dtype == np.float32:
-        return ["" if math.isnan(value) else f"{value:.9g}" for value in values.tolist()]
-    if np.isnan(values).any():
-        return ["" if math.isnan(value) else value for value in values.tolist()]
-    listed: list[object] = values.tolist()
-    return listed
+    """Digits that give the same number back: nine for a float."""
+    shown = "{:.9g}".format if values.dtype == np.float32 else float
+    return ["" if math.isnan(value) else shown(value) for value in values.tolist()]

@@ -16,12 +16,6 @@ from fkgen.study.records.files import refuse_targets, write_whole
 from fkgen.study.records.table import Table, read_table
 from fkgen.symbolic.interface import Status
 
-#: What the picture needs besides what the user keeps.
-_DRAWN = (
-    *("filtered_state", "filtered_sd", "innovation", "nis", "mode_probability"),
-    *("test_statistic", "test_dof", "fault_declared"),
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
@@ -41,10 +35,8 @@ def run(
     built = build(spec)
     names = [name.strip() for name in keep.split(",") if name.strip()]
     selection = select(built.layout, names)
-    stored = selection.ports
-    if plot is not None:
-        drawn = [name for name in _DRAWN if name.endswith("_sd") or name in built.ports]
-        stored = tuple(dict.fromkeys((*stored, *select(built.layout, drawn).ports)))
+    drawn = () if plot is None else select(built.layout).ports
+    stored = tuple(dict.fromkeys((*selection.ports, *drawn)))
     result = run_table(built, table, Selection(selection.shown, stored))
     picture = b""
     if plot is not None:
@@ -66,12 +58,10 @@ def _refusals(built: CompiledFilter, table: Table, result: Run) -> tuple[str, ..
     sentences = []
     for value in np.unique(result.status[result.refused]).tolist():
         status, where = Status(value), np.flatnonzero(result.status == value)
-        name = f"{built.name}_{status.name}".upper()
-        line = table.lines[int(where[0])]
-        samples = f"{where.size} samples refused, the first in"
-        samples = "1 sample refused, in" if where.size == 1 else samples
+        several = f"{where.size} samples refused, the first in"
         sentences.append(
-            f"{table.file}: {samples} line {line}: {name}: {status.meaning}; "
+            f"{table.file}: {'1 sample refused, in' if where.size == 1 else several} line "
+            f"{table.lines[where[0]]}: {f'{built.name}_{status.name}'.upper()}: {status.meaning}; "
             "the filter went on unchanged"
         )
     return tuple(sentences)
