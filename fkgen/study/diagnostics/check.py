@@ -14,9 +14,8 @@ from fkgen.families import family
 from fkgen.problem import Spec
 from fkgen.problem.finding import Finding, Severity
 from fkgen.runtime.compiler import LARGE
-from fkgen.study.diagnostics import dynamics, faults, jumps, noise, rounding, visibility
-from fkgen.study.diagnostics.findings import Examination
-from fkgen.study.diagnostics.model_numbers import listed
+from fkgen.study.diagnostics import digits, dynamics, faults, jumps, visibility
+from fkgen.study.diagnostics.examination import Examination, listed
 from fkgen.study.reports.jsonable import finite_or_none
 
 __all__ = ["Finding", "Report", "check"]
@@ -83,8 +82,8 @@ _DIAGNOSTICS = (
     *(dynamics.stability, dynamics.observability, dynamics.excitation, dynamics.silence),
     *(dynamics.steady_state, dynamics.error_decay),
     *(visibility.states, visibility.sensors, visibility.inputs),
-    *(noise.innovation, noise.conditioning, noise.rounding, noise.number_range),
-    *(rounding.float_suitability, faults.known_rate, faults.hypotheses, _caveats),
+    *(digits.innovation, digits.conditioning, digits.rounding, digits.number_range),
+    *(digits.float_suitability, faults.known_rate, faults.hypotheses, _caveats),
     *(faults.noise_factor, faults.distribution, faults.lost_signal, faults.compression_loss),
     *(_parameters, _cost),
 )

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from fkgen.problem import Number
-from fkgen.study.diagnostics.findings import Examination
-from fkgen.study.diagnostics.model_numbers import Array, listed
+from fkgen.study.diagnostics.examination import Array, Examination, listed
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE, Hidden, unobservable, unreachable
 
 #: Beyond this many samples a filter is taken to be slower than anybody means it to be.

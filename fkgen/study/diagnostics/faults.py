@@ -16,8 +16,7 @@ from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.textbook.mkf import textbook_step
 from fkgen.problem import evaluate
 from fkgen.problem.probability import stationary_law, visited
-from fkgen.study.diagnostics.findings import Examination
-from fkgen.study.diagnostics.model_numbers import listed
+from fkgen.study.diagnostics.examination import Examination, listed
 from fkgen.study.diagnostics.visibility import reaches
 
 #: Together the floors should leave the probabilities free.

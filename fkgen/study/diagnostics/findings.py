@@ -1,13 +1,11 @@
-"""What a check can say: the texts of all findings, and the model that collects them."""
+"""What a check can say: the texts of all findings."""
 
 from __future__ import annotations
 
 import re
-from typing import Any, cast
+from typing import cast
 
-from fkgen.problem import Spec
-from fkgen.problem.finding import Finding, Severity
-from fkgen.study.diagnostics.model_numbers import ModelNumbers
+from fkgen.problem.finding import Severity
 
 #: "severity code: message -> remedy"; what follows a dot tells findings of one code apart.
 _TEXTS = """
@@ -152,26 +150,4 @@ def _catalogue() -> dict[str, tuple[Severity, str, str]]:
     return found
 
 
-_FINDINGS = _catalogue()
-
-
-class Examination(ModelNumbers):
-    """A model, and what is found and computed."""
-
-    def __init__(self, spec: Spec) -> None:
-        super().__init__(spec)
-        self.findings: list[Finding] = []
-        self.values: dict[str, float] = {}
-
-    def add(self, code: str, value: float | None = None, **facts: Any) -> None:
-        """Add a finding; ``value`` and the facts are filled into its texts."""
-        severity, *texts = _FINDINGS[code]
-        message, remedy = (text.format(value=value, **facts) for text in texts)
-        self.findings.append(Finding(code.partition(".")[0], severity, message, value, remedy))
-
-    def ranks(self, ranks: dict[str, int], where: dict[str, str]) -> None:
-        """Ranks of the innovation covariance by name; the lowest one is a finding if not full."""
-        self.values |= {name: float(rank) for name, rank in ranks.items()}
-        lowest, rows = min(ranks, key=ranks.__getitem__), self.spec.model.ny
-        if ranks[lowest] < rows:
-            self.add("innovation_rank", ranks[lowest], rows=rows, where=where.get(lowest, ""))
+FINDINGS = _catalogue()

@@ -16,8 +16,7 @@ from fkgen.oracle.textbook.jump import SteadyState, composite, stationary_jumps
 from fkgen.problem import Spec
 from fkgen.problem.probability import period, stationary_law, visited
 from fkgen.study.diagnostics.dynamics import deviations
-from fkgen.study.diagnostics.findings import Examination
-from fkgen.study.diagnostics.model_numbers import listed
+from fkgen.study.diagnostics.examination import Examination, listed
 from fkgen.study.diagnostics.visibility import numerical_rank
 
 #: Radii from here on take a thousand samples to forget where the moments started.

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from fkgen.oracle.exact.gaussian import square_root
 from fkgen.problem.covariance import is_singular
-from fkgen.study.diagnostics.findings import Examination
-from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter, listed
+from fkgen.study.diagnostics.examination import Array, Examination, SteadyFilter, listed
 from fkgen.study.effects.effect import required_noncentrality
 
 #: Singular values below this, relative to the size of the scaled matrices, count as zero: the
@@ -182,7 +181,7 @@ def inputs(model: Examination) -> None:
                 model.add("unseen_input", j, name=signal.name)
 
 
-def reaches(model: ModelNumbers, j: int) -> bool:
+def reaches(model: Examination, j: int) -> bool:
     """Whether an input reaches y through the state: a Markov parameter C A^k B is not zero."""
     reached = np.abs(model.B[:, j])
     for _ in range(len(model.A)):
@@ -192,7 +191,7 @@ def reaches(model: ModelNumbers, j: int) -> bool:
     return False
 
 
-def lasting_innovation(model: ModelNumbers, steady: SteadyFilter, bias: Array) -> Array:
+def lasting_innovation(model: Examination, steady: SteadyFilter, bias: Array) -> Array:
     """The innovation of a bias of y that lasts for ever: (I - C (I - A + K C)^-1 K) b.
 
     Song & Hu 2019, (12) for i -> infinity, in terms of the gain K of x(k+1|k).

@@ -21,7 +21,7 @@ from fkgen.families import NAMES, family
 from fkgen.problem import Matrix, Spec
 from fkgen.problem.numbers import probability, whole
 from fkgen.runtime.record import choice, numbers
-from fkgen.study.diagnostics.model_numbers import ModelNumbers
+from fkgen.study.diagnostics.examination import Examination
 from fkgen.study.diagnostics.visibility import lasting_innovation
 from fkgen.study.effects.effect import required_noncentrality
 from fkgen.study.effects.profiles import step
@@ -140,7 +140,7 @@ def _information(
         raise DataError(
             "detectability", given=f"the family {spec.filter.family}", expected=expected
         )
-    model = ModelNumbers(spec)
+    model = Examination(spec)
     steady = model.steady_at(driven)
     if steady is None:
         given = "a filter that does not come to rest"

@@ -1,9 +1,9 @@
-"""Would float do: a bound on what rounding adds to the estimate of a filter in its steady state.
+"""Is there noise where the filter needs it, are there digits enough, and would float do.
 
-Running error analysis of the generated program (Higham 2002, *Accuracy and Stability of Numerical
-Algorithms*, sec. 3.3): every number carries a bound on the distance between what the program
-computes in float and what exact arithmetic would give. Of the program's statements, not of the
-equations they come from.
+The last by running error analysis of the generated program (Higham 2002, *Accuracy and Stability of
+Numerical Algorithms*, sec. 3.3): every number carries a bound on the distance between what the
+program computes in float and what exact arithmetic would give. Of the program's statements, not of
+the equations they come from.
 """
 
 from __future__ import annotations
@@ -16,16 +16,25 @@ from typing import Self
 import numpy as np
 
 from fkgen.backend.execute import Machine
-from fkgen.backend.ir import CProgram, Operator
+from fkgen.backend.ir import Operator
 from fkgen.backend.lower import lower
+from fkgen.estimators.gaussian.estimate import SHORT_FORM_RATIO, prior_to_noise, update_form
 from fkgen.families import family
 from fkgen.problem import Code
-from fkgen.study.diagnostics.findings import Examination
-from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter
-from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE
+from fkgen.study.diagnostics.examination import Array, Examination, SteadyFilter, listed
+from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE, correlations, numerical_rank
 from fkgen.symbolic.interface import Status
-from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.packing import unpacked
+from fkgen.symbolic.plant import plant_of
 
+#: Variances that the standard form cannot tell apart any more: 1 / eps, with three digits to spare.
+_LOST = {"float": 1e4, "double": 1e13}
+
+_WHERE = {
+    "innovation_rank": " at the prior with u = 0",
+    "innovation_rank_driven": " at the prior with u = 1",
+    "innovation_rank_stationary": " at rest",
+}
 #: Samples over which errors add up; a filter that forgets more slowly gets no bound.
 _LONGEST = 20_000
 #: What remains of an error after which its share is left out.
@@ -37,6 +46,69 @@ UNIT = 2.0**-24
 _FUNCTION = 4.0 * UNIT
 #: Relative errors beyond this say that there are no digits left.
 _HOPELESS = 0.5
+
+
+def innovation(model: Examination) -> None:
+    """Rank of Om = C P C' + R + D N D', at the prior and at rest, without and with inputs."""
+    prior = model.C @ model.P0 @ model.C.T
+    ranks = {"innovation_rank": numerical_rank(prior + model.noise(driven=False)[1])}
+    if model.has_faults:
+        ranks["innovation_rank_driven"] = numerical_rank(prior + model.noise(driven=True)[1])
+    if model.steady is not None:
+        ranks["innovation_rank_stationary"] = numerical_rank(model.steady.innovation)
+    _perfect_measurements(model)
+    model.ranks(ranks, _WHERE)
+
+
+def _perfect_measurements(model: Examination) -> None:
+    """Rows of y, or combinations of them, without noise."""
+    size, _ = correlations(model.R)
+    exact = [name for name, s in zip(model.outputs, size, strict=True) if s == 0.0]
+    missing = len(model.R) - numerical_rank(model.R)
+    if exact:
+        model.add("noise_free_output", len(exact), names=listed(exact))
+    elif missing:
+        model.add("noise_free_output.combined", missing)
+
+
+def conditioning(model: Examination) -> None:
+    """How many digits the covariance update needs, and which form of it is used."""
+    spec, plant = model.spec, plant_of(model.spec)
+    form = update_form(spec, plant, augmented=model.has_faults and bool(plant.D.nnz()))
+    ratio, scalar = prior_to_noise(spec), spec.code.scalar
+    model.values |= dict.fromkeys(("prior_to_noise", "predicted_to_noise"), ratio)
+    model.values["joseph_form"] = float(form == "joseph")
+    if form == "short" and ratio > _LOST[scalar]:
+        severe = model.is_float and ratio > SHORT_FORM_RATIO
+        model.add("conditioning.severe" if severe else "conditioning.lost", ratio, scalar=scalar)
+    elif ratio > SHORT_FORM_RATIO:
+        shown = f"{ratio:.2g}" if math.isfinite(ratio) else "infinite"
+        loss = ": the short form would lose that many digits"
+        loss = ", which loses that many of the 16 digits" if form == "short" else loss
+        model.add("conditioning", ratio, shown=shown, form=form, loss=loss)
+
+
+def rounding(model: Examination) -> None:
+    """Process noise that vanishes in the rounding of the variance it is added to."""
+    if model.steady is None:
+        return
+    eps = float(np.finfo(np.float32 if model.is_float else np.float64).eps)
+    Q, P = np.diag(model.Q), np.diag(model.steady.predicted)
+    lost = [name for name, q, p in zip(model.states, Q, P, strict=True) if 0.0 < q < eps * p]
+    if lost:
+        scalar, remedy = model.spec.code.scalar, 'scalar = "double", or ' * model.is_float
+        model.add("rounding", len(lost), names=listed(lost), scalar=scalar, remedy=remedy)
+
+
+def number_range(model: Examination) -> None:
+    """Numbers of the model that float cannot hold."""
+    limits = np.finfo(np.float32)
+    for letter in ("A", "B", "C", "D", "Q", "R", "P0", "x0") if model.is_float else ():
+        values = model.system.x0 if letter == "x0" else getattr(model, letter)
+        size = np.abs(values[values != 0.0])
+        outside = size[(size > float(limits.max)) | (size < float(limits.tiny))]
+        if outside.size:
+            model.add("float_range", float(outside[0]), letter=letter)
 
 
 def float_suitability(model: Examination) -> None:
@@ -71,7 +143,7 @@ def float_suitability(model: Examination) -> None:
     model.add("float_suitable" if share <= _SMALL else code, share, bound=text)
 
 
-def _filtered_bound(model: ModelNumbers, steady: SteadyFilter) -> Array | None:
+def _filtered_bound(model: Examination, steady: SteadyFilter) -> Array | None:
     """Bound on the rounding of x(k|k), (n,); None if the filter forgets too slowly.
 
     Two passes over one step: the first bounds the rounding of P, which the closed loop adds up;
@@ -83,25 +155,25 @@ def _filtered_bound(model: ModelNumbers, steady: SteadyFilter) -> Array | None:
     if samples > _LONGEST:
         return None
     spec = replace(model.spec, code=Code("float", model.spec.code.update))
-    program = lower(family(spec.filter.family).build(spec))
-    local = _local(program, model, steady, np.zeros_like(steady.predicted))
+    machine = Machine(lower(family(spec.filter.family).build(spec)))
+    covariance = np.zeros_like(steady.predicted)
+    local = _local(machine, model, steady, covariance)
     if local is None:
         return None
-    covariance = np.zeros_like(steady.predicted)
     memory, power = np.zeros_like(F), np.eye(len(F))
     for _ in range(samples):
         size = np.abs(power)
         covariance += size @ local["predicted_covariance"] @ size.T
         memory += size
         power = F @ power
-    local = _local(program, model, steady, covariance)
+    local = _local(machine, model, steady, covariance)
     if local is None:
         return None
     kept = np.abs(np.eye(len(F)) - steady.filtered_gain @ model.C)
     return np.asarray(local["filtered_state"] + kept @ (memory @ local["predicted_state"]))
 
 
-def usual_range(model: ModelNumbers) -> Array:
+def usual_range(model: Examination) -> Array:
     """How far from zero each state gets, (n,): 3 standard deviations of the prior from x0.
 
     Where the plant is stable, at least as far as it gets by itself, driven by inputs of 1.
@@ -117,28 +189,22 @@ def usual_range(model: ModelNumbers) -> Array:
 
 
 def _local(
-    program: CProgram, model: ModelNumbers, steady: SteadyFilter, off: Array
+    machine: Machine, model: Examination, steady: SteadyFilter, off: Array
 ) -> dict[str, Array] | None:
-    """Bounds on every member of the instance after one step from rest, with P off by ``off``.
-
-    Covariances are full, other members packed as in C; None if the sample would be refused.
-    """
+    """Bounds on every port after one step from rest, with P off by ``off``; None if refused."""
     x, u = usual_range(model), np.ones(model.spec.model.nu)
     y = model.C @ x + model.D @ u + 3.0 * np.sqrt(np.diag(steady.innovation).clip(0.0))
-    places = list(triangle(len(x)))
-    machine = Machine(program)
     machine.use(Bounded.stored, _elementary, ARITHMETIC)
-    machine.ports["predicted_state"] = [Bounded.stored(float(v)) for v in x]
-    machine.ports["predicted_covariance"] = [
-        Bounded.of(float(steady.predicted[i, j]), float(off[i, j])) for i, j in places
-    ]
+    machine.ports["predicted_state"] = [Bounded.stored(value) for value in x.tolist()]
+    stored = np.tril_indices(len(x))
+    P = zip(steady.predicted[stored].tolist(), off[stored].tolist(), strict=True)
+    machine.ports["predicted_covariance"] = [Bounded.of(*each) for each in P]
     if machine.step(u.tolist(), y.tolist(), model.spec.defaults) is not Status.OK:
         return None
-    errors = {name: np.array([v.error for v in values]) for name, values in machine.ports.items()}
-    full = np.zeros_like(steady.predicted)
-    for (i, j), error in zip(places, errors["predicted_covariance"], strict=True):
-        full[i, j] = full[j, i] = error
-    return {**errors, "predicted_covariance": full}
+    return {
+        port.name: np.asarray(unpacked(port, [v.error for v in machine.ports[port.name]]), float)
+        for port in machine.program.ports
+    }
 
 
 class Bounded(float):
@@ -190,23 +256,13 @@ ARITHMETIC: Mapping[Operator, Callable[..., Bounded]] = {
     Operator.MIN: lambda a, b: Bounded.of(min(float(a), float(b)), max(a.error, b.error)),
 }
 
-_PLAIN: Mapping[Operator, Callable[..., float]] = {
-    Operator.EXP: math.exp,
-    Operator.LOG: math.log,
-    Operator.SQRT: math.sqrt,
-    Operator.SIN: math.sin,
-    Operator.COS: math.cos,
-    Operator.TAN: math.tan,
-    Operator.ATAN2: math.atan2,
-}
-
 
 def _elementary(operator: Operator, arguments: list[Bounded]) -> Bounded:
     """A function: its own error, and the largest slope times that of the arguments."""
     values = [float(argument) for argument in arguments]
     error = max(argument.error for argument in arguments)
     try:
-        value = _PLAIN[operator](*values)
+        value = float(getattr(math, operator.value)(*values))
     except (ValueError, OverflowError):
         return Bounded.of(math.nan, math.inf)
     moved = error * _slope(operator, values, value, error) if error else 0.0
@@ -214,19 +270,14 @@ def _elementary(operator: Operator, arguments: list[Bounded]) -> Bounded:
 
 
 def _slope(operator: Operator, values: list[float], value: float, error: float) -> float:
-    """Largest slope of a function within the bound around its arguments."""
-    match operator:
-        case Operator.EXP:
-            return abs(value) * math.exp(min(error, 1.0)) if error < 1.0 else math.inf
-        case Operator.LOG | Operator.SQRT:
-            least = values[0] - error
-            if least <= 0.0:
-                return math.inf
-            return 1.0 / least if operator is Operator.LOG else 0.5 / math.sqrt(least)
-        case Operator.TAN:
-            steep = math.cos(values[0]) ** 2 - 2.0 * error
-            return 1.0 / steep if steep > 0.0 else math.inf
-        case Operator.ATAN2:
-            far = math.hypot(*values) - 2.0 * error
-            return 2.0 / far if far > 0.0 else math.inf
-    return 1.0
+    """Largest slope of a function within the bound around its arguments; 1 at most if unlisted."""
+    least, far = values[0] - error, math.hypot(*values) - 2.0 * error
+    steep = math.cos(values[0]) ** 2 - 2.0 * error if operator is Operator.TAN else 1.0
+    slopes = {
+        Operator.EXP: abs(value) * math.exp(error) if error < 1.0 else math.inf,
+        Operator.LOG: 1.0 / least if least > 0.0 else math.inf,
+        Operator.SQRT: 0.5 / math.sqrt(least) if least > 0.0 else math.inf,
+        Operator.TAN: 1.0 / steep if steep > 0.0 else math.inf,
+        Operator.ATAN2: 2.0 / far if far > 0.0 else math.inf,
+    }
+    return slopes.get(operator, 1.0)

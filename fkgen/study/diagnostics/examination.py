@@ -1,10 +1,11 @@
-"""The plant of a spec as numbers at the default parameters, and the steady state of its filter."""
+"""The plant of a spec as numbers, the steady state of its filter, and what is found in them."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_prediction
 from fkgen.problem import Spec, names
+from fkgen.problem.finding import Finding
+from fkgen.study.diagnostics.findings import FINDINGS
 
 Array = NDArray[np.float64]
 
@@ -28,11 +31,13 @@ class SteadyFilter:
     radius: float  # spectral radius of A - K C
 
 
-class ModelNumbers:
-    """A spec with its matrices at the default parameters; for ``mme``, at the first hypothesis."""
+class Examination:
+    """A spec at the default parameters (and the first hypothesis), with findings and values."""
 
     def __init__(self, spec: Spec) -> None:
         self.spec = spec
+        self.findings: list[Finding] = []
+        self.values: dict[str, float] = {}
         one = LinearSystem.from_spec(spec, 1, None, spec.first_rates)
         self.system = one
         self.A, self.B, self.C, self.D, self.Q, self.R = (
@@ -85,6 +90,19 @@ class ModelNumbers:
         gain, own = (self.A @ P @ self.C.T + S) @ inverse, P @ self.C.T @ inverse
         filtered = P - own @ Om @ own.T
         return SteadyFilter(P, 0.5 * (filtered + filtered.T), Om, gain, own, radius)
+
+    def add(self, code: str, value: float | None = None, **facts: Any) -> None:
+        """Add a finding; ``value`` and the facts are filled into its texts."""
+        severity, *texts = FINDINGS[code]
+        message, remedy = (text.format(value=value, **facts) for text in texts)
+        self.findings.append(Finding(code.partition(".")[0], severity, message, value, remedy))
+
+    def ranks(self, ranks: dict[str, int], where: dict[str, str]) -> None:
+        """Ranks of the innovation covariance by name; the lowest one is a finding if not full."""
+        self.values |= {name: float(rank) for name, rank in ranks.items()}
+        lowest, rows = min(ranks, key=ranks.__getitem__), self.spec.model.ny
+        if ranks[lowest] < rows:
+            self.add("innovation_rank", ranks[lowest], rows=rows, where=where.get(lowest, ""))
 
 
 def listed(names: list[str]) -> str:
