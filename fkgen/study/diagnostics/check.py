@@ -15,7 +15,7 @@ from fkgen.problem import Spec
 from fkgen.problem.finding import Finding, Severity
 from fkgen.runtime.compiler import LARGE
 from fkgen.study.diagnostics import digits, dynamics, faults, jumps, visibility
-from fkgen.study.diagnostics.examination import Examination, listed
+from fkgen.study.diagnostics.subject import Subject, listed
 from fkgen.study.reports.jsonable import finite_or_none
 
 __all__ = ["Finding", "Report", "check"]
@@ -53,12 +53,12 @@ class Report:
         return json.dumps(finite_or_none(facts), indent=2)
 
 
-def _caveats(model: Examination) -> None:
+def _caveats(model: Subject) -> None:
     """Where the filter is less than its name says: what its family knows about that."""
     model.findings.extend(family(model.spec.filter.family).caveats(model.spec))
 
 
-def _parameters(model: Examination) -> None:
+def _parameters(model: Subject) -> None:
     """Parameters that nothing uses, and what they mean for the numbers."""
     unused = [p.name for p in model.spec.stated_parameters if p.name not in model.used]
     if unused:
@@ -69,7 +69,7 @@ def _parameters(model: Examination) -> None:
         model.add("time_varying", len(moving), names=listed(moving))
 
 
-def _cost(model: Examination) -> None:
+def _cost(model: Subject) -> None:
     """Operations of one step of the generated code."""
     program = lower(family(model.spec.filter.family).build(model.spec))
     calls = sum(n for op, n in program.operations.items() if op.is_function)
@@ -112,7 +112,7 @@ def check(spec: Spec) -> Report:
     Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with the
     conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
     """
-    model = Examination(spec)
+    model = Subject(spec)
     for diagnose in _DIAGNOSTICS if spec.faults.jump is None else _OF_JUMPS:
         diagnose(model)
     worst_first = sorted(model.findings, key=lambda finding: _ORDER.index(finding.severity))

@@ -20,9 +20,10 @@ from fkgen.backend.ir import Operator
 from fkgen.backend.lower import lower
 from fkgen.estimators.gaussian.estimate import SHORT_FORM_RATIO, prior_to_noise, update_form
 from fkgen.families import family
+from fkgen.oracle.textbook.riccati import constant_input_noise
 from fkgen.problem import Code
-from fkgen.study.diagnostics.examination import Array, Examination, SteadyFilter, listed
-from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE, correlations, numerical_rank
+from fkgen.study.diagnostics.subject import Array, SteadyFilter, Subject, listed, numerical_rank
+from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE
 from fkgen.symbolic.interface import Status
 from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.plant import plant_of
@@ -48,22 +49,22 @@ _FUNCTION = 4.0 * UNIT
 _HOPELESS = 0.5
 
 
-def innovation(model: Examination) -> None:
+def innovation(model: Subject) -> None:
     """Rank of Om = C P C' + R + D N D', at the prior and at rest, without and with inputs."""
-    prior = model.C @ model.P0 @ model.C.T
-    ranks = {"innovation_rank": numerical_rank(prior + model.noise(driven=False)[1])}
-    if model.has_faults:
-        ranks["innovation_rank_driven"] = numerical_rank(prior + model.noise(driven=True)[1])
+    prior, found = model.C @ model.P0 @ model.C.T, {}
+    for name, u in (("innovation_rank", 0.0), ("innovation_rank_driven", 1.0)):
+        if model.has_faults or not u:
+            inputs = np.full(model.spec.model.nu, u)
+            found[name] = prior + constant_input_noise(model.system, inputs)[1]
     if model.steady is not None:
-        ranks["innovation_rank_stationary"] = numerical_rank(model.steady.innovation)
+        found["innovation_rank_stationary"] = model.steady.innovation
     _perfect_measurements(model)
-    model.ranks(ranks, _WHERE)
+    model.ranks(found, _WHERE)
 
 
-def _perfect_measurements(model: Examination) -> None:
+def _perfect_measurements(model: Subject) -> None:
     """Rows of y, or combinations of them, without noise."""
-    size, _ = correlations(model.R)
-    exact = [name for name, s in zip(model.outputs, size, strict=True) if s == 0.0]
+    exact = [name for name, r in zip(model.outputs, np.diag(model.R), strict=True) if r <= 0.0]
     missing = len(model.R) - numerical_rank(model.R)
     if exact:
         model.add("noise_free_output", len(exact), names=listed(exact))
@@ -71,7 +72,7 @@ def _perfect_measurements(model: Examination) -> None:
         model.add("noise_free_output.combined", missing)
 
 
-def conditioning(model: Examination) -> None:
+def conditioning(model: Subject) -> None:
     """How many digits the covariance update needs, and which form of it is used."""
     spec, plant = model.spec, plant_of(model.spec)
     form = update_form(spec, plant, augmented=model.has_faults and bool(plant.D.nnz()))
@@ -88,7 +89,7 @@ def conditioning(model: Examination) -> None:
         model.add("conditioning", ratio, shown=shown, form=form, loss=loss)
 
 
-def rounding(model: Examination) -> None:
+def rounding(model: Subject) -> None:
     """Process noise that vanishes in the rounding of the variance it is added to."""
     if model.steady is None:
         return
@@ -100,7 +101,7 @@ def rounding(model: Examination) -> None:
         model.add("rounding", len(lost), names=listed(lost), scalar=scalar, remedy=remedy)
 
 
-def number_range(model: Examination) -> None:
+def number_range(model: Subject) -> None:
     """Numbers of the model that float cannot hold."""
     limits = np.finfo(np.float32)
     for letter in ("A", "B", "C", "D", "Q", "R", "P0", "x0") if model.is_float else ():
@@ -111,7 +112,7 @@ def number_range(model: Examination) -> None:
             model.add("float_range", float(outside[0]), letter=letter)
 
 
-def float_suitability(model: Examination) -> None:
+def float_suitability(model: Subject) -> None:
     """Bound the rounding of float in x(k|k) and hold it against its standard deviation.
 
     Local bounds come from the statements of one step, near rest and at the far end of the range of
@@ -122,12 +123,11 @@ def float_suitability(model: Examination) -> None:
     steady = model.steady
     if steady is None or not model.spec.filter.traits.linear:
         return
-    bound = _filtered_bound(model, steady)
-    if bound is None:
+    if (bound := _filtered_bound(model, steady)) is None:
         return
     names = model.states
     deviation = np.sqrt(np.maximum(np.diag(steady.filtered), 0.0))
-    model.values |= {f"float_error_bound.{n}": float(b) for n, b in zip(names, bound, strict=True)}
+    model.put("float_error_bound", names, bound)
     shares = np.divide(bound, deviation, out=np.full_like(bound, np.inf), where=deviation > 0.0)
     worst = int(np.argmax(shares))
     share = float(shares[worst])
@@ -143,7 +143,7 @@ def float_suitability(model: Examination) -> None:
     model.add("float_suitable" if share <= _SMALL else code, share, bound=text)
 
 
-def _filtered_bound(model: Examination, steady: SteadyFilter) -> Array | None:
+def _filtered_bound(model: Subject, steady: SteadyFilter) -> Array | None:
     """Bound on the rounding of x(k|k), (n,); None if the filter forgets too slowly.
 
     Two passes over one step: the first bounds the rounding of P, which the closed loop adds up;
@@ -156,24 +156,21 @@ def _filtered_bound(model: Examination, steady: SteadyFilter) -> Array | None:
         return None
     spec = replace(model.spec, code=Code("float", model.spec.code.update))
     machine = Machine(lower(family(spec.filter.family).build(spec)))
-    covariance = np.zeros_like(steady.predicted)
-    local = _local(machine, model, steady, covariance)
-    if local is None:
-        return None
-    memory, power = np.zeros_like(F), np.eye(len(F))
-    for _ in range(samples):
-        size = np.abs(power)
-        covariance += size @ local["predicted_covariance"] @ size.T
-        memory += size
-        power = F @ power
-    local = _local(machine, model, steady, covariance)
-    if local is None:
-        return None
+    powers = [np.eye(len(F))]
+    for _ in range(samples - 1):
+        powers.append(F @ powers[-1])
+    sizes, off = np.abs(powers), np.zeros_like(steady.predicted)
+    for _ in range(2):
+        local = _local(machine, model, steady, off)
+        if not local:
+            return None
+        off = (sizes @ local["predicted_covariance"] @ sizes.transpose(0, 2, 1)).sum(axis=0)
     kept = np.abs(np.eye(len(F)) - steady.filtered_gain @ model.C)
-    return np.asarray(local["filtered_state"] + kept @ (memory @ local["predicted_state"]))
+    memory = sizes.sum(axis=0) @ local["predicted_state"]
+    return np.asarray(local["filtered_state"] + kept @ memory)
 
 
-def usual_range(model: Examination) -> Array:
+def usual_range(model: Subject) -> Array:
     """How far from zero each state gets, (n,): 3 standard deviations of the prior from x0.
 
     Where the plant is stable, at least as far as it gets by itself, driven by inputs of 1.
@@ -188,19 +185,17 @@ def usual_range(model: Examination) -> Array:
     return np.asarray(np.maximum(prior, size + 3.0 * np.sqrt(variance.clip(0.0))))
 
 
-def _local(
-    machine: Machine, model: Examination, steady: SteadyFilter, off: Array
-) -> dict[str, Array] | None:
-    """Bounds on every port after one step from rest, with P off by ``off``; None if refused."""
+def _local(machine: Machine, model: Subject, steady: SteadyFilter, off: Array) -> dict[str, Array]:
+    """Bounds on every port after one step from rest, with P off by ``off``; none if refused."""
     x, u = usual_range(model), np.ones(model.spec.model.nu)
     y = model.C @ x + model.D @ u + 3.0 * np.sqrt(np.diag(steady.innovation).clip(0.0))
     machine.use(Bounded.stored, _elementary, ARITHMETIC)
     machine.ports["predicted_state"] = [Bounded.stored(value) for value in x.tolist()]
     stored = np.tril_indices(len(x))
     P = zip(steady.predicted[stored].tolist(), off[stored].tolist(), strict=True)
-    machine.ports["predicted_covariance"] = [Bounded.of(*each) for each in P]
+    machine.ports["predicted_covariance"] = [Bounded(*each) for each in P]
     if machine.step(u.tolist(), y.tolist(), model.spec.defaults) is not Status.OK:
-        return None
+        return {}
     return {
         port.name: np.asarray(unpacked(port, [v.error for v in machine.ports[port.name]]), float)
         for port in machine.program.ports
@@ -212,10 +207,9 @@ class Bounded(float):
 
     error: float
 
-    @classmethod
-    def of(cls, value: float, error: float = 0.0) -> Self:
+    def __new__(cls, value: float, error: float) -> Self:
         """A number with this bound."""
-        made = cls(value)
+        made = super().__new__(cls, value)
         made.error = error
         return made
 
@@ -225,12 +219,12 @@ class Bounded(float):
         if isinstance(value, cls):
             return value
         exact = math.isnan(value) or float(np.float32(value)) == value
-        return cls.of(value, 0.0 if exact else UNIT * abs(value))
+        return cls(value, 0.0 if exact else UNIT * abs(value))
 
 
 def _rounded(value: float, error: float) -> Bounded:
     """A result: what came with the arguments, and one rounding."""
-    return Bounded.of(value, error + UNIT * (abs(value) + error))
+    return Bounded(value, error + UNIT * (abs(value) + error))
 
 
 def _product(a: Bounded, b: Bounded) -> Bounded:
@@ -241,7 +235,7 @@ def _product(a: Bounded, b: Bounded) -> Bounded:
 def _quotient(a: Bounded, b: Bounded) -> Bounded:
     value = float(a) / float(b) if b else math.inf
     if b.error >= _HOPELESS * abs(b):
-        return Bounded.of(value, math.inf)
+        return Bounded(value, math.inf)
     return _rounded(value, (a.error + abs(value) * b.error) / (abs(b) - b.error))
 
 
@@ -250,10 +244,10 @@ ARITHMETIC: Mapping[Operator, Callable[..., Bounded]] = {
     Operator.SUB: lambda a, b: _rounded(float(a) - float(b), a.error + b.error),
     Operator.MUL: _product,
     Operator.DIV: _quotient,
-    Operator.NEG: lambda a: Bounded.of(-float(a), a.error),
-    Operator.ABS: lambda a: Bounded.of(abs(float(a)), a.error),
-    Operator.MAX: lambda a, b: Bounded.of(max(float(a), float(b)), max(a.error, b.error)),
-    Operator.MIN: lambda a, b: Bounded.of(min(float(a), float(b)), max(a.error, b.error)),
+    Operator.NEG: lambda a: Bounded(-float(a), a.error),
+    Operator.ABS: lambda a: Bounded(abs(float(a)), a.error),
+    Operator.MAX: lambda a, b: Bounded(max(float(a), float(b)), max(a.error, b.error)),
+    Operator.MIN: lambda a, b: Bounded(min(float(a), float(b)), max(a.error, b.error)),
 }
 
 
@@ -264,9 +258,9 @@ def _elementary(operator: Operator, arguments: list[Bounded]) -> Bounded:
     try:
         value = float(getattr(math, operator.value)(*values))
     except (ValueError, OverflowError):
-        return Bounded.of(math.nan, math.inf)
+        return Bounded(math.nan, math.inf)
     moved = error * _slope(operator, values, value, error) if error else 0.0
-    return Bounded.of(value, moved + _FUNCTION * max(abs(value), UNIT))
+    return Bounded(value, moved + _FUNCTION * max(abs(value), UNIT))
 
 
 def _slope(operator: Operator, values: list[float], value: float, error: float) -> float:

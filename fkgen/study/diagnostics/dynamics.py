@@ -7,14 +7,14 @@ import math
 import numpy as np
 
 from fkgen.problem import Number
-from fkgen.study.diagnostics.examination import Array, Examination, listed
+from fkgen.study.diagnostics.subject import Array, Subject, listed
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE, Hidden, unobservable, unreachable
 
 #: Beyond this many samples a filter is taken to be slower than anybody means it to be.
 _SLOW = 1e6
 
 
-def stability(model: Examination) -> None:
+def stability(model: Subject) -> None:
     """Spectral radius of A."""
     radius = model.spectral_radius
     model.values["spectral_radius"] = radius
@@ -22,7 +22,7 @@ def stability(model: Examination) -> None:
         model.add("unstable_plant", radius, doubling=math.log(2.0) / math.log(radius))
 
 
-def observability(model: Examination) -> None:
+def observability(model: Subject) -> None:
     """What the measurements never show, and whether that matters."""
     n, hidden = len(model.A), unobservable(model.A, model.C)
     rank = n - hidden.size
@@ -33,7 +33,7 @@ def observability(model: Examination) -> None:
         model.add(code, hidden.size, rank=rank, n=n, names=_where(model, hidden), radius=radius)
 
 
-def _where(model: Examination, hidden: Hidden) -> str:
+def _where(model: Subject, hidden: Hidden) -> str:
     names = listed([model.states[i] for i in hidden.states])
     if len(hidden.states) == hidden.size:
         return names
@@ -41,7 +41,7 @@ def _where(model: Examination, hidden: Hidden) -> str:
     return f"{count} of {names}"
 
 
-def excitation(model: Examination) -> None:
+def excitation(model: Subject) -> None:
     """Modes on the unit circle that no noise reaches: the filter stops listening to them."""
     still = unreachable(model.A, model.Q)
     model.values["noise_reachability_rank"] = float(len(model.A) - still.size)
@@ -50,7 +50,7 @@ def excitation(model: Examination) -> None:
         model.add("not_stabilisable", int(circle.sum()), names=_where(model, still))
 
 
-def steady_state(model: Examination) -> None:
+def steady_state(model: Subject) -> None:
     """The steady state of the filter, and how fast it gets there."""
     steady, period, seconds = model.steady, model.spec.model.sample_time, ""
     if steady is None:
@@ -67,7 +67,7 @@ def steady_state(model: Examination) -> None:
     deviations(model, steady.predicted, steady.filtered, f"all rows present{healthy}")
 
 
-def deviations(model: Examination, predicted: Array, filtered: Array, which: str) -> None:
+def deviations(model: Subject, predicted: Array, filtered: Array, which: str) -> None:
     """Standard deviations in the steady state, as values and as one note."""
     texts = []
     for i, signal in enumerate(model.spec.model.states):
@@ -78,7 +78,7 @@ def deviations(model: Examination, predicted: Array, filtered: Array, which: str
     model.add("stationary_sd", which=which, deviations=", ".join(texts))
 
 
-def silence(model: Examination) -> None:
+def silence(model: Subject) -> None:
     """Sensors that say nothing and states that nothing drives, by the zeros of the matrices."""
     plant, zero = model.spec.model, Number(0.0)
     for i, name in enumerate(model.outputs):
@@ -90,7 +90,7 @@ def silence(model: Examination) -> None:
             model.add("idle_state", i, name=name)
 
 
-def error_decay(model: Examination) -> None:
+def error_decay(model: Subject) -> None:
     """Does the effect of a fault die away: which of the sufficient conditions that are true holds.
 
     Song & Hu 2019, Theorem 1 (every rho(M[k]) < 1) is not among them: it is false. What is true,
@@ -108,9 +108,8 @@ def error_decay(model: Examination) -> None:
         if linear:
             model.add("error_decay_unproved", reason="the filter does not come to rest")
         return
-    for state, gains in zip(model.states, steady.filtered_gain.tolist(), strict=True):
-        names = (f"filtered_gain.{state}.{output}" for output in model.outputs)
-        model.values |= dict(zip(names, gains, strict=True))
+    for state, gains in zip(model.states, steady.filtered_gain, strict=True):
+        model.put(f"filtered_gain.{state}", model.outputs, gains)
     M = (np.eye(len(model.A)) - steady.filtered_gain @ model.C) @ model.A
     norm = float(np.linalg.norm(M, 2))
     model.values["closed_loop_norm"] = norm
@@ -130,7 +129,7 @@ def error_decay(model: Examination) -> None:
         model.add("error_decay", steady.radius, decays=decays)
 
 
-def _varying(model: Examination) -> str:
+def _varying(model: Subject) -> str:
     """What makes gains vary for ever, if anything does."""
     if model.spec.filter.traits.told:
         return "signals may be lost"

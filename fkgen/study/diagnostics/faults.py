@@ -16,7 +16,7 @@ from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.textbook.mkf import textbook_step
 from fkgen.problem import evaluate
 from fkgen.problem.probability import stationary_law, visited
-from fkgen.study.diagnostics.examination import Examination, listed
+from fkgen.study.diagnostics.subject import Subject, listed
 from fkgen.study.diagnostics.visibility import reaches
 
 #: Together the floors should leave the probabilities free.
@@ -30,13 +30,13 @@ _LONGEST = 500
 _MUCH = 0.1
 
 
-def known_rate(model: Examination) -> None:
+def known_rate(model: Subject) -> None:
     """Rates of 0 and 1, and D = 0, for ``mkf``."""
     spec, faults = model.spec, model.spec.faults.actuator
     if faults is None or spec.first_rates is not None:
         return
     rates = [evaluate(rate, spec.defaults) for rate in faults.success_rate]
-    model.values |= {f"success_rate.{i}": rate for i, rate in enumerate(rates)}
+    model.put("success_rate", range(len(rates)), rates)
     for rate in dict.fromkeys(rates):
         if rate in {0.0, 1.0}:
             model.add("certain_rate", rate, with_="with" if rate == 1.0 else "without")
@@ -44,7 +44,7 @@ def known_rate(model: Examination) -> None:
         model.add("no_feedthrough")
 
 
-def hypotheses(model: Examination) -> None:
+def hypotheses(model: Subject) -> None:
     """Success rates of a bank of filters: can they be told apart, by what, and for how long."""
     faults, options = model.spec.faults.actuator, model.spec.filter.options
     if faults is None or model.spec.first_rates is None:
@@ -59,7 +59,7 @@ def hypotheses(model: Examination) -> None:
         model.add("high_weight_floor", count * floor, count=count)
 
 
-def _alike(model: Examination, options: Any) -> None:
+def _alike(model: Subject, options: Any) -> None:
     """Hypotheses that are the same, mirrored, or certain."""
     model.values["hypotheses"] = float(len(options.hypotheses))
     for a, b in combinations(options.hypotheses, 2):
@@ -80,7 +80,7 @@ def _shown(rates: tuple[float, ...]) -> str:
     return f"({text})" if len(rates) > 1 else text
 
 
-def _identification(model: Examination, faults: ActuatorFaults, likelihood: str) -> None:
+def _identification(model: Subject, faults: ActuatorFaults, likelihood: str) -> None:
     """Whether and how fast y can tell the hypotheses apart."""
     inputs = model.spec.model.nu
     if not model.D.any() and not any(reaches(model, j) for j in range(inputs)):
@@ -96,7 +96,7 @@ def _identification(model: Examination, faults: ActuatorFaults, likelihood: str)
         model.add("gaussian_likelihood", inputs, most=LARGEST_MIXTURE)
 
 
-def noise_factor(model: Examination) -> None:
+def noise_factor(model: Subject) -> None:
     """A factor below one, or one that makes delta meaningless."""
     if (faults := model.spec.faults.sensor) is not None:
         model.values["noise_factor"] = faults.noise_factor
@@ -104,14 +104,13 @@ def noise_factor(model: Examination) -> None:
             model.add("noise_factor", faults.noise_factor)
 
 
-def distribution(model: Examination) -> None:
+def distribution(model: Subject) -> None:
     """Rates at the start and in the long run; modes that never come; modes of no memory."""
     faults = model.spec.faults.sensor
     if faults is None or not faults.kernel:
         return
     kernel, initial = np.array(faults.kernel), np.array(faults.initial)
-    for mode, p in zip(_MODES, faults.initial, strict=True):
-        model.values[f"initial_probability.{mode}"] = float(p)
+    model.put("initial_probability", _MODES, faults.initial)
     lasting = stationary_law(kernel)
     if lasting is not None:
         model.values["gamma_rate"] = float(lasting[:2].sum())
@@ -123,7 +122,7 @@ def distribution(model: Examination) -> None:
         model.add("no_memory")
 
 
-def lost_signal(model: Examination) -> None:
+def lost_signal(model: Subject) -> None:
     """An unstable plant under a linear filter: the second moment of the state acts as noise."""
     spec, faults = model.spec, model.spec.faults.sensor
     if faults is None or not spec.filter.traits.moments:
@@ -137,7 +136,7 @@ def lost_signal(model: Examination) -> None:
         model.add("unstable_linear", model.spectral_radius, rate=rate)
 
 
-def compression_loss(model: Examination) -> None:
+def compression_loss(model: Subject) -> None:
     """Variance after the first window over that of a Kalman filter, all rows at every sample."""
     spec, soft = model.spec, model.spec.faults.soft
     if spec.filter.traits.windows != "partial" or soft is None or soft.window > _LONGEST:

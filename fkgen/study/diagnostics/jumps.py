@@ -16,8 +16,7 @@ from fkgen.oracle.textbook.jump import SteadyState, composite, stationary_jumps
 from fkgen.problem import Spec
 from fkgen.problem.probability import period, stationary_law, visited
 from fkgen.study.diagnostics.dynamics import deviations
-from fkgen.study.diagnostics.examination import Examination, listed
-from fkgen.study.diagnostics.visibility import numerical_rank
+from fkgen.study.diagnostics.subject import Subject, listed
 
 #: Radii from here on take a thousand samples to forget where the moments started.
 NEARLY_UNSTABLE = 0.999
@@ -29,7 +28,7 @@ MANY = 0.5
 ALARMS = 0.05
 
 
-def diagnose(model: Examination) -> None:
+def diagnose(model: Subject) -> None:
     """All that is special to a jumping plant and its filter."""
     spec, faults = model.spec, model.spec.faults.jump
     if faults is None:
@@ -53,7 +52,7 @@ def diagnose(model: Examination) -> None:
         _detector(model)
 
 
-def _chain(model: Examination, faults: JumpFaults) -> None:
+def _chain(model: Subject, faults: JumpFaults) -> None:
     """Does the distribution of the mode have a limit, and which modes never come."""
     P = faults.transition
     ergodic, law = is_ergodic(P), stationary_law(P)
@@ -63,14 +62,14 @@ def _chain(model: Examination, faults: JumpFaults) -> None:
     elif not ergodic:
         model.add("not_ergodic", float(period(P)))
     else:
-        model.values |= {f"stationary_probability.{i}": float(p) for i, p in enumerate(law)}
+        model.put("stationary_probability", range(len(law)), law)
     never = [str(i) for i, seen in enumerate(visited(P, faults.initial)) if not seen]
     if never:
         endings = {"plural": "s" * (len(never) > 1), "singular": "s" * (len(never) == 1)}
         model.add("impossible_mode.jump", len(never), names=listed(never), **endings)
 
 
-def _stability(model: Examination, faults: JumpFaults, radius: float) -> None:
+def _stability(model: Subject, faults: JumpFaults, radius: float) -> None:
     """Do the second moments of the state have a limit."""
     model.values["mean_square_radius"] = radius
     if radius >= 1.0 - MARGIN:
@@ -84,7 +83,7 @@ def _detects_nothing(spec: Spec) -> bool:
     return bool(spec.filter.option("detector", "none") == "none")
 
 
-def _steady_state(model: Examination, trusting: SteadyState, own: SteadyState) -> None:
+def _steady_state(model: Subject, trusting: SteadyState, own: SteadyState) -> None:
     """The steady state at u = 0: error of the filter, and what its innovation is expected."""
     n = model.spec.model.nx
     E = np.tile(np.eye(n, n + 1), len(own.covariance) // (n + 1))
@@ -113,7 +112,7 @@ def _steady(spec: Spec, faults: JumpFaults, *, believing: bool) -> SteadyState |
     return stationary_jumps(system, 1.0 if rate is None else rate)
 
 
-def _innovation(model: Examination, steady: SteadyState | None) -> None:
+def _innovation(model: Subject, steady: SteadyState | None) -> None:
     """Rank of S at the prior and in the steady state."""
     system = JumpSystem.from_spec(model.spec, 1)
     initial, P0 = system.initial, system.P0
@@ -122,13 +121,13 @@ def _innovation(model: Examination, steady: SteadyState | None) -> None:
     for weight, own in zip(initial, system.C[0] - C, strict=True):
         shift = own @ system.x0
         spread = spread + weight * (own @ P0 @ own.T + np.outer(shift, shift))
-    ranks = {"innovation_rank": numerical_rank(C @ P0 @ C.T + spread)}
+    found = {"innovation_rank": C @ P0 @ C.T + spread}
     if steady is not None:
-        ranks["innovation_rank_stationary"] = numerical_rank(steady.innovation_covariance)
-    model.ranks(ranks, {})
+        found["innovation_rank_stationary"] = steady.innovation_covariance
+    model.ranks(found, {})
 
 
-def _visibility(model: Examination, steady: SteadyState) -> None:
+def _visibility(model: Subject, steady: SteadyState) -> None:
     """How many losses find a predicted signal that looks like noise."""
     split, n = steady.split, model.spec.model.nx
     # The constant is a part of the state: its second moment with x is the mean of x.
@@ -149,7 +148,7 @@ def _visibility(model: Examination, steady: SteadyState) -> None:
     model.add(f"invisible_losses{'.many' * many}", share, visible=VISIBLE)
 
 
-def _detector(model: Examination) -> None:
+def _detector(model: Subject) -> None:
     """What a test does to good samples, and options that it does not use."""
     options = model.spec.filter.options
     if options.detector != "nis" and options.alpha != DEFAULT_ALPHA:

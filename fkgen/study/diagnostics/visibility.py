@@ -15,12 +15,9 @@ from numpy.typing import NDArray
 
 from fkgen.oracle.exact.gaussian import square_root
 from fkgen.problem.covariance import is_singular
-from fkgen.study.diagnostics.examination import Array, Examination, SteadyFilter, listed
+from fkgen.study.diagnostics.subject import RANK_TOLERANCE, Array, Subject, correlations, listed
 from fkgen.study.effects.effect import required_noncentrality
 
-#: Singular values below this, relative to the size of the scaled matrices, count as zero: the
-#: matrices are known to about ten digits at best.
-RANK_TOLERANCE = 1e-10
 #: An eigenvalue this near to the unit circle counts as on it; a defective one is known no better.
 ON_THE_CIRCLE = 1e-7
 #: The usual test: one false alarm in a thousand samples, nine of ten faults found.
@@ -64,19 +61,6 @@ def unreachable(A: Array, Q: Array) -> Hidden:
     return unobservable(A.T, root.T)
 
 
-def numerical_rank(covariance: Array) -> int:
-    """Rank of a covariance, decided on correlations: units do not matter."""
-    _, correlation = correlations(covariance)
-    return int(np.count_nonzero(np.linalg.eigvalsh(correlation) > RANK_TOLERANCE))
-
-
-def correlations(covariance: Array) -> tuple[Array, Array]:
-    """Standard deviations and correlations; zero rows where there is no variance."""
-    size = np.sqrt(np.diag(covariance).clip(0.0))
-    outer = np.outer(size, size)
-    return size, np.divide(covariance, outer, out=np.zeros_like(covariance), where=outer > 0.0)
-
-
 def _scaled(A: Array, C: Array) -> Array:
     """Scales d for which diag(1/d) A diag(d) and C diag(d) are balanced (Osborne's sweeps)."""
     n = len(A)
@@ -109,7 +93,7 @@ def _null_space(matrix: Array, basis: Array, size: float) -> Array:
     return np.asarray(basis @ right[rank:].T)
 
 
-def states(model: Examination) -> None:
+def states(model: Subject) -> None:
     """How well n samples alone determine each state, in its unit: infinite if they do not."""
     if is_singular(model.R):
         return
@@ -124,42 +108,38 @@ def states(model: Examination) -> None:
     kept = singular[: len(model.A) - hidden.size]
     spread = np.linalg.norm(right[: len(kept)].T / kept, axis=1) / scale
     spread[list(hidden.states)] = math.inf
-    names = (f"observation_sd.{name}" for name in model.states)
-    model.values |= dict(zip(names, spread.tolist(), strict=True))
+    model.put("observation_sd", model.states, spread)
 
 
-def sensors(model: Examination) -> None:
+def sensors(model: Subject) -> None:
     """The least bias of each row that one sample shows, and what remains of a lasting one."""
     steady = model.steady
     if steady is None or not model.spec.filter.traits.linear:
         return
     inverse = np.linalg.pinv(steady.innovation, hermitian=True)
+    lasting = model.lasting_innovation(steady, np.eye(len(model.C)))
     needed = required_noncentrality(1, FALSE_ALARM, POWER)
-    for signal, bias in zip(model.spec.model.outputs, np.eye(len(model.C)), strict=True):
-        left = lasting_innovation(model, steady, bias)
-        onset, after = (float(v @ inverse @ v) for v in (bias, left))
+    shares = np.zeros(len(model.C))
+    for i, signal in enumerate(model.spec.model.outputs):
+        onset, after = float(inverse[i, i]), float(lasting[:, i] @ inverse @ lasting[:, i])
         least = math.sqrt(needed / onset) if onset > 0.0 else math.inf
-        share = math.sqrt(max(after, 0.0) / onset) if onset > 0.0 else 0.0
+        shares[i] = math.sqrt(max(after, 0.0) / onset) if onset > 0.0 else 0.0
         model.values[f"detectable_bias.{signal.name}"] = least
-        model.values[f"visible_share.{signal.name}"] = share
-        if share < _NOTHING:
+        model.values[f"visible_share.{signal.name}"] = float(shares[i])
+        if shares[i] < _NOTHING:
             shown = f"{least:.3g} {signal.unit}".rstrip()
-            model.add("unseen_bias", share, name=signal.name, least=shown)
-    _several_sensors(model, steady)
-
-
-def _several_sensors(model: Examination, steady: SteadyFilter) -> None:
-    """Biases of several rows at once that the estimate takes in, though it does not those of one.
-
-    The rows are scaled by the standard deviations of their innovations, so units do not count.
-    """
+            model.add("unseen_bias", float(shares[i]), name=signal.name, least=shown)
+    # Biases of several rows that the estimate takes in, though it does not those of one.
     size = np.sqrt(np.diag(steady.innovation))
-    shares = np.array([model.values[f"visible_share.{name}"] for name in model.outputs])
     rows = np.flatnonzero((size > 0.0) & (shares >= _NOTHING))
-    if len(rows) < 2:
-        return
-    left = lasting_innovation(model, steady, np.diag(size)[:, rows])
-    _, singular, right = np.linalg.svd(left[size > 0.0] / size[size > 0.0, np.newaxis])
+    if len(rows) > 1:
+        _several_sensors(model, lasting[:, rows], size, rows)
+
+
+def _several_sensors(model: Subject, lasting: Array, size: Array, rows: NDArray[np.intp]) -> None:
+    """The rows are scaled by standard deviations of their innovations: units do not count."""
+    left = (lasting * size[rows])[size > 0.0] / size[size > 0.0, np.newaxis]
+    _, singular, right = np.linalg.svd(left)
     unseen = right[int(np.count_nonzero(singular > _NOTHING)) :]
     model.values["unseen_bias_directions"] = float(len(unseen))
     if not len(unseen):
@@ -173,7 +153,7 @@ def _several_sensors(model: Examination, steady: SteadyFilter) -> None:
     model.add("unseen_biases", len(unseen), names=names, how=how)
 
 
-def inputs(model: Examination) -> None:
+def inputs(model: Subject) -> None:
     """Inputs whose faults never reach y, in no sample."""
     if model.spec.filter.traits.linear:
         for j, signal in enumerate(model.spec.model.inputs):
@@ -181,7 +161,7 @@ def inputs(model: Examination) -> None:
                 model.add("unseen_input", j, name=signal.name)
 
 
-def reaches(model: Examination, j: int) -> bool:
+def reaches(model: Subject, j: int) -> bool:
     """Whether an input reaches y through the state: a Markov parameter C A^k B is not zero."""
     reached = np.abs(model.B[:, j])
     for _ in range(len(model.A)):
@@ -189,13 +169,3 @@ def reaches(model: Examination, j: int) -> bool:
             return True
         reached = np.abs(model.A) @ reached
     return False
-
-
-def lasting_innovation(model: Examination, steady: SteadyFilter, bias: Array) -> Array:
-    """The innovation of a bias of y that lasts for ever: (I - C (I - A + K C)^-1 K) b.
-
-    Song & Hu 2019, (12) for i -> infinity, in terms of the gain K of x(k+1|k).
-    """
-    F = model.A - steady.gain @ model.C
-    state = np.linalg.solve(np.eye(len(F)) - F, steady.gain @ bias)
-    return np.asarray(bias - model.C @ state)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,6 +19,10 @@ from fkgen.study.diagnostics.findings import FINDINGS
 
 Array = NDArray[np.float64]
 
+#: Singular values below this, relative to the size of the scaled matrices, count as zero: the
+#: matrices are known to about ten digits at best.
+RANK_TOLERANCE = 1e-10
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteadyFilter:
@@ -31,7 +36,7 @@ class SteadyFilter:
     radius: float  # spectral radius of A - K C
 
 
-class Examination:
+class Subject:
     """A spec at the default parameters (and the first hypothesis), with findings and values."""
 
     def __init__(self, spec: Spec) -> None:
@@ -66,10 +71,6 @@ class Examination:
             used |= frozenset() if actuator.covariance is None else actuator.covariance.names
         return used
 
-    def noise(self, *, driven: bool) -> tuple[Array, Array, Array]:
-        """Q, R and their cross covariance (n, p), with u = 0 or every input at 1."""
-        return constant_input_noise(self.system, np.full(self.spec.model.nu, float(driven)))
-
     @cached_property
     def steady(self) -> SteadyFilter | None:
         """The steady state of the filter at u = 0, if it reaches one."""
@@ -91,18 +92,32 @@ class Examination:
         filtered = P - own @ Om @ own.T
         return SteadyFilter(P, 0.5 * (filtered + filtered.T), Om, gain, own, radius)
 
+    def lasting_innovation(self, steady: SteadyFilter, bias: Array) -> Array:
+        """The innovation of a bias b of y that lasts for ever: (I - C (I - A + K C)^-1 K) b.
+
+        Song & Hu 2019, (12) for i -> infinity, in terms of the gain K of x(k+1|k).
+        """
+        F = self.A - steady.gain @ self.C
+        state = np.linalg.solve(np.eye(len(F)) - F, steady.gain @ bias)
+        return np.asarray(bias - self.C @ state)
+
     def add(self, code: str, value: float | None = None, **facts: Any) -> None:
         """Add a finding; ``value`` and the facts are filled into its texts."""
         severity, *texts = FINDINGS[code]
         message, remedy = (text.format(value=value, **facts) for text in texts)
         self.findings.append(Finding(code.partition(".")[0], severity, message, value, remedy))
 
-    def ranks(self, ranks: dict[str, int], where: dict[str, str]) -> None:
+    def ranks(self, covariances: dict[str, Array], where: dict[str, str]) -> None:
         """Ranks of the innovation covariance by name; the lowest one is a finding if not full."""
+        ranks = {name: numerical_rank(covariance) for name, covariance in covariances.items()}
         self.values |= {name: float(rank) for name, rank in ranks.items()}
         lowest, rows = min(ranks, key=ranks.__getitem__), self.spec.model.ny
         if ranks[lowest] < rows:
             self.add("innovation_rank", ranks[lowest], rows=rows, where=where.get(lowest, ""))
+
+    def put(self, name: str, places: Iterable[object], numbers: Iterable[float]) -> None:
+        """Values ``name.place``, one for each place."""
+        self.values |= {f"{name}.{p}": float(v) for p, v in zip(places, numbers, strict=True)}
 
 
 def listed(names: list[str]) -> str:
@@ -110,3 +125,16 @@ def listed(names: list[str]) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def numerical_rank(covariance: Array) -> int:
+    """Rank of a covariance, decided on correlations: units do not matter."""
+    _, correlation = correlations(covariance)
+    return int(np.count_nonzero(np.linalg.eigvalsh(correlation) > RANK_TOLERANCE))
+
+
+def correlations(covariance: Array) -> tuple[Array, Array]:
+    """Standard deviations and correlations; zero rows where there is no variance."""
+    size = np.sqrt(np.diag(covariance).clip(0.0))
+    outer = np.outer(size, size)
+    return size, np.divide(covariance, outer, out=np.zeros_like(covariance), where=outer > 0.0)
