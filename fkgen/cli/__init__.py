@@ -217,14 +217,13 @@ def run(spec: Spec, record: Path, **options: Any) -> None:
     """Filter RECORD, a CSV file, with the compiled filter of SPEC."""
     from fkgen.study.records import filtering
 
-    done = filtering.run(spec, record, **options)
-    for note in done.notes:
+    text, notes, problems = filtering.run(spec, record, **options)
+    for note in notes:
         click.echo(f"note: {note}", err=True)
-    if done.text:
-        click.echo(done.text, nl=False)
-    for problem in done.problems:
+    click.echo(text, nl=False)
+    for problem in problems:
         click.echo(f"warning: {problem}", err=True)
-    sys.exit(1 if done.problems else 0)
+    sys.exit(1 if problems else 0)
 
 
 @main.command("fault-effect")

@@ -107,13 +107,10 @@ def to_csv(layout: Layout, table: Table, run: Run, selection: Selection) -> byte
 
     Numbers have the digits that give the same number back; a missing one is an empty field.
     """
-    columns: list[tuple[str, Sequence[object]]] = []
-    if table.time_name:
-        columns.append((table.time_name, table.time_text))
-    for name, values in columns_of(layout, run, selection):
-        columns.append((name, _texts(values)))
+    columns: list[tuple[str, Sequence[object]]] = [(table.time_name, table.time_text)]
+    columns += [(name, _texts(values)) for name, values in columns_of(layout, run, selection)]
     columns.append((_STATUS, run.status.tolist()))
-    header, texts = zip(*columns, strict=True)
+    header, texts = zip(*columns[0 if table.time_name else 1 :], strict=True)
     return csv_text(header, texts).encode("utf-8")
 
 

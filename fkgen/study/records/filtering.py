@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,19 +16,14 @@ from fkgen.study.records.table import Table, read_table
 from fkgen.symbolic.interface import Status
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What there is to say afterwards."""
-
-    text: str  # the CSV text if no file was asked for, else empty
-    notes: tuple[str, ...]  # what was ignored or taken for granted, and what was written
-    problems: tuple[str, ...]  # samples that were refused
-
-
 def run(
     spec: Spec, record: Path, *, output: Path | None, plot: Path | None, keep: str, force: bool
-) -> Outcome:
-    """Read, build, filter, write the columns ``keep`` and a picture; all of it or nothing."""
+) -> tuple[str, list[str], list[str]]:
+    """Read, build, filter, write the columns ``keep`` and a picture; all of it or nothing.
+
+    What to say afterwards: the CSV text if no file was asked for; notes on what was ignored, taken
+    for granted or written; samples that were refused.
+    """
     refuse_targets(output, plot, force=force)
     table = read_table(record, spec)
     built = build(spec)
@@ -50,10 +44,10 @@ def run(
             write_whole(path, content, force=force)
             notes.append(f"{path}: written, {len(table.lines)} samples")
     text = "" if output is not None else data.decode("utf-8")
-    return Outcome(text, tuple(notes), _refusals(built, table, result))
+    return text, notes, _refusals(built, table, result)
 
 
-def _refusals(built: CompiledFilter, table: Table, result: Run) -> tuple[str, ...]:
+def _refusals(built: CompiledFilter, table: Table, result: Run) -> list[str]:
     """One sentence per reason for which samples were refused: how often, where first, why."""
     sentences = []
     for value in np.unique(result.status[result.refused]).tolist():
@@ -64,4 +58,4 @@ def _refusals(built: CompiledFilter, table: Table, result: Run) -> tuple[str, ..
             f"{table.lines[where[0]]}: {f'{built.name}_{status.name}'.upper()}: {status.meaning}; "
             "the filter went on unchanged"
         )
-    return tuple(sentences)
+    return sentences
