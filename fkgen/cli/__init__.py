@@ -198,8 +198,9 @@ def verify(spec: Spec) -> None:
             claims += step.run()
     holds = {True: _styled("yes", "green"), False: _styled("NO", "bold red")}
     head = ("claim", "source", "error", "allowed", "holds")
-    numbers = ((f"{c.error:.1e}", f"{c.tolerance:.1e}") for c in claims)
-    rows = ((c.claim, c.source, *n, holds[c.holds]) for c, n in zip(claims, numbers, strict=True))
+    rows = (
+        (c.claim, c.source, f"{c.error:.1e}", f"{c.tolerance:.1e}", holds[c.holds]) for c in claims
+    )
     _print_table(head, rows, error="right", allowed="right")
     failed = sum(not claim.holds for claim in claims)
     click.echo(f"{len(claims) - failed} of {len(claims)} claims hold")

@@ -45,11 +45,7 @@ class Report:
 
     def to_json(self) -> str:
         """Findings and values as JSON; a number that is not finite becomes null."""
-        findings = [
-            asdict(f) | {"value": None if f.value is None else float(f.value)}
-            for f in self.findings
-        ]
-        facts = {"sound": self.sound, "findings": findings, "values": self.values}
+        facts = {"sound": self.sound, **asdict(self)}
         return json.dumps(finite_or_none(facts), indent=2)
 
 

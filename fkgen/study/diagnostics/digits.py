@@ -105,8 +105,8 @@ def number_range(model: Subject) -> None:
     """Numbers of the model that float cannot hold."""
     limits = np.finfo(np.float32)
     for letter in ("A", "B", "C", "D", "Q", "R", "P0", "x0") if model.is_float else ():
-        values = model.system.x0 if letter == "x0" else getattr(model, letter)
-        size = np.abs(values[values != 0.0])
+        size = np.abs(getattr(model, letter))
+        size = size[size != 0.0]
         outside = size[(size > float(limits.max)) | (size < float(limits.tiny))]
         if outside.size:
             model.add("float_range", float(outside[0]), letter=letter)
@@ -177,7 +177,7 @@ def usual_range(model: Subject) -> Array:
     """
     from scipy.linalg import solve_discrete_lyapunov  # noqa: PLC0415 - slow to import
 
-    prior = np.abs(model.system.x0) + 3.0 * np.sqrt(np.diag(model.P0).clip(0.0))
+    prior = np.abs(model.x0) + 3.0 * np.sqrt(np.diag(model.P0).clip(0.0))
     if model.spectral_radius >= 1.0 - ON_THE_CIRCLE:
         return np.asarray(prior)
     variance = np.diag(solve_discrete_lyapunov(model.A, model.Q))

@@ -115,13 +115,11 @@ def _steady(spec: Spec, faults: JumpFaults, *, believing: bool) -> SteadyState |
 def _innovation(model: Subject, steady: SteadyState | None) -> None:
     """Rank of S at the prior and in the steady state."""
     system = JumpSystem.from_spec(model.spec, 1)
-    initial, P0 = system.initial, system.P0
-    C = np.einsum("i,iab->ab", initial, system.C[0])
-    spread = np.einsum("i,iab->ab", initial, system.R[0])
-    for weight, own in zip(initial, system.C[0] - C, strict=True):
-        shift = own @ system.x0
-        spread = spread + weight * (own @ P0 @ own.T + np.outer(shift, shift))
-    found = {"innovation_rank": C @ P0 @ C.T + spread}
+    C = np.einsum("i,iab->ab", system.initial, system.C[0])
+    own = system.C[0] - C
+    spread = own @ (system.P0 + np.outer(system.x0, system.x0)) @ own.transpose(0, 2, 1)
+    spread = np.einsum("i,iab->ab", system.initial, system.R[0] + spread)
+    found = {"innovation_rank": C @ system.P0 @ C.T + spread}
     if steady is not None:
         found["innovation_rank_stationary"] = steady.innovation_covariance
     model.ranks(found, {})
@@ -133,16 +131,9 @@ def _visibility(model: Subject, steady: SteadyState) -> None:
     # The constant is a part of the state: its second moment with x is the mean of x.
     mean = split.L @ split.now[:, n :: n + 1].sum(axis=1)
     predicted = split.signal - split.L @ steady.covariance @ split.L.T
-    shares = []
-    for i, center in enumerate(mean):
-        noise = math.sqrt(split.R[i, i])
-        spread = math.sqrt(max(predicted[i, i] - center**2, 0.0))
-        if spread > 0.0:
-            low, high = (VISIBLE * s * noise - center for s in (-1.0, 1.0))
-            shares.append(float(ndtr(high / spread) - ndtr(low / spread)))
-        else:
-            shares.append(float(abs(center) < VISIBLE * noise))
-    share = min(shares)
+    spread = np.sqrt(np.maximum(np.diag(predicted) - mean**2, np.finfo(float).tiny))
+    noise = VISIBLE * np.sqrt(np.diag(split.R))
+    share = float((ndtr((noise - mean) / spread) - ndtr((-noise - mean) / spread)).min())
     model.values["invisible_losses"] = share
     many = share > MANY and not _detects_nothing(model.spec)
     model.add(f"invisible_losses{'.many' * many}", share, visible=VISIBLE)

@@ -48,7 +48,7 @@ class Subject:
         self.A, self.B, self.C, self.D, self.Q, self.R = (
             np.asarray(of_samples[0]) for of_samples in (one.A, one.B, one.C, one.D, one.Q, one.R)
         )
-        self.P0: Array = one.P0
+        self.x0, self.P0 = one.x0, one.P0
         self.states = [signal.name for signal in spec.model.states]
         self.outputs = [signal.name for signal in spec.model.outputs]
         self.has_faults = spec.faults.actuator is not None  # inputs fail
@@ -105,7 +105,8 @@ class Subject:
         """Add a finding; ``value`` and the facts are filled into its texts."""
         severity, *texts = FINDINGS[code]
         message, remedy = (text.format(value=value, **facts) for text in texts)
-        self.findings.append(Finding(code.partition(".")[0], severity, message, value, remedy))
+        number = None if value is None else float(value)
+        self.findings.append(Finding(code.partition(".")[0], severity, message, number, remedy))
 
     def ranks(self, covariances: dict[str, Array], where: dict[str, str]) -> None:
         """Ranks of the innovation covariance by name; the lowest one is a finding if not full."""

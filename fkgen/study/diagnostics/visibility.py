@@ -119,16 +119,16 @@ def sensors(model: Subject) -> None:
     inverse = np.linalg.pinv(steady.innovation, hermitian=True)
     lasting = model.lasting_innovation(steady, np.eye(len(model.C)))
     needed = required_noncentrality(1, FALSE_ALARM, POWER)
-    shares = np.zeros(len(model.C))
-    for i, signal in enumerate(model.spec.model.outputs):
-        onset, after = float(inverse[i, i]), float(lasting[:, i] @ inverse @ lasting[:, i])
-        least = math.sqrt(needed / onset) if onset > 0.0 else math.inf
-        shares[i] = math.sqrt(max(after, 0.0) / onset) if onset > 0.0 else 0.0
-        model.values[f"detectable_bias.{signal.name}"] = least
-        model.values[f"visible_share.{signal.name}"] = float(shares[i])
-        if shares[i] < _NOTHING:
-            shown = f"{least:.3g} {signal.unit}".rstrip()
-            model.add("unseen_bias", float(shares[i]), name=signal.name, least=shown)
+    onset, after = np.diag(inverse), np.einsum("ji,jk,ki->i", lasting, inverse, lasting)
+    seen, never = onset > 0.0, np.full_like(onset, np.inf)
+    least = np.sqrt(np.divide(needed, onset, out=never, where=seen))
+    shares = np.divide(after.clip(0.0), onset, out=np.zeros_like(onset), where=seen) ** 0.5
+    model.put("detectable_bias", model.outputs, least)
+    model.put("visible_share", model.outputs, shares)
+    for signal, bias, share in zip(model.spec.model.outputs, least, shares.tolist(), strict=True):
+        if share < _NOTHING:
+            shown = f"{bias:.3g} {signal.unit}".rstrip()
+            model.add("unseen_bias", share, name=signal.name, least=shown)
     # Biases of several rows that the estimate takes in, though it does not those of one.
     size = np.sqrt(np.diag(steady.innovation))
     rows = np.flatnonzero((size > 0.0) & (shares >= _NOTHING))
