@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from fkgen.console import console as _console
-from fkgen.console import print_table as _print_table
+from fkgen.console import console, print_table
 from fkgen.errors import FkgenError, InternalError
 from fkgen.version import __version__
 
@@ -90,7 +89,7 @@ def _tell(found: Any, table: Any, lines: Iterable[str], *, as_json: bool, names:
         click.echo(found.to_json())
         return
     head, rows = table
-    _print_table(head, rows, **dict.fromkeys(head[names:], "right"))
+    print_table(head, rows, **dict.fromkeys(head[names:], "right"))
     for line in lines:
         click.echo(line)
 
@@ -115,7 +114,7 @@ def families() -> None:
     """List the families of filters."""
     from fkgen.families import NAMES, family
 
-    _print_table(("family", "what it is for"), ((name, family(name).title) for name in NAMES))
+    print_table(("family", "what it is for"), ((name, family(name).title) for name in NAMES))
 
 
 @main.command()
@@ -153,7 +152,7 @@ def check(spec: Spec, *, as_json: bool) -> None:
         for texts in [(f.message, f.remedy)]
     ]
     if rows and not as_json:
-        _print_table(("severity", "code", "finding"), rows)
+        print_table(("severity", "code", "finding"), rows)
     values = ((name, f"{value:.6g}") for name, value in report.values.items())
     _tell(report, (("value", "number"), values), (), as_json=as_json)
     sys.exit(0 if report.sound else 1)
@@ -192,7 +191,7 @@ def verify(spec: Spec) -> None:
 
     claims: list[Claim] = []
     columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
-    with Progress(*columns, console=_console(err=True), transient=True) as progress:
+    with Progress(*columns, console=console(err=True), transient=True) as progress:
         for step in progress.track(steps(spec), description=""):
             progress.update(progress.task_ids[0], description=step.title)
             claims += step.run()
@@ -201,7 +200,7 @@ def verify(spec: Spec) -> None:
     rows = (
         (c.claim, c.source, f"{c.error:.1e}", f"{c.tolerance:.1e}", holds[c.holds]) for c in claims
     )
-    _print_table(head, rows, error="right", allowed="right")
+    print_table(head, rows, error="right", allowed="right")
     failed = sum(not claim.holds for claim in claims)
     click.echo(f"{len(claims) - failed} of {len(claims)} claims hold")
     sys.exit(1 if failed else 0)
@@ -329,9 +328,9 @@ def demo(output: Path) -> None:
     """Generate, compile and run two filters, one of them over a real drive."""
     from fkgen.study.reports.demo import play
 
-    console = _console()
+    out = console()
     for line in play(output):
-        console.print(line, soft_wrap=True)
+        out.print(line, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,7 @@ from fkgen.problem.probability import Distribution
 from fkgen.problem.table.place import Place
 from fkgen.symbolic.plant import Plant, lift
 
-#: Codes of conditions and hypotheses fit a byte.
-_COUNTED = 255
+_COUNTED = 255  # codes of conditions and hypotheses fit a byte
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,7 @@ WEYL = (0x9E3779B9, 0xBB67AE85)
 #: The last word of the counter: what the numbers are for. Draws of faults and noise never mix.
 STREAMS = {"faults": 0, "process_noise": 1, "measurement_noise": 2, "prior": 3}
 
-#: Bits of a uniform number: with one half added it is exact, and neither 0 nor 1.
-UNIFORM_BITS = 52
+UNIFORM_BITS = 52  # with one half added the number is exact, and neither 0 nor 1
 
 #: AS 241: limits, shifts, and coefficients of numerator and denominator, lowest first.
 CENTRAL_LIMIT, CENTRAL_SHIFT = 0.425, 0.180625

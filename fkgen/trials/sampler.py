@@ -20,8 +20,7 @@ from fkgen.symbolic.interface import Status
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
 
-#: What C fills.
-_WRITTEN = ("state", "measurement", "condition", "coin", "hypothesis")
+_WRITTEN = ("state", "measurement", "condition", "coin", "hypothesis")  # what C fills
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,14 +39,10 @@ _WRITTEN = {
     "measurement": "y[k]",
     "threshold": "probabilities at which coins fall, summed up",
 }
-#: What normal numbers need.
-_NORMAL = {Operator.LOG, Operator.SQRT}
-#: A pivot below this share of its diagonal entry is the rounding of a zero.
-_NEGLIGIBLE = 1e-14
-#: Keeps the quotient of two zeros at zero.
-_TINY = 1e-300
-#: Joint probabilities of expressions may fall below zero by their rounding.
-_ROUNDED = 1e-9
+_NORMAL = {Operator.LOG, Operator.SQRT}  # what normal numbers need
+_NEGLIGIBLE = 1e-14  # a pivot below this share of its diagonal entry is the rounding of a zero
+_TINY = 1e-300  # keeps the quotient of two zeros at zero
+_ROUNDED = 1e-9  # joint probabilities of expressions may fall below zero by their rounding
 
 
 class SamplerSource(NamedTuple):
@@ -57,37 +53,30 @@ class SamplerSource(NamedTuple):
     operations: int
 
 
-class _PhaseText(NamedTuple):
-    verb: str
-    comment: str
-    program: Phase
-    reads: tuple[str, ...]  # arguments besides parameters
-    body: str
-
-
 def render_sampler(spec: Spec) -> SamplerSource:
     """Write, lower and print the phases of a spec that says how its faults come about."""
     conditions, sizes = conditions_of(spec), (spec.model.nx, spec.model.nu, spec.model.ny)
     c = StatementPrinter(spec.name, "double", spec.model.ny)
     ports, written = _phases(spec, conditions)
-    phases = []
-    for (verb, comment), phase in written.items():
-        lowered = lower_phase(ports, phase, _INPUTS)
-        phases.append(_PhaseText(verb, comment, lowered, _read(lowered), c.block(lowered.body)))
-    nodes = (node for phase in phases for node in walk(phase.program.body))
+    lowered = {words: lower_phase(ports, phase, _INPUTS) for words, phase in written.items()}
+    nodes = (node for phase in lowered.values() for node in walk(phase.body))
     operations = [node.operator for node in nodes if isinstance(node, Operate)]
     functions = {operator for operator in operations if operator.is_function}
     context = elementary_context(c, frozenset(functions | _NORMAL)) | {
         "parameters": [(p.name, p.default) for p in spec.stated_parameters],
         "ports": ports,
         "version": __version__,
-        "tests_finiteness": tests_finiteness(tuple(phase.program for phase in phases)),
+        "tests_finiteness": tests_finiteness(tuple(lowered.values())),
         **dict(zip("nqp", sizes, strict=True)),
         "conditions": conditions,
         "initial": _cumulative(conditions.initial),
         "kernel": [_cumulative(row) for row in conditions.kernel],
         "prior": _cumulative(conditions.prior),
-        "phases": phases,
+        "phases": [
+            {"verb": verb, "comment": comment, "program": phase, "body": c.block(phase.body)}
+            | {"reads": _read(phase)}
+            for (verb, comment), phase in lowered.items()
+        ],
         "statuses": (Status.OK, Status.PARAMETER_OUT_OF_RANGE, Status.RESULT_NOT_FINITE),
         "numbers": random_numbers,
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,8 +19,7 @@ from fkgen.trials.sampler import Trials, sampler
 
 Array = NDArray[np.float64]
 
-#: Samples that one thread draws at a stretch.
-BLOCK = 50_000
+BLOCK = 50_000  # samples that one thread draws at a stretch
 LARGEST_SEED, LARGEST_TRIAL = 2**64, 2**32
 LARGEST_STEPS = 2**31
 
@@ -36,7 +35,6 @@ class Request:
     first: int
 
     def __post_init__(self) -> None:
-        """Refuse numbers of trials, samples and seeds that cannot be."""
         counted("runs", self.runs)
         counted("steps", self.steps, LARGEST_STEPS)
         counted("seed", self.seed, LARGEST_SEED, least=0)
@@ -67,9 +65,9 @@ class Simulation:
     request: Request
     y: Array
     u: Array
-    driving: Array = field(repr=False)
-    params: Mapping[str, Array] = field(repr=False)
-    trials: Trials = field(repr=False)
+    driving: Array
+    params: Mapping[str, Array]
+    trials: Trials
 
     @property
     def spec(self) -> Spec:

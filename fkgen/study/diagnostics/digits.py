@@ -28,25 +28,18 @@ from fkgen.symbolic.interface import Status
 from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.plant import plant_of
 
-#: Variances that the standard form cannot tell apart any more: 1 / eps, with three digits to spare.
-_LOST = {"float": 1e4, "double": 1e13}
-
+_LOST = {"float": 1e4, "double": 1e13}  # variances not told apart: 1 / eps, three digits to spare
 _WHERE = {
     "innovation_rank": " at the prior with u = 0",
     "innovation_rank_driven": " at the prior with u = 1",
     "innovation_rank_stationary": " at rest",
 }
-#: Samples over which errors add up; a filter that forgets more slowly gets no bound.
-_LONGEST = 20_000
-#: What remains of an error after which its share is left out.
-_FORGOTTEN = 1e-6
-#: Share of a standard deviation that rounding may take without anybody noticing.
-_SMALL = 0.1
-#: Half a unit in the last place of float; what its elementary functions err by.
-UNIT = 2.0**-24
-_FUNCTION = 4.0 * UNIT
-#: Relative errors beyond this say that there are no digits left.
-_HOPELESS = 0.5
+_LONGEST = 20_000  # samples over which errors add up: no bound for a filter that forgets later
+_FORGOTTEN = 1e-6  # what remains of an error after which its share is left out
+_SMALL = 0.1  # share of a standard deviation that rounding may take without anybody noticing
+UNIT = 2.0**-24  # half a unit in the last place of float
+_FUNCTION = 4.0 * UNIT  # what its elementary functions err by
+_HOPELESS = 0.5  # relative errors beyond this say that there are no digits left
 
 
 def innovation(model: Subject) -> None:
@@ -113,13 +106,7 @@ def number_range(model: Subject) -> None:
 
 
 def float_suitability(model: Subject) -> None:
-    """Bound the rounding of float in x(k|k) and hold it against its standard deviation.
-
-    Local bounds come from the statements of one step, near rest and at the far end of the range of
-    x; the closed loop forgets them as it forgets any error, so their sum is over |F^k| with
-    F = A - K C. To first order: an error of the gain acts on an innovation of three standard
-    deviations.
-    """
+    """Hold a bound on what float rounds in x(k|k) against its standard deviation."""
     steady = model.steady
     if steady is None or not model.spec.filter.traits.linear:
         return
@@ -146,8 +133,10 @@ def float_suitability(model: Subject) -> None:
 def _filtered_bound(model: Subject, steady: SteadyFilter) -> Array | None:
     """Bound on the rounding of x(k|k), (n,); None if the filter forgets too slowly.
 
-    Two passes over one step: the first bounds the rounding of P, which the closed loop adds up;
-    the second that of x, with a P that is off by that sum.
+    Local bounds come from the statements of one step, near rest and at the far end of the range of
+    x; the closed loop forgets them as any error, so their sum is over |F^k| with F = A - K C. The
+    first pass bounds the rounding of P; the second that of x, with a P that is off by that sum. To
+    first order: an error of the gain acts on an innovation of three standard deviations.
     """
     F, samples = model.A - steady.gain @ model.C, 2
     if steady.radius > 0.0:

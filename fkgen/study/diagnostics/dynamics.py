@@ -10,8 +10,7 @@ from fkgen.problem import Number
 from fkgen.study.diagnostics.subject import Array, Subject, listed
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE, Hidden, unobservable, unreachable
 
-#: Beyond this many samples a filter is taken to be slower than anybody means it to be.
-_SLOW = 1e6
+_SLOW = 1e6  # samples: slower than anybody means a filter to be
 
 
 def stability(model: Subject) -> None:
@@ -69,39 +68,31 @@ def steady_state(model: Subject) -> None:
 
 def deviations(model: Subject, predicted: Array, filtered: Array, which: str) -> None:
     """Standard deviations in the steady state, as values and as one note."""
-    texts = []
-    for i, signal in enumerate(model.spec.model.states):
-        deviation, before = (math.sqrt(max(P[i, i], 0.0)) for P in (filtered, predicted))
-        model.values[f"stationary_sd.{signal.name}"] = deviation
-        model.values[f"stationary_predicted_sd.{signal.name}"] = before
-        texts.append(f"{signal.name} {deviation:.3g} {signal.unit}".rstrip())
+    sd, before = (np.sqrt(np.diag(P).clip(0.0)) for P in (filtered, predicted))
+    model.put("stationary_sd", model.states, sd)
+    model.put("stationary_predicted_sd", model.states, before)
+    shown = zip(model.spec.model.states, sd, strict=True)
+    texts = (f"{signal.name} {value:.3g} {signal.unit}".rstrip() for signal, value in shown)
     model.add("stationary_sd", which=which, deviations=", ".join(texts))
 
 
 def silence(model: Subject) -> None:
     """Sensors that say nothing and states that nothing drives, by the zeros of the matrices."""
-    plant, zero = model.spec.model, Number(0.0)
-    for i, name in enumerate(model.outputs):
-        entries = plant.C.rows[i] + (plant.D.rows[i] if model.has_faults else ())
-        if all(entry == zero for entry in entries):
-            model.add("silent_output", i, name=name)
-    for i, name in enumerate(model.states):
-        if all(entry == zero for entry in plant.A.rows[i] + plant.B.rows[i] + plant.Q.rows[i]):
-            model.add("idle_state", i, name=name)
+    shown = "CD" if model.has_faults else "C"
+    for code, letters, names in (
+        ("silent_output", shown, model.outputs),
+        ("idle_state", "ABQ", model.states),
+    ):
+        matrices = [getattr(model.spec.model, letter) for letter in letters]
+        for i, name in enumerate(names):
+            if all(entry == Number(0.0) for matrix in matrices for entry in matrix.rows[i]):
+                model.add(code, i, name=name)
 
 
 def error_decay(model: Subject) -> None:
-    """Does the effect of a fault die away: which of the sufficient conditions that are true holds.
+    """Does the effect of a fault die away: which condition of docs/fault-effects.md holds, c or e.
 
-    Song & Hu 2019, Theorem 1 (every rho(M[k]) < 1) is not among them: it is false. What is true,
-    for M[k] = (I - K[k+1] C[k+1]) A[k]:
-
-    a. one norm in which all ||M[k]|| <= q < 1;
-    b. the joint spectral radius of the set of all M[k] is below 1;
-    c. M[k] tends to an M with rho(M) < 1: constant data, and a Riccati equation that has a
-       stabilising solution;
-    d. bounded data, (A, C) uniformly detectable, (A, Q^1/2) uniformly stabilisable;
-    e. always: Delta' P(k|k)^-1 Delta never grows once the fault is over.
+    Song & Hu 2019, Theorem 1 (every rho(M[k]) < 1) is none of them: it is false.
     """
     steady, linear = model.steady, model.spec.filter.traits.linear
     if steady is None:

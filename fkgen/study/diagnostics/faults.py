@@ -19,15 +19,11 @@ from fkgen.problem.probability import stationary_law, visited
 from fkgen.study.diagnostics.subject import Subject, listed
 from fkgen.study.diagnostics.visibility import reaches
 
-#: Together the floors should leave the probabilities free.
-_LARGEST_FLOOR = 1e-2
+_LARGEST_FLOOR = 1e-2  # together the floors should leave the probabilities free
 _MODES = ("(1,1)", "(1,C)", "(0,1)", "(0,C)")
-#: Rates, and rows of a transition matrix, closer than this are equal.
-_EQUAL = 1e-12
-#: Windows beyond which nobody waits for a number.
-_LONGEST = 500
-#: A variance that is so much larger is worth a word.
-_MUCH = 0.1
+_EQUAL = 1e-12  # rates, and rows of a transition matrix, that are closer are equal
+_LONGEST = 500  # windows beyond which nobody waits for a number
+_MUCH = 0.1  # a variance that is so much larger is worth a word
 
 
 def known_rate(model: Subject) -> None:
@@ -82,17 +78,16 @@ def _shown(rates: tuple[float, ...]) -> str:
 
 def _identification(model: Subject, faults: ActuatorFaults, likelihood: str) -> None:
     """Whether and how fast y can tell the hypotheses apart."""
-    inputs = model.spec.model.nu
-    if not model.D.any() and not any(reaches(model, j) for j in range(inputs)):
+    inputs, direct = model.spec.model.nu, model.D.any()
+    if not direct and not any(reaches(model, j) for j in range(inputs)):
         model.add("unidentifiable")
         return
     model.add("needs_input")
-    if not model.D.any():
+    mixture = likelihood == "mixture" and faults.dependence == "independent"
+    if not direct:
         model.add("slow_identification")
         model.add("no_feedthrough.bank")
-    elif (
-        inputs > LARGEST_MIXTURE and faults.dependence == "independent" and likelihood == "mixture"
-    ):
+    elif mixture and inputs > LARGEST_MIXTURE:
         model.add("gaussian_likelihood", inputs, most=LARGEST_MIXTURE)
 
 

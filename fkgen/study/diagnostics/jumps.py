@@ -18,14 +18,10 @@ from fkgen.problem.probability import period, stationary_law, visited
 from fkgen.study.diagnostics.dynamics import deviations
 from fkgen.study.diagnostics.subject import Subject, listed
 
-#: Radii from here on take a thousand samples to forget where the moments started.
-NEARLY_UNSTABLE = 0.999
-#: Signals closer to zero than this many deviations of the noise cannot be told from a loss.
-VISIBLE = 2.0
-#: Above this share of invisible losses a test is no help.
-MANY = 0.5
-#: Above this rate of false alarms a filter that rejects them loses its track.
-ALARMS = 0.05
+NEARLY_UNSTABLE = 0.999  # radii from here on take a thousand samples to forget the start
+VISIBLE = 2.0  # deviations of the noise: signals closer to zero cannot be told from a loss
+MANY = 0.5  # above this share of invisible losses a test is no help
+ALARMS = 0.05  # above this rate of false alarms a filter that rejects them loses its track
 
 
 def diagnose(model: Subject) -> None:
@@ -33,9 +29,8 @@ def diagnose(model: Subject) -> None:
     spec, faults = model.spec, model.spec.faults.jump
     if faults is None:
         return
-    radius = mean_square_radius(
-        faults.transition, [m.A.values(spec.defaults) for m in faults.modes]
-    )
+    dynamics = [mode.A.values(spec.defaults) for mode in faults.modes]
+    radius = mean_square_radius(faults.transition, dynamics)
     _chain(model, faults)
     _stability(model, faults, radius)
     trusting = own = None

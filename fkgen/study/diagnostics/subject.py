@@ -19,8 +19,7 @@ from fkgen.study.diagnostics.findings import FINDINGS
 
 Array = NDArray[np.float64]
 
-#: Singular values below this, relative to the size of the scaled matrices, count as zero: the
-#: matrices are known to about ten digits at best.
+#: Singular values of scaled matrices that count as zero: they have about ten digits at best.
 RANK_TOLERANCE = 1e-10
 
 
@@ -93,10 +92,7 @@ class Subject:
         return SteadyFilter(P, 0.5 * (filtered + filtered.T), Om, gain, own, radius)
 
     def lasting_innovation(self, steady: SteadyFilter, bias: Array) -> Array:
-        """The innovation of a bias b of y that lasts for ever: (I - C (I - A + K C)^-1 K) b.
-
-        Song & Hu 2019, (12) for i -> infinity, in terms of the gain K of x(k+1|k).
-        """
+        """Of a bias b that stays: (I - C (I - A + K C)^-1 K) b, limit of Song & Hu 2019, (12)."""
         F = self.A - steady.gain @ self.C
         state = np.linalg.solve(np.eye(len(F)) - F, steady.gain @ bias)
         return np.asarray(bias - self.C @ state)

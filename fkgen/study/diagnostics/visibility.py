@@ -18,12 +18,9 @@ from fkgen.problem.covariance import is_singular
 from fkgen.study.diagnostics.subject import RANK_TOLERANCE, Array, Subject, correlations, listed
 from fkgen.study.effects.effect import required_noncentrality
 
-#: An eigenvalue this near to the unit circle counts as on it; a defective one is known no better.
-ON_THE_CIRCLE = 1e-7
-#: The usual test: one false alarm in a thousand samples, nine of ten faults found.
-FALSE_ALARM, POWER = 1e-3, 0.9
-#: Shares of a subspace, and of a fault in the innovation (in standard deviations), that are none.
-_NOTHING = 1e-6
+ON_THE_CIRCLE = 1e-7  # eigenvalues so near to the unit circle: defective ones are known no better
+FALSE_ALARM, POWER = 1e-3, 0.9  # one false alarm in a thousand samples, nine of ten faults found
+_NOTHING = 1e-6  # shares of a subspace, and of a fault in the innovation (in sd), that are none
 _SWEEPS = 12
 
 
@@ -47,9 +44,8 @@ def unobservable(A: Array, C: Array) -> Hidden:
         if smaller.shape[1] == V.shape[1]:
             break
         V = smaller
-    involved = np.flatnonzero(np.linalg.norm(V, axis=1) > _NOTHING)
-    within = np.linalg.eigvals(V.T @ M @ V).astype(complex) if V.shape[1] else np.zeros(0, complex)
-    return Hidden(V.shape[1], tuple(int(i) for i in involved), within)
+    involved = np.flatnonzero(np.linalg.norm(V, axis=1) > _NOTHING).tolist()
+    return Hidden(V.shape[1], tuple(involved), np.linalg.eigvals(V.T @ M @ V).astype(complex))
 
 
 def unreachable(A: Array, Q: Array) -> Hidden:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from fkgen.errors import OutputError
 
-#: Formats of pictures, by the ending of the name.
-PICTURES = (".png", ".pdf", ".svg")
+PICTURES = (".png", ".pdf", ".svg")  # what can be drawn, by the ending of the name
 
 
 def refuse_targets(output: Path | None, plot: Path | None = None, *, force: bool) -> None:

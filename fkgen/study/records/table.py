@@ -16,10 +16,8 @@ from fkgen.problem import Spec
 
 Array = NDArray[np.float64]
 
-#: Names of a time column, the first that is there and is no signal of the model.
-TIME_NAMES = ("t", "t_s", "time")
-
-_SHOWN = 40
+TIME_NAMES = ("t", "t_s", "time")  # of a time column: the first that is there and no signal
+_SHOWN = 40  # characters of a field in an error
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
