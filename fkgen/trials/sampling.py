@@ -175,10 +175,8 @@ def _sample(
     roots = {id(covariance): lower_root(covariance) for covariance in covariances}
     root = _moving([roots[id(covariance)] for covariance in covariances], indicator)
     u = symbols["coin"] * symbols["u"] if conditions.coins else symbols["u"]
-    value, added = (
-        _moving(M, indicator) @ symbols["x"] + _moving(N, indicator) @ u,
-        root @ symbols[noise],
-    )
+    value = _moving(M, indicator) @ symbols["x"] + _moving(N, indicator) @ u
+    added = root @ symbols[noise]
     if port == "measurement":
         signal, deviation = ca.SX.ones(plants[0].ny), ca.SX.ones(plants[0].ny)
         for row in conditions.rows:

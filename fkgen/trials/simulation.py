@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.console import Advance, progressing
+from fkgen.console import progressing
 from fkgen.errors import DataError
 from fkgen.problem import Spec
 from fkgen.problem.numbers import whole
@@ -158,14 +158,12 @@ def simulate(
     SpecError, DataError
         If faults have no law, a number or shape does not fit, or an unstable plant overflows.
     """
-    request = Request(spec, runs, steps, seed, first)
-    told = _inputs(spec, u, runs, steps)
+    request, told = Request(spec, runs, steps, seed, first), _inputs(spec, u, runs, steps)
     driving = _added("input", told, input, (runs, steps, spec.model.nu))
-    named = tuple((item.name, item.default) for item in spec.stated_parameters)
-    values = record.values_of(named, params, steps, np.float64)
-    given = {name: np.asarray(v, float) for (name, _), v in zip(named, values, strict=True)}
-    with progressing("simulate", request.runs, shown=progress) as advance:
-        trials = _drawn(request, driving, tuple(given.values()), advance)
+    named = {item.name: item.default for item in spec.stated_parameters}
+    values = record.values_of(tuple(named.items()), params, steps, np.float64)
+    given = {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
+    trials = _drawn(request, driving, tuple(given.values()), shown=progress)
     measured = _measured(spec, trials, present)
     y = _added("sensor", measured, sensor, measured.shape)
     trials = replace(trials, measurement=measured)
@@ -233,7 +231,7 @@ def _measured(spec: Spec, trials: Trials, present: ArrayLike | None) -> Array:
     return np.where(mask, y, np.nan)
 
 
-def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], advance: Advance) -> Trials:
+def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], *, shown: bool) -> Trials:
     compiled = sampler(request.spec)
     room = compiled.empty(request.runs, request.steps)
 
@@ -242,5 +240,6 @@ def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], advance: A
         first = request.first + start
         compiled.draw(request.seed, first, inputs, parameters, room.part(start, stop))
 
-    in_blocks(work, request.runs, max(1, BLOCK // request.steps), advance)
+    with progressing("simulate", request.runs, shown=shown) as advance:
+        in_blocks(work, request.runs, max(1, BLOCK // request.steps), advance)
     return room
