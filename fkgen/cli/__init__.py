@@ -94,6 +94,11 @@ def _tell(found: Any, table: Any, lines: Iterable[str], *, as_json: bool, names:
         click.echo(line)
 
 
+def _say(kind: str, sentences: Iterable[str]) -> None:
+    for sentence in sentences:
+        click.echo(f"{kind}: {sentence}", err=True)
+
+
 @click.group(cls=_OneLine, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="fkgen", message="%(prog)s %(version)s")
 def main() -> None:
@@ -218,11 +223,9 @@ def run(spec: Spec, record: Path, **options: Any) -> None:
     from fkgen.study.records import filtering
 
     text, notes, problems = filtering.run(spec, record, **options)
-    for note in notes:
-        click.echo(f"note: {note}", err=True)
+    _say("note", notes)
     click.echo(text, nl=False)
-    for problem in problems:
-        click.echo(f"warning: {problem}", err=True)
+    _say("warning", problems)
     sys.exit(1 if problems else 0)
 
 
@@ -254,8 +257,7 @@ def fault_effect(
 
     found = report_of(spec, Options(**options), plot=plot, force=force)
     _tell(found, found.table(), found.sentences(), as_json=as_json)
-    for note in found.notes:
-        click.echo(f"note: {note}", err=True)
+    _say("note", found.notes)
 
 
 @main.command()
