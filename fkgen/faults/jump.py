@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from fkgen.faults.chain import Channel, Mode, ModeChain
+from fkgen.faults.chain import LETTERS, Channel, Mode, ModeChain
 from fkgen.problem.covariance import checked_covariance
 from fkgen.problem.model import Model, component
 from fkgen.problem.probability import (
@@ -22,6 +22,7 @@ from fkgen.problem.probability import (
 from fkgen.problem.table.matrix import Role, read_entry, read_matrix
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section, as_list
+from fkgen.problem.text.expression import Expression, Name, operation, total
 from fkgen.problem.text.matrix import Matrix
 
 Arrival = Literal["always", "known", "unknown"]
@@ -29,6 +30,9 @@ Arrival = Literal["always", "known", "unknown"]
 _ARRIVALS: tuple[Arrival, ...] = ("always", "known", "unknown")
 _ARRIVAL_KEYS = ("arrival", "arrival_rate", "arrival_chain")
 _ORDER = "(lost, arrived)"
+
+#: Parameter of a filter that is told the mode.
+INDICATOR = "in_mode_{}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +70,23 @@ class JumpFaults:
         """Every mode is a plant of its own; losses are apart, see `channel`."""
         modes = tuple(replace(mode, title=_title(mode, model)) for mode in self.modes)
         return ModeChain(modes, self.transition, self.initial)
+
+    def told(self) -> Mode:
+        """The plant of one who is told the mode: parameters are 1 in it and 0 in the others."""
+        indicators = [Name(INDICATOR.format(i)) for i in range(len(self.modes))]
+
+        def entry(*values: Expression) -> Expression:
+            terms = [operation("*", *each) for each in zip(indicators, values, strict=True)]
+            return values[0] if len(set(values)) == 1 else total(terms)
+
+        def chosen(matrices: list[Matrix]) -> Matrix:
+            rows = zip(*(matrix.rows for matrix in matrices), strict=True)
+            return Matrix(tuple(tuple(map(entry, *each)) for each in rows))
+
+        told = {
+            letter: chosen([getattr(mode, letter) for mode in self.modes]) for letter in LETTERS
+        }
+        return replace(self.modes[0], title="", **told)
 
     @property
     def channel(self) -> Channel | None:

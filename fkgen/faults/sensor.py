@@ -21,7 +21,7 @@ from fkgen.problem.probability import (
 from fkgen.problem.signals import Signal, read_rows
 from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_number
-from fkgen.problem.text.expression import ZERO, Expression, Number, operation
+from fkgen.problem.text.expression import ZERO, Expression, Name, Number, operation
 from fkgen.problem.text.matrix import Matrix
 
 Problem = Literal[1, 2, 3, 4, "moments"]
@@ -89,6 +89,10 @@ class SensorFaults:
     def lumped(self) -> Lumping:
         """Three modes: (1, 1), (1, C) and gamma = 0, whatever the noise; sec. III and IV."""
         return lump(self.kernel, self.initial, ((0,), (1,), (2, 3)))
+
+    def told(self, model: Model) -> Mode:
+        """The plant of one who is told gamma and delta, which are parameters."""
+        return self.sensed(model, Name("gamma"), Name("delta"))
 
     def sensed(self, model: Model, gamma: Expression, delta: Expression) -> Mode:
         """The plant whose rows have signal ``gamma`` and noise variance R ``delta``, eq. (2).
