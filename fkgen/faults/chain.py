@@ -1,7 +1,7 @@
 """A plant whose matrices follow a Markov chain: what every fault is but a soft one.
 
-Costa, Fragoso & Marques 2005 call it a Markov jump linear system. Every fault section writes its
-chain once; estimators, trials and comparisons read it. The oracles translate specs on their own.
+Costa, Fragoso & Marques 2005 call it a Markov jump linear system. Faults of sensors and jumps
+write their chain once; estimators and trials read it. The oracles translate specs on their own.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def _check_symmetry(matrix: Matrix, place: Place, defaults: Mapping[str, float])
         deviation = np.sqrt(np.abs(np.diag(values)))
         allowed = np.minimum(
             SYMMETRY_TOLERANCE * np.abs(values).max(),
-            CORRELATION_TOLERANCE * np.outer(deviation, deviation),
+            CORRELATION_TOLERANCE * deviation[:, None] * deviation,
         )
         entries = ", ".join(f"{name} = {point[name]:.6g}" for name in sorted(matrix.names))
         for i, j in np.argwhere(difference > allowed):
