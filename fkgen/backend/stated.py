@@ -15,7 +15,7 @@ from fkgen.backend.ir import (
     operands,
     walk,
 )
-from fkgen.estimators.gaussian.sequential import LOG_TWO_PI
+from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI
 from fkgen.estimators.models.weights import LOG_ZERO, TINY
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.expression import ZERO, Expression, Name, Number, names, to_text

@@ -13,14 +13,14 @@ import casadi as ca
 import numpy as np
 
 from fkgen.estimators.gaussian.actuation import Actuation
-from fkgen.estimators.gaussian.conditioning import (
+from fkgen.estimators.gaussian.decorrelation import Measurement
+from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
     RANK_TOLERANCE,
     Conditioned,
+    Form,
     condition,
 )
-from fkgen.estimators.gaussian.decorrelation import Measurement
-from fkgen.estimators.gaussian.sequential import Form
 from fkgen.faults.chain import Mode
 from fkgen.problem import Model, Spec
 from fkgen.symbolic.builder import Script

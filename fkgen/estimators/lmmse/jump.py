@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.estimate import (
     bound_all,
     demand_finite,
@@ -30,7 +29,7 @@ from fkgen.estimators.gaussian.estimate import (
     measurement_of,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
 from fkgen.estimators.lmmse.loss_tests import LossTest, Verdict, loss_outcomes, loss_ports
 from fkgen.faults.chain import Groups
 from fkgen.faults.sensor import EQUAL

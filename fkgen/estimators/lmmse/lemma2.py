@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.estimate import (
     bound,
     demand_finite,
@@ -30,7 +29,7 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
 from fkgen.estimators.models.weights import TINY
 from fkgen.faults import SensorFaults

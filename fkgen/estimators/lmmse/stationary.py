@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, RANK_TOLERANCE, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import demand_finite, finite
+from fkgen.estimators.gaussian.sequential import PIVOTS_PER_LOG, RANK_TOLERANCE, condition
 from fkgen.estimators.lmmse.jump import (
     AugmentedState,
     Moments,

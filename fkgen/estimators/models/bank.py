@@ -13,8 +13,7 @@ import casadi as ca
 
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import Actuation, intermittent
-from fkgen.estimators.gaussian.conditioning import Conditioned
-from fkgen.estimators.gaussian.elimination import whiten
+from fkgen.estimators.gaussian.decorrelation import whiten
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
@@ -26,7 +25,7 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
 from fkgen.estimators.models.merge import combined_innovation, mixture_covariance
 from fkgen.estimators.models.weights import log_prior, log_sum_exp, patterns, reweigh

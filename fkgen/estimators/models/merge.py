@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 
-from fkgen.estimators.gaussian.conditioning import Conditioned
-from fkgen.estimators.gaussian.elimination import whiten
+from fkgen.estimators.gaussian.decorrelation import whiten
+from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.models.weights import TINY
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.linalg import column, is_zero, outer_lower, spread, total, weighted_sum

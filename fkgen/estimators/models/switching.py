@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.conditioning import Conditioned
 from fkgen.estimators.gaussian.estimate import (
     bound,
     bound_all,
@@ -31,7 +30,7 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.estimators.models.merge import Gaussian, Mixer, combined_innovation, mixture_covariance
 from fkgen.estimators.models.modes import Modes, mean_noise, move_alike
 from fkgen.estimators.models.weights import Prediction, advance, log_prior, log_sum_exp, reweigh

@@ -19,7 +19,6 @@ import casadi as ca
 
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.conditioning import Conditioned, condition, innovations
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import (
     bound,
@@ -31,6 +30,7 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
+from fkgen.estimators.gaussian.sequential import Conditioned, condition, innovations
 from fkgen.estimators.windows.window import (
     Pair,
     collect,

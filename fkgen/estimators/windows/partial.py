@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, condition, innovations
 from fkgen.estimators.gaussian.decorrelation import Measurement, Row
 from fkgen.estimators.gaussian.estimate import (
     bound,
@@ -23,7 +22,12 @@ from fkgen.estimators.gaussian.estimate import (
     update_form,
 )
 from fkgen.estimators.gaussian.rank import DIRECTION, thresholds
-from fkgen.estimators.gaussian.sequential import SequentialUpdate
+from fkgen.estimators.gaussian.sequential import (
+    PIVOTS_PER_LOG,
+    SequentialUpdate,
+    condition,
+    innovations,
+)
 from fkgen.estimators.lmmse.kalman import from_rows
 from fkgen.estimators.windows.partial_state import (
     Compressed,
@@ -253,7 +257,6 @@ def _taken_over(script: Script, given: PartialFilter) -> tuple[SequentialUpdate,
     m, scalar, tag = partial.size, given.spec.code.scalar, "_taken"
     covariance = given.symbols["filtered_covariance"]
     prior = pack(carried.joint(covariance))
-    start = {f"mean{tag}": ca.SX.zeros(n + m), f"covariance{tag}": prior}
     taken = SequentialUpdate(
         script=script,
         rows=[
@@ -271,13 +274,10 @@ def _taken_over(script: Script, given: PartialFilter) -> tuple[SequentialUpdate,
         variance=script.let("size", congruence(partial.T1, unpack(covariance, n)) + carried.noise),
         rank_tolerance=DIRECTION[scalar],
         prior=ca.SX.zeros(n + m),
-        mean=ca.SX.zeros(n + m),
         covariance=prior,
         gain=None,
-        determinant=[ca.SX(1)] * -(-m // PIVOTS_PER_LOG[scalar]),
-        symbols={name: script.local(name, value.numel()) for name, value in start.items()},
+        pivots_per_log=PIVOTS_PER_LOG[scalar],
     )
-    script.put(start)
     rank = script.local("rank", 1, 0.0)
     for i, row in enumerate(given.rows):
         with script.titled(f"row {i} of the compressed measurement, {given.plant.rows[row]}"):
