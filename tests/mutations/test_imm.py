@@ -11,7 +11,7 @@ from imm_plants import PLANTS, plant
 from mutants import proved, recursion, refusals
 
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.estimate import estimated, propagate
+from fkgen.estimators.gaussian.estimate import Posterior, propagate
 from fkgen.estimators.models import merge, modes, switching
 
 TEXTBOOK = "matrix filters"
@@ -30,7 +30,7 @@ def moved_before_mixing(script, filtering, modes, law):
     parts = filtering.estimates("mode_filtered_")
     left = []
     for i, (part, each) in enumerate(zip(parts, motions, strict=True)):
-        state, packed, _ = propagate(each, certain(symbols["u"]), estimated(*part))
+        state, packed, _ = propagate(each, certain(symbols["u"]), Posterior(*part))
         left.append((script.let(f"left_{i}", state), script.let(f"left_P_{i}", packed)))
     mixer = merge.Mixer(script, "mixed", left, "double")
     mixed = [

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import certain
 from fkgen.estimators.gaussian.estimate import (
+    Posterior,
     bound,
     demand_finite,
     demand_positive,
-    estimated,
     finite,
     measurement_of,
     propagate,
@@ -354,7 +354,7 @@ def _predict(design: _Design) -> Phase:
     script = Script(symbols)
     plant = bound(script, design.plant, "ABQ")
     inputs = certain(symbols["u"])
-    filtered = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
+    filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, inputs, filtered)
     second = unpack(symbols["state_second_moment"], n)
     moved = congruence(plant.A, second) + pack(plant.Q)

@@ -20,7 +20,6 @@ from fkgen.estimators.gaussian.estimate import (
     correct,
     demand_finite,
     demand_positive,
-    estimated,
     finite,
     propagate,
     update_form,
@@ -80,7 +79,7 @@ class Bank:
         """The filtered estimate of hypothesis i, read back from the ports."""
         state, covariance = (self.part(f"mode_filtered_{of}", i) for of in ("state", "covariance"))
         if not (r := self.random[i]):
-            return estimated(state, covariance)
+            return Posterior(state, covariance)
         begin, n = sum(self.random[:i]), self.plant.nx
         packed = [s * (s + 1) // 2 for s in self.random]
         at = sum(packed[:i])

@@ -20,12 +20,12 @@ import casadi as ca
 
 from fkgen.estimators.gaussian.actuation import certain
 from fkgen.estimators.gaussian.estimate import (
+    Posterior,
     bound,
     bound_all,
     correct,
     demand_finite,
     demand_positive,
-    estimated,
     finite,
     propagate,
     update_form,
@@ -233,7 +233,7 @@ def _one_prediction(filtering: Switching, beside: int) -> Phase:
     if beside:
         packed += split_packed(symbols["riccati_filtered_covariance"], spec.model.nx)
     inputs, mean = certain(symbols["u"]), symbols["filtered_state"]
-    moved = [propagate(plant, inputs, estimated(mean, each))[:2] for each in packed]
+    moved = [propagate(plant, inputs, Posterior(mean, each))[:2] for each in packed]
     state = moved[0][0]
     results = {
         "predicted_mode_probability": law.probability,
@@ -321,7 +321,7 @@ def _moved(
             mixed[group] = mixer.under(law.mixing[group], f"_{group}", law.columns[group])
         at = known.setdefault((group, id(plant)), len(moved))
         if at == len(moved):
-            state, packed, _ = propagate(plant, certain(symbols["u"]), estimated(*mixed[group]))
+            state, packed, _ = propagate(plant, certain(symbols["u"]), Posterior(*mixed[group]))
             state = script.let(f"moved_state_{at}", state)
             moved.append((state, script.let(f"moved_covariance_{at}", packed)))
         which.append(at)
@@ -339,7 +339,7 @@ def _combined(
     symbols = filtering.symbols
     if move_alike(motions):
         plant = replace(motions[0], Q=mean_noise(motions, probability))
-        estimate = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
+        estimate = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
         return propagate(plant, certain(symbols["u"]), estimate)[:2]
     masses = [ca.SX(0) for _ in moved[0]]
     for j, at in enumerate(moved[1]):

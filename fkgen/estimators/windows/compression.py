@@ -21,10 +21,10 @@ from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import certain
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import (
+    Posterior,
     bound,
     demand_finite,
     demand_positive,
-    estimated,
     finite,
     measurement_of,
     propagate,
@@ -188,7 +188,7 @@ def _predict(design: Pair) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     plant = bound(script, design.plant, "ABQ")
-    filtered = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
+    filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, certain(symbols["u"]), filtered)
     deviations, covariances = [], []
     for d, P in design.filters():
