@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -30,21 +31,12 @@ def estimate_ports(
     start: tuple[Start, Start] = ((), ()),
 ) -> tuple[Port, Port]:
     """An estimate of this shape, one or several, and its covariance; each starts as ``start``."""
-    (mean, covariance), count, square = (
-        start,
-        shape[0] if len(shape) > 1 else 1,
-        (*shape, shape[-1]),
-    )
+    count, square = math.prod(shape[:-1]), (*shape, shape[-1])
+    mean, packed = (values * count for values in start)
+    matrix = partial(carried, unit="xx", symmetric=True, start=packed)
     return (
-        carried(f"{prefix}{state}", shape, meanings[0], unit="x", start=mean * count),
-        carried(
-            f"{prefix}covariance",
-            square,
-            meanings[1],
-            unit="xx",
-            symmetric=True,
-            start=covariance * count,
-        ),
+        carried(f"{prefix}{state}", shape, meanings[0], unit="x", start=mean),
+        matrix(f"{prefix}covariance", square, meanings[1]),
     )
 
 

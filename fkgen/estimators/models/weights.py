@@ -135,28 +135,23 @@ def advance(
 ) -> Prediction:
     """One step of the chain from ``now`` = (probability, logarithm)."""
     columns = list(zip(*kernel, strict=True))
-    groups: list[list[int]] = []  # targets that can be entered, proportional columns together
+    groups: dict[int, list[int]] = {}  # targets that can be entered, proportional ones together
     for j in (j for j, entries in enumerate(columns) if any(entries)):
-        alike = (each for each in groups if _proportional(columns[j], columns[each[0]]))
-        if (home := next(alike, None)) is None:
-            groups.append([j])
-        else:
-            home.append(j)
+        alike = (head for head in groups if _proportional(columns[j], columns[head]))
+        groups.setdefault(next(alike, j), []).append(j)
     probability, logarithm = ([ca.SX(zero)] * len(columns) for zero in (0.0, LOG_ZERO[scalar]))
     group, weights = [0] * len(columns), []
-    for at, members in enumerate(groups):
-        first = columns[members[0]]
-        *predicted, before = _column(script, first, now, str(at), mixing=mixing)
+    for at, (head, members) in enumerate(groups.items()):
+        whole, log, before = _column(script, columns[head], now, str(at), mixing=mixing)
         weights.append(before)
         for j in members:
-            ratio, group[j] = sum(columns[j]) / sum(first), at
-            probability[j], logarithm[j] = predicted[0] * ratio, predicted[1] + math.log(ratio)
-    heads = [columns[members[0]] for members in groups]
+            ratio, group[j] = sum(columns[j]) / sum(columns[head]), at
+            probability[j], logarithm[j] = whole * ratio, log + math.log(ratio)
     return Prediction(
         probability=column(probability),
         logarithm=column(logarithm),
         mixing=tuple(weights),
-        columns=tuple(entries if _is_full(entries) else None for entries in heads),
+        columns=tuple(columns[head] if _is_full(columns[head]) else None for head in groups),
         group=tuple(group),
     )
 
