@@ -29,6 +29,11 @@ def split_packed(packed: ca.SX, n: int) -> list[ca.SX]:
     return list(ca.vertsplit(packed, n * (n + 1) // 2))
 
 
+def split_estimates(states: ca.SX, packed: ca.SX, n: int) -> list[tuple[ca.SX, ca.SX]]:
+    """Means and packed covariances of estimates of n numbers that are stacked."""
+    return list(zip(ca.vertsplit(states, n), split_packed(packed, n), strict=True))
+
+
 def diagonal(packed: ca.SX, n: int) -> list[ca.SX]:
     """The variances of a packed (n, n) covariance."""
     return [packed[i * (i + 3) // 2] for i in range(n)]

@@ -44,21 +44,19 @@ def state_ports(spec: Spec) -> tuple[Port, ...]:
     """Predicted and filtered state with their covariances."""
     predicted = "x(k+1|k): mean of the next state given y[0..k]", "P(k+1|k): its error covariance"
     filtered = "x(k|k): mean of the state given y[0..k]", "P(k|k): its error covariance"
-    return tuple(
-        port
-        for prefix, meanings in (("predicted_", predicted), ("filtered_", filtered))
-        for port in estimate_ports(prefix, (spec.model.nx,), meanings, start=prior_of(spec))
+    shape, start = (spec.model.nx,), prior_of(spec)
+    return (
+        *estimate_ports("predicted_", shape, predicted, start=start),
+        *estimate_ports("filtered_", shape, filtered, start=start),
     )
 
 
 def mode_estimate_ports(spec: Spec, count: int, means: tuple[str, str]) -> tuple[Port, ...]:
     """Predicted and filtered state under each of several modes, with their covariances."""
-    return tuple(
-        port
-        for prefix, mean in zip(("mode_", "mode_filtered_"), means, strict=True)
-        for port in estimate_ports(
-            prefix, (count, spec.model.nx), (mean, "its error covariance"), start=prior_of(spec)
-        )
+    shape, start, covariance = (count, spec.model.nx), prior_of(spec), "its error covariance"
+    return (
+        *estimate_ports("mode_", shape, (means[0], covariance), start=start),
+        *estimate_ports("mode_filtered_", shape, (means[1], covariance), start=start),
     )
 
 

@@ -27,7 +27,7 @@ def test_what_is_not_mutated_passes(name):
 def moved_before_mixing(script, filtering, modes, law):
     """The step from x[k] to x[k+1] is that of mode k."""
     symbols, motions = filtering.symbols, modes.motions
-    parts = filtering.estimates("mode_filtered_")
+    parts = filtering.filtered()
     left = []
     for i, (part, each) in enumerate(zip(parts, motions, strict=True)):
         state, packed, _ = propagate(each, certain(symbols["u"]), Posterior(*part))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 
@@ -60,18 +61,6 @@ def decorrelate(
     script: Script, measurement: Measurement, innovation: list[ca.SX], tag: str
 ) -> list[Row]:
     """Write the blocks of the elimination; a diagonal R passes through without any."""
-
-    def revised(name: str, old: ca.SX, new: ca.SX) -> ca.SX:
-        """The new value where row j is present and its pivot positive, the old one elsewhere."""
-        pattern = new.sparsity()
-        if pattern.nnz() == 0:
-            return new
-        symbol = script.local(name, pattern.nnz())
-        script.put({name: ca.vertcat(ca.project(old, pattern).nz[:])})
-        with script.when(measurement.at[j], positive):
-            script.put({name: ca.vertcat(new.nz[:])})
-        return ca.SX(pattern, symbol)
-
     p = measurement.C.shape[0]
     C = [sparse(measurement.C[i, :].T) for i in range(p)]
     of_y = [ca.SX.eye(p)[:, i] for i in range(p)]
@@ -84,6 +73,7 @@ def decorrelate(
             continue
         pivot, coupling = R[j, j], {i: R[i, j] for i in later}
         positive = None if tolerance is None else pivot - tolerance * measurement.R[j, j]
+        revised = partial(_revised, script, (measurement.at[j], positive))
         with script.titled(f"noise of {measurement.rows[j]} out of the rows below"):
             if tolerance is None:
                 with script.when(measurement.at[j]):
@@ -99,6 +89,20 @@ def decorrelate(
     if tolerance is not None:
         R = {key: v if v.is_constant() else ca.fmax(v, 0) for key, v in R.items()}
     return [Row(C[i], e[i], R[i, i], of_y[i]) for i in range(p)]
+
+
+def _revised(
+    script: Script, when: tuple[int, ca.SX | None], name: str, old: ca.SX, new: ca.SX
+) -> ca.SX:
+    """The new value where a row is present and something positive, the old one elsewhere."""
+    pattern = new.sparsity()
+    if pattern.nnz() == 0:
+        return new
+    symbol = script.local(name, pattern.nnz())
+    script.put({name: ca.vertcat(ca.project(old, pattern).nz[:])})
+    with script.when(*when):
+        script.put({name: ca.vertcat(new.nz[:])})
+    return ca.SX(pattern, symbol)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ coherently: x(k|k) and x(k+1|k) with weights given y[0..k]; ``paper_state`` is (
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
@@ -32,7 +32,7 @@ from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import congruence, pack, split_packed, unpack, weighted_sum
+from fkgen.symbolic.linalg import congruence, pack, split_estimates, unpack, weighted_sum
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,
@@ -61,15 +61,6 @@ class Bank:
     form: Form
     mixture: bool
 
-    @property
-    def size(self) -> int:
-        """Number N of hypotheses."""
-        return len(self.random)
-
-    def part(self, port: str, i: int) -> ca.SX:
-        """Share of hypothesis i in a port that stacks equal shares."""
-        return ca.vertsplit(self.symbols[port], self.symbols[port].numel() // self.size)[i]
-
     def actuation(self, i: int) -> Actuation:
         """Inputs under hypothesis i."""
         rates = [ca.SX(rate) for rate in self.spec.filter.options.hypotheses[i]]
@@ -77,18 +68,19 @@ class Bank:
 
     def filtered(self, i: int) -> Posterior:
         """The filtered estimate of hypothesis i, read back from the ports."""
-        state, covariance = (self.part(f"mode_filtered_{of}", i) for of in ("state", "covariance"))
+        states, packed = (self.symbols[f"mode_filtered_{of}"] for of in ("state", "covariance"))
+        state, covariance = split_estimates(states, packed, self.plant.nx)[i]
         if not (r := self.random[i]):
             return Posterior(state, covariance)
         begin, n = sum(self.random[:i]), self.plant.nx
-        packed = [s * (s + 1) // 2 for s in self.random]
-        at = sum(packed[:i])
+        sizes = [s * (s + 1) // 2 for s in self.random]
+        at = sum(sizes[:i])
         cross = self.symbols["mode_deviation_cross"][begin * n : (begin + r) * n]
         return Posterior(
             state=state,
             covariance=covariance,
             deviation=self.symbols["mode_deviation"][begin : begin + r],
-            deviation_covariance=self.symbols["mode_deviation_covariance"][at : at + packed[i]],
+            deviation_covariance=self.symbols["mode_deviation_covariance"][at : at + sizes[i]],
             cross_covariance=from_rows(cross, r),
         )
 
@@ -160,30 +152,31 @@ def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
 
 def _update(bank: Bank) -> Phase:
     script, spec, symbols = Script(bank.symbols), bank.spec, bank.symbols
-    priors = [
-        (bank.part("mode_state", i), bank.part("mode_covariance", i)) for i in range(bank.size)
-    ]
+    priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
         demand_positive(script, packed, bank.plant.nx)
-    plant = bound(script, bank.plant, "CDR")
+    bank = replace(bank, plant=bound(script, bank.plant, "CDR"))
     found, posteriors = [], []
     for i, prior in enumerate(priors):
         with script.titled(f"hypothesis {i}"):
             conditioned, posterior = correct(
-                script, plant, bank.actuation(i), prior,
+                script, bank.plant, bank.actuation(i), prior,
                 y=symbols["y"], scalar=spec.code.scalar, form=bank.form, tag=f"_h{i}",
             )  # fmt: skip
         demand_finite(script, posterior.state)
         found.append(conditioned)
         posteriors.append(posterior)
     with script.titled("weights of the hypotheses"):
-        logs = [_log_likelihood(script, bank, plant, i, found[i]) for i in range(bank.size)]
+        logs = [
+            _log_likelihood(script, bank, i, priors[i][1], each) for i, each in enumerate(found)
+        ]
         held = (symbols["mode_probability"], symbols["log_weight"])
         weights = reweigh(script, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
     with script.titled("combination"):
+        C, D = bank.plant.C, bank.plant.D
         predicted = [
-            script.let(f"predicted_y_h{i}", plant.C @ prior[0] + plant.D @ bank.actuation(i).mean)
-            for i, prior in enumerate(priors)
+            script.let(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean)
+            for i, (mean, _) in enumerate(priors)
         ]
         results = combined_innovation(script, held[0], predicted, found)
         w = weights.probability
@@ -206,14 +199,14 @@ def _update(bank: Bank) -> Phase:
     return script.phase()
 
 
-def _log_likelihood(script: Script, bank: Bank, plant: Plant, i: int, found: Conditioned) -> ca.SX:
+def _log_likelihood(script: Script, bank: Bank, i: int, prior: ca.SX, found: Conditioned) -> ca.SX:
     """Gaussian (15), or the mixture over gamma[k]: sum_g P(g) N(y; C x + D g u, S0)."""
     if not bank.mixture or not bank.random[i]:
         return script.let(f"log_likelihood_h{i}", found.log_likelihood)
-    through = plant.D @ bank.actuation(i).through
+    plant, through = bank.plant, bank.plant.D @ bank.actuation(i).through
     rates = _random_rates(bank.spec.filter.options.hypotheses[i])
     healthless = found.innovation + through @ ca.SX(rates)
-    S = congruence(plant.C, unpack(bank.part("mode_covariance", i), plant.nx)) + pack(plant.R)
+    S = congruence(plant.C, unpack(prior, plant.nx)) + pack(plant.R)
     S = script.let(f"share_variance_h{i}", S)
     whitened = whiten(script, S, ca.horzcat(healthless, through), f"_h{i}")
     terms = [
@@ -229,12 +222,12 @@ def _log_likelihood(script: Script, bank: Bank, plant: Plant, i: int, found: Con
 def _predict(bank: Bank) -> Phase:
     script = Script(bank.symbols)
     plant = bound(script, bank.plant, "ABQ")
-    moved = [propagate(plant, bank.actuation(i), bank.filtered(i)) for i in range(bank.size)]
+    moved = [propagate(plant, bank.actuation(i), bank.filtered(i)) for i in range(len(bank.random))]
     with script.titled("prediction of every hypothesis"):
         states = script.let("moved_state", ca.vertcat(*(state for state, _, _ in moved)))
         covariances = script.let("moved_covariance", ca.vertcat(*(P for _, P, _ in moved)))
-    n, w = plant.nx, bank.symbols["mode_probability"]
-    parts = list(zip(ca.vertsplit(states, n), split_packed(covariances, n), strict=True))
+    parts = split_estimates(states, covariances, plant.nx)
+    w = bank.symbols["mode_probability"]
     with script.titled("combined prediction"):
         state = script.let("combined_state", weighted_sum(w, [mean for mean, _ in parts]))
         covariance = mixture_covariance(w, parts, state)

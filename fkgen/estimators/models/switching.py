@@ -37,7 +37,7 @@ from fkgen.estimators.models.weights import Prediction, advance, log_prior, log_
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import column, split_packed, total, weighted_sum
+from fkgen.symbolic.linalg import column, split_estimates, split_packed, total, weighted_sum
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,
@@ -115,11 +115,10 @@ class Switching:
         """What merges these Gaussians."""
         return Mixer(script, name, parts, self.spec.code.scalar)
 
-    def estimates(self, prefix: str) -> list[Gaussian]:
-        """(state, packed covariance) of every mode."""
-        n = self.spec.model.nx
-        states = ca.vertsplit(self.symbols[f"{prefix}state"], n)
-        return list(zip(states, split_packed(self.symbols[f"{prefix}covariance"], n), strict=True))
+    def filtered(self) -> list[Gaussian]:
+        """What imm keeps of every mode after y[k]."""
+        states, packed = (self.symbols[f"mode_filtered_{of}"] for of in ("state", "covariance"))
+        return split_estimates(states, packed, self.spec.model.nx)
 
     def update(self, priors: Sequence[Gaussian], combined: Combination) -> Phase:
         """A correction of its prior under each mode, then Bayes' rule (8)."""
@@ -267,7 +266,9 @@ def interacting_models(spec: Spec) -> Recursion:
             "mode_filtered_covariance": ca.vertcat(*(packed for _, packed in parts)),
         }
 
-    phases = filtering.update(filtering.estimates("mode_"), combined), _predictions(filtering)
+    symbols = filtering.symbols
+    priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], spec.model.nx)
+    phases = filtering.update(priors, combined), _predictions(filtering)
     if spec.faults.jump is None:
         source = "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)"
         return filtering.filter(source, phases, filtering.modes.note)
@@ -308,7 +309,7 @@ def _moved(
     What is the same is computed once.
     """
     symbols, motions = filtering.symbols, modes.motions
-    mixer = filtering.mixer(script, "mixed", filtering.estimates("mode_filtered_"))
+    mixer = filtering.mixer(script, "mixed", filtering.filtered())
     mixed: dict[int, Gaussian] = {}
     known: dict[tuple[int, int], int] = {}
     moved: list[Gaussian] = []
