@@ -12,6 +12,12 @@ import numpy as np
 
 from fkgen.oracle.exact.gaussian import Array, log_density, square_root, whiten
 
+#: The ports of a detector.
+VERDICT = (
+    *("fault_declared", "test_statistic", "test_threshold", "test_dof"),
+    "consecutive_rejections",
+)
+
 
 @dataclass(slots=True, kw_only=True)
 class LossTest:
@@ -64,13 +70,12 @@ def verdict(
     test: LossTest | None, y: Array, residual: Array, S: Array, R: Array
 ) -> tuple[dict[str, float], bool]:
     """What the test says of the finite rows of a sample, as ports, and whether to start again."""
-    names = ("fault_declared", "test_statistic", "test_threshold", "test_dof")
-    ports, restart, rows = dict.fromkeys(names, 0.0), False, np.flatnonzero(np.isfinite(y))
+    values, restart, rows = (0.0,) * 4, False, np.flatnonzero(np.isfinite(y))
     if test is not None and rows.size:
         chosen = np.ix_(rows, rows)
         statistic, threshold = test.judge(y[rows], residual[rows], S[chosen], R[chosen])
         fault = statistic > threshold
         restart = test.restarts(fault=fault)
         values = (float(fault), statistic, threshold, float(rows.size))
-        ports = dict(zip(names, values, strict=True))
-    return ports | {"consecutive_rejections": float(test.run if test else 0)}, restart
+    rejections = float(test.run if test else 0)
+    return dict(zip(VERDICT, (*values, rejections), strict=True)), restart

@@ -11,7 +11,7 @@ import numpy as np
 from fkgen.estimators.models.bank import LARGEST_MIXTURE
 from fkgen.families import family
 from fkgen.faults import ActuatorFaults
-from fkgen.oracle.claims.partial_compression import design_of
+from fkgen.oracle.claims.compression import design_of
 from fkgen.oracle.exact.partial_compression import partial_compression
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.problem import evaluate
