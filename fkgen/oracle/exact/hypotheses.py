@@ -81,7 +81,7 @@ def textbook_mme(
         logs = np.array(
             [log_likelihood(s, k, before, now, u[k], mixture=patterns) for s, before in pairs]
         )
-        each = {name: np.array([getattr(s, name) for s in steps]) for name in vars(steps[0])}
+        each = {name: np.array([step[name] for step in steps]) for name in steps[0]}
         expected, S = mixture(weights, each["expected_measurement"], each["innovation_covariance"])
         finite = np.isfinite(now)
         residual = (now - expected)[finite]
@@ -102,7 +102,7 @@ def textbook_mme(
             names = (f"{when}_state", f"{when}_covariance")
             row |= dict(zip(names, mixture(weights, *(each[name] for name in names)), strict=True))
         rows.append(row)
-        predictions = [(step.predicted_state, step.predicted_covariance) for step in steps]
+        predictions = [(step["predicted_state"], step["predicted_covariance"]) for step in steps]
     return MultipleModelResult.of(rows)
 
 

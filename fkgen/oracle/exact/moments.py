@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Self
 
 import numpy as np
@@ -171,17 +172,10 @@ def satisfies_lemma_2(
 
 def _laws(initial: Array, kernel: Array, T: int) -> Array:
     """Law of the mode at each of T samples, (T, 4)."""
-    laws = np.empty((T, 4))
-    now = np.asarray(initial, dtype=float)
-    for k in range(T):
-        laws[k], now = now, now @ kernel
-    return laws
+    start = np.asarray(initial, dtype=float)
+    return np.array(list(accumulate([kernel] * (T - 1), np.matmul, initial=start)))
 
 
 def _returns(kernel: Array, T: int) -> Array:
     """Pr(gamma = 1 after `lag` steps | mode), (T, 4), lag 0 first."""
-    returns = np.empty((T, 4))
-    now = GAMMA
-    for lag in range(T):
-        returns[lag], now = now, kernel @ now
-    return returns
+    return _laws(GAMMA, kernel.T, T)

@@ -7,8 +7,6 @@ turn.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fkgen.oracle.exact.gaussian import Array
@@ -22,38 +20,21 @@ PSEUDO_INVERSE_CUTOFF = 1e-13
 MIXTURE_INPUTS = 4
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class TextbookStep:
-    """One sample of one filter."""
-
-    filtered_state: Array  # filtered_state, filtered_covariance: (n,), (n, n): x(k|k), P(k|k)
-    filtered_covariance: Array
-    #: predicted_state, predicted_covariance: (n,), (n, n): x(k+1|k), P(k+1|k)
-    predicted_state: Array
-    predicted_covariance: Array
-    #: expected_measurement, innovation_covariance: (p,), (p, p): Mean and covariance of y[k]
-    #: given the past, all rows, eq. (4), (21)
-    expected_measurement: Array
-    innovation_covariance: Array
-
-
 def scaled_pseudo_inverse(covariance: Array) -> Array:
-    """Pseudo-inverse of a covariance with the rank decided on its correlation matrix.
-
-    Shapes: covariance (m, m); returns (m, m).
-    """
+    """Pseudo-inverse of a covariance (m, m) with the rank decided on its correlation matrix."""
     deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    scale = np.outer(*(np.where(deviation > 0.0, deviation, 1.0),) * 2)
-    inverse: Array = (
-        np.linalg.pinv(covariance / scale, rcond=PSEUDO_INVERSE_CUTOFF, hermitian=True) / scale
-    )
-    return inverse
+    deviation = np.where(deviation > 0.0, deviation, 1.0)
+    scale = np.outer(deviation, deviation)
+    inverse = np.linalg.pinv(covariance / scale, rcond=PSEUDO_INVERSE_CUTOFF, hermitian=True)
+    return np.asarray(inverse / scale)
 
 
 def textbook_step(
     system: LinearSystem, k: int, prediction: tuple[Array, Array], y: Array, u: Array
-) -> TextbookStep:
+) -> dict[str, Array]:
     """Filter and predict sample k by eq. (4), (11) and the stabilised form (9).
+
+    Also the mean and covariance of y[k] given the past, all rows, eq. (4), (21).
 
     Shapes: prediction (n,) and (n, n); y (p,); u (q,).
     """
@@ -70,14 +51,14 @@ def textbook_step(
     Kf = P @ Cf.T @ inverse
     K = (A @ P @ Cf.T + B @ N @ Df.T) @ inverse
     E, F, G = np.eye(x.size) - Kf @ Cf, A - K @ Cf, B - K @ Df
-    return TextbookStep(
-        filtered_state=x + Kf @ innovation,
-        filtered_covariance=E @ P @ E.T + Kf @ (Df @ N @ Df.T + Rf) @ Kf.T,
-        predicted_state=A @ x + B @ worked + K @ innovation,
-        predicted_covariance=F @ P @ F.T + G @ N @ G.T + system.Q[k] + K @ Rf @ K.T,
-        expected_measurement=expected,
-        innovation_covariance=covariance,
-    )
+    return {
+        "filtered_state": x + Kf @ innovation,
+        "filtered_covariance": E @ P @ E.T + Kf @ (Df @ N @ Df.T + Rf) @ Kf.T,
+        "predicted_state": A @ x + B @ worked + K @ innovation,
+        "predicted_covariance": F @ P @ F.T + G @ N @ G.T + system.Q[k] + K @ Rf @ K.T,
+        "expected_measurement": expected,
+        "innovation_covariance": covariance,
+    }
 
 
 def log_likelihood(

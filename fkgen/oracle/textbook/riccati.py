@@ -32,12 +32,12 @@ def stationary_prediction(
     """
     from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - slow to import
 
-    cross = np.zeros((A.shape[0], C.shape[0])) if S is None else S
+    S = np.zeros((len(A), len(C))) if S is None else S
     try:
-        P = solve_discrete_are(A.T, C.T, Q, R, s=cross)
+        P = solve_discrete_are(A.T, C.T, Q, R, s=S)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return _accepted(P, A, C, (Q, R, cross))
+    return _accepted(P, A, C, (Q, R, S))
 
 
 def stationary_prediction_by_control(
@@ -46,12 +46,12 @@ def stationary_prediction_by_control(
     """Solve the same equation with python-control; arguments and result as above."""
     import control  # noqa: PLC0415 - slow to import
 
-    cross = np.zeros((A.shape[0], C.shape[0])) if S is None else S
+    S = np.zeros((len(A), len(C))) if S is None else S
     try:
-        P, _, _ = control.dare(A.T, C.T, Q, R, cross, np.eye(A.shape[0]))
+        P, _, _ = control.dare(A.T, C.T, Q, R, S, np.eye(len(A)))
     except (np.linalg.LinAlgError, ValueError, control.ControlArgument, control.ControlDimension):
         return None
-    return _accepted(P, A, C, (Q, R, cross))
+    return _accepted(P, A, C, (Q, R, S))
 
 
 def _accepted(
