@@ -114,8 +114,7 @@ def _reweigh(weights: Array, logs: Array, y: Array, floor: float) -> Array:
         return weights
     likelihoods = np.exp(logs - logs.max())
     updated = weights * likelihoods / np.sum(weights * likelihoods)
-    floored: Array = floor + (1.0 - weights.size * floor) * updated
-    return floored
+    return np.asarray(floor + (1.0 - weights.size * floor) * updated)
 
 
 def _one_rate(systems: Sequence[LinearSystem]) -> bool:

@@ -147,8 +147,7 @@ class FaultMoments:
         faulty = self.faulty(R.shape[-1])
         both, none = np.outer(faulty, faulty), np.outer(1.0 - faulty, 1.0 - faulty)
         delta, root = self.delta[:, None, None], self.root_delta[:, None, None]
-        weighted: Array = R * (delta * both + none + root * (1.0 - both - none))
-        return weighted
+        return np.asarray(R * (delta * both + none + root * (1.0 - both - none)))
 
 
 def satisfies_lemma_2(

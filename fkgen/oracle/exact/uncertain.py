@@ -99,7 +99,7 @@ def batch_uncertain(
     system: LinearSystem, moments: FaultMoments, y: Array, u: Array | None
 ) -> BatchResult:
     """Project each state on all measurements up to its time; y (T, p), u (T, q)."""
-    return project(joint_uncertain(system, moments, u), y)
+    return BatchResult.of(project(joint_uncertain(system, moments, u), y))
 
 
 def require_sensor_faults_only(system: LinearSystem, moments: FaultMoments) -> None:

@@ -152,10 +152,12 @@ def _fault_moments(
             "success rate", given="none", expected="a rate in the spec or one hypothesis in `rates`"
         )
     rate = np.array(np.broadcast_to(np.asarray(rates, dtype=float), (q,)))
-    if faults is None:
-        return rate, fault_covariance("common", rate)
-    given = None if faults.covariance is None else faults.covariance.values(sample)
-    return rate, fault_covariance(faults.dependence, rate, given)
+    variance = rate * (1.0 - rate)
+    if faults is None or faults.dependence == "common":
+        return rate, np.tile(variance[:1], (q, q))
+    if faults.covariance is not None and faults.dependence == "covariance":
+        return rate, faults.covariance.values(sample)
+    return rate, np.diag(variance)
 
 
 def simulate(
@@ -207,19 +209,8 @@ def _draw(rate: Array, covariance: Array, count: int, rng: np.random.Generator) 
         return np.repeat((rng.random((count, 1)) < rate[0]).astype(float), q, axis=1)
     if q == 2:  # the last case that two moments determine
         patterns, chance = pair_patterns(rate, covariance)
-        drawn: Array = patterns[rng.choice(len(patterns), size=count, p=chance / chance.sum())]
-        return drawn
+        return np.asarray(patterns[rng.choice(len(patterns), size=count, p=chance / chance.sum())])
     return rate + rng.standard_normal((count, q)) @ square_root(covariance).T
-
-
-def fault_covariance(dependence: str, rate: Array, given: Array | None = None) -> Array:
-    """Covariance of ``gamma`` in one sample, (q, q); rate (q,), given (q, q)."""
-    if given is not None and dependence == "covariance":
-        return given
-    variance = rate * (1.0 - rate)
-    if dependence == "common":
-        return np.full((rate.size, rate.size), variance[0] if rate.size else 0.0)
-    return np.diag(variance)
 
 
 def is_common(rate: Array, covariance: Array) -> bool:

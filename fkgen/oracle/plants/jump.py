@@ -89,8 +89,8 @@ def lasting_law(transition: Array) -> Array:
     """The law that a chain keeps: the solution of law (P - I) = 0 that sums to one."""
     N = len(transition)
     equations = np.vstack([transition.T - np.eye(N), np.ones(N)])
-    law: Array = np.linalg.lstsq(equations, np.append(np.zeros(N), 1.0), rcond=None)[0]
-    return np.maximum(law, 0.0)
+    law = np.linalg.lstsq(equations, np.append(np.zeros(N), 1.0), rcond=None)[0]
+    return np.asarray(np.maximum(law, 0.0))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -42,12 +42,10 @@ class PrintedCompression:
         """One sample: propagate, de-correlate, update and maintain, then take in y^c."""
         if k:
             self.propagate(k - 1)
-        before = self.x, self.P
-        if k:
             self.decorrelate(self.system.Q[k - 1], self.P)
-        K, z = self.update(k, y)
-        self.maintain(K, z)
-        self.take(k, y, before[0])
+        before = self.x
+        self.maintain(*self.update(k, y))
+        self.take(k, y, before)
 
     def propagate(self, k: int) -> None:
         """To k + 1: (28), (31)."""

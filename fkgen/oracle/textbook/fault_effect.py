@@ -59,8 +59,7 @@ def product(M: Array, lo: int, hi: int) -> Array:
 
 def after_pulse(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
     """Deviation (n,) at k0 + i of a pulse ``a`` (m,) at k0, eqs. (9), (20); entry (T, n, m)."""
-    moved: Array = product(M, k0, k0 + i - 1) @ entry[k0] @ a
-    return moved
+    return np.asarray(product(M, k0, k0 + i - 1) @ entry[k0] @ a)
 
 
 def within_step(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
@@ -72,5 +71,4 @@ def within_step(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
 def after_step(M: Array, entry: Array, span: tuple[int, int], j: int, a: Array) -> Array:
     """Deviation j samples after the last faulty one, eqs. (15) and (26); (n,)."""
     k0, i = span
-    moved: Array = product(M, k0 + i, k0 + i + j - 1) @ within_step(M, entry, k0, i, a)
-    return moved
+    return np.asarray(product(M, k0 + i, k0 + i + j - 1) @ within_step(M, entry, k0, i, a))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -76,17 +75,10 @@ def linear_optimal(
     return LinearOptimalResult.of(rows)
 
 
-class _Measurement(NamedTuple):
-    """One y = G h (x, 1) + v by its moments."""
-
-    h: Array  # [C, D u]
-    gain: Array  # gain, persistence: The diagonals of E[G] and Pi
-    persistence: Array
-    pair: Array  # E[G_i G_j]
-    noise: Array  # E[T R T]
-
-
-def _measurements(system: LinearSystem, moments: FaultMoments, u: Array) -> Iterator[_Measurement]:
+def _measurements(
+    system: LinearSystem, moments: FaultMoments, u: Array
+) -> Iterator[tuple[Array, ...]]:
+    """Each y = G h (x, 1) + v: h = [C, D u], diagonals of E[G] and Pi, E[G_i G_j], E[T R T]."""
     faulty, noise = moments.faulty(system.ny), moments.noise(system.R)
     either = np.maximum(faulty[:, None], faulty)
     for k, (gamma, p11) in enumerate(zip(moments.gamma, moments.persistence, strict=True)):
@@ -95,25 +87,25 @@ def _measurements(system: LinearSystem, moments: FaultMoments, u: Array) -> Iter
             rate * fails + 1.0 - fails
             for rate, fails in ((gamma, faulty), (p11, faulty), (gamma, either))
         )
-        yield _Measurement(h, gain, persistence, pair, noise[k])
+        yield h, gain, persistence, pair, noise[k]
 
 
 def _update(
-    m: _Measurement, predicted: Array, second: tuple[Array, Array], y: Array
+    measurement: tuple[Array, ...], predicted: Array, second: tuple[Array, Array], y: Array
 ) -> tuple[dict[str, Array], Array, Array]:
     """Eq. (22)-(23e) for (x, 1): what is reported, F1, and the estimate's second moment.
 
     `second` are E[x x'] and E[xhat xhat'] before the measurement, C_(k+1) and A V_k A' of (23).
     """
+    h, gain, persistence, pair, noise = measurement
     (X, V), n, finite = second, len(predicted) - 1, np.isfinite(y)
-    y_y = m.pair * (m.h @ X @ m.h.T) + m.noise
-    x_y, xhat_y = X @ m.h.T * m.gain, V @ m.h.T * m.persistence
-    expected = m.persistence[:, None] * m.h
+    y_y = pair * (h @ X @ h.T) + noise
+    x_y, xhat_y = X @ h.T * gain, V @ h.T * persistence
+    expected = persistence[:, None] * h
     innovation = y_y - expected @ V @ expected.T
     F2 = np.zeros((n + 1, len(y)))  # a missing row has no gain; the constant needs no correction
-    F2[:n, finite] = (x_y - xhat_y)[:n, finite] @ scaled_pseudo_inverse(
-        innovation[np.ix_(finite, finite)]
-    )
+    inverse = scaled_pseudo_inverse(innovation[np.ix_(finite, finite)])
+    F2[:n, finite] = (x_y - xhat_y)[:n, finite] @ inverse
     F1 = np.eye(n + 1) - F2 @ expected
     cross = F1 @ xhat_y @ F2.T
     updated = F1 @ V @ F1.T + F2 @ y_y @ F2.T + cross + cross.T

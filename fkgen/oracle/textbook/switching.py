@@ -74,8 +74,7 @@ def _paper_covariance(plant: tuple[Array, Array, Array], P: Array, y: Array) -> 
     finite = np.isfinite(y)
     C, R = plant[0][finite], plant[2][np.ix_(finite, finite)]
     F2 = np.linalg.solve(C @ P @ C.T + R, C @ P).T
-    after: Array = (np.eye(len(P)) - F2 @ C) @ P
-    return after
+    return np.asarray((np.eye(len(P)) - F2 @ C) @ P)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
