@@ -21,10 +21,7 @@ UNIFORM = np.full((4, 4), 0.25)
 def draw_record(
     spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
 ) -> tuple[Array, dict[str, Array]]:
-    """Draw the measurements of one record, NaN for a filter that knows what was lost.
-
-    Shapes: parameters (T,); u (T, q).
-    """
+    """Draw y, NaN for a filter that knows what was lost, and parameters, (T,); u (T, q)."""
     T, faults, jump = len(u), spec.faults.sensor, spec.faults.jump
     if jump is not None:
         record = simulate_jumps(JumpSystem.from_spec(spec, T, parameters), u, rng)

@@ -116,7 +116,7 @@ def _host(spec: Spec, record: Record) -> Ports:
     """The samples before the first window ends."""
     samples = _first_end(spec)
     y = only(record.y[:samples], _soft(spec).host)
-    result = batch_lmmse(system_of(spec, record).first(samples), y, record.u[:samples])
+    result = batch_lmmse(system_of(spec, record).over(slice(samples)), y, record.u[:samples])
     names = ("filtered_state", "filtered_covariance", "innovation_covariance", "nis")
     return {name: getattr(result, name) for name in names}
 

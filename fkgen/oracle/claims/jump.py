@@ -71,7 +71,7 @@ def _by_paths(spec: Spec, record: Record) -> tuple[JumpSystem, JumpResult]:
     system = jump_system(spec, record)
     samples = int(np.log(MANY_PATHS) / np.log(max(2, system.count)))
     T = max(1, min(samples, system.length))
-    system = system.first(T)
+    system = system.over(slice(T))
     return system, enumerate_paths(system, record.y[:T], record.u[:T], loss_test(spec))
 
 

@@ -58,7 +58,7 @@ def _enumerated(spec: Spec, record: Record) -> Ports | None:
     if lumping is not None and not is_lumpable(SensorLaw.from_spec(spec))[0]:
         return None
     samples = 2 if system.initial.max() == 1.0 else 1
-    exact = enumerate_jumps(system.first(samples), record.y[:samples], record.u[:samples])
+    exact = enumerate_jumps(system.over(slice(samples)), record.y[:samples], record.u[:samples])
     names = ["filtered_state", "log_likelihood", "mode_probability"]
     if spec.filter.option("covariance", "moment_matched") == "moment_matched":
         names.append("filtered_covariance")
@@ -94,8 +94,7 @@ def _lemma_2_form(spec: Spec, record: Record) -> Ports | None:
 def lemma_2_holds(spec: Spec) -> bool:
     """Whether Pr(gamma_k = 1 | gamma_i = 1) is the same for all i < k, and enough with all rows.
 
-    Rows that cannot fail need more: gamma must not depend on its past, because their signal is
-    not multiplied by it.
+    Rows that cannot fail need a gamma that does not depend on its past: it does not multiply them.
     """
     faults = spec.faults.sensor
     if faults is None:

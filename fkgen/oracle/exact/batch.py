@@ -1,8 +1,6 @@
 """The best linear estimate from its definition: one joint distribution, then projections.
 
-No recursion over time takes place: every estimate conditions anew on all measurements up to its
-sample. This is the judge of every Kalman-type recursion with actuator faults, for correlated and
-time-varying noise alike.
+No recursion takes place: every estimate conditions anew on all measurements up to its sample.
 """
 
 from __future__ import annotations
@@ -27,10 +25,7 @@ from fkgen.oracle.plants.actuator import LinearSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joint:
-    """All states and measurements of a record, linear in one vector z of uncorrelated variances 1.
-
-    z is x[0], then gamma, v and w of each sample.
-    """
+    """States and measurements, linear in uncorrelated z of variance 1: x[0], then gamma, v, w."""
 
     state_mean: Array  # (T + 1, n), (T + 1, n, d): x[k] = state_mean[k] + state_root[k] @ z
     state_root: Array
@@ -98,8 +93,7 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
 def batch_lmmse(system: LinearSystem, y: Array, u: Array | None) -> BatchResult:
     """Estimate each state by projecting it on all measurements up to its time; y (T, p), u (T, q).
 
-    Where the joint covariance is singular the projection is the one on its range, with the rank
-    decided on rows of unit variance.
+    A singular covariance is projected on its range, the rank decided on rows of unit variance.
     """
     return BatchResult.of(project(joint_distribution(system, u), y))
 
@@ -108,10 +102,9 @@ Judge: TypeAlias = Callable[[int, Array, Array], tuple[dict[str, ArrayLike], sli
 
 
 def project(joint: Joint, y: Array, judge: Judge | None = None) -> list[dict[str, ArrayLike]]:
-    """Project each state of a joint distribution on the finite measurements up to its time.
+    """Ports of each sample: the state projected on the finite measurements up to its time.
 
-    Returns the ports of each sample, together with those of `judge(k, innovation, covariance)`,
-    which also says which samples are not used, or not any longer.
+    `judge(k, innovation, covariance)` adds ports, and says which samples are not used any longer.
     """
     used, rows = y.copy(), []
     past, z = _past(joint, y[:0])
@@ -150,10 +143,7 @@ def _past(joint: Joint, y: Array) -> tuple[Whitening, Array]:
 
 
 def _agreement(innovation: Array, root: Array, before: Array) -> dict[str, float]:
-    """The ports `nis` and `log_likelihood` of the finite rows of an innovation.
-
-    `root` is that of the rows given the past, `before` that of the rows as they were.
-    """
+    """Ports of the finite rows of an innovation, from their roots given the past and `before`."""
     finite = np.isfinite(innovation)
     if not finite.any():
         return {"nis": 0.0, "log_likelihood": 0.0}

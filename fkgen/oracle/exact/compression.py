@@ -1,10 +1,7 @@
 """Host and compression filters from joint distributions, window by window.
 
-Between two ends of windows nothing but (x, P) is remembered, so a window is a short record with a
-prior of its own: the host is the projection on its rows, a compression filter the projection on the
-rows of its groups too. The statistic is taken from a square root of D = P - P*, never from that
-difference: what the compressed rows say beyond the host's, whitened, is projected on the part that
-moves the estimate.
+Nothing but (x, P) passes from one to the next, so a window is a record with a prior of its own. The
+statistic comes from a square root of D = P - P*: what compressed rows say beyond the host's.
 """
 
 from __future__ import annotations
@@ -23,10 +20,7 @@ from fkgen.oracle.plants.actuator import LinearSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CompressionResult(BatchResult):
-    """Estimates of the host, after it has taken over what it accepts, and of every filter.
-
-    `nis` and `log_likelihood` are those of the rows of the host.
-    """
+    """Estimates of the host after what it accepts, with `nis` and likelihood of its own rows."""
 
     #: (T, s, n), (T, s, n, n): Of every set of groups: its estimate minus the host's, and its
     #: covariance
@@ -73,10 +67,9 @@ def accepted_rows(soft: SoftFaults, y: Array, ends: Sequence[int], accepted: Arr
 def batch_compression(
     system: LinearSystem, soft: SoftFaults, policy: Policy, y: Array, u: Array | None
 ) -> CompressionResult:
-    """Filter a record as ``compression_full`` and ``dfcf`` have to; y (T, p), u (T, q).
+    """Filter a record; y (T, p), u (T, q): Lee & Lee, Theorems 2 and 3, (50), (51).
 
-    Lee & Lee, Theorems 2 and 3, (50), (51), from their statement: the host is the Kalman filter of
-    its rows and of what it accepted.
+    From their statement: the host is the Kalman filter of its rows and of what it accepted.
     """
     T, inputs, pieces = system.length, system.inputs(u), []
     ends = [*range(policy.first, T, soft.window)] if policy.first else []
@@ -152,10 +145,7 @@ class _Window:
         return rejections
 
     def _news(self, group: Sequence[int]) -> tuple[Array, Array]:
-        """What the rows of a group say beyond the host's, whitened: c; and M in x* - x = M c.
-
-        Rows of M are in units of the host's standard deviations at the end of the window.
-        """
+        """What a group says beyond the host, whitened: c; M in x* - x = M c, host's deviation 1."""
         joint = joint_distribution(self.part, self.u)
         seen = np.isfinite(only(self.y, self.soft.host))
         new = np.isfinite(only(self.y, group))
@@ -193,8 +183,7 @@ class _Window:
 def quadratic_form(c: Array, M: Array, negligible: float) -> tuple[float, int, float]:
     """The statistic d' (M M')^+ d for d = M c, the rank of M M', and the smallest pivot.
 
-    Rows of M are chosen by LAPACK's elimination with diagonal pivoting; the statistic is the square
-    of the projection of c on them.
+    It is the square of the projection of c on rows of M that LAPACK's diagonal pivoting chooses.
     """
     from scipy.linalg.lapack import dpstrf  # noqa: PLC0415 - slow to import
 

@@ -1,8 +1,7 @@
 """Gaussian vectors given by a square root of their covariance: roots, projections, densities.
 
-A random vector is written ``a = mean + root @ z`` with uncorrelated ``z`` of unit variance. Working
-with the root and never with ``root @ root.T`` keeps all digits of small posterior variances, and
-conditioning becomes what it is: an orthogonal projection in the space of ``z``.
+A vector is ``mean + root @ z`` with uncorrelated ``z`` of unit variance: to condition is to project
+in the space of ``z``, and small posterior variances keep all digits.
 """
 
 from __future__ import annotations
@@ -20,16 +19,11 @@ RANK_TOLERANCE = 1e-13
 
 
 def square_root(covariance: Array) -> Array:
-    """Square roots of positive semidefinite matrices (..., n, n), exact in rank, blind to units.
-
-    The eigenvalues are those of the correlation matrix, so that a variance of 1e-8 beside one of
-    1e8 keeps its digits.
-    """
+    """Square roots of positive semidefinite matrices (..., n, n), exact in rank, blind to units."""
     deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
     unit = np.where(deviation > 0.0, deviation, 1.0)
     eigenvalues, vectors = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
-    # A correlation matrix has trace n: what is below n units of round-off is the zero of a singular
-    # matrix.
+    # A correlation matrix has trace n: below n units of round-off is the zero of a singular one.
     size = covariance.shape[-1]
     eigenvalues = np.where(eigenvalues > 4.0 * size * np.finfo(float).eps, eigenvalues, 0.0)
     root: Array = unit[..., :, None] * vectors * np.sqrt(eigenvalues)[..., None, :]

@@ -26,11 +26,7 @@ INDEFINITE = 1e-9
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FaultMoments:
-    """Moments of gamma and delta; y = G (C x + D u) + v with Cov v = T R T, eq. (1)-(2).
-
-    Sigalov, Oshman, A New Formulation of Fault-Tolerant Estimation Problems and Some Solutions,
-    sec. V.
-    """
+    """Moments of gamma, delta; y = G (C x + D u) + v, Cov v = T R T: Sigalov & Oshman, sec. V."""
 
     gamma: Array  # (T,): E[gamma_k]
     gamma_pair: Array  # (T, T): E[gamma_k gamma_i]
@@ -155,9 +151,7 @@ def satisfies_lemma_2(
 ) -> tuple[bool, float]:
     """Whether Pr(gamma_k = 1 | gamma_i = 1) does not depend on i < k, as Lemma 2 asks.
 
-    Samples i at which gamma = 1 has no probability are not asked.
-
-    Shapes: kernel, initial (4, 4), (4,). Sigalov, Oshman, Lemma 2.
+    Not of samples i at which gamma = 1 has no probability; kernel, initial (4, 4), (4,).
     """
     laws, returns = _laws(initial, kernel, horizon), _returns(kernel, horizon)
     given = [i for i in range(horizon) if laws[i] @ GAMMA > SAME_PROBABILITY]

@@ -1,9 +1,7 @@
 """The correlated partial error-state compression filter, from the noises its errors are made of.
 
-Every error is written as coefficients on the primitive noises (start, process, measurement), so
-that each covariance is a sum of squares of what really happens to that error. None of the paper's
-recursions for P, R and S is used: host and compression filter take their gains from these
-coefficients. Steps are in the order in which Theorem 3 is exact.
+Every error is coefficients on start, process and measurement noise, every covariance their squares;
+no recursion of the paper for P, R and S is used. Steps are in the order that Theorem 3 is exact in.
 """
 
 from __future__ import annotations
@@ -45,10 +43,7 @@ class PartialCompression:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PartialCompressionResult(BatchResult):
-    """Estimates of the host, after its update by the compression filter where there is one.
-
-    The innovation is that of all rows, `nis` and `log_likelihood` are those of the host's.
-    """
+    """Estimates of the host after its update by Z; `nis` and likelihood are of its own rows."""
 
     test_statistic: Array  # (T,), as the next two: NaN, 0 and 0 where no test is made
     test_dof: Array
@@ -63,10 +58,7 @@ class PartialCompressionResult(BatchResult):
 def partial_compression(
     system: LinearSystem, design: PartialCompression, y: Array, u: Array | None
 ) -> PartialCompressionResult:
-    """Filter a record with host and compression filter; y (T, p), u (T, q).
-
-    Lee & Lee, compression filters, Theorem 4 and Appendix D.
-    """
+    """Filter a record; y (T, p), u (T, q): Lee & Lee, Theorem 4 and Appendix D."""
     T, back, inputs = design.T, np.linalg.inv(design.T), system.inputs(u)
     transformed = replace(
         system,  # for the state T x, (39)

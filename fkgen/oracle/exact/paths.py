@@ -1,9 +1,7 @@
 """The best linear estimate of a jumping plant by brute force: every path of modes, no recursion.
 
-Random variables are vectors, their inner product is the second moment, and an estimate is the
-projection on the span of 1 and all measurements so far. Given the path of the modes, states are
-linear in white noise; all paths side by side, each scaled by the root of its probability, give the
-exact moments.
+Random variables are vectors, their inner product is the second moment: all paths, given which states
+are linear in white noise, stand side by side, each scaled by the root of its probability.
 """
 
 from __future__ import annotations
@@ -54,10 +52,7 @@ def _paths(transition: Array, initial: Array, T: int) -> tuple[Array, Array]:
 
 
 def _joint(system: JumpSystem, u: Array) -> tuple[Joint, Array, Array]:
-    """States and signals over all paths, then measurements with gamma and their noise.
-
-    Also the law of the modes (T, N) and the mean covariance of the noise of y, (T, p, p).
-    """
+    """States and measurements over all paths; law of the modes (T, N), mean R of y (T, p, p)."""
     T, n, p = system.length, system.nx, system.ny
     paths, chance = _paths(system.transition, system.initial, T)
     M, width = len(paths), 1 + n + n * T

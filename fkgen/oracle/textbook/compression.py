@@ -1,9 +1,7 @@
 """The de-correlated compression filter as the paper prints it, its misprints corrected.
 
-It carries (Z, H, R) with Z = H e + v and e = x - xhat, inverts F and P at every sample, and stacks
-rows until there are more than states. A compression filter of any other form is judged by it
-wherever F, P and R are regular. Each line is a method of its own, so that a mistake can be put into
-one of them.
+(Z, H, R) with Z = H e + v, e = x - xhat and regular F, P, R. Each line is a method of its own, so
+that a mistake can be put into one of them.
 """
 
 from __future__ import annotations

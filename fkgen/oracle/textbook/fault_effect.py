@@ -1,8 +1,7 @@
 """How a fault spreads in a Kalman filter, as products of matrices: Song & Hu 2019, eqs. (6)-(26).
 
-Products run in DESCENDING order, the newest factor on the left, and are the identity if empty; the
-gain stands outside of them; a step is on at k0, ..., k0 + i INCLUSIVE. The paper leaves all three
-open. Index k of `gains` is the sample that is corrected; ``M[k]`` carries sample k to k + 1.
+Which the paper leaves open: products have their newest factor on the left, the gain stands outside
+of them, a step is on at k0, ..., k0 + i INCLUSIVE. ``M[k]`` carries sample k to k + 1.
 """
 
 from __future__ import annotations

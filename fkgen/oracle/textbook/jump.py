@@ -1,10 +1,7 @@
 """LMMSE filter of a jumping plant in whole matrices, as the literature writes it.
 
-The state of mode i is (x, 1) 1{mode = i}: Costa 1994, with the constant as one more state, so that
-known offsets are exact. Nothing is spared: full matrices, a pseudo-inverse, the covariance of the
-split noise as a difference (Costa, Fragoso & Marques 2005, sec. 5.4).
-
-Where a jumping plant and its filter come to rest: powers of an operator, a Riccati equation.
+The state of mode i is (x, 1) 1{mode = i}: Costa 1994, with the constant as one more state. The
+covariance of the split noise is a difference: Costa, Fragoso & Marques 2005, sec. 5.4.
 """
 
 from __future__ import annotations
@@ -22,11 +19,7 @@ from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
 
 
 def composite(system: JumpSystem) -> JumpSystem:
-    """The plant whose modes are (mode, gamma): first all that arrive, then all that are lost.
-
-    A Markov gamma that is not observed is a mode like any other, with C = 0 and D = 0 where it is
-    zero.
-    """
+    """The plant with modes (mode, gamma), first all that arrive, then all lost: C = 0 and D = 0."""
     twice = {
         name: np.concatenate([each, 0.0 * each if name in "CD" else each], axis=1)
         for name, each in ((name, getattr(system, name)) for name in system.VARYING)

@@ -1,7 +1,6 @@
 """The linear filter as the paper prints it: second moments of the estimate, eq. (19)-(23).
 
-The difference C - V of two second moments loses all digits where the state grows without bound. It
-is kept because it is what the derivation says; the recursion that it judges carries the covariance.
+The difference C - V loses all digits where the state grows without bound; the derivation says so.
 """
 
 from __future__ import annotations
@@ -23,10 +22,7 @@ from fkgen.oracle.textbook.mkf import scaled_pseudo_inverse
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinearOptimalResult(Estimates):
-    """xhat_k and C_k - V_k, its error covariance if Lemma 2 holds.
-
-    The innovation is y[k] - Pi (C x(k|k-1) + D u).
-    """
+    """xhat_k, C_k - V_k (its covariance if Lemma 2 holds), y[k] - Pi (C x(k|k-1) + D u)."""
 
     #: (T, n, n), (T, n, p): F1 and F2: xhat_k = F1 xhat_(k-1) + F2 y_k + offset; F1(0) multiplies
     #: x0
@@ -40,15 +36,10 @@ class LinearOptimalResult(Estimates):
 def linear_optimal(
     system: LinearSystem, moments: FaultMoments, y: Array, u: Array | None
 ) -> LinearOptimalResult:
-    """Run eq. (23) over a record, row 0 being an update of the prior.
+    """Run eq. (23) from an update of the prior: Sigalov & Oshman, (19)-(23); y (T, p), u (T, q).
 
-    Known inputs and a mean of x[0] enter through a constant beside x: (x, 1). For a plant without
-    them the matrices of (x, 1) fall apart into those of eq. (23) and the constant.
-
-    A row that never fails asks for p11 = E[gamma], too, if C - V is to be the error covariance:
-    gamma_i does not multiply what it says about gamma_k x_k, whose weight is E[gamma_k].
-
-    Shapes: y (T, p); u (T, q). Sigalov, Oshman, eq. (19)-(23).
+    Known inputs and a mean of x[0] enter through a constant beside x: (x, 1). Where a row never
+    fails, C - V is the error covariance only if p11 = E[gamma].
     """
     require_sensor_faults_only(system, moments)
     u = system.inputs(u)
@@ -93,10 +84,7 @@ def _measurements(
 def _update(
     measurement: tuple[Array, ...], predicted: Array, second: tuple[Array, Array], y: Array
 ) -> tuple[dict[str, Array], Array, Array]:
-    """Eq. (22)-(23e) for (x, 1): what is reported, F1, and the estimate's second moment.
-
-    `second` are E[x x'] and E[xhat xhat'] before the measurement, C_(k+1) and A V_k A' of (23).
-    """
+    """Eq. (22)-(23e) for (x, 1) from (C_(k+1), A V_k A'): what is reported, F1 and V_(k+1)."""
     h, gain, persistence, pair, noise = measurement
     (X, V), n, finite = second, len(predicted) - 1, np.isfinite(y)
     y_y = pair * (h @ X @ h.T) + noise
@@ -134,11 +122,9 @@ def true_covariance(
     u: Array | None = None,
     offset: Array | None = None,
 ) -> Array:
-    """Mean square error of a linear filter with given gains under a chain of modes, exactly.
+    """Exact mean square error (T, n, n) of a linear filter with given gains, by moments per mode.
 
-    Second moments of (x, xhat, 1) are carried for each mode at the present sample.
-
-    Shapes: gains (T, n, n) and (T, n, p); u (T, q); offset (T, n); returns (T, n, n).
+    Shapes: gains (T, n, n) and (T, n, p); u (T, q); offset (T, n).
     """
     require_sensor_faults_only(system, FaultMoments.from_law(law, system.length))
     T, n, (F1, F2), u = system.length, system.nx, gains, system.inputs(u)

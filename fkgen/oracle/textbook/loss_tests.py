@@ -1,7 +1,4 @@
-"""Tests whether a sample holds a signal, from densities and quantiles as they are defined.
-
-Rules of the filter ``mjls_lmmse``; a tie is no loss, and a sample without a row is no test.
-"""
+"""Tests whether a sample holds a signal: a tie is no loss, a sample without a row is no test."""
 
 from __future__ import annotations
 
@@ -29,10 +26,7 @@ class LossTest:
     run: int = 0  # Rejections in a row
 
     def judge(self, y: Array, residual: Array, S: Array, R: Array) -> tuple[float, float]:
-        """Statistic and threshold of one sample; a loss is declared if the first is larger.
-
-        Shapes: y, residual (m,); S, R (m, m).
-        """
+        """Statistic and threshold of one sample; y, residual (m,); S, R (m, m)."""
         match self.options.detector:
             case "nis":
                 from scipy.special import chdtri  # noqa: PLC0415 - slow to import

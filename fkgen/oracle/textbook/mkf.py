@@ -1,8 +1,6 @@
 """One sample of the modified Kalman filter (MKF) in the paper's matrices, eq. (4), (9)-(15).
 
-Full matrices, a pseudo-inverse and SciPy's densities: nothing of it is fit for firmware, all of it
-is easy to compare with the paper. The batch estimates of `fkgen.oracle.exact.batch` judge it in
-turn.
+Full matrices, a pseudo-inverse and SciPy's densities, judged by `fkgen.oracle.exact.batch` in turn.
 """
 
 from __future__ import annotations
@@ -32,9 +30,7 @@ def scaled_pseudo_inverse(covariance: Array) -> Array:
 def textbook_step(
     system: LinearSystem, k: int, prediction: tuple[Array, Array], y: Array, u: Array
 ) -> dict[str, Array]:
-    """Filter and predict sample k by eq. (4), (11) and the stabilised form (9).
-
-    Also the mean and covariance of y[k] given the past, all rows, eq. (4), (21).
+    """Filter and predict sample k by eq. (4), (11) and the stabilised form (9), and expect y, (21).
 
     Shapes: prediction (n,) and (n, n); y (p,); u (q,).
     """
@@ -70,10 +66,7 @@ def log_likelihood(
     *,
     mixture: bool,
 ) -> float:
-    """Log of p(y[k] | Y[k-1], xi_i) over the finite rows.
-
-    Shapes: prediction (n,) and (n, n); y, u (p,), (q,).
-    """
+    """Log of p(y[k] | Y[k-1], xi_i) over the finite rows; shapes as above."""
     from scipy.special import logsumexp  # noqa: PLC0415 - slow to import
 
     x, P = prediction

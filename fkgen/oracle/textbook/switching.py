@@ -23,10 +23,7 @@ Ports: TypeAlias = dict[str, Array]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OneStepResult(BatchResult):
-    """Estimates of the one-step filter.
-
-    The innovation is that against the mixture weighted with Pr(mode at k | y[0..k-1]).
-    """
+    """Estimates; the innovation against the mixture weighted with Pr(mode at k | y[0..k-1])."""
 
     mode_probability: Array  # (T, N): Law of the mode at k, and at k+1, given y[0..k]
     predicted_mode_probability: Array
@@ -40,10 +37,7 @@ def textbook_one_step(
     *,
     covariance: Literal["moment_matched", "weighted", "paper", "paper_nominal"] = "moment_matched",
 ) -> OneStepResult:
-    """Run the one-step near-optimal filter, eq. (3)-(10), with x(k|k-1) and P(k|k-1) in eq. (9).
-
-    Shapes: y (T, p); u (T, q).
-    """
+    """Run the one-step near-optimal filter, (3)-(10), x(k|k-1) and P(k|k-1) in (9); y (T, p)."""
     u = system.inputs(u)
     priors: list[Gaussian] = [(system.x0, system.P0)] * 4
     log_held, rows = _log(law.initial), []
@@ -99,10 +93,9 @@ class Lumping:
 def interacting(
     system: JumpSystem, y: Array, u: Array, lumping: Lumping | None = None
 ) -> InteractingResult:
-    """Run the interacting-multiple-model filter; y (T, p), u (T, q).
+    """Run the filter of Blom & Bar-Shalom 1988; y (T, p), u (T, q).
 
-    Blom, Bar-Shalom, The interacting multiple model algorithm, 1988; Sigalov & Oshman, eq.
-    (15)-(18), where all modes move alike.
+    Sigalov & Oshman, eq. (15)-(18), where all modes move alike.
     """
     if lumping is None:  # every condition is a mode
         N = system.count

@@ -1,10 +1,7 @@
 """The algebra behind full and partial compression filters, proved for one or two states.
 
-References
-----------
-Lee & Lee, Lemmas 1 and 2, Theorem 1, with the misprints corrected: e' = x - xhat' in (4), minus in
-front of both cross terms of (6), P-_{k+1} on the left of (13). Theorem 4 and Appendix D, with F11
-in the cross terms of R, G1 q G' in (43), and the bracket of (47).
+Misprints corrected: e' = x - xhat' in (4), minus in front of both cross terms of (6), P-_{k+1} on
+the left of (13); F11 in the cross terms of R and G1 q G' in (43), the bracket of (47).
 """
 
 from __future__ import annotations

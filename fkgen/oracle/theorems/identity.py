@@ -1,7 +1,6 @@
-"""Identities that SymPy decides: residuals that are exactly zero for every value of their symbols.
+"""Identities that SymPy decides: a rational function is zero if its expanded numerator is.
 
-A rational function is zero if and only if its expanded numerator is. SymPy is slow to import and
-has no static types: it is loaded when a residual is first written, and `Any` stands for its values.
+SymPy is slow to import and has no static types: it is loaded late, `Any` stands for its values.
 """
 
 from __future__ import annotations

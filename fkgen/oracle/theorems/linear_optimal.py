@@ -1,8 +1,4 @@
-"""The algebra behind the linear filter for faulty sensors, eq. (19)-(23), (29).
-
-Scalar states and measurements where the paper's argument is followed step by step, matrices where
-one form is turned into another.
-"""
+"""The algebra behind the linear filter for faulty sensors, eq. (19)-(23), (29)."""
 
 from __future__ import annotations
 
