@@ -18,10 +18,15 @@ Array: TypeAlias = NDArray[np.float64]
 RANK_TOLERANCE = 1e-13
 
 
+def units(covariance: Array) -> Array:
+    """Standard deviations (..., n), with 1 in place of 0."""
+    deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
+    return np.where(deviation > 0.0, deviation, 1.0)
+
+
 def square_root(covariance: Array) -> Array:
     """Square roots of positive semidefinite matrices (..., n, n), exact in rank, blind to units."""
-    deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
-    unit = np.where(deviation > 0.0, deviation, 1.0)
+    unit = units(covariance)
     eigenvalues, vectors = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
     # A correlation matrix has trace n: below n units of round-off is the zero of a singular one.
     size = covariance.shape[-1]

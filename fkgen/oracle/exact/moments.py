@@ -39,7 +39,8 @@ class FaultMoments:
     def from_law(cls, law: SensorLaw, T: int) -> Self:
         """Follow a chain of modes through T samples."""
         laws = _laws(law.initial, law.kernel, T)
-        again = (laws * GAMMA) @ _returns(law.kernel, T).T  # Pr(gamma_i = 1, gamma_(i + lag) = 1)
+        # Pr(gamma = 1 after `lag` steps | mode), and Pr(gamma_i = 1, gamma_(i + lag) = 1).
+        again = (laws * GAMMA) @ _laws(GAMMA, law.kernel.T, T).T
         sample = np.arange(T)
         earlier = np.minimum(sample[:, None], sample)
         pair = again[earlier, np.abs(sample[:, None] - sample)]
@@ -153,7 +154,7 @@ def satisfies_lemma_2(
 
     Not of samples i at which gamma = 1 has no probability; kernel, initial (4, 4), (4,).
     """
-    laws, returns = _laws(initial, kernel, horizon), _returns(kernel, horizon)
+    laws, returns = _laws(initial, kernel, horizon), _laws(GAMMA, kernel.T, horizon)
     given = [i for i in range(horizon) if laws[i] @ GAMMA > SAME_PROBABILITY]
     conditionals = (
         [(laws[i] * GAMMA) @ returns[k - i] / (laws[i] @ GAMMA) for i in given if i < k]
@@ -167,8 +168,3 @@ def _laws(initial: Array, kernel: Array, T: int) -> Array:
     """Law of the mode at each of T samples, (T, 4)."""
     start = np.asarray(initial, dtype=float)
     return np.array(list(accumulate([kernel] * (T - 1), np.matmul, initial=start)))
-
-
-def _returns(kernel: Array, T: int) -> Array:
-    """Pr(gamma = 1 after `lag` steps | mode), (T, 4), lag 0 first."""
-    return _laws(GAMMA, kernel.T, T)

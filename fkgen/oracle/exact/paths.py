@@ -1,7 +1,7 @@
 """The best linear estimate of a jumping plant by brute force: every path of modes, no recursion.
 
-Random variables are vectors, their inner product is the second moment: all paths, given which states
-are linear in white noise, stand side by side, each scaled by the root of its probability.
+Random variables are vectors, their inner product is the second moment: all paths, given which
+states are linear in white noise, stand side by side, scaled by the root of their probability.
 """
 
 from __future__ import annotations

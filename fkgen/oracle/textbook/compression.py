@@ -53,9 +53,8 @@ class PrintedCompression:
         through = self.noise_map(self.H, carried)
         self.H, self.R = carried, self.R + through @ Q @ through.T
 
-    def noise_map(self, before: Array, after: Array) -> Array:
+    def noise_map(self, _before: Array, after: Array) -> Array:
         """What process noise is measured by: Hhat of k + 1."""
-        del before
         return after
 
     def decorrelate(self, Q: Array, P: Array) -> None:
@@ -90,9 +89,8 @@ class PrintedCompression:
         if len(self.Z) > len(self.x):
             self.compress()
 
-    def reference(self, posterior: Array, prior: Array) -> Array:
+    def reference(self, posterior: Array, _prior: Array) -> Array:
         """What new rows are compared with: the host a posteriori (34)."""
-        del prior
         return posterior
 
     def compress(self) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.exact.gaussian import Array, units
 from fkgen.oracle.plants import actuator
 from fkgen.oracle.plants.actuator import LinearSystem
 
@@ -20,9 +20,7 @@ MIXTURE_INPUTS = 4
 
 def scaled_pseudo_inverse(covariance: Array) -> Array:
     """Pseudo-inverse of a covariance (m, m) with the rank decided on its correlation matrix."""
-    deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    deviation = np.where(deviation > 0.0, deviation, 1.0)
-    scale = np.outer(deviation, deviation)
+    scale = np.outer(units(covariance), units(covariance))
     inverse = np.linalg.pinv(covariance / scale, rcond=PSEUDO_INVERSE_CUTOFF, hermitian=True)
     return np.asarray(inverse / scale)
 
@@ -100,8 +98,7 @@ def _log_normal(residual: Array, covariance: Array) -> float:
 
     if residual.size == 0:
         return 0.0
-    deviation = np.sqrt(np.diagonal(covariance))
-    deviation = np.where(deviation > 0.0, deviation, 1.0)
+    deviation = units(covariance)
     correlation = covariance / np.outer(deviation, deviation)
     try:
         # SciPy would call a correlation matrix of condition 1e10 singular; its factor is not.
