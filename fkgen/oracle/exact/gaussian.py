@@ -77,8 +77,8 @@ def log_density(residual: Array, whitening: Whitening) -> float:
 
 
 def mixture(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """Mean and covariance of a mixture, the latter with the spread of the means."""
+    """Mean and covariance of mixtures (..., N), the latter with the spread of the means."""
     mean = weights @ means
-    spread = means - mean
-    within = np.einsum("i,ijk->jk", weights, covariances)
-    return mean, within + np.einsum("i,ij,ik->jk", weights, spread, spread)
+    spread = means - mean[..., None, :]
+    within = np.einsum("...i,ijk->...jk", weights, covariances)
+    return mean, within + np.einsum("...i,...ij,...ik->...jk", weights, spread, spread)
