@@ -8,12 +8,7 @@ import numpy as np
 
 from fkgen.faults.sensor import is_white
 from fkgen.oracle.claims.claim import ClosedForm, Ports, Record, ports
-from fkgen.oracle.claims.gaussian import (
-    digits_at_stake,
-    likelihood_tolerance,
-    system_of,
-    undecided,
-)
+from fkgen.oracle.claims.gaussian import digits_at_stake, likelihood_tolerance, system_of, undecided
 from fkgen.oracle.exact.enumeration import enumerate_jumps
 from fkgen.oracle.exact.moments import FaultMoments, satisfies_lemma_2
 from fkgen.oracle.exact.uncertain import batch_uncertain

@@ -37,10 +37,8 @@ class JumpSystem(Plant):
 
     def offsets(self, u: Array) -> tuple[Array, Array]:
         """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u, (T, N, p)."""
-        return (
-            np.einsum("kiab,kb->kia", self.B, u) + self.c,
-            np.einsum("kiab,kb->kia", self.D, u),
-        )
+        added, sensed = (np.einsum("kiab,kb->kia", each, u) for each in (self.B, self.D))
+        return added + self.c, sensed
 
     def mode_law(self) -> Array:
         """Law of mode[k] by powers of the transition matrix, (T, N)."""

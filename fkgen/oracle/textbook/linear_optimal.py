@@ -5,7 +5,6 @@ The difference C - V loses all digits where the state grows without bound; the d
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,13 +43,18 @@ def linear_optimal(
     require_sensor_faults_only(system, moments)
     u = system.inputs(u)
     _require_zero_mean(system, moments, u)
-    n = system.nx
+    n, faulty = system.nx, moments.faulty(system.ny)
+    either = np.maximum.outer(faulty, faulty)
+    gain, noise = moments.gains(system.ny), moments.noise(system.R)
+    Pi = moments.persistence[:, None] * faulty + 1.0 - faulty
+    pair = moments.gamma[:, None, None] * either + 1.0 - either  # E[G_i G_j]
     estimate = np.append(system.x0, 1.0)
     X, V = np.outer(estimate, estimate), np.outer(estimate, estimate)
     X[:n, :n] += system.P0
     before, rows = np.eye(n + 1), []  # no time update in front of sample 0
-    for k, measurement in enumerate(_measurements(system, moments, u)):
-        row, F1, V = _update(measurement, estimate, (X, V), y[k])
+    for k in range(system.length):
+        h = np.column_stack([system.C[k], system.D[k] @ u[k]])
+        row, F1, V = _update((h, gain[k], Pi[k], pair[k], noise[k]), estimate, (X, V), y[k])
         estimate = F1 @ estimate
         estimate[:n] += row["measurement_gain"] @ np.where(np.isfinite(y[k]), y[k], 0.0)
         gains, onward = F1 @ before, np.eye(n + 1)
@@ -66,26 +70,14 @@ def linear_optimal(
     return LinearOptimalResult.of(rows)
 
 
-def _measurements(
-    system: LinearSystem, moments: FaultMoments, u: Array
-) -> Iterator[tuple[Array, ...]]:
-    """Each y = G h (x, 1) + v: h = [C, D u], diagonals of E[G] and Pi, E[G_i G_j], E[T R T]."""
-    faulty, noise = moments.faulty(system.ny), moments.noise(system.R)
-    either = np.maximum(faulty[:, None], faulty)
-    for k, (gamma, p11) in enumerate(zip(moments.gamma, moments.persistence, strict=True)):
-        h = np.column_stack([system.C[k], system.D[k] @ u[k]])
-        gain, persistence, pair = (
-            rate * fails + 1.0 - fails
-            for rate, fails in ((gamma, faulty), (p11, faulty), (gamma, either))
-        )
-        yield h, gain, persistence, pair, noise[k]
-
-
 def _update(
-    measurement: tuple[Array, ...], predicted: Array, second: tuple[Array, Array], y: Array
+    signal: tuple[Array, ...], predicted: Array, second: tuple[Array, Array], y: Array
 ) -> tuple[dict[str, Array], Array, Array]:
-    """Eq. (22)-(23e) for (x, 1) from (C_(k+1), A V_k A'): what is reported, F1 and V_(k+1)."""
-    h, gain, persistence, pair, noise = measurement
+    """Eq. (22)-(23e) for y = G h (x, 1) + v, from (C_(k+1), A V_k A'): the ports, F1, V_(k+1).
+
+    `signal`: h, the diagonals of E[G] and Pi, E[G_i G_j], E[T R T].
+    """
+    h, gain, persistence, pair, noise = signal
     (X, V), n, finite = second, len(predicted) - 1, np.isfinite(y)
     y_y = pair * (h @ X @ h.T) + noise
     x_y, xhat_y = X @ h.T * gain, V @ h.T * persistence
@@ -96,13 +88,12 @@ def _update(
     F2[:n, finite] = (x_y - xhat_y)[:n, finite] @ inverse
     F1 = np.eye(n + 1) - F2 @ expected
     cross = F1 @ xhat_y @ F2.T
-    updated = F1 @ V @ F1.T + F2 @ y_y @ F2.T + cross + cross.T
     row = {
         "measurement_gain": F2[:n],
         "innovation": y - expected @ predicted,
         "innovation_covariance": innovation,
     }
-    return row, F1, updated
+    return row, F1, F1 @ V @ F1.T + F2 @ y_y @ F2.T + cross + cross.T
 
 
 def _require_zero_mean(system: LinearSystem, moments: FaultMoments, u: Array) -> None:

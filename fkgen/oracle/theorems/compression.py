@@ -62,8 +62,7 @@ def _compressed() -> Zeros:
 
 
 @_FULL.claim(
-    "a measurement may be used one sample late, propagated with H F^-1",
-    "Theorem 1, eqs. (12)-(16)",
+    "a measurement may be used one sample late, propagated with H F^-1", "Theorem 1, eqs. (12)-(16)"
 )
 def _propagated() -> Zeros:
     M, F, Q = symmetric("m", 2), general("f", 2, 2), symmetric("q", 2)

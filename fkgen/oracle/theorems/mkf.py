@@ -174,8 +174,7 @@ for _claim, _n, _p, _q in (
 
 
 @_THEOREMS.claim(
-    "the mixture over both states of the actuator has the two moments of eq. (15)",
-    "eq. (15), (21)",
+    "the mixture over both states of the actuator has the two moments of eq. (15)", "eq. (15), (21)"
 )
 def _mixture_moments(s: Setting) -> Zeros:
     noise = s.C * s.P * s.C.T + s.R
