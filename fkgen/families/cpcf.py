@@ -89,7 +89,7 @@ def build(spec: Spec) -> Recursion:
 
 def proof() -> Proof:
     """Errors written out in the primitive noises, and the host alone."""
-    from fkgen.oracle.claims.partial_compression import CONTRADICTED, HOST_ALONE, PRIMITIVE_NOISES
+    from fkgen.oracle.claims.compression import CONTRADICTED, HOST_ALONE, PRIMITIVE_NOISES
     from fkgen.oracle.theorems.compression import PARTIAL_IDENTITIES
 
     return Proof((PRIMITIVE_NOISES, CONTRADICTED, HOST_ALONE), PARTIAL_IDENTITIES)
