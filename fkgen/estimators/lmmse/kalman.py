@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
+from fkgen.estimators.gaussian.conditioning import Conditioned
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
@@ -23,6 +26,7 @@ from fkgen.faults import SensorFaults
 from fkgen.problem import Name, Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.linalg import sparse
 from fkgen.symbolic.plant import Plant, lift, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -103,10 +107,7 @@ def _update(
         "actuation_deviation": posterior.deviation,
         "actuation_covariance": posterior.deviation_covariance,
         "actuation_cross_covariance": by_rows(posterior.cross_covariance),
-        "innovation": found.innovation,
-        "innovation_covariance": found.innovation_covariance,
-        "nis": found.nis,
-        "log_likelihood": found.log_likelihood,
+        **innovation_results(found),
     }
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: plant.nx, :])
@@ -139,6 +140,21 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
     with script.titled("prediction of the next sample"):
         script.put(assign, [finite(state, covariance)])
     return script.phase()
+
+
+def innovation_results(found: Conditioned) -> dict[str, ca.SX]:
+    """The ports about the innovation."""
+    return {
+        "innovation": found.innovation,
+        "innovation_covariance": found.innovation_covariance,
+        "nis": found.nis,
+        "log_likelihood": found.log_likelihood,
+    }
+
+
+def constant(values: NDArray[np.floating]) -> ca.SX:
+    """A constant matrix whose zeros are structural."""
+    return sparse(ca.SX(ca.DM(values)))
 
 
 def by_rows(matrix: ca.SX) -> ca.SX:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 from scipy.special import gammainccinv
@@ -43,16 +42,20 @@ class Verdict:
     """What a test says."""
 
     excess: ca.SX  # positive if a loss is declared; to be asked where a row is present
-    rejections: ca.SX  # declared in a row, this sample included
+    locked: ca.SX  # positive if so many samples were rejected in a row, this one among them
     results: dict[str, ca.SX]  # values of the ports
+
+
+def judges(spec: Spec) -> bool:
+    """Whether a test decides which samples are lost."""
+    return spec.faults.jump is not None and spec.filter.options.detector != "none"
 
 
 def loss_ports(spec: Spec) -> tuple[Port, ...]:
     """What a detector shows; nothing without one."""
-    detector, window = spec.filter.options.detector, spec.filter.options.window
-    if detector == "none":
+    if not judges(spec):
         return ()
-
+    detector, window = spec.filter.options.detector, spec.filter.options.window
     ports = [
         shown("fault_declared", (), f"1 if sample k was rejected as lost, else 0{_ABSENT}"),
         shown("test_statistic", (), f"{_MEANING[detector]}{_ABSENT}"),
@@ -71,7 +74,7 @@ def loss_ports(spec: Spec) -> tuple[Port, ...]:
 
 def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
     """Statuses of rejected samples."""
-    if spec.filter.options.detector == "none":
+    if not judges(spec):
         return ()
     return (
         Outcome(Status.LOCKED_OUT, "consecutive_rejections", spec.filter.options.lock_out - HALF),
@@ -82,13 +85,8 @@ def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
 class LossTest:
     """Writes the blocks of a test; the options of the spec are detector and thresholds."""
 
-    def __init__(self, script: Script, symbols: dict[str, ca.SX], spec: Spec) -> None:
-        self.script, self.symbols, self.spec = script, symbols, spec
-
-    @property
-    def options(self) -> Any:
-        """Detector and thresholds."""
-        return self.spec.filter.options
+    def __init__(self, script: Script, spec: Spec) -> None:
+        self.script, self.spec, self.options = script, spec, spec.filter.options
 
     def verdict(self, found: Conditioned, measurement: Measurement, noise: ca.SX) -> Verdict:
         """Judge a sample from its innovation, as ``measurement`` and the noise alone explain it."""
@@ -109,8 +107,9 @@ class LossTest:
             with self.script.when(None, excess):
                 self.script.put({"declared": ca.SX(1)})
             rejections = self._count(excess)
+            locked = ca.fmin(self._locked(rejections), excess)
             if "energy_window" in results and self.options.reinitialise:
-                results = self._forgotten(results, ca.fmin(self.locked(rejections), excess))
+                results = self._forgotten(results, locked)
         results |= {
             "fault_declared": declared,
             "test_statistic": statistic,
@@ -118,9 +117,9 @@ class LossTest:
             "test_dof": count,
             "consecutive_rejections": rejections,
         }
-        return Verdict(excess, rejections, results)
+        return Verdict(excess, locked, results)
 
-    def locked(self, rejections: ca.SX) -> ca.SX:
+    def _locked(self, rejections: ca.SX) -> ca.SX:
         """Positive if so many samples were rejected in a row that the filter is locked out."""
         limit: int = self.options.lock_out
         return rejections - (limit - HALF)
@@ -167,7 +166,7 @@ class LossTest:
         threshold, window = self.options.kappa * expected, self.options.window
         if window == 1:
             return energy, threshold, {}
-        past, count = self.symbols["energy_window"], self.symbols["energy_count"]
+        past, count = script.symbol("energy_window"), script.symbol("energy_count")
         # Places that are not filled yet hold 0.
         mean = (energy + total([past[i] for i in range(window - 1)])) / (count + 1)
         held = script.local("energies_held", window)
@@ -202,7 +201,7 @@ class LossTest:
 
     def _count(self, excess: ca.SX) -> ca.SX:
         """Rejections in a row; a sample without a row changes nothing."""
-        script, before = self.script, self.symbols["consecutive_rejections"]
+        script, before = self.script, self.script.symbol("consecutive_rejections")
         rejections = script.local("rejections", 1)
         script.put({"rejections": before})
         with script.when(None):
@@ -210,7 +209,7 @@ class LossTest:
         with script.when(None, excess):
             script.put({"rejections": before + 1})
         if self.options.reinitialise:  # the run before ended when the filter started again
-            again = self.locked(before)
+            again = self._locked(before)
             with script.when(None, ca.fmin(again, excess)):
                 script.put({"rejections": ca.SX(1)})
         return rejections
