@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal, Self
 
 from fkgen.errors import DataError
-from fkgen.families.family import Family, Proof, Table
+from fkgen.families.family import Family, Table, built_by, proved_by
 from fkgen.faults import Faults
 from fkgen.faults.actuator import read_actuator_faults
 from fkgen.problem import Model, Spec
@@ -20,9 +20,6 @@ from fkgen.problem.probability import as_distribution, as_probability
 from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_list, as_number
 from fkgen.problem.text.foreign import plain_list
-
-if TYPE_CHECKING:
-    from fkgen.symbolic.recursion import Recursion
 
 Likelihood = Literal["mixture", "gaussian"]
 LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
@@ -91,21 +88,6 @@ def _floor(section: Section, count: int) -> float:
     return floor
 
 
-def build(spec: Spec) -> Recursion:
-    """Build the bank."""
-    from fkgen.estimators.models.bank import multiple_model_bank
-
-    return multiple_model_bank(spec)
-
-
-def proof() -> Proof:
-    """Matrix filters with plain probabilities, and the joint density of all samples."""
-    from fkgen.oracle.claims.gaussian import MME_BATCH, MME_TEXTBOOK
-    from fkgen.oracle.theorems.mkf import IDENTITIES
-
-    return Proof((MME_TEXTBOOK, MME_BATCH), IDENTITIES)
-
-
 def with_hypotheses(table: Table, _: Spec) -> Table:
     """The same faults; what is tried for their rate cannot be guessed."""
     if "hypotheses" in table["filter"]:
@@ -120,8 +102,8 @@ def with_hypotheses(table: Table, _: Spec) -> Table:
 FAMILY = Family(
     name="mme",
     title="unknown actuator fault rate: a bank of modified Kalman filters, one per hypothesis",
-    build=build,
-    proof=proof,
+    build=built_by("models.bank:multiple_model_bank"),
+    proof=proved_by("gaussian:MME_TEXTBOOK", "gaussian:MME_BATCH", theorems="mkf:IDENTITIES"),
     traits=Traits(models="bank", densities=True),
     options=MmeOptions,
     accepts={"actuator": partial(read_actuator_faults, rate_known=False)},
