@@ -19,7 +19,7 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement
@@ -59,6 +59,11 @@ Array = NDArray[np.float64]
 STATIONARY = 1e-13
 
 
+def is_settled(law: ArrayLike, transition: ArrayLike) -> bool:
+    """Whether probabilities never change."""
+    return bool(np.abs(np.asarray(law) @ np.asarray(transition) - law).max() <= STATIONARY)
+
+
 class AugmentedState:
     """The augmented state of one spec: its parts, their chain, and what is carried along.
 
@@ -95,9 +100,7 @@ class AugmentedState:
         inner = (self.parts - 1) * self.width
         self.size = inner + self.base.nx
         self.own = slice(inner, self.size)  # where x stands in the augmented state
-        law = np.array(chain.initial)
-        moved = law @ np.array(chain.transition)
-        self.settled = bool(np.abs(moved - law).max() <= STATIONARY)  # the law never changes
+        self.settled = is_settled(chain.initial, chain.transition)
         #: A lock-out starts the filter again
         self.restarts = judges(spec) and bool(spec.filter.options.reinitialise)
         self.means = self.ones or self.restarts  # first moments of the parts are carried along
