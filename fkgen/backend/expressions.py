@@ -21,6 +21,8 @@ from fkgen.backend.ir import (
     Operand,
     Operate,
     Operator,
+    Require,
+    Space,
     Statement,
     Temp,
     operands,
@@ -30,8 +32,11 @@ from fkgen.backend.routines import Outline, Writer
 
 Body = tuple[Statement, ...]
 
-#: Elements in a row that are worth a call.
-LEAST_COPIED = 6
+#: Elements in a row that are worth a call: results, and what is read again soon.
+LEAST_COPIED = 3
+LEAST_KEPT = 6
+#: Lines that copies of arrays have to save, which need a function.
+COPY_LINES = 15
 
 #: Printed as a question that names its arguments twice: they stay names, and so does the result.
 _ASKING = {Operator.ABS, Operator.MAX, Operator.MIN}
@@ -44,11 +49,18 @@ def joined(found: Outline, fits: Callable[[Statement, int], bool]) -> Outline:
         temps = (o.index for n in walk(body) for o in operands(n) if isinstance(o, Temp))
         uses = Counter(temps)
         nodes = _joined(_stored(body, uses), uses, fits, 1)
-        return _copied(Writer(lambda operand: operand).many(nodes))
+        return Writer(lambda operand: operand).many(nodes)
 
+    plain = _each(found, body)
+    copied = _each(plain, _copied)
+    copies = [n for body in copied.bodies for n in walk(body) if isinstance(n, CopyArray)]
+    return copied if sum(copy.size - 1 for copy in copies) > COPY_LINES else plain
+
+
+def _each(found: Outline, change: Callable[[Body], Body]) -> Outline:
     return Outline(
-        phases=tuple(replace(phase, body=body(phase.body)) for phase in found.phases),
-        routines=tuple(replace(routine, body=body(routine.body)) for routine in found.routines),
+        phases=tuple(replace(phase, body=change(phase.body)) for phase in found.phases),
+        routines=tuple(replace(each, body=change(each.body)) for each in found.routines),
     )
 
 
@@ -83,12 +95,16 @@ def _elements(node: Statement) -> Iterator[Element]:
 def _joined(
     body: Body, uses: Counter[int], fits: Callable[[Statement, int], bool], depth: int
 ) -> Body:
-    """Put values into the statement right after them, the last one first."""
+    """Put values into the statement right after them, the last one first; join what is required."""
     nodes: list[Statement] = []
     for each in body:
         node = each
         if isinstance(node, IfPresent | IfPositive):
             node = replace(node, body=_joined(node.body, uses, fits, depth + 1))
+        elif isinstance(node, Require) and nodes and isinstance(before := nodes[-1], Require):
+            if (before.kind, before.status) == (node.kind, node.status):
+                node = replace(node, values=(*before.values, *node.values))
+                nodes.pop()
         elif isinstance(node, Operate | Assign) and not _asks(node):
             while nodes and (longer := _with(node, nodes[-1], uses)) and fits(longer, depth):
                 node = longer
@@ -129,7 +145,8 @@ def _copied(body: Body) -> Body:
     run: list[tuple[Element, Element]] = []
 
     def close() -> None:
-        long = len(run) >= LEAST_COPIED
+        kept = bool(run) and run[0][0].space is Space.LOCAL
+        long = len(run) >= (LEAST_KEPT if kept else LEAST_COPIED)
         nodes.extend([CopyArray(*run[0], len(run))] if long else [Assign(*pair) for pair in run])
         run.clear()
 

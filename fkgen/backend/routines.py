@@ -11,6 +11,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from typing import Any
 
 from fkgen.backend.ir import (
@@ -94,7 +95,7 @@ class _Reader:
                 return operand
         key = operand.space, operand.name
         slot, base = self.variables.setdefault(key, (len(self.variables), operand.index))
-        return slot, None if operand.index is None or base is None else operand.index - base
+        return slot, (operand.index or 0) - (base or 0)
 
     def statement(self, node: Statement) -> Any:  # noqa: PLR0911 - one per node
         match node:
@@ -309,7 +310,10 @@ def _function(verb: str, phase: Phase) -> _Function:
     chunks: list[Chunk] = []
     sections: list[str] = []
     for (start, section), end in zip(phase.chunks, ends, strict=True):
-        pieces = _apart(phase.body[start:end])
+        body = phase.body[start:end]
+        pieces = [
+            p for _, g in groupby(body, lambda n: isinstance(n, Heading)) for p in _apart(tuple(g))
+        ]
         chunks += pieces
         sections += [section] * len(pieces)
     return _Function(verb, chunks, list(phase.locals), sections)
@@ -380,7 +384,8 @@ class _Book:
             run = _Run(self.functions[f], start, length)
             runs = self._like(run, seen)
             lines = lines_of(run.statements)
-            saved = (len(runs) - 1) * lines - OVERHEAD - 4 * len(runs)
+            call = 2 + len(form_of(run.statements).variables) // 3
+            saved = (len(runs) - 1) * lines - OVERHEAD - len(runs) * call
             enough = len(runs) > 1 and lines >= SHORTEST and not run.is_call
             if enough and saved > best[0]:
                 best = saved, runs
@@ -475,13 +480,18 @@ class _Book:
             name = f"{stem}_{count}"
         return name
 
-    @staticmethod
-    def locals(function: _Function) -> tuple[Local, ...]:
-        """Locals; those that calls write begin at 0: compilers do not follow a refusal."""
+    def _refuses(self, node: Statement) -> bool:
+        """Whether a statement may end the function."""
+        if isinstance(node, Call):
+            return any(map(self._refuses, walk(self.bodies[node.routine][1].body)))
+        return isinstance(node, Require)
+
+    def locals(self, function: _Function) -> tuple[Local, ...]:
+        """Locals; what a call writes that may refuse begins at 0: compilers do not follow it."""
         passed = {
             element.name
             for node in walk(function.body)
-            if isinstance(node, Call)
+            if isinstance(node, Call) and self._refuses(node)
             for element in node.arguments
             if element.space is Space.LOCAL
         }
@@ -515,7 +525,7 @@ def _alike(one: Sequence[Form], other: Sequence[Form]) -> int:
         if a.shape != b.shape:
             return length
         for (key, base), (name, at) in zip(a.variables, b.variables, strict=True):
-            shift = None if base is None or at is None else at - base
+            shift = (at or 0) - (base or 0)
             if there.setdefault(key, (name, shift)) != (name, shift):
                 return length
             if back.setdefault(name, key) != key:
@@ -598,7 +608,7 @@ class _Draft:
         single = key not in self._written | self._passed and len(self._indices[key]) == 1
         self.arguments.append(Argument(name, key in self._written, single))
         for bound, ((space, own_name), at) in zip(self.bindings, each, strict=True):
-            begin = None if at is None or base is None else at - base + low
+            begin = None if at is None else at - (base or 0) + low
             bound.append(Element(space, own_name, begin))
         self.places[key] = lambda index: Element(
             Space.ARGUMENT, name, None if single else (index or 0) - low

@@ -17,7 +17,7 @@ from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Code, Number, Operation, Spec
 from fkgen.problem.text.expression import Expression
 from fkgen.proof.validate import digits, distance, natural_deviation, validate
-from fkgen.runtime.library import compile_source
+from fkgen.runtime.compiler import compile_source
 from fkgen.runtime.results import Run
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.interpreter import Interpreter

@@ -172,7 +172,7 @@ static const double car_speed_row_of_y_numbers[2][1] = {
     { 0.9903931860948796 }
 };
 
-/* row 2 of y, wheel_rl; row 3 of y, wheel_rr. */
+/* row 1 of y, wheel_fr; row 2 of y, wheel_rl. */
 CAR_SPEED_INLINE car_speed_status_t car_speed_row_of_y(double *covariance, double *mean,
     const double predicted_state, const double innovation, double *quadratic, double *log_constant,
     double *determinant_0, const double *numbers, int row_0)
@@ -180,6 +180,8 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_row_of_y(double *covariance, doubl
     double cross[2];
     double pivot;
     double inverse = 0.0;
+
+    /* row 1 of y, wheel_fr */
     cross[0] = numbers[0] * covariance[0];
     cross[1] = numbers[0] * covariance[1];
     pivot = (numbers[0] * cross[0]) + 0.04;
@@ -199,35 +201,64 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_row_of_y(double *covariance, doubl
         covariance[1] = covariance[1] - (t2 * cross[0]);
         covariance[2] = covariance[2] - (t2 * cross[1]);
     }
-
-    /* row 2 of y, wheel_rl */
     return CAR_SPEED_OK;
 }
 
-/* results of the update. */
-CAR_SPEED_INLINE void car_speed_results_of_the_update(const double determinant_0,
-    const double log_constant, const double determinant_1, const double quadratic,
-    const double *mean, double *filtered_state, const double *covariance,
-    double *filtered_covariance, const double innovation_0, double *innovation,
-    const double innovation_1, const double innovation_2, const double innovation_3,
-    const double innovation_4, const double innovation_5, const double *variance,
-    double *innovation_covariance, double *nis, double *log_likelihood)
+/* What differs between the calls of car_speed_row_of_y_2, a row for each. */
+static const double car_speed_row_of_y_2_numbers[2][1] = {
+    { 0.25 },
+    { 9.0 }
+};
+
+/* row 4 of y, ublox; row 5 of y, qcom. */
+CAR_SPEED_INLINE car_speed_status_t car_speed_row_of_y_2(double *covariance, double *mean,
+    const double predicted_state, const double innovation, double *quadratic, double *log_constant,
+    double *determinant_1, const double *numbers, int row_0)
 {
-    const double t0 = log_constant + car_speed_log(determinant_0) + car_speed_log(determinant_1);
-    log_likelihood[0] = -0.5 * (quadratic + t0);
-    filtered_state[0] = mean[0];
-    filtered_state[1] = mean[1];
-    filtered_covariance[0] = covariance[0];
-    filtered_covariance[1] = covariance[1];
-    filtered_covariance[2] = covariance[2];
-    innovation[0] = innovation_0;
-    innovation[1] = innovation_1;
-    innovation[2] = innovation_2;
-    innovation[3] = innovation_3;
-    innovation[4] = innovation_4;
-    innovation[5] = innovation_5;
-    car_speed_copy(variance, innovation_covariance, 21);
-    nis[0] = quadratic;
+    double pivot;
+    double inverse = 0.0;
+
+    /* row 4 of y, ublox */
+    pivot = covariance[0] + numbers[0];
+    if (row_0 != 0)
+    {
+        if (!(pivot > 0.0)) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
+        inverse = 1.0 / pivot;
+        const double t0 = innovation - (mean[0] - predicted_state);
+        const double t1 = t0 * inverse;
+        quadratic[0] = quadratic[0] + (t0 * t1);
+        log_constant[0] = log_constant[0] + CAR_SPEED_LOG_2_PI;
+        determinant_1[0] = determinant_1[0] * pivot;
+        mean[0] = mean[0] + (covariance[0] * t1);
+        mean[1] = mean[1] + (covariance[1] * t1);
+        const double t2 = covariance[0] - (covariance[0] * inverse * covariance[0]);
+        const double t3 = covariance[1] * inverse;
+        const double t4 = covariance[1] - (t3 * covariance[0]);
+        covariance[2] = covariance[2] - (t3 * covariance[1]);
+        covariance[0] = t2;
+        covariance[1] = t4;
+    }
+    return CAR_SPEED_OK;
+}
+
+/* What differs between the calls of car_speed_innovation, a row for each. */
+static const double car_speed_innovation_numbers[2][1] = {
+    { 0.9921619208254787 },
+    { 0.9903931860948796 }
+};
+
+/* innovation, row by row. */
+CAR_SPEED_INLINE void car_speed_innovation(const double predicted_state, const double *y,
+    double *innovation, double *innovation_2, const double *numbers, int row_0, int row_1)
+{
+    if (row_0 != 0)
+    {
+        innovation[0] = y[0] - (numbers[0] * predicted_state);
+    }
+    if (row_1 != 0)
+    {
+        innovation_2[0] = y[1] - (numbers[0] * predicted_state);
+    }
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -240,7 +271,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     double innovation_3 = 0.0;
     double innovation_4 = 0.0;
     double innovation_5 = 0.0;
-    double variance[21] = { 0.0 };
+    double variance[21];
     double mean[2] = { 0.0 };
     double covariance[3] = { 0.0 };
     double cross_0[2];
@@ -253,10 +284,6 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     double pivot_3;
     double inverse_3 = 0.0;
     double determinant_1 = 1.0;
-    double pivot_4;
-    double inverse_4 = 0.0;
-    double pivot_5;
-    double inverse_5 = 0.0;
     car_speed_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
     {
@@ -264,22 +291,10 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     }
 
     /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        innovation_0 = y[0] - (0.9921619208254787 * self->predicted_state[0]);
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        innovation_1 = y[1] - (0.9921619208254787 * self->predicted_state[0]);
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        innovation_2 = y[2] - (0.9903931860948796 * self->predicted_state[0]);
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        innovation_3 = y[3] - (0.9903931860948796 * self->predicted_state[0]);
-    }
+    car_speed_innovation(self->predicted_state[0], y, &innovation_0, &innovation_1,
+        car_speed_innovation_numbers[0], ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
+    car_speed_innovation(self->predicted_state[0], &y[2], &innovation_2, &innovation_3,
+        car_speed_innovation_numbers[1], ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
     if ((present & 0x10u) != 0u)
     {
         innovation_4 = y[4] - self->predicted_state[0];
@@ -340,10 +355,14 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
         &quadratic, &log_constant, &determinant_0, car_speed_row_of_y_numbers[0],
         ((present & 0x2u) != 0u));
     if (status != CAR_SPEED_OK) { return status; }
+
+    /* row 2 of y, wheel_rl */
     status = car_speed_row_of_y(covariance, mean, self->predicted_state[0], innovation_2,
         &quadratic, &log_constant, &determinant_0, car_speed_row_of_y_numbers[1],
         ((present & 0x4u) != 0u));
     if (status != CAR_SPEED_OK) { return status; }
+
+    /* row 3 of y, wheel_rr */
     cross_3[0] = 0.9903931860948796 * covariance[0];
     cross_3[1] = 0.9903931860948796 * covariance[1];
     pivot_3 = (0.9903931860948796 * cross_3[0]) + 0.04;
@@ -366,56 +385,35 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     }
 
     /* row 4 of y, ublox */
-    pivot_4 = covariance[0] + 0.25;
-    if ((present & 0x10u) != 0u)
-    {
-        if (!(pivot_4 > 0.0)) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
-        inverse_4 = 1.0 / pivot_4;
-        const double t6 = innovation_4 - (mean[0] - self->predicted_state[0]);
-        const double t7 = t6 * inverse_4;
-        quadratic = quadratic + (t6 * t7);
-        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
-        determinant_1 = determinant_1 * pivot_4;
-        mean[0] = mean[0] + (covariance[0] * t7);
-        mean[1] = mean[1] + (covariance[1] * t7);
-        const double t8 = covariance[0] - (covariance[0] * inverse_4 * covariance[0]);
-        const double t9 = covariance[1] * inverse_4;
-        const double t10 = covariance[1] - (t9 * covariance[0]);
-        covariance[2] = covariance[2] - (t9 * covariance[1]);
-        covariance[0] = t8;
-        covariance[1] = t10;
-    }
+    status = car_speed_row_of_y_2(covariance, mean, self->predicted_state[0], innovation_4,
+        &quadratic, &log_constant, &determinant_1, car_speed_row_of_y_2_numbers[0],
+        ((present & 0x10u) != 0u));
+    if (status != CAR_SPEED_OK) { return status; }
 
     /* row 5 of y, qcom */
-    pivot_5 = covariance[0] + 9.0;
-    if ((present & 0x20u) != 0u)
-    {
-        if (!(pivot_5 > 0.0)) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
-        inverse_5 = 1.0 / pivot_5;
-        const double t11 = innovation_5 - (mean[0] - self->predicted_state[0]);
-        const double t12 = t11 * inverse_5;
-        quadratic = quadratic + (t11 * t12);
-        log_constant = log_constant + CAR_SPEED_LOG_2_PI;
-        determinant_1 = determinant_1 * pivot_5;
-        mean[0] = mean[0] + (covariance[0] * t12);
-        mean[1] = mean[1] + (covariance[1] * t12);
-        const double t13 = covariance[0] - (covariance[0] * inverse_5 * covariance[0]);
-        const double t14 = covariance[1] * inverse_5;
-        const double t15 = covariance[1] - (t14 * covariance[0]);
-        covariance[2] = covariance[2] - (t14 * covariance[1]);
-        covariance[0] = t13;
-        covariance[1] = t15;
-    }
+    status = car_speed_row_of_y_2(covariance, mean, self->predicted_state[0], innovation_5,
+        &quadratic, &log_constant, &determinant_1, car_speed_row_of_y_2_numbers[1],
+        ((present & 0x20u) != 0u));
+    if (status != CAR_SPEED_OK) { return status; }
     if (!car_speed_finite(car_speed_defect(mean[0]) + car_speed_defect(mean[1])))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
 
     /* results of the update */
-    car_speed_results_of_the_update(determinant_0, log_constant, determinant_1, quadratic, mean,
-        next->filtered_state, covariance, next->filtered_covariance, innovation_0, next->innovation,
-        innovation_1, innovation_2, innovation_3, innovation_4, innovation_5, variance,
-        next->innovation_covariance, &next->nis, &next->log_likelihood);
+    const double t6 = log_constant + car_speed_log(determinant_0) + car_speed_log(determinant_1);
+    next->log_likelihood = -0.5 * (quadratic + t6);
+    next->filtered_state[0] = mean[0];
+    next->filtered_state[1] = mean[1];
+    car_speed_copy(covariance, next->filtered_covariance, 3);
+    next->innovation[0] = innovation_0;
+    next->innovation[1] = innovation_1;
+    next->innovation[2] = innovation_2;
+    next->innovation[3] = innovation_3;
+    next->innovation[4] = innovation_4;
+    next->innovation[5] = innovation_5;
+    car_speed_copy(variance, next->innovation_covariance, 21);
+    next->nis = quadratic;
     return CAR_SPEED_OK;
 }
 

@@ -215,6 +215,19 @@ static int dc_motor_unknown_present_rows(const double *y, uint32_t valid, uint32
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
+/* Copy the elements of an array to another. */
+DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
 /* What differs between the calls of dc_motor_unknown_hypothesis, a row for each. */
 static const double dc_motor_unknown_hypothesis_numbers[5][2] = {
     { 0.1, 0.09000000000000001 },
@@ -251,9 +264,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis(co
     mean[0] = mode_state[0];
     mean[1] = mode_state[1];
     mean[2] = 0.0;
-    covariance[0] = mode_covariance[0];
-    covariance[1] = mode_covariance[1];
-    covariance[2] = mode_covariance[2];
+    dc_motor_unknown_copy(mode_covariance, covariance, 3);
     covariance[3] = 0.0;
     covariance[4] = 0.0;
     covariance[5] = numbers[1];
@@ -326,10 +337,10 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis(co
     return DC_MOTOR_UNKNOWN_OK;
 }
 
-/* combined prediction. */
-DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combined_prediction(const double
-    *mode_filtered_covariance, const double u, const double *mode_deviation_cross,
-    const double mode_deviation_covariance, double *moved_covariance)
+/* propagate. */
+DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_propagate_2(const double *mode_filtered_covariance,
+    const double u, const double *mode_deviation_cross, const double mode_deviation_covariance,
+    double *moved_covariance)
 {
     const double t0 = 0.9802 * mode_filtered_covariance[0];
     const double t1 = t0 + (-0.0002 * mode_filtered_covariance[1]);
@@ -355,8 +366,8 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combined_prediction(const double
     moved_covariance[2] = (0.0094 * t11) + (0.9048 * t15) + (t18 * t10) + 0.0001;
 }
 
-/* What differs between the calls of dc_motor_unknown_propagate_2, a row for each. */
-static const double dc_motor_unknown_propagate_2_numbers[5][2] = {
+/* What differs between the calls of dc_motor_unknown_propagate_3, a row for each. */
+static const double dc_motor_unknown_propagate_3_numbers[5][2] = {
     { 0.0019800000000000004, 1.0e-05 },
     { 0.00594, 3.0e-05 },
     { 0.0099, 5.0e-05 },
@@ -365,7 +376,7 @@ static const double dc_motor_unknown_propagate_2_numbers[5][2] = {
 };
 
 /* propagate. */
-DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_propagate_2(const double *mode_filtered_state,
+DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_propagate_3(const double *mode_filtered_state,
     const double u, const double mode_deviation, double *moved_state, const double *numbers)
 {
     const double t0 = (0.9802 * mode_filtered_state[0]) + (-0.0002 * mode_filtered_state[1]);
@@ -397,35 +408,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
     return DC_MOTOR_UNKNOWN_OK;
 }
 
-/* hypothesis 0: innovation, row by row; hypothesis 2: innovation, row by row. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(const double *y,
-    const double *mode_state, double *innovation_0, const double u, double *innovation_1,
-    double *mean, const double *mode_covariance, double *covariance, double *pivot_0,
-    double *quadratic, double *log_constant, double *determinant_0, double *pivot_1,
-    double *innovation_0_2, double *innovation_1_2, double *mean_2, double *covariance_2,
-    double *pivot_0_2, double *quadratic_2, double *log_constant_2, double *determinant_0_2,
-    double *pivot_1_2, const double *numbers_of_0, const double *numbers_of_1, uint32_t present)
-{
-    dc_motor_unknown_status_t status;
-
-    /* hypothesis 0: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_2(y, mode_state, innovation_0, u, innovation_1, mean,
-        mode_covariance, covariance, pivot_0, quadratic, log_constant, determinant_0, pivot_1,
-        numbers_of_0, present);
-    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-
-    /* hypothesis 1: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_2(y, &mode_state[2], innovation_0_2, u, innovation_1_2,
-        mean_2, &mode_covariance[3], covariance_2, pivot_0_2, quadratic_2, log_constant_2,
-        determinant_0_2, pivot_1_2, numbers_of_1, present);
-    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    return DC_MOTOR_UNKNOWN_OK;
-}
-
 /* combined prediction. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combined_prediction_2(const
-    double *moved_state, const double *moved_covariance, double *mode_state,
-    double *mode_covariance)
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combined_prediction(const double
+    *moved_state, const double *moved_covariance, double *mode_state, double *mode_covariance)
 {
     if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[0]) +
         dc_motor_unknown_defect(moved_state[1]) + dc_motor_unknown_defect(moved_covariance[0]) +
@@ -510,9 +495,7 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined
     success_rate_estimate[0] = t46 + (0.7 * weight[3]) + (0.9 * weight[4]);
     innovation[0] = combined_innovation[0];
     innovation[1] = combined_innovation[1];
-    innovation_covariance[0] = combined_variance[0];
-    innovation_covariance[1] = combined_variance[1];
-    innovation_covariance[2] = combined_variance[2];
+    dc_motor_unknown_copy(combined_variance, innovation_covariance, 3);
     filtered_state[0] = t5;
     filtered_state[1] = t8;
     mode_filtered_state[0] = mean_h0[0];
@@ -525,21 +508,11 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined
     mode_filtered_state[7] = mean_h3[1];
     mode_filtered_state[8] = mean_h4[0];
     mode_filtered_state[9] = mean_h4[1];
-    mode_filtered_covariance[0] = covariance_h0[0];
-    mode_filtered_covariance[1] = covariance_h0[1];
-    mode_filtered_covariance[2] = covariance_h0[2];
-    mode_filtered_covariance[3] = covariance_h1[0];
-    mode_filtered_covariance[4] = covariance_h1[1];
-    mode_filtered_covariance[5] = covariance_h1[2];
-    mode_filtered_covariance[6] = covariance_h2[0];
-    mode_filtered_covariance[7] = covariance_h2[1];
-    mode_filtered_covariance[8] = covariance_h2[2];
-    mode_filtered_covariance[9] = covariance_h3[0];
-    mode_filtered_covariance[10] = covariance_h3[1];
-    mode_filtered_covariance[11] = covariance_h3[2];
-    mode_filtered_covariance[12] = covariance_h4[0];
-    mode_filtered_covariance[13] = covariance_h4[1];
-    mode_filtered_covariance[14] = covariance_h4[2];
+    dc_motor_unknown_copy(covariance_h0, mode_filtered_covariance, 3);
+    dc_motor_unknown_copy(covariance_h1, &mode_filtered_covariance[3], 3);
+    dc_motor_unknown_copy(covariance_h2, &mode_filtered_covariance[6], 3);
+    dc_motor_unknown_copy(covariance_h3, &mode_filtered_covariance[9], 3);
+    dc_motor_unknown_copy(covariance_h4, &mode_filtered_covariance[12], 3);
     mode_deviation[0] = mean_h0[2];
     mode_deviation[1] = mean_h1[2];
     mode_deviation[2] = mean_h2[2];
@@ -560,21 +533,13 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined
     mode_deviation_cross[7] = covariance_h3[4];
     mode_deviation_cross[8] = covariance_h4[3];
     mode_deviation_cross[9] = covariance_h4[4];
-    mode_probability[0] = weight[0];
-    mode_probability[1] = weight[1];
-    mode_probability[2] = weight[2];
-    mode_probability[3] = weight[3];
-    mode_probability[4] = weight[4];
-    log_weight[0] = log_weight_now[0];
-    log_weight[1] = log_weight_now[1];
-    log_weight[2] = log_weight_now[2];
-    log_weight[3] = log_weight_now[3];
-    log_weight[4] = log_weight_now[4];
+    dc_motor_unknown_copy(weight, mode_probability, 5);
+    dc_motor_unknown_copy(log_weight_now, log_weight, 5);
     log_likelihood[0] = log_evidence;
 }
 
 /* hypothesis 4: innovation, row by row. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_4(const double *y,
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(const double *y,
     const double *mode_state, const double u, const double *mode_covariance,
     const double determinant_h0_0, const double log_constant_h0, const double quadratic_h0,
     const double determinant_h1_0, const double log_constant_h1, const double quadratic_h1,
@@ -608,8 +573,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_4(
     double log_likelihood_h2;
     double log_likelihood_h3;
     double log_likelihood_h4;
-    double weight[5] = { 0.0 };
-    double log_weight_now[5] = { 0.0 };
+    double weight[5];
+    double log_weight_now[5];
     double log_joint[5] = { 0.0 };
     double log_largest = 0.0;
     double share_of_largest[5] = { 0.0 };
@@ -622,11 +587,11 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_4(
     double predicted_y_h2[2];
     double predicted_y_h3[2];
     double predicted_y_h4[2];
-    double combined_variance[3] = { 0.0 };
-    double combined_innovation[2] = { 0.0 };
+    double combined_variance[3];
+    double combined_innovation[2];
     double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1 = 0.0;
+    double whitening_combined_0_1;
     double whitening_pivot_combined_1;
     double whitening_inverse_combined_1 = 0.0;
     dc_motor_unknown_status_t status;
@@ -838,47 +803,45 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     double determinant_h3_0 = 1.0;
     double pivot_h3_1 = 0.0;
     dc_motor_unknown_status_t status;
-    if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0)))
-    {
-        return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[3] >= 0.0) && (self->mode_covariance[5] >= 0.0)))
-    {
-        return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[6] >= 0.0) && (self->mode_covariance[8] >= 0.0)))
-    {
-        return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[9] >= 0.0) && (self->mode_covariance[11] >= 0.0)))
-    {
-        return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[12] >= 0.0) && (self->mode_covariance[14] >= 0.0)))
+    if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
+        (self->mode_covariance[3] >= 0.0) && (self->mode_covariance[5] >= 0.0) &&
+        (self->mode_covariance[6] >= 0.0) && (self->mode_covariance[8] >= 0.0) &&
+        (self->mode_covariance[9] >= 0.0) && (self->mode_covariance[11] >= 0.0) &&
+        (self->mode_covariance[12] >= 0.0) && (self->mode_covariance[14] >= 0.0)))
     {
         return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE;
     }
 
     /* hypothesis 0: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_3(y, self->mode_state, &innovation_h0_0, u[0],
+    status = dc_motor_unknown_hypothesis_2(y, self->mode_state, &innovation_h0_0, u[0],
         &innovation_h0_1, mean_h0, self->mode_covariance, covariance_h0, &pivot_h0_0, &quadratic_h0,
-        &log_constant_h0, &determinant_h0_0, &pivot_h0_1, &innovation_h1_0, &innovation_h1_1,
-        mean_h1, covariance_h1, &pivot_h1_0, &quadratic_h1, &log_constant_h1, &determinant_h1_0,
-        &pivot_h1_1, dc_motor_unknown_hypothesis_numbers[0], dc_motor_unknown_hypothesis_numbers[1],
+        &log_constant_h0, &determinant_h0_0, &pivot_h0_1, dc_motor_unknown_hypothesis_numbers[0],
         present);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
 
+    /* hypothesis 1: innovation, row by row */
+    status = dc_motor_unknown_hypothesis_2(y, &self->mode_state[2], &innovation_h1_0, u[0],
+        &innovation_h1_1, mean_h1, &self->mode_covariance[3], covariance_h1, &pivot_h1_0,
+        &quadratic_h1, &log_constant_h1, &determinant_h1_0, &pivot_h1_1,
+        dc_motor_unknown_hypothesis_numbers[1], present);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+
     /* hypothesis 2: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_3(y, &self->mode_state[4], &innovation_h2_0, u[0],
+    status = dc_motor_unknown_hypothesis_2(y, &self->mode_state[4], &innovation_h2_0, u[0],
         &innovation_h2_1, mean_h2, &self->mode_covariance[6], covariance_h2, &pivot_h2_0,
-        &quadratic_h2, &log_constant_h2, &determinant_h2_0, &pivot_h2_1, &innovation_h3_0,
-        &innovation_h3_1, mean_h3, covariance_h3, &pivot_h3_0, &quadratic_h3, &log_constant_h3,
-        &determinant_h3_0, &pivot_h3_1, dc_motor_unknown_hypothesis_numbers[2],
+        &quadratic_h2, &log_constant_h2, &determinant_h2_0, &pivot_h2_1,
+        dc_motor_unknown_hypothesis_numbers[2], present);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+
+    /* hypothesis 3: innovation, row by row */
+    status = dc_motor_unknown_hypothesis_2(y, &self->mode_state[6], &innovation_h3_0, u[0],
+        &innovation_h3_1, mean_h3, &self->mode_covariance[9], covariance_h3, &pivot_h3_0,
+        &quadratic_h3, &log_constant_h3, &determinant_h3_0, &pivot_h3_1,
         dc_motor_unknown_hypothesis_numbers[3], present);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
 
     /* hypothesis 4: innovation, row by row */
-    status = dc_motor_unknown_hypothesis_4(y, self->mode_state, u[0], &self->mode_covariance[12],
+    status = dc_motor_unknown_hypothesis_3(y, self->mode_state, u[0], &self->mode_covariance[12],
         determinant_h0_0, log_constant_h0, quadratic_h0, determinant_h1_0, log_constant_h1,
         quadratic_h1, determinant_h2_0, log_constant_h2, quadratic_h2, determinant_h3_0,
         log_constant_h3, quadratic_h3, self->mode_probability, self->log_weight, pivot_h0_0,
@@ -903,28 +866,28 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     double moved_covariance[15] = { 0.0 };
     double combined_state[2];
     dc_motor_unknown_status_t status;
-    dc_motor_unknown_propagate_2(self->mode_filtered_state, u[0], self->mode_deviation[0],
-        moved_state, dc_motor_unknown_propagate_2_numbers[0]);
-    dc_motor_unknown_propagate_2(&self->mode_filtered_state[2], u[0], self->mode_deviation[1],
-        &moved_state[2], dc_motor_unknown_propagate_2_numbers[1]);
-    dc_motor_unknown_propagate_2(&self->mode_filtered_state[4], u[0], self->mode_deviation[2],
-        &moved_state[4], dc_motor_unknown_propagate_2_numbers[2]);
-    dc_motor_unknown_propagate_2(&self->mode_filtered_state[6], u[0], self->mode_deviation[3],
-        &moved_state[6], dc_motor_unknown_propagate_2_numbers[3]);
-    dc_motor_unknown_propagate_2(&self->mode_filtered_state[8], u[0], self->mode_deviation[4],
-        &moved_state[8], dc_motor_unknown_propagate_2_numbers[4]);
+    dc_motor_unknown_propagate_3(self->mode_filtered_state, u[0], self->mode_deviation[0],
+        moved_state, dc_motor_unknown_propagate_3_numbers[0]);
+    dc_motor_unknown_propagate_3(&self->mode_filtered_state[2], u[0], self->mode_deviation[1],
+        &moved_state[2], dc_motor_unknown_propagate_3_numbers[1]);
+    dc_motor_unknown_propagate_3(&self->mode_filtered_state[4], u[0], self->mode_deviation[2],
+        &moved_state[4], dc_motor_unknown_propagate_3_numbers[2]);
+    dc_motor_unknown_propagate_3(&self->mode_filtered_state[6], u[0], self->mode_deviation[3],
+        &moved_state[6], dc_motor_unknown_propagate_3_numbers[3]);
+    dc_motor_unknown_propagate_3(&self->mode_filtered_state[8], u[0], self->mode_deviation[4],
+        &moved_state[8], dc_motor_unknown_propagate_3_numbers[4]);
+    dc_motor_unknown_propagate_2(self->mode_filtered_covariance, u[0], self->mode_deviation_cross,
+        self->mode_deviation_covariance[0], moved_covariance);
+    dc_motor_unknown_propagate_2(&self->mode_filtered_covariance[3], u[0],
+        &self->mode_deviation_cross[2], self->mode_deviation_covariance[1], &moved_covariance[3]);
+    dc_motor_unknown_propagate_2(&self->mode_filtered_covariance[6], u[0],
+        &self->mode_deviation_cross[4], self->mode_deviation_covariance[2], &moved_covariance[6]);
+    dc_motor_unknown_propagate_2(&self->mode_filtered_covariance[9], u[0],
+        &self->mode_deviation_cross[6], self->mode_deviation_covariance[3], &moved_covariance[9]);
+    dc_motor_unknown_propagate_2(&self->mode_filtered_covariance[12], u[0],
+        &self->mode_deviation_cross[8], self->mode_deviation_covariance[4], &moved_covariance[12]);
 
     /* combined prediction */
-    dc_motor_unknown_combined_prediction(self->mode_filtered_covariance, u[0],
-        self->mode_deviation_cross, self->mode_deviation_covariance[0], moved_covariance);
-    dc_motor_unknown_combined_prediction(&self->mode_filtered_covariance[3], u[0],
-        &self->mode_deviation_cross[2], self->mode_deviation_covariance[1], &moved_covariance[3]);
-    dc_motor_unknown_combined_prediction(&self->mode_filtered_covariance[6], u[0],
-        &self->mode_deviation_cross[4], self->mode_deviation_covariance[2], &moved_covariance[6]);
-    dc_motor_unknown_combined_prediction(&self->mode_filtered_covariance[9], u[0],
-        &self->mode_deviation_cross[6], self->mode_deviation_covariance[3], &moved_covariance[9]);
-    dc_motor_unknown_combined_prediction(&self->mode_filtered_covariance[12], u[0],
-        &self->mode_deviation_cross[8], self->mode_deviation_covariance[4], &moved_covariance[12]);
     const double t0 = self->mode_probability[0] * moved_state[0];
     const double t1 = t0 + (self->mode_probability[1] * moved_state[2]);
     const double t2 = t1 + (self->mode_probability[2] * moved_state[4]);
@@ -992,19 +955,19 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     next->predicted_state[1] = combined_state[1];
     next->predicted_covariance[0] = t22;
     next->predicted_covariance[2] = t48;
-    status = dc_motor_unknown_combined_prediction_2(moved_state, moved_covariance, next->mode_state,
+    status = dc_motor_unknown_combined_prediction(moved_state, moved_covariance, next->mode_state,
         next->mode_covariance);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    status = dc_motor_unknown_combined_prediction_2(&moved_state[2], &moved_covariance[3],
+    status = dc_motor_unknown_combined_prediction(&moved_state[2], &moved_covariance[3],
         &next->mode_state[2], &next->mode_covariance[3]);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    status = dc_motor_unknown_combined_prediction_2(&moved_state[4], &moved_covariance[6],
+    status = dc_motor_unknown_combined_prediction(&moved_state[4], &moved_covariance[6],
         &next->mode_state[4], &next->mode_covariance[6]);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    status = dc_motor_unknown_combined_prediction_2(&moved_state[6], &moved_covariance[9],
+    status = dc_motor_unknown_combined_prediction(&moved_state[6], &moved_covariance[9],
         &next->mode_state[6], &next->mode_covariance[9]);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    status = dc_motor_unknown_combined_prediction_2(&moved_state[8], &moved_covariance[12],
+    status = dc_motor_unknown_combined_prediction(&moved_state[8], &moved_covariance[12],
         &next->mode_state[8], &next->mode_covariance[12]);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     return DC_MOTOR_UNKNOWN_OK;

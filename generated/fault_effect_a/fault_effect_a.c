@@ -153,19 +153,6 @@ static int fault_effect_a_present_rows(const double *y, uint32_t valid, uint32_t
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* Copy the elements of an array to another. */
-FAULT_EFFECT_A_INLINE void fault_effect_a_copy(const double *from, double *to, int size)
-{
-    int i;
-#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
-#pragma GCC unroll 128
-#endif
-    for (i = 0; i < size; ++i)
-    {
-        to[i] = from[i];
-    }
-}
-
 /* Condition on y[k]: reads *self, writes the results to *next. */
 FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault_effect_a_t *self,
     const double *y, uint32_t present, fault_effect_a_t *next)
@@ -205,7 +192,12 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
     mean[2] = self->predicted_state[2];
-    fault_effect_a_copy(self->predicted_covariance, covariance, 6);
+    covariance[0] = self->predicted_covariance[0];
+    covariance[1] = self->predicted_covariance[1];
+    covariance[2] = self->predicted_covariance[2];
+    covariance[3] = self->predicted_covariance[3];
+    covariance[4] = self->predicted_covariance[4];
+    covariance[5] = self->predicted_covariance[5];
 
     /* row 0 of y, Y1 */
     cross_0[0] = (0.9 * self->predicted_covariance[0]) + (-0.9 * self->predicted_covariance[3]);
@@ -274,7 +266,12 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_state[2] = mean[2];
-    fault_effect_a_copy(covariance, next->filtered_covariance, 6);
+    next->filtered_covariance[0] = covariance[0];
+    next->filtered_covariance[1] = covariance[1];
+    next->filtered_covariance[2] = covariance[2];
+    next->filtered_covariance[3] = covariance[3];
+    next->filtered_covariance[4] = covariance[4];
+    next->filtered_covariance[5] = covariance[5];
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
     next->innovation_covariance[0] = pivot_0;

@@ -223,8 +223,8 @@ GPS_GLITCH_INLINE void gps_glitch_copy(const double *from, double *to, int size)
     }
 }
 
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_share,
+/* mixing and prediction of every mode; mixing and prediction. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_share,
     const double *mode_filtered_state, double *mixed_mean, const double *mode_filtered_covariance,
     const double *mixed_apart_squared, double *mixed_covariance)
 {
@@ -255,7 +255,7 @@ GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_shar
     mixed_covariance[5] = t15 + (t5 * mixed_apart_squared[5]);
 }
 
-/* combination; mixing and prediction of every mode. */
+/* combination; mixing and prediction of every mode; mixing and prediction. */
 GPS_GLITCH_INLINE void gps_glitch_part_2(const double *combined_0_1_mean,
     const double *combined_2_3_mean, const double *combined_0_3_share, double *combined_0_3_mean,
     const double *combined_0_1_covariance, const double *combined_2_3_covariance,
@@ -294,6 +294,79 @@ GPS_GLITCH_INLINE void gps_glitch_part_2(const double *combined_0_1_mean,
     combined_0_3_covariance[5] = t17 + (t13 * combined_0_3_apart[2]);
 }
 
+/* mixing and prediction of every mode; mixing and prediction. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixed_0_0_1_mean,
+    const double *mixed_2_3_mean, const double *mixed_0_3_share,
+    const double *mixed_0_0_1_covariance, const double *mixed_2_3_covariance, double *moved_state,
+    const double *Q, double *moved_covariance, const gps_glitch_params_t *params)
+{
+    double mixed_0_3_mean[3];
+    double mixed_0_3_covariance[6];
+    gps_glitch_part_2(mixed_0_0_1_mean, mixed_2_3_mean, mixed_0_3_share, mixed_0_3_mean,
+        mixed_0_0_1_covariance, mixed_2_3_covariance, mixed_0_3_covariance);
+    moved_state[0] = mixed_0_3_mean[0] + (params->dt * mixed_0_3_mean[1]);
+    moved_state[1] = mixed_0_3_mean[1];
+    moved_state[2] = mixed_0_3_mean[2];
+    const double t0 = mixed_0_3_covariance[0] + (params->dt * mixed_0_3_covariance[1]);
+    const double t1 = mixed_0_3_covariance[1] + (params->dt * mixed_0_3_covariance[2]);
+    moved_covariance[0] = t0 + (t1 * params->dt) + Q[0];
+    moved_covariance[1] = mixed_0_3_covariance[1] + (mixed_0_3_covariance[2] * params->dt) + Q[1];
+    moved_covariance[2] = mixed_0_3_covariance[2] + params->dt;
+    moved_covariance[3] = mixed_0_3_covariance[3] + (mixed_0_3_covariance[4] * params->dt);
+    moved_covariance[5] = mixed_0_3_covariance[5] + Q[3];
+    moved_covariance[4] = mixed_0_3_covariance[4];
+}
+
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction(const double *mixed_2_3_share,
+    const double *mode_filtered_state, double *mixed_2_3_mean,
+    const double *mode_filtered_covariance, const double *mixed_apart_2_3_squared,
+    double *mixed_2_3_covariance, const double *mixed_0_1_mean, const double *mixed_0_3_share,
+    const double *mixed_0_1_covariance, double *moved_state, const double *Q,
+    double *moved_covariance, const gps_glitch_params_t *params)
+{
+    gps_glitch_mixing_and_prediction_2(mixed_2_3_share, mode_filtered_state, mixed_2_3_mean,
+        mode_filtered_covariance, mixed_apart_2_3_squared, mixed_2_3_covariance);
+    gps_glitch_mixing_and_prediction_3(mixed_0_1_mean, mixed_2_3_mean, mixed_0_3_share,
+        mixed_0_1_covariance, mixed_2_3_covariance, moved_state, Q, moved_covariance, params);
+}
+
+/* mode 2: no signal, R: row 0 of y, baro; mode 3: no signal, noise x 400: row 0 of y, baro; mode 0:
+ * signal, R: row 0 of y, baro. */
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_2(const double *mode_covariance,
+    const double innovation_0, const double *mode_state, double *quadratic, double *log_constant,
+    double *determinant_0, double *mean, double *covariance, uint32_t present)
+{
+    double cross_0[3];
+    double pivot_0;
+    double inverse_0 = 0.0;
+    cross_0[0] = mode_covariance[0] + mode_covariance[3];
+    cross_0[1] = mode_covariance[1] + mode_covariance[4];
+    cross_0[2] = mode_covariance[3] + mode_covariance[5];
+    pivot_0 = cross_0[0] + cross_0[2] + 0.25;
+    if ((present & 0x1u) != 0u)
+    {
+        if (!(pivot_0 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
+        inverse_0 = 1.0 / pivot_0;
+        const double t0 = innovation_0 * inverse_0;
+        quadratic[0] = innovation_0 * t0;
+        mean[0] = mode_state[0] + (cross_0[0] * t0);
+        mean[1] = mode_state[1] + (cross_0[1] * t0);
+        mean[2] = mode_state[2] + (cross_0[2] * t0);
+        covariance[0] = mode_covariance[0] - (cross_0[0] * inverse_0 * cross_0[0]);
+        const double t1 = cross_0[1] * inverse_0;
+        covariance[1] = mode_covariance[1] - (t1 * cross_0[0]);
+        covariance[2] = mode_covariance[2] - (t1 * cross_0[1]);
+        const double t2 = cross_0[2] * inverse_0;
+        covariance[3] = mode_covariance[3] - (t2 * cross_0[0]);
+        covariance[4] = mode_covariance[4] - (t2 * cross_0[1]);
+        covariance[5] = mode_covariance[5] - (t2 * cross_0[2]);
+        log_constant[0] = GPS_GLITCH_LOG_2_PI;
+        determinant_0[0] = pivot_0;
+    }
+    return GPS_GLITCH_OK;
+}
+
 /* What differs between the calls of gps_glitch_mode, a row for each. */
 static const double gps_glitch_mode_numbers[2][2] = {
     { 4.0, 2.25 },
@@ -307,9 +380,6 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     double *variance, double *mean, double *covariance, double *log_density, const double *numbers,
     uint32_t present)
 {
-    double cross_0[3];
-    double pivot_0;
-    double inverse_0 = 0.0;
     double quadratic = 0.0;
     double log_constant = 0.0;
     double determinant_0 = 1.0;
@@ -317,6 +387,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     double inverse_1 = 0.0;
     double pivot_2;
     double inverse_2 = 0.0;
+    gps_glitch_status_t status;
 
     /* mode 0: signal, R: innovation, row by row */
     if ((present & 0x1u) != 0u)
@@ -340,36 +411,13 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     variance[3] = mode_covariance[1] + mode_covariance[4];
     variance[5] = mode_covariance[2] + numbers[1];
     variance[4] = mode_covariance[1];
-    mean[0] = mode_state[0];
-    mean[1] = mode_state[1];
-    mean[2] = mode_state[2];
+    gps_glitch_copy(mode_state, mean, 3);
     gps_glitch_copy(mode_covariance, covariance, 6);
 
     /* mode 0: signal, R: row 0 of y, baro */
-    cross_0[0] = mode_covariance[0] + mode_covariance[3];
-    cross_0[1] = mode_covariance[1] + mode_covariance[4];
-    cross_0[2] = mode_covariance[3] + mode_covariance[5];
-    pivot_0 = cross_0[0] + cross_0[2] + 0.25;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_0 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
-        inverse_0 = 1.0 / pivot_0;
-        const double t1 = innovation_0[0] * inverse_0;
-        quadratic = innovation_0[0] * t1;
-        mean[0] = mode_state[0] + (cross_0[0] * t1);
-        mean[1] = mode_state[1] + (cross_0[1] * t1);
-        mean[2] = mode_state[2] + (cross_0[2] * t1);
-        covariance[0] = mode_covariance[0] - (cross_0[0] * inverse_0 * cross_0[0]);
-        const double t2 = cross_0[1] * inverse_0;
-        covariance[1] = mode_covariance[1] - (t2 * cross_0[0]);
-        covariance[2] = mode_covariance[2] - (t2 * cross_0[1]);
-        const double t3 = cross_0[2] * inverse_0;
-        covariance[3] = mode_covariance[3] - (t3 * cross_0[0]);
-        covariance[4] = mode_covariance[4] - (t3 * cross_0[1]);
-        covariance[5] = mode_covariance[5] - (t3 * cross_0[2]);
-        log_constant = GPS_GLITCH_LOG_2_PI;
-        determinant_0 = pivot_0;
-    }
+    status = gps_glitch_mode_2(mode_covariance, innovation_0[0], mode_state, &quadratic,
+        &log_constant, &determinant_0, mean, covariance, present);
+    if (status != GPS_GLITCH_OK) { return status; }
 
     /* mode 0: signal, R: row 1 of y, gps_height */
     pivot_1 = covariance[0] + numbers[0];
@@ -377,25 +425,25 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     {
         if (!(pivot_1 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         inverse_1 = 1.0 / pivot_1;
-        const double t4 = innovation_1[0] - (mean[0] - mode_state[0]);
-        const double t5 = t4 * inverse_1;
-        quadratic = quadratic + (t4 * t5);
+        const double t1 = innovation_1[0] - (mean[0] - mode_state[0]);
+        const double t2 = t1 * inverse_1;
+        quadratic = quadratic + (t1 * t2);
         log_constant = log_constant + GPS_GLITCH_LOG_2_PI;
         determinant_0 = determinant_0 * pivot_1;
-        mean[0] = mean[0] + (covariance[0] * t5);
-        mean[1] = mean[1] + (covariance[1] * t5);
-        mean[2] = mean[2] + (covariance[3] * t5);
-        const double t6 = covariance[0] - (covariance[0] * inverse_1 * covariance[0]);
-        const double t7 = covariance[1] * inverse_1;
-        const double t8 = covariance[1] - (t7 * covariance[0]);
-        covariance[2] = covariance[2] - (t7 * covariance[1]);
-        const double t9 = covariance[3] * inverse_1;
-        const double t10 = covariance[3] - (t9 * covariance[0]);
-        covariance[4] = covariance[4] - (t9 * covariance[1]);
-        covariance[5] = covariance[5] - (t9 * covariance[3]);
-        covariance[0] = t6;
-        covariance[1] = t8;
-        covariance[3] = t10;
+        mean[0] = mean[0] + (covariance[0] * t2);
+        mean[1] = mean[1] + (covariance[1] * t2);
+        mean[2] = mean[2] + (covariance[3] * t2);
+        const double t3 = covariance[0] - (covariance[0] * inverse_1 * covariance[0]);
+        const double t4 = covariance[1] * inverse_1;
+        const double t5 = covariance[1] - (t4 * covariance[0]);
+        covariance[2] = covariance[2] - (t4 * covariance[1]);
+        const double t6 = covariance[3] * inverse_1;
+        const double t7 = covariance[3] - (t6 * covariance[0]);
+        covariance[4] = covariance[4] - (t6 * covariance[1]);
+        covariance[5] = covariance[5] - (t6 * covariance[3]);
+        covariance[0] = t3;
+        covariance[1] = t5;
+        covariance[3] = t7;
     }
 
     /* mode 0: signal, R: row 2 of y, gps_climb */
@@ -404,25 +452,25 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     {
         if (!(pivot_2 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
         inverse_2 = 1.0 / pivot_2;
-        const double t11 = innovation_2[0] - (mean[1] - mode_state[1]);
-        const double t12 = t11 * inverse_2;
-        quadratic = quadratic + (t11 * t12);
+        const double t8 = innovation_2[0] - (mean[1] - mode_state[1]);
+        const double t9 = t8 * inverse_2;
+        quadratic = quadratic + (t8 * t9);
         log_constant = log_constant + GPS_GLITCH_LOG_2_PI;
         determinant_0 = determinant_0 * pivot_2;
-        mean[0] = mean[0] + (covariance[1] * t12);
-        mean[1] = mean[1] + (covariance[2] * t12);
-        mean[2] = mean[2] + (covariance[4] * t12);
+        mean[0] = mean[0] + (covariance[1] * t9);
+        mean[1] = mean[1] + (covariance[2] * t9);
+        mean[2] = mean[2] + (covariance[4] * t9);
         covariance[0] = covariance[0] - (covariance[1] * inverse_2 * covariance[1]);
-        const double t13 = covariance[2] * inverse_2;
-        const double t14 = covariance[1] - (t13 * covariance[1]);
-        const double t15 = covariance[2] - (t13 * covariance[2]);
-        const double t16 = covariance[4] * inverse_2;
-        covariance[3] = covariance[3] - (t16 * covariance[1]);
-        const double t17 = covariance[4] - (t16 * covariance[2]);
-        covariance[5] = covariance[5] - (t16 * covariance[4]);
-        covariance[1] = t14;
-        covariance[2] = t15;
-        covariance[4] = t17;
+        const double t10 = covariance[2] * inverse_2;
+        const double t11 = covariance[1] - (t10 * covariance[1]);
+        const double t12 = covariance[2] - (t10 * covariance[2]);
+        const double t13 = covariance[4] * inverse_2;
+        covariance[3] = covariance[3] - (t13 * covariance[1]);
+        const double t14 = covariance[4] - (t13 * covariance[2]);
+        covariance[5] = covariance[5] - (t13 * covariance[4]);
+        covariance[1] = t11;
+        covariance[2] = t12;
+        covariance[4] = t14;
     }
 
     /* mode 0: signal, R */
@@ -430,95 +478,7 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode(const double *mode_state, 
     return GPS_GLITCH_OK;
 }
 
-/* What differs between the calls of gps_glitch_mode_2, a row for each. */
-static const double gps_glitch_mode_2_numbers[2][6] = {
-    { 4.0, 2.25, 0.25, 3.224171427529236, 0.4444444444444444, 2.648807282625674 },
-    { 1600.0, 900.0, 0.000625, 9.215635974637218, 0.0011111111111111111, 8.640271829733656 }
-};
-
-/* mode 2: no signal, R: innovation, row by row; mode 3: no signal, noise x 400: innovation, row by
- * row. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_2(const double *mode_state, const double *y,
-    double *innovation_0, double *innovation_1, double *innovation_2, const double *mode_covariance,
-    double *variance, double *mean, double *covariance, double *quadratic, double *log_constant,
-    double *determinant_0, const double *numbers, uint32_t present)
-{
-    double cross_0[3];
-    double pivot_0;
-    double inverse_0 = 0.0;
-
-    /* mode 2: no signal, R: innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        innovation_0[0] = y[0] - (mode_state[0] + mode_state[2]);
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        innovation_1[0] = y[1];
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        innovation_2[0] = y[2];
-    }
-
-    /* mode 2: no signal, R */
-    const double t0 = mode_covariance[0] + mode_covariance[3];
-    variance[0] = t0 + (mode_covariance[3] + mode_covariance[5]) + 0.25;
-    variance[1] = 0.0;
-    variance[2] = numbers[0];
-    variance[3] = 0.0;
-    variance[4] = 0.0;
-    variance[5] = numbers[1];
-    mean[0] = mode_state[0];
-    mean[1] = mode_state[1];
-    mean[2] = mode_state[2];
-    gps_glitch_copy(mode_covariance, covariance, 6);
-
-    /* mode 2: no signal, R: row 0 of y, baro */
-    cross_0[0] = mode_covariance[0] + mode_covariance[3];
-    cross_0[1] = mode_covariance[1] + mode_covariance[4];
-    cross_0[2] = mode_covariance[3] + mode_covariance[5];
-    pivot_0 = cross_0[0] + cross_0[2] + 0.25;
-    if ((present & 0x1u) != 0u)
-    {
-        if (!(pivot_0 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
-        inverse_0 = 1.0 / pivot_0;
-        const double t1 = innovation_0[0] * inverse_0;
-        quadratic[0] = innovation_0[0] * t1;
-        mean[0] = mode_state[0] + (cross_0[0] * t1);
-        mean[1] = mode_state[1] + (cross_0[1] * t1);
-        mean[2] = mode_state[2] + (cross_0[2] * t1);
-        covariance[0] = mode_covariance[0] - (cross_0[0] * inverse_0 * cross_0[0]);
-        const double t2 = cross_0[1] * inverse_0;
-        covariance[1] = mode_covariance[1] - (t2 * cross_0[0]);
-        covariance[2] = mode_covariance[2] - (t2 * cross_0[1]);
-        const double t3 = cross_0[2] * inverse_0;
-        covariance[3] = mode_covariance[3] - (t3 * cross_0[0]);
-        covariance[4] = mode_covariance[4] - (t3 * cross_0[1]);
-        covariance[5] = mode_covariance[5] - (t3 * cross_0[2]);
-        log_constant[0] = GPS_GLITCH_LOG_2_PI;
-        determinant_0[0] = pivot_0;
-    }
-
-    /* mode 2: no signal, R: row 1 of y, gps_height */
-    if ((present & 0x2u) != 0u)
-    {
-        quadratic[0] = quadratic[0] + (innovation_1[0] * (numbers[2] * innovation_1[0]));
-        log_constant[0] = log_constant[0] + numbers[3];
-    }
-
-    /* mode 2: no signal, R: row 2 of y, gps_climb */
-    if ((present & 0x4u) != 0u)
-    {
-        quadratic[0] = quadratic[0] + (innovation_2[0] * (numbers[4] * innovation_2[0]));
-        log_constant[0] = log_constant[0] + numbers[5];
-    }
-
-    /* mode 2: no signal, R */
-    return GPS_GLITCH_OK;
-}
-
-/* mixing and prediction of every mode; combination; mixing and prediction 3. */
+/* mixing and prediction of every mode; combination; mixing and prediction 4. */
 GPS_GLITCH_INLINE void gps_glitch_part_3(const double *mixing_1, double *share)
 {
     double inverse;
@@ -527,24 +487,30 @@ GPS_GLITCH_INLINE void gps_glitch_part_3(const double *mixing_1, double *share)
     share[1] = mixing_1[1] * inverse;
 }
 
+/* combination; mixing and prediction 4. */
+GPS_GLITCH_INLINE void gps_glitch_part_4(const double *apart, double *apart_squared)
+{
+    apart_squared[0] = apart[0] * apart[0];
+    apart_squared[1] = apart[1] * apart[0];
+    apart_squared[2] = apart[1] * apart[1];
+    apart_squared[3] = apart[2] * apart[0];
+    apart_squared[4] = apart[2] * apart[1];
+    apart_squared[5] = apart[2] * apart[2];
+}
+
 /* combination. */
 GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double *mean,
     const double *mean_2, double *combined_mean, const double *covariance,
     const double *covariance_2, double *combined_covariance)
 {
-    double combined_share[2] = { 0.0 };
+    double combined_share[2];
     double combined_apart[3];
     double combined_apart_squared[6];
     gps_glitch_part_3(weight, combined_share);
     combined_apart[0] = mean[0] - mean_2[0];
     combined_apart[1] = mean[1] - mean_2[1];
     combined_apart[2] = mean[2] - mean_2[2];
-    combined_apart_squared[0] = combined_apart[0] * combined_apart[0];
-    combined_apart_squared[1] = combined_apart[1] * combined_apart[0];
-    combined_apart_squared[2] = combined_apart[1] * combined_apart[1];
-    combined_apart_squared[3] = combined_apart[2] * combined_apart[0];
-    combined_apart_squared[4] = combined_apart[2] * combined_apart[1];
-    combined_apart_squared[5] = combined_apart[2] * combined_apart[2];
+    gps_glitch_part_4(combined_apart, combined_apart_squared);
     combined_mean[0] = (combined_share[0] * mean[0]) + (combined_share[1] * mean_2[0]);
     combined_mean[1] = (combined_share[0] * mean[1]) + (combined_share[1] * mean_2[1]);
     combined_mean[2] = (combined_share[0] * mean[2]) + (combined_share[1] * mean_2[2]);
@@ -561,29 +527,6 @@ GPS_GLITCH_INLINE void gps_glitch_combination(const double *weight, const double
     combined_covariance[4] = t5 + (t1 * combined_apart_squared[4]);
     const double t6 = (combined_share[0] * covariance[5]) + (combined_share[1] * covariance_2[5]);
     combined_covariance[5] = t6 + (t1 * combined_apart_squared[5]);
-}
-
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_2(const double *mixed_0_1_mean,
-    const double *mixed_2_3_mean, const double *mixed_0_3_share, const double *mixed_0_1_covariance,
-    const double *mixed_2_3_covariance, double *moved_state, const double *Q,
-    double *moved_covariance, const gps_glitch_params_t *params)
-{
-    double mixed_0_3_mean[3] = { 0.0 };
-    double mixed_0_3_covariance[6] = { 0.0 };
-    gps_glitch_part_2(mixed_0_1_mean, mixed_2_3_mean, mixed_0_3_share, mixed_0_3_mean,
-        mixed_0_1_covariance, mixed_2_3_covariance, mixed_0_3_covariance);
-    moved_state[0] = mixed_0_3_mean[0] + (params->dt * mixed_0_3_mean[1]);
-    moved_state[1] = mixed_0_3_mean[1];
-    moved_state[2] = mixed_0_3_mean[2];
-    const double t0 = mixed_0_3_covariance[0] + (params->dt * mixed_0_3_covariance[1]);
-    const double t1 = mixed_0_3_covariance[1] + (params->dt * mixed_0_3_covariance[2]);
-    moved_covariance[0] = t0 + (t1 * params->dt) + Q[0];
-    moved_covariance[1] = mixed_0_3_covariance[1] + (mixed_0_3_covariance[2] * params->dt) + Q[1];
-    moved_covariance[2] = mixed_0_3_covariance[2] + params->dt;
-    moved_covariance[3] = mixed_0_3_covariance[3] + (mixed_0_3_covariance[4] * params->dt);
-    moved_covariance[5] = mixed_0_3_covariance[5] + Q[3];
-    moved_covariance[4] = mixed_0_3_covariance[4];
 }
 
 /* What differs between the calls of gps_glitch_law_of_the_next, a row for each. */
@@ -608,311 +551,156 @@ GPS_GLITCH_INLINE void gps_glitch_law_of_the_next(const double *mode_probability
     mixing[3] = numbers[3] * mode_probability[3] * mode_prediction_inverse;
 }
 
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_3(const double *mixing_0,
-    const double *mode_filtered_state, double *mixed_apart_squared, double *mixed_0_mean,
-    const double *mode_filtered_covariance, double *mixed_0_covariance)
+/* What differs between the calls of gps_glitch_mode_3, a row for each. */
+static const double gps_glitch_mode_3_numbers[4][2] = {
+    { 0.25, 3.224171427529236 },
+    { 0.4444444444444444, 2.648807282625674 },
+    { 0.000625, 9.215635974637218 },
+    { 0.0011111111111111111, 8.640271829733656 }
+};
+
+/* mode 2: no signal, R: row 1 of y, gps_height; mode 2: no signal, R: row 2 of y, gps_climb; mode
+ * 3: no signal, noise x 400: row 1 of y, gps_height; mode 3: no signal, noise x 400: row 2 of y,
+ * gps_climb. */
+GPS_GLITCH_INLINE void gps_glitch_mode_3(const double innovation, double *quadratic,
+    double *log_constant, const double *numbers, int row_0)
 {
-    double mixed_0_share[2] = { 0.0 };
+    /* mode 2: no signal, R: row 1 of y, gps_height */
+    if (row_0 != 0)
+    {
+        quadratic[0] = quadratic[0] + (innovation * (numbers[0] * innovation));
+        log_constant[0] = log_constant[0] + numbers[1];
+    }
+}
+
+/* mixing and prediction of every mode. */
+GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_4(const double *mixing_0,
+    double *mixed_0_share, const double *mode_filtered_state, double *mixed_apart_squared)
+{
     double mixed_apart[3];
     gps_glitch_part_3(mixing_0, mixed_0_share);
     mixed_apart[0] = mode_filtered_state[0] - mode_filtered_state[3];
     mixed_apart[1] = mode_filtered_state[1] - mode_filtered_state[4];
     mixed_apart[2] = mode_filtered_state[2] - mode_filtered_state[5];
-    mixed_apart_squared[0] = mixed_apart[0] * mixed_apart[0];
-    mixed_apart_squared[1] = mixed_apart[1] * mixed_apart[0];
-    mixed_apart_squared[2] = mixed_apart[1] * mixed_apart[1];
-    mixed_apart_squared[3] = mixed_apart[2] * mixed_apart[0];
-    mixed_apart_squared[4] = mixed_apart[2] * mixed_apart[1];
-    mixed_apart_squared[5] = mixed_apart[2] * mixed_apart[2];
-    gps_glitch_mixing_and_prediction(mixed_0_share, mode_filtered_state, mixed_0_mean,
-        mode_filtered_covariance, mixed_apart_squared, mixed_0_covariance);
-}
-
-/* mixing and prediction of every mode. */
-GPS_GLITCH_INLINE void gps_glitch_mixing_and_prediction_4(const double *path_share_3,
-    const double path_share_inverse_3, const double *mode_filtered_state, double *mixed_3_mean,
-    const double *mode_filtered_covariance, const double *mixed_apart_squared,
-    double *mixed_3_covariance)
-{
-    double mixed_3_inverse;
-    double mixed_3_share[2] = { 0.0 };
-    const double t0 = path_share_3[0] * path_share_inverse_3;
-    mixed_3_inverse = 1.0 / (t0 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
-    mixed_3_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_inverse;
-    mixed_3_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_inverse;
-    gps_glitch_mixing_and_prediction(mixed_3_share, mode_filtered_state, mixed_3_mean,
-        mode_filtered_covariance, mixed_apart_squared, mixed_3_covariance);
+    gps_glitch_part_4(mixed_apart, mixed_apart_squared);
 }
 
 /* innovation of the mixture. */
-GPS_GLITCH_INLINE void gps_glitch_innovation_of_the_mixture(const double
-    *predicted_mode_probability, const double *variance_m0, const double *variance_m1,
-    const double *variance_m2, const double *variance_m3, const double *predicted_y_m0,
-    const double *predicted_y_m1, const double *predicted_y_m2, const double *predicted_y_m3,
-    double *combined_variance)
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_innovation_of_the_mixture(const double
+    whitening_pivot_combined, double *whitening_inverse_combined, int row_0)
 {
-    const double t0 = predicted_mode_probability[0] * variance_m0[0];
-    const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
-    const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
-    const double t3 = t2 + (predicted_mode_probability[3] * variance_m3[0]);
-    const double t4 = predicted_mode_probability[0] * predicted_y_m0[0];
-    const double t5 = t4 + (predicted_mode_probability[1] * predicted_y_m1[0]);
-    const double t6 = t5 + (predicted_mode_probability[2] * predicted_y_m2[0]);
-    const double t7 = t6 + (predicted_mode_probability[3] * predicted_y_m3[0]);
-    const double t8 = predicted_y_m0[0] - t7;
-    const double t9 = predicted_mode_probability[0] * t8 * t8;
-    const double t10 = predicted_y_m1[0] - t7;
-    const double t11 = t9 + (predicted_mode_probability[1] * t10 * t10);
-    const double t12 = predicted_y_m2[0] - t7;
-    const double t13 = t11 + (predicted_mode_probability[2] * t12 * t12);
-    const double t14 = predicted_y_m3[0] - t7;
-    combined_variance[0] = t3 + (t13 + (predicted_mode_probability[3] * t14 * t14));
-    const double t15 = predicted_mode_probability[0] * variance_m0[1];
-    const double t16 = t15 + (predicted_mode_probability[1] * variance_m1[1]);
-    const double t17 = t16 + (predicted_mode_probability[2] * variance_m2[1]);
-    const double t18 = t17 + (predicted_mode_probability[3] * variance_m3[1]);
-    const double t19 = predicted_mode_probability[0] * predicted_y_m0[1];
-    const double t20 = t19 + (predicted_mode_probability[1] * predicted_y_m1[1]);
-    const double t21 = t20 + (predicted_mode_probability[2] * predicted_y_m2[1]);
-    const double t22 = t21 + (predicted_mode_probability[3] * predicted_y_m3[1]);
-    const double t23 = predicted_y_m0[1] - t22;
-    const double t24 = predicted_mode_probability[0] * t23;
-    const double t25 = t24 * t8;
-    const double t26 = predicted_y_m1[1] - t22;
-    const double t27 = predicted_mode_probability[1] * t26;
-    const double t28 = t25 + (t27 * t10);
-    const double t29 = predicted_y_m2[1] - t22;
-    const double t30 = predicted_mode_probability[2] * t29;
-    const double t31 = t28 + (t30 * t12);
-    const double t32 = predicted_y_m3[1] - t22;
-    const double t33 = predicted_mode_probability[3] * t32;
-    combined_variance[1] = t18 + (t31 + (t33 * t14));
-    const double t34 = predicted_mode_probability[0] * variance_m0[2];
-    const double t35 = t34 + (predicted_mode_probability[1] * variance_m1[2]);
-    const double t36 = t35 + (predicted_mode_probability[2] * variance_m2[2]);
-    const double t37 = t36 + (predicted_mode_probability[3] * variance_m3[2]);
-    combined_variance[2] = t37 + ((t24 * t23) + (t27 * t26) + (t30 * t29) + (t33 * t32));
-    const double t38 = predicted_mode_probability[0] * variance_m0[3];
-    const double t39 = t38 + (predicted_mode_probability[1] * variance_m1[3]);
-    const double t40 = t39 + (predicted_mode_probability[2] * variance_m2[3]);
-    const double t41 = t40 + (predicted_mode_probability[3] * variance_m3[3]);
-    const double t42 = predicted_mode_probability[0] * predicted_y_m0[2];
-    const double t43 = t42 + (predicted_mode_probability[1] * predicted_y_m1[2]);
-    const double t44 = t43 + (predicted_mode_probability[2] * predicted_y_m2[2]);
-    const double t45 = t44 + (predicted_mode_probability[3] * predicted_y_m3[2]);
-    const double t46 = predicted_y_m0[2] - t45;
-    const double t47 = predicted_mode_probability[0] * t46;
-    const double t48 = t47 * t8;
-    const double t49 = predicted_y_m1[2] - t45;
-    const double t50 = predicted_mode_probability[1] * t49;
-    const double t51 = t48 + (t50 * t10);
-    const double t52 = predicted_y_m2[2] - t45;
-    const double t53 = predicted_mode_probability[2] * t52;
-    const double t54 = t51 + (t53 * t12);
-    const double t55 = predicted_y_m3[2] - t45;
-    const double t56 = predicted_mode_probability[3] * t55;
-    combined_variance[3] = t41 + (t54 + (t56 * t14));
-    const double t57 = predicted_mode_probability[0] * variance_m0[4];
-    const double t58 = t57 + (predicted_mode_probability[1] * variance_m1[4]);
-    const double t59 = t58 + (predicted_mode_probability[2] * variance_m2[4]);
-    const double t60 = t59 + (predicted_mode_probability[3] * variance_m3[4]);
-    combined_variance[4] = t60 + ((t47 * t23) + (t50 * t26) + (t53 * t29) + (t56 * t32));
-    const double t61 = predicted_mode_probability[0] * variance_m0[5];
-    const double t62 = t61 + (predicted_mode_probability[1] * variance_m1[5]);
-    const double t63 = t62 + (predicted_mode_probability[2] * variance_m2[5]);
-    const double t64 = t63 + (predicted_mode_probability[3] * variance_m3[5]);
-    combined_variance[5] = t64 + ((t47 * t46) + (t50 * t49) + (t53 * t52) + (t56 * t55));
+    if (row_0 != 0)
+    {
+        if (!(whitening_pivot_combined > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
+        whitening_inverse_combined[0] = 1.0 / whitening_pivot_combined;
+    }
+    return GPS_GLITCH_OK;
 }
 
-/* combination. */
-GPS_GLITCH_INLINE void gps_glitch_combination_2(const double *combined_innovation,
-    const double whitening_inverse_combined_0, const double whitening_combined_0_1,
-    const double whitening_inverse_combined_1, const double whitening_combined_0_2,
-    const double whitening_combined_1_2, const double whitening_inverse_combined_2,
-    double *innovation, const double *combined_variance, double *innovation_covariance, double *nis,
-    const double *weight, double *mode_probability, const double *log_weight_now,
-    double *log_weight, const double log_evidence, double *log_likelihood,
-    const double *combined_0_3_mean, double *filtered_state, const double *combined_0_3_covariance,
-    double *filtered_covariance, const double *mean_m0, double *mode_filtered_state,
-    const double *mean_m1, const double *mean_m2, const double *mean_m3,
-    const double *covariance_m0, double *mode_filtered_covariance, const double *covariance_m1,
-    const double *covariance_m2, const double *covariance_m3)
+/* What differs between the calls of gps_glitch_mode_4, a row for each. */
+static const double gps_glitch_mode_4_numbers[2][2] = {
+    { 4.0, 2.25 },
+    { 1600.0, 900.0 }
+};
+
+/* mode 2: no signal, R; mode 3: no signal, noise x 400. */
+GPS_GLITCH_INLINE void gps_glitch_mode_4(const double *mode_covariance, double *variance,
+    const double *mode_state, double *mean, double *covariance, const double *numbers)
 {
-    const double t0 = combined_innovation[0] * combined_innovation[0];
-    const double t1 = t0 * whitening_inverse_combined_0;
-    const double t2 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    const double t3 = t1 + (t2 * t2 * whitening_inverse_combined_1);
-    const double t4 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
-    const double t5 = t4 - (whitening_combined_1_2 * t2);
-    nis[0] = t3 + (t5 * t5 * whitening_inverse_combined_2);
-    innovation[0] = combined_innovation[0];
-    innovation[1] = combined_innovation[1];
-    innovation[2] = combined_innovation[2];
-    gps_glitch_copy(combined_variance, innovation_covariance, 6);
-    mode_probability[0] = weight[0];
-    mode_probability[1] = weight[1];
-    mode_probability[2] = weight[2];
-    mode_probability[3] = weight[3];
-    log_weight[0] = log_weight_now[0];
-    log_weight[1] = log_weight_now[1];
-    log_weight[2] = log_weight_now[2];
-    log_weight[3] = log_weight_now[3];
-    log_likelihood[0] = log_evidence;
-    filtered_state[0] = combined_0_3_mean[0];
-    filtered_state[1] = combined_0_3_mean[1];
-    filtered_state[2] = combined_0_3_mean[2];
-    gps_glitch_copy(combined_0_3_covariance, filtered_covariance, 6);
-    mode_filtered_state[0] = mean_m0[0];
-    mode_filtered_state[1] = mean_m0[1];
-    mode_filtered_state[2] = mean_m0[2];
-    mode_filtered_state[3] = mean_m1[0];
-    mode_filtered_state[4] = mean_m1[1];
-    mode_filtered_state[5] = mean_m1[2];
-    mode_filtered_state[6] = mean_m2[0];
-    mode_filtered_state[7] = mean_m2[1];
-    mode_filtered_state[8] = mean_m2[2];
-    mode_filtered_state[9] = mean_m3[0];
-    mode_filtered_state[10] = mean_m3[1];
-    mode_filtered_state[11] = mean_m3[2];
-    gps_glitch_copy(covariance_m0, mode_filtered_covariance, 6);
-    gps_glitch_copy(covariance_m1, &mode_filtered_covariance[6], 6);
-    gps_glitch_copy(covariance_m2, &mode_filtered_covariance[12], 6);
-    gps_glitch_copy(covariance_m3, &mode_filtered_covariance[18], 6);
+    const double t0 = mode_covariance[0] + mode_covariance[3];
+    variance[0] = t0 + (mode_covariance[3] + mode_covariance[5]) + 0.25;
+    variance[1] = 0.0;
+    variance[2] = numbers[0];
+    variance[3] = 0.0;
+    variance[4] = 0.0;
+    variance[5] = numbers[1];
+    gps_glitch_copy(mode_state, mean, 3);
+    gps_glitch_copy(mode_covariance, covariance, 6);
 }
 
-/* Condition on y[k]: reads *self, writes the results to *next. */
-GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *self, const double *y,
-    uint32_t present, gps_glitch_t *next)
+/* mode 2: no signal, R: innovation, row by row; mode 3: no signal, noise x 400: innovation, row by
+ * row. */
+GPS_GLITCH_INLINE void gps_glitch_mode_5(const double *mode_state, const double *y,
+    double *innovation_0, double *innovation_1, double *innovation_2, uint32_t present)
 {
-    double innovation_m0_0 = 0.0;
-    double innovation_m0_1 = 0.0;
-    double innovation_m0_2 = 0.0;
-    double variance_m0[6] = { 0.0 };
-    double mean_m0[3] = { 0.0 };
-    double covariance_m0[6] = { 0.0 };
-    double log_density_m0 = 0.0;
-    double innovation_m1_0 = 0.0;
-    double innovation_m1_1 = 0.0;
-    double innovation_m1_2 = 0.0;
-    double variance_m1[6] = { 0.0 };
-    double mean_m1[3] = { 0.0 };
-    double covariance_m1[6] = { 0.0 };
-    double log_density_m1 = 0.0;
-    double innovation_m2_0 = 0.0;
-    double innovation_m2_1 = 0.0;
-    double innovation_m2_2 = 0.0;
-    double variance_m2[6] = { 0.0 };
-    double mean_m2[3] = { 0.0 };
-    double covariance_m2[6] = { 0.0 };
-    double quadratic_m2 = 0.0;
-    double log_constant_m2 = 0.0;
-    double determinant_m2_0 = 1.0;
-    double log_density_m2;
-    double innovation_m3_0 = 0.0;
-    double innovation_m3_1 = 0.0;
-    double innovation_m3_2 = 0.0;
-    double variance_m3[6] = { 0.0 };
-    double mean_m3[3] = { 0.0 };
-    double covariance_m3[6] = { 0.0 };
-    double quadratic_m3 = 0.0;
-    double log_constant_m3 = 0.0;
-    double determinant_m3_0 = 1.0;
-    double log_density_m3;
-    double weight[4] = { 0.0 };
-    double log_weight_now[4] = { 0.0 };
-    double log_evidence = 0.0;
+    /* mode 2: no signal, R: innovation, row by row */
+    if ((present & 0x1u) != 0u)
+    {
+        innovation_0[0] = y[0] - (mode_state[0] + mode_state[2]);
+    }
+    if ((present & 0x2u) != 0u)
+    {
+        innovation_1[0] = y[1];
+    }
+    if ((present & 0x4u) != 0u)
+    {
+        innovation_2[0] = y[2];
+    }
+}
+
+/* mode 2: no signal, R: row 1 of y, gps_height; mode 3: no signal, noise x 400: row 1 of y,
+ * gps_height. */
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_mode_6(const double *mode_covariance,
+    const double innovation_0, const double *mode_state, double *quadratic, double *log_constant,
+    double *determinant_0, double *mean, double *covariance, const double innovation_1,
+    const double innovation_2, const double *numbers_of_0, const double *numbers_of_1,
+    uint32_t present)
+{
+    gps_glitch_status_t status;
+    status = gps_glitch_mode_2(mode_covariance, innovation_0, mode_state, quadratic, log_constant,
+        determinant_0, mean, covariance, present);
+    if (status != GPS_GLITCH_OK) { return status; }
+
+    /* mode 2: no signal, R: row 1 of y, gps_height */
+    gps_glitch_mode_3(innovation_1, quadratic, log_constant, numbers_of_0, ((present & 0x2u) !=
+        0u));
+
+    /* mode 2: no signal, R: row 2 of y, gps_climb */
+    gps_glitch_mode_3(innovation_2, quadratic, log_constant, numbers_of_1, ((present & 0x4u) !=
+        0u));
+    return GPS_GLITCH_OK;
+}
+
+/* probabilities of the modes. */
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_probabilities_of_the_modes(const double
+    *predicted_mode_probability, double *weight, const double *predicted_log_weight,
+    double *log_weight_now, const double log_density_m0, const double log_density_m1,
+    const double log_density_m2, const double log_density_m3, double *log_evidence,
+    const double *mode_state, const double *variance_m0, const double *variance_m1,
+    const double *variance_m2, const double *variance_m3, double *combined_variance,
+    const double innovation_m0_0, const double innovation_m1_0, const double innovation_m2_0,
+    const double innovation_m3_0, double *combined_innovation, const double innovation_m0_1,
+    const double innovation_m1_1, const double innovation_m2_1, const double innovation_m3_1,
+    const double innovation_m0_2, const double innovation_m1_2, const double innovation_m2_2,
+    const double innovation_m3_2, double *whitening_inverse_combined_0,
+    double *whitening_combined_0_1, double *whitening_combined_0_2,
+    double *whitening_inverse_combined_1, double *whitening_combined_1_2,
+    double *whitening_inverse_combined_2, uint32_t present)
+{
     double log_joint[4] = { 0.0 };
     double log_largest = 0.0;
     double share_of_largest[4] = { 0.0 };
     double share_total = 0.0;
     double share_total_inverse = 0.0;
     double log_share_total = 0.0;
-    double predicted_y_m0[3] = { 0.0 };
-    double predicted_y_m1[3] = { 0.0 };
-    double predicted_y_m2[3] = { 0.0 };
-    double predicted_y_m3[3] = { 0.0 };
-    double combined_variance[6] = { 0.0 };
-    double combined_innovation[3] = { 0.0 };
-    double whitening_pivot_combined_0;
-    double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1 = 0.0;
-    double whitening_combined_0_2 = 0.0;
-    double whitening_pivot_combined_1;
-    double whitening_inverse_combined_1 = 0.0;
-    double whitening_combined_1_2 = 0.0;
-    double whitening_pivot_combined_2;
-    double whitening_inverse_combined_2 = 0.0;
-    double combined_0_3_share[2] = { 0.0 };
-    double combined_0_1_mean[3] = { 0.0 };
-    double combined_0_1_covariance[6] = { 0.0 };
-    double combined_2_3_mean[3] = { 0.0 };
-    double combined_2_3_covariance[6] = { 0.0 };
-    double combined_0_3_mean[3] = { 0.0 };
-    double combined_0_3_covariance[6] = { 0.0 };
+    double predicted_y_m0[3];
+    double predicted_y_m1[3];
+    double predicted_y_m2[3];
+    double predicted_y_m3[3];
+    double whitening_pivot_combined_0 = 0.0;
+    double whitening_pivot_combined_1 = 0.0;
+    double whitening_pivot_combined_2 = 0.0;
     gps_glitch_status_t status;
-    if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
-        (self->mode_covariance[5] >= 0.0)))
-    {
-        return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[6] >= 0.0) && (self->mode_covariance[8] >= 0.0) &&
-        (self->mode_covariance[11] >= 0.0)))
-    {
-        return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[12] >= 0.0) && (self->mode_covariance[14] >= 0.0) &&
-        (self->mode_covariance[17] >= 0.0)))
-    {
-        return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[18] >= 0.0) && (self->mode_covariance[20] >= 0.0) &&
-        (self->mode_covariance[23] >= 0.0)))
-    {
-        return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
-    }
-
-    /* mode 0: signal, R: innovation, row by row */
-    status = gps_glitch_mode(self->mode_state, y, &innovation_m0_0, &innovation_m0_1,
-        &innovation_m0_2, self->mode_covariance, variance_m0, mean_m0, covariance_m0,
-        &log_density_m0, gps_glitch_mode_numbers[0], present);
-    if (status != GPS_GLITCH_OK) { return status; }
-
-    /* mode 1: signal, noise x 400: innovation, row by row */
-    status = gps_glitch_mode(&self->mode_state[3], y, &innovation_m1_0, &innovation_m1_1,
-        &innovation_m1_2, &self->mode_covariance[6], variance_m1, mean_m1, covariance_m1,
-        &log_density_m1, gps_glitch_mode_numbers[1], present);
-    if (status != GPS_GLITCH_OK) { return status; }
-
-    /* mode 2: no signal, R: innovation, row by row */
-    status = gps_glitch_mode_2(&self->mode_state[6], y, &innovation_m2_0, &innovation_m2_1,
-        &innovation_m2_2, &self->mode_covariance[12], variance_m2, mean_m2, covariance_m2,
-        &quadratic_m2, &log_constant_m2, &determinant_m2_0, gps_glitch_mode_2_numbers[0], present);
-    if (status != GPS_GLITCH_OK) { return status; }
-    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + gps_glitch_log(determinant_m2_0)));
-
-    /* mode 3: no signal, noise x 400: innovation, row by row */
-    status = gps_glitch_mode_2(&self->mode_state[9], y, &innovation_m3_0, &innovation_m3_1,
-        &innovation_m3_2, &self->mode_covariance[18], variance_m3, mean_m3, covariance_m3,
-        &quadratic_m3, &log_constant_m3, &determinant_m3_0, gps_glitch_mode_2_numbers[1], present);
-    if (status != GPS_GLITCH_OK) { return status; }
-    log_density_m3 = -0.5 * (quadratic_m3 + (log_constant_m3 + gps_glitch_log(determinant_m3_0)));
 
     /* probabilities of the modes */
-    weight[0] = self->predicted_mode_probability[0];
-    weight[1] = self->predicted_mode_probability[1];
-    weight[2] = self->predicted_mode_probability[2];
-    weight[3] = self->predicted_mode_probability[3];
-    log_weight_now[0] = self->predicted_log_weight[0];
-    log_weight_now[1] = self->predicted_log_weight[1];
-    log_weight_now[2] = self->predicted_log_weight[2];
-    log_weight_now[3] = self->predicted_log_weight[3];
+    gps_glitch_copy(predicted_mode_probability, weight, 4);
+    gps_glitch_copy(predicted_log_weight, log_weight_now, 4);
     if ((present) != 0u)
     {
-        log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
-        log_joint[1] = self->predicted_log_weight[1] + log_density_m1;
-        log_joint[2] = self->predicted_log_weight[2] + log_density_m2;
-        log_joint[3] = self->predicted_log_weight[3] + log_density_m3;
+        log_joint[0] = predicted_log_weight[0] + log_density_m0;
+        log_joint[1] = predicted_log_weight[1] + log_density_m1;
+        log_joint[2] = predicted_log_weight[2] + log_density_m2;
+        log_joint[3] = predicted_log_weight[3] + log_density_m3;
         const double t0 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
         const double t1 = (t0 > log_joint[2]) ? t0 : log_joint[2];
         log_largest = (t1 > log_joint[3]) ? t1 : log_joint[3];
@@ -942,62 +730,251 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         log_weight_now[2] = (t6 > GPS_GLITCH_LOG_ZERO) ? t6 : GPS_GLITCH_LOG_ZERO;
         const double t7 = (log_joint[3] - log_largest) - log_share_total;
         log_weight_now[3] = (t7 > GPS_GLITCH_LOG_ZERO) ? t7 : GPS_GLITCH_LOG_ZERO;
-        log_evidence = log_largest + log_share_total;
+        log_evidence[0] = log_largest + log_share_total;
     }
 
     /* innovation of the mixture */
-    predicted_y_m0[0] = self->mode_state[0] + self->mode_state[2];
-    predicted_y_m0[1] = self->mode_state[0];
-    predicted_y_m0[2] = self->mode_state[1];
-    predicted_y_m1[0] = self->mode_state[3] + self->mode_state[5];
-    predicted_y_m1[1] = self->mode_state[3];
-    predicted_y_m1[2] = self->mode_state[4];
-    predicted_y_m2[0] = self->mode_state[6] + self->mode_state[8];
+    predicted_y_m0[0] = mode_state[0] + mode_state[2];
+    predicted_y_m0[1] = mode_state[0];
+    predicted_y_m0[2] = mode_state[1];
+    predicted_y_m1[0] = mode_state[3] + mode_state[5];
+    predicted_y_m1[1] = mode_state[3];
+    predicted_y_m1[2] = mode_state[4];
+    predicted_y_m2[0] = mode_state[6] + mode_state[8];
     predicted_y_m2[1] = 0.0;
     predicted_y_m2[2] = 0.0;
-    predicted_y_m3[0] = self->mode_state[9] + self->mode_state[11];
+    predicted_y_m3[0] = mode_state[9] + mode_state[11];
     predicted_y_m3[1] = 0.0;
     predicted_y_m3[2] = 0.0;
-    gps_glitch_innovation_of_the_mixture(self->predicted_mode_probability, variance_m0, variance_m1,
-        variance_m2, variance_m3, predicted_y_m0, predicted_y_m1, predicted_y_m2, predicted_y_m3,
-        combined_variance);
-    const double t8 = self->predicted_mode_probability[0] * innovation_m0_0;
-    const double t9 = t8 + (self->predicted_mode_probability[1] * innovation_m1_0);
-    const double t10 = t9 + (self->predicted_mode_probability[2] * innovation_m2_0);
-    combined_innovation[0] = t10 + (self->predicted_mode_probability[3] * innovation_m3_0);
-    const double t11 = self->predicted_mode_probability[0] * innovation_m0_1;
-    const double t12 = t11 + (self->predicted_mode_probability[1] * innovation_m1_1);
-    const double t13 = t12 + (self->predicted_mode_probability[2] * innovation_m2_1);
-    combined_innovation[1] = t13 + (self->predicted_mode_probability[3] * innovation_m3_1);
-    const double t14 = self->predicted_mode_probability[0] * innovation_m0_2;
-    const double t15 = t14 + (self->predicted_mode_probability[1] * innovation_m1_2);
-    const double t16 = t15 + (self->predicted_mode_probability[2] * innovation_m2_2);
-    combined_innovation[2] = t16 + (self->predicted_mode_probability[3] * innovation_m3_2);
+    const double t8 = predicted_mode_probability[0] * variance_m0[0];
+    const double t9 = t8 + (predicted_mode_probability[1] * variance_m1[0]);
+    const double t10 = t9 + (predicted_mode_probability[2] * variance_m2[0]);
+    const double t11 = t10 + (predicted_mode_probability[3] * variance_m3[0]);
+    const double t12 = predicted_mode_probability[0] * predicted_y_m0[0];
+    const double t13 = t12 + (predicted_mode_probability[1] * predicted_y_m1[0]);
+    const double t14 = t13 + (predicted_mode_probability[2] * predicted_y_m2[0]);
+    const double t15 = t14 + (predicted_mode_probability[3] * predicted_y_m3[0]);
+    const double t16 = predicted_y_m0[0] - t15;
+    const double t17 = predicted_mode_probability[0] * t16 * t16;
+    const double t18 = predicted_y_m1[0] - t15;
+    const double t19 = t17 + (predicted_mode_probability[1] * t18 * t18);
+    const double t20 = predicted_y_m2[0] - t15;
+    const double t21 = t19 + (predicted_mode_probability[2] * t20 * t20);
+    const double t22 = predicted_y_m3[0] - t15;
+    combined_variance[0] = t11 + (t21 + (predicted_mode_probability[3] * t22 * t22));
+    const double t23 = predicted_mode_probability[0] * variance_m0[1];
+    const double t24 = t23 + (predicted_mode_probability[1] * variance_m1[1]);
+    const double t25 = t24 + (predicted_mode_probability[2] * variance_m2[1]);
+    const double t26 = t25 + (predicted_mode_probability[3] * variance_m3[1]);
+    const double t27 = predicted_mode_probability[0] * predicted_y_m0[1];
+    const double t28 = t27 + (predicted_mode_probability[1] * predicted_y_m1[1]);
+    const double t29 = t28 + (predicted_mode_probability[2] * predicted_y_m2[1]);
+    const double t30 = t29 + (predicted_mode_probability[3] * predicted_y_m3[1]);
+    const double t31 = predicted_y_m0[1] - t30;
+    const double t32 = predicted_mode_probability[0] * t31;
+    const double t33 = t32 * t16;
+    const double t34 = predicted_y_m1[1] - t30;
+    const double t35 = predicted_mode_probability[1] * t34;
+    const double t36 = t33 + (t35 * t18);
+    const double t37 = predicted_y_m2[1] - t30;
+    const double t38 = predicted_mode_probability[2] * t37;
+    const double t39 = t36 + (t38 * t20);
+    const double t40 = predicted_y_m3[1] - t30;
+    const double t41 = predicted_mode_probability[3] * t40;
+    combined_variance[1] = t26 + (t39 + (t41 * t22));
+    const double t42 = predicted_mode_probability[0] * variance_m0[2];
+    const double t43 = t42 + (predicted_mode_probability[1] * variance_m1[2]);
+    const double t44 = t43 + (predicted_mode_probability[2] * variance_m2[2]);
+    const double t45 = t44 + (predicted_mode_probability[3] * variance_m3[2]);
+    combined_variance[2] = t45 + ((t32 * t31) + (t35 * t34) + (t38 * t37) + (t41 * t40));
+    const double t46 = predicted_mode_probability[0] * variance_m0[3];
+    const double t47 = t46 + (predicted_mode_probability[1] * variance_m1[3]);
+    const double t48 = t47 + (predicted_mode_probability[2] * variance_m2[3]);
+    const double t49 = t48 + (predicted_mode_probability[3] * variance_m3[3]);
+    const double t50 = predicted_mode_probability[0] * predicted_y_m0[2];
+    const double t51 = t50 + (predicted_mode_probability[1] * predicted_y_m1[2]);
+    const double t52 = t51 + (predicted_mode_probability[2] * predicted_y_m2[2]);
+    const double t53 = t52 + (predicted_mode_probability[3] * predicted_y_m3[2]);
+    const double t54 = predicted_y_m0[2] - t53;
+    const double t55 = predicted_mode_probability[0] * t54;
+    const double t56 = t55 * t16;
+    const double t57 = predicted_y_m1[2] - t53;
+    const double t58 = predicted_mode_probability[1] * t57;
+    const double t59 = t56 + (t58 * t18);
+    const double t60 = predicted_y_m2[2] - t53;
+    const double t61 = predicted_mode_probability[2] * t60;
+    const double t62 = t59 + (t61 * t20);
+    const double t63 = predicted_y_m3[2] - t53;
+    const double t64 = predicted_mode_probability[3] * t63;
+    combined_variance[3] = t49 + (t62 + (t64 * t22));
+    const double t65 = predicted_mode_probability[0] * variance_m0[4];
+    const double t66 = t65 + (predicted_mode_probability[1] * variance_m1[4]);
+    const double t67 = t66 + (predicted_mode_probability[2] * variance_m2[4]);
+    const double t68 = t67 + (predicted_mode_probability[3] * variance_m3[4]);
+    combined_variance[4] = t68 + ((t55 * t31) + (t58 * t34) + (t61 * t37) + (t64 * t40));
+    const double t69 = predicted_mode_probability[0] * variance_m0[5];
+    const double t70 = t69 + (predicted_mode_probability[1] * variance_m1[5]);
+    const double t71 = t70 + (predicted_mode_probability[2] * variance_m2[5]);
+    const double t72 = t71 + (predicted_mode_probability[3] * variance_m3[5]);
+    combined_variance[5] = t72 + ((t55 * t54) + (t58 * t57) + (t61 * t60) + (t64 * t63));
+    const double t73 = predicted_mode_probability[0] * innovation_m0_0;
+    const double t74 = t73 + (predicted_mode_probability[1] * innovation_m1_0);
+    const double t75 = t74 + (predicted_mode_probability[2] * innovation_m2_0);
+    combined_innovation[0] = t75 + (predicted_mode_probability[3] * innovation_m3_0);
+    const double t76 = predicted_mode_probability[0] * innovation_m0_1;
+    const double t77 = t76 + (predicted_mode_probability[1] * innovation_m1_1);
+    const double t78 = t77 + (predicted_mode_probability[2] * innovation_m2_1);
+    combined_innovation[1] = t78 + (predicted_mode_probability[3] * innovation_m3_1);
+    const double t79 = predicted_mode_probability[0] * innovation_m0_2;
+    const double t80 = t79 + (predicted_mode_probability[1] * innovation_m1_2);
+    const double t81 = t80 + (predicted_mode_probability[2] * innovation_m2_2);
+    combined_innovation[2] = t81 + (predicted_mode_probability[3] * innovation_m3_2);
     whitening_pivot_combined_0 = combined_variance[0];
-    if ((present & 0x1u) != 0u)
+    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_0,
+        whitening_inverse_combined_0, ((present & 0x1u) != 0u));
+    if (status != GPS_GLITCH_OK) { return status; }
+    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
+    whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
+    const double t82 = whitening_combined_0_1[0] * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t82;
+    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_1,
+        whitening_inverse_combined_1, ((present & 0x2u) != 0u));
+    if (status != GPS_GLITCH_OK) { return status; }
+    const double t83 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    whitening_combined_1_2[0] = t83 * whitening_inverse_combined_1[0];
+    const double t84 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
+    const double t85 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    whitening_pivot_combined_2 = t84 - (whitening_combined_1_2[0] * t85);
+    status = gps_glitch_innovation_of_the_mixture(whitening_pivot_combined_2,
+        whitening_inverse_combined_2, ((present & 0x4u) != 0u));
+    if (status != GPS_GLITCH_OK) { return status; }
+    return GPS_GLITCH_OK;
+}
+
+/* Condition on y[k]: reads *self, writes the results to *next. */
+GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *self, const double *y,
+    uint32_t present, gps_glitch_t *next)
+{
+    double innovation_m0_0 = 0.0;
+    double innovation_m0_1 = 0.0;
+    double innovation_m0_2 = 0.0;
+    double variance_m0[6] = { 0.0 };
+    double mean_m0[3] = { 0.0 };
+    double covariance_m0[6] = { 0.0 };
+    double log_density_m0 = 0.0;
+    double innovation_m1_0 = 0.0;
+    double innovation_m1_1 = 0.0;
+    double innovation_m1_2 = 0.0;
+    double variance_m1[6] = { 0.0 };
+    double mean_m1[3] = { 0.0 };
+    double covariance_m1[6] = { 0.0 };
+    double log_density_m1 = 0.0;
+    double innovation_m2_0 = 0.0;
+    double innovation_m2_1 = 0.0;
+    double innovation_m2_2 = 0.0;
+    double variance_m2[6] = { 0.0 };
+    double mean_m2[3] = { 0.0 };
+    double covariance_m2[6] = { 0.0 };
+    double quadratic_m2 = 0.0;
+    double log_constant_m2 = 0.0;
+    double determinant_m2_0 = 1.0;
+    double log_density_m2 = 0.0;
+    double innovation_m3_0 = 0.0;
+    double innovation_m3_1 = 0.0;
+    double innovation_m3_2 = 0.0;
+    double variance_m3[6] = { 0.0 };
+    double mean_m3[3] = { 0.0 };
+    double covariance_m3[6] = { 0.0 };
+    double quadratic_m3 = 0.0;
+    double log_constant_m3 = 0.0;
+    double determinant_m3_0 = 1.0;
+    double log_density_m3 = 0.0;
+    double weight[4] = { 0.0 };
+    double log_weight_now[4] = { 0.0 };
+    double log_evidence = 0.0;
+    double combined_variance[6] = { 0.0 };
+    double combined_innovation[3] = { 0.0 };
+    double whitening_inverse_combined_0 = 0.0;
+    double whitening_combined_0_1 = 0.0;
+    double whitening_combined_0_2 = 0.0;
+    double whitening_inverse_combined_1 = 0.0;
+    double whitening_combined_1_2 = 0.0;
+    double whitening_inverse_combined_2 = 0.0;
+    double combined_0_3_share[2];
+    double combined_0_1_mean[3];
+    double combined_0_1_covariance[6];
+    double combined_2_3_mean[3];
+    double combined_2_3_covariance[6];
+    double combined_0_3_mean[3];
+    double combined_0_3_covariance[6];
+    gps_glitch_status_t status;
+    if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
+        (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[6] >= 0.0) &&
+        (self->mode_covariance[8] >= 0.0) && (self->mode_covariance[11] >= 0.0) &&
+        (self->mode_covariance[12] >= 0.0) && (self->mode_covariance[14] >= 0.0) &&
+        (self->mode_covariance[17] >= 0.0) && (self->mode_covariance[18] >= 0.0) &&
+        (self->mode_covariance[20] >= 0.0) && (self->mode_covariance[23] >= 0.0)))
     {
-        if (!(whitening_pivot_combined_0 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_0 = 1.0 / whitening_pivot_combined_0;
+        return GPS_GLITCH_NOT_POSITIVE_DEFINITE;
     }
-    whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
-    whitening_combined_0_2 = combined_variance[3] * whitening_inverse_combined_0;
-    const double t17 = whitening_combined_0_1 * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t17;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(whitening_pivot_combined_1 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
-    }
-    const double t18 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
-    whitening_combined_1_2 = t18 * whitening_inverse_combined_1;
-    const double t19 = combined_variance[5] - (whitening_combined_0_2 * combined_variance[3]);
-    const double t20 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
-    whitening_pivot_combined_2 = t19 - (whitening_combined_1_2 * t20);
-    if ((present & 0x4u) != 0u)
-    {
-        if (!(whitening_pivot_combined_2 > 0.0)) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_2 = 1.0 / whitening_pivot_combined_2;
-    }
+
+    /* mode 0: signal, R: innovation, row by row */
+    status = gps_glitch_mode(self->mode_state, y, &innovation_m0_0, &innovation_m0_1,
+        &innovation_m0_2, self->mode_covariance, variance_m0, mean_m0, covariance_m0,
+        &log_density_m0, gps_glitch_mode_numbers[0], present);
+    if (status != GPS_GLITCH_OK) { return status; }
+
+    /* mode 1: signal, noise x 400: innovation, row by row */
+    status = gps_glitch_mode(&self->mode_state[3], y, &innovation_m1_0, &innovation_m1_1,
+        &innovation_m1_2, &self->mode_covariance[6], variance_m1, mean_m1, covariance_m1,
+        &log_density_m1, gps_glitch_mode_numbers[1], present);
+    if (status != GPS_GLITCH_OK) { return status; }
+
+    /* mode 2: no signal, R: innovation, row by row */
+    gps_glitch_mode_5(&self->mode_state[6], y, &innovation_m2_0, &innovation_m2_1, &innovation_m2_2,
+        present);
+
+    /* mode 2: no signal, R */
+    gps_glitch_mode_4(&self->mode_covariance[12], variance_m2, &self->mode_state[6], mean_m2,
+        covariance_m2, gps_glitch_mode_4_numbers[0]);
+
+    /* mode 2: no signal, R: row 0 of y, baro */
+    status = gps_glitch_mode_6(&self->mode_covariance[12], innovation_m2_0, &self->mode_state[6],
+        &quadratic_m2, &log_constant_m2, &determinant_m2_0, mean_m2, covariance_m2, innovation_m2_1,
+        innovation_m2_2, gps_glitch_mode_3_numbers[0], gps_glitch_mode_3_numbers[1], present);
+    if (status != GPS_GLITCH_OK) { return status; }
+
+    /* mode 2: no signal, R */
+    log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + gps_glitch_log(determinant_m2_0)));
+
+    /* mode 3: no signal, noise x 400: innovation, row by row */
+    gps_glitch_mode_5(&self->mode_state[9], y, &innovation_m3_0, &innovation_m3_1, &innovation_m3_2,
+        present);
+
+    /* mode 3: no signal, noise x 400 */
+    gps_glitch_mode_4(&self->mode_covariance[18], variance_m3, &self->mode_state[9], mean_m3,
+        covariance_m3, gps_glitch_mode_4_numbers[1]);
+
+    /* mode 3: no signal, noise x 400: row 0 of y, baro */
+    status = gps_glitch_mode_6(&self->mode_covariance[18], innovation_m3_0, &self->mode_state[9],
+        &quadratic_m3, &log_constant_m3, &determinant_m3_0, mean_m3, covariance_m3, innovation_m3_1,
+        innovation_m3_2, gps_glitch_mode_3_numbers[2], gps_glitch_mode_3_numbers[3], present);
+    if (status != GPS_GLITCH_OK) { return status; }
+
+    /* mode 3: no signal, noise x 400 */
+    log_density_m3 = -0.5 * (quadratic_m3 + (log_constant_m3 + gps_glitch_log(determinant_m3_0)));
+
+    /* probabilities of the modes */
+    status = gps_glitch_probabilities_of_the_modes(self->predicted_mode_probability, weight,
+        self->predicted_log_weight, log_weight_now, log_density_m0, log_density_m1, log_density_m2,
+        log_density_m3, &log_evidence, self->mode_state, variance_m0, variance_m1, variance_m2,
+        variance_m3, combined_variance, innovation_m0_0, innovation_m1_0, innovation_m2_0,
+        innovation_m3_0, combined_innovation, innovation_m0_1, innovation_m1_1, innovation_m2_1,
+        innovation_m3_1, innovation_m0_2, innovation_m1_2, innovation_m2_2, innovation_m3_2,
+        &whitening_inverse_combined_0, &whitening_combined_0_1, &whitening_combined_0_2,
+        &whitening_inverse_combined_1, &whitening_combined_1_2, &whitening_inverse_combined_2,
+        present);
+    if (status != GPS_GLITCH_OK) { return status; }
 
     /* combination */
     combined_0_3_share[0] = weight[0] + weight[1];
@@ -1013,14 +990,28 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
-    gps_glitch_combination_2(combined_innovation, whitening_inverse_combined_0,
-        whitening_combined_0_1, whitening_inverse_combined_1, whitening_combined_0_2,
-        whitening_combined_1_2, whitening_inverse_combined_2, next->innovation, combined_variance,
-        next->innovation_covariance, &next->nis, weight, next->mode_probability, log_weight_now,
-        next->log_weight, log_evidence, &next->log_likelihood, combined_0_3_mean,
-        next->filtered_state, combined_0_3_covariance, next->filtered_covariance, mean_m0,
-        next->mode_filtered_state, mean_m1, mean_m2, mean_m3, covariance_m0,
-        next->mode_filtered_covariance, covariance_m1, covariance_m2, covariance_m3);
+    const double t0 = combined_innovation[0] * combined_innovation[0];
+    const double t1 = t0 * whitening_inverse_combined_0;
+    const double t2 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t3 = t1 + (t2 * t2 * whitening_inverse_combined_1);
+    const double t4 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
+    const double t5 = t4 - (whitening_combined_1_2 * t2);
+    next->nis = t3 + (t5 * t5 * whitening_inverse_combined_2);
+    gps_glitch_copy(combined_innovation, next->innovation, 3);
+    gps_glitch_copy(combined_variance, next->innovation_covariance, 6);
+    gps_glitch_copy(weight, next->mode_probability, 4);
+    gps_glitch_copy(log_weight_now, next->log_weight, 4);
+    next->log_likelihood = log_evidence;
+    gps_glitch_copy(combined_0_3_mean, next->filtered_state, 3);
+    gps_glitch_copy(combined_0_3_covariance, next->filtered_covariance, 6);
+    gps_glitch_copy(mean_m0, next->mode_filtered_state, 3);
+    gps_glitch_copy(mean_m1, &next->mode_filtered_state[3], 3);
+    gps_glitch_copy(mean_m2, &next->mode_filtered_state[6], 3);
+    gps_glitch_copy(mean_m3, &next->mode_filtered_state[9], 3);
+    gps_glitch_copy(covariance_m0, next->mode_filtered_covariance, 6);
+    gps_glitch_copy(covariance_m1, &next->mode_filtered_covariance[6], 6);
+    gps_glitch_copy(covariance_m2, &next->mode_filtered_covariance[12], 6);
+    gps_glitch_copy(covariance_m3, &next->mode_filtered_covariance[18], 6);
     return GPS_GLITCH_OK;
 }
 
@@ -1028,47 +1019,51 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
 GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *self,
     const gps_glitch_params_t *params, gps_glitch_t *next)
 {
-    double Q[4] = { 0.0 };
-    double mode_prediction_0 = 0.0;
-    double mixing_0[4] = { 0.0 };
-    double mode_prediction_1 = 0.0;
-    double mixing_1[4] = { 0.0 };
-    double mode_prediction_2 = 0.0;
-    double mixing_2[4] = { 0.0 };
+    double Q[4];
+    double mode_prediction_0;
+    double mixing_0[4];
+    double mode_prediction_1;
+    double mixing_1[4];
+    double mode_prediction_2;
+    double mixing_2[4];
     double mode_prediction_3;
     double log_path_3[4];
     double log_path_largest_3;
-    double path_share_3[4] = { 0.0 };
+    double path_share_3[4];
     double path_share_total_3;
-    double path_share_inverse_3 = 0.0;
-    double mixed_0_0_3_share[2] = { 0.0 };
-    double mixed_apart_0_1_squared[6] = { 0.0 };
-    double mixed_0_0_1_mean[3] = { 0.0 };
-    double mixed_0_0_1_covariance[6] = { 0.0 };
-    double mixed_apart_2_3_squared[6] = { 0.0 };
-    double mixed_0_2_3_mean[3] = { 0.0 };
-    double mixed_0_2_3_covariance[6] = { 0.0 };
-    double moved_state_0[3] = { 0.0 };
-    double moved_covariance_0[6] = { 0.0 };
-    double mixed_1_0_3_share[2] = { 0.0 };
-    double mixed_1_0_1_share[2] = { 0.0 };
-    double mixed_1_0_1_mean[3] = { 0.0 };
-    double mixed_1_0_1_covariance[6] = { 0.0 };
-    double mixed_1_2_3_share[2] = { 0.0 };
-    double mixed_1_2_3_mean[3] = { 0.0 };
-    double mixed_1_2_3_covariance[6] = { 0.0 };
-    double moved_state_1[3] = { 0.0 };
-    double moved_covariance_1[6] = { 0.0 };
-    double mixed_2_0_3_share[2] = { 0.0 };
-    double moved_state_2[3] = { 0.0 };
-    double moved_covariance_2[6] = { 0.0 };
-    double mixed_3_0_3_share[2] = { 0.0 };
-    double mixed_3_0_1_mean[3] = { 0.0 };
-    double mixed_3_0_1_covariance[6] = { 0.0 };
-    double mixed_3_2_3_mean[3] = { 0.0 };
-    double mixed_3_2_3_covariance[6] = { 0.0 };
-    double mixed_3_0_3_mean[3] = { 0.0 };
-    double mixed_3_0_3_covariance[6] = { 0.0 };
+    double path_share_inverse_3;
+    double mixed_0_0_3_share[2];
+    double mixed_0_0_1_share[2];
+    double mixed_apart_0_1_squared[6];
+    double mixed_0_0_1_mean[3];
+    double mixed_0_0_1_covariance[6];
+    double mixed_0_2_3_share[2];
+    double mixed_apart_2_3_squared[6];
+    double mixed_0_2_3_mean[3];
+    double mixed_0_2_3_covariance[6];
+    double moved_state_0[3];
+    double moved_covariance_0[6];
+    double mixed_1_0_3_share[2];
+    double mixed_1_0_1_share[2];
+    double mixed_1_0_1_mean[3];
+    double mixed_1_0_1_covariance[6];
+    double mixed_1_2_3_share[2];
+    double mixed_1_2_3_mean[3];
+    double mixed_1_2_3_covariance[6];
+    double moved_state_1[3];
+    double moved_covariance_1[6];
+    double mixed_2_0_3_share[2];
+    double moved_state_2[3];
+    double moved_covariance_2[6];
+    double mixed_3_0_3_share[2];
+    double mixed_3_0_1_inverse;
+    double mixed_3_0_1_share[2];
+    double mixed_3_0_1_mean[3];
+    double mixed_3_0_1_covariance[6];
+    double mixed_3_2_3_inverse;
+    double mixed_3_2_3_share[2];
+    double mixed_3_2_3_mean[3];
+    double mixed_3_2_3_covariance[6];
     double moved_state_3[3];
     double moved_covariance_3[6];
     const double t0 = params->dt * params->dt;
@@ -1110,55 +1105,52 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     /* mixing and prediction of every mode */
     mixed_0_0_3_share[0] = mixing_0[0] + mixing_0[1];
     mixed_0_0_3_share[1] = mixing_0[2] + mixing_0[3];
-    gps_glitch_mixing_and_prediction_3(mixing_0, self->mode_filtered_state, mixed_apart_0_1_squared,
-        mixed_0_0_1_mean, self->mode_filtered_covariance, mixed_0_0_1_covariance);
-    gps_glitch_mixing_and_prediction_3(&mixing_0[2], &self->mode_filtered_state[6],
-        mixed_apart_2_3_squared, mixed_0_2_3_mean, &self->mode_filtered_covariance[12],
-        mixed_0_2_3_covariance);
-    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_0_0_3_share,
-        mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_0, Q, moved_covariance_0,
-        params);
+    gps_glitch_mixing_and_prediction_4(mixing_0, mixed_0_0_1_share, self->mode_filtered_state,
+        mixed_apart_0_1_squared);
+    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_share, self->mode_filtered_state,
+        mixed_0_0_1_mean, self->mode_filtered_covariance, mixed_apart_0_1_squared,
+        mixed_0_0_1_covariance);
+    gps_glitch_mixing_and_prediction_4(&mixing_0[2], mixed_0_2_3_share,
+        &self->mode_filtered_state[6], mixed_apart_2_3_squared);
+    gps_glitch_mixing_and_prediction(mixed_0_2_3_share, &self->mode_filtered_state[6],
+        mixed_0_2_3_mean, &self->mode_filtered_covariance[12], mixed_apart_2_3_squared,
+        mixed_0_2_3_covariance, mixed_0_0_1_mean, mixed_0_0_3_share, mixed_0_0_1_covariance,
+        moved_state_0, Q, moved_covariance_0, params);
     mixed_1_0_3_share[0] = mixing_1[0] + mixing_1[1];
     mixed_1_0_3_share[1] = mixing_1[2] + mixing_1[3];
     gps_glitch_part_3(mixing_1, mixed_1_0_1_share);
-    gps_glitch_mixing_and_prediction(mixed_1_0_1_share, self->mode_filtered_state, mixed_1_0_1_mean,
-        self->mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
+    gps_glitch_mixing_and_prediction_2(mixed_1_0_1_share, self->mode_filtered_state,
+        mixed_1_0_1_mean, self->mode_filtered_covariance, mixed_apart_0_1_squared,
+        mixed_1_0_1_covariance);
     gps_glitch_part_3(&mixing_1[2], mixed_1_2_3_share);
     gps_glitch_mixing_and_prediction(mixed_1_2_3_share, &self->mode_filtered_state[6],
         mixed_1_2_3_mean, &self->mode_filtered_covariance[12], mixed_apart_2_3_squared,
-        mixed_1_2_3_covariance);
-    gps_glitch_mixing_and_prediction_2(mixed_1_0_1_mean, mixed_1_2_3_mean, mixed_1_0_3_share,
-        mixed_1_0_1_covariance, mixed_1_2_3_covariance, moved_state_1, Q, moved_covariance_1,
-        params);
+        mixed_1_2_3_covariance, mixed_1_0_1_mean, mixed_1_0_3_share, mixed_1_0_1_covariance,
+        moved_state_1, Q, moved_covariance_1, params);
     mixed_2_0_3_share[0] = mixing_2[0] + mixing_2[1];
     mixed_2_0_3_share[1] = mixing_2[2] + mixing_2[3];
-    gps_glitch_mixing_and_prediction_2(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_2_0_3_share,
+    gps_glitch_mixing_and_prediction_3(mixed_0_0_1_mean, mixed_0_2_3_mean, mixed_2_0_3_share,
         mixed_0_0_1_covariance, mixed_0_2_3_covariance, moved_state_2, Q, moved_covariance_2,
         params);
     const double t7 = path_share_3[0] * path_share_inverse_3;
     mixed_3_0_3_share[0] = t7 + (path_share_3[1] * path_share_inverse_3);
     const double t8 = path_share_3[2] * path_share_inverse_3;
     mixed_3_0_3_share[1] = t8 + (path_share_3[3] * path_share_inverse_3);
-    gps_glitch_mixing_and_prediction_4(path_share_3, path_share_inverse_3,
-        self->mode_filtered_state, mixed_3_0_1_mean, self->mode_filtered_covariance,
-        mixed_apart_0_1_squared, mixed_3_0_1_covariance);
-    gps_glitch_mixing_and_prediction_4(&path_share_3[2], path_share_inverse_3,
-        &self->mode_filtered_state[6], mixed_3_2_3_mean, &self->mode_filtered_covariance[12],
-        mixed_apart_2_3_squared, mixed_3_2_3_covariance);
-    gps_glitch_part_2(mixed_3_0_1_mean, mixed_3_2_3_mean, mixed_3_0_3_share, mixed_3_0_3_mean,
-        mixed_3_0_1_covariance, mixed_3_2_3_covariance, mixed_3_0_3_covariance);
-    moved_state_3[0] = mixed_3_0_3_mean[0] + (params->dt * mixed_3_0_3_mean[1]);
-    moved_state_3[1] = mixed_3_0_3_mean[1];
-    moved_state_3[2] = mixed_3_0_3_mean[2];
-    const double t9 = mixed_3_0_3_covariance[0] + (params->dt * mixed_3_0_3_covariance[1]);
-    const double t10 = mixed_3_0_3_covariance[1] + (params->dt * mixed_3_0_3_covariance[2]);
-    moved_covariance_3[0] = t9 + (t10 * params->dt) + Q[0];
-    const double t11 = mixed_3_0_3_covariance[1] + (mixed_3_0_3_covariance[2] * params->dt);
-    moved_covariance_3[1] = t11 + Q[1];
-    moved_covariance_3[2] = mixed_3_0_3_covariance[2] + params->dt;
-    moved_covariance_3[3] = mixed_3_0_3_covariance[3] + (mixed_3_0_3_covariance[4] * params->dt);
-    moved_covariance_3[5] = mixed_3_0_3_covariance[5] + Q[3];
-    moved_covariance_3[4] = mixed_3_0_3_covariance[4];
+    const double t9 = path_share_3[0] * path_share_inverse_3;
+    mixed_3_0_1_inverse = 1.0 / (t9 + (path_share_3[1] * path_share_inverse_3) + GPS_GLITCH_TINY);
+    mixed_3_0_1_share[0] = path_share_3[0] * path_share_inverse_3 * mixed_3_0_1_inverse;
+    mixed_3_0_1_share[1] = path_share_3[1] * path_share_inverse_3 * mixed_3_0_1_inverse;
+    gps_glitch_mixing_and_prediction_2(mixed_3_0_1_share, self->mode_filtered_state,
+        mixed_3_0_1_mean, self->mode_filtered_covariance, mixed_apart_0_1_squared,
+        mixed_3_0_1_covariance);
+    const double t10 = path_share_3[2] * path_share_inverse_3;
+    mixed_3_2_3_inverse = 1.0 / (t10 + (path_share_3[3] * path_share_inverse_3) + GPS_GLITCH_TINY);
+    mixed_3_2_3_share[0] = path_share_3[2] * path_share_inverse_3 * mixed_3_2_3_inverse;
+    mixed_3_2_3_share[1] = path_share_3[3] * path_share_inverse_3 * mixed_3_2_3_inverse;
+    gps_glitch_mixing_and_prediction(mixed_3_2_3_share, &self->mode_filtered_state[6],
+        mixed_3_2_3_mean, &self->mode_filtered_covariance[12], mixed_apart_2_3_squared,
+        mixed_3_2_3_covariance, mixed_3_0_1_mean, mixed_3_0_3_share, mixed_3_0_1_covariance,
+        moved_state_3, Q, moved_covariance_3, params);
 
     /* combined prediction */
     next->predicted_log_weight[0] = gps_glitch_log(mode_prediction_0);
@@ -1166,27 +1158,27 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     next->predicted_log_weight[2] = gps_glitch_log(mode_prediction_2);
     next->predicted_log_weight[3] = log_path_largest_3 + gps_glitch_log(path_share_total_3);
     next->predicted_state[0] = self->filtered_state[0] + (params->dt * self->filtered_state[1]);
-    const double t12 = self->filtered_covariance[0] + (params->dt * self->filtered_covariance[1]);
-    const double t13 = self->filtered_covariance[1] + (params->dt * self->filtered_covariance[2]);
-    next->predicted_covariance[0] = t12 + (t13 * params->dt) + Q[0];
-    const double t14 = self->filtered_covariance[1] + (self->filtered_covariance[2] * params->dt);
-    next->predicted_covariance[1] = t14 + Q[1];
+    const double t11 = self->filtered_covariance[0] + (params->dt * self->filtered_covariance[1]);
+    const double t12 = self->filtered_covariance[1] + (params->dt * self->filtered_covariance[2]);
+    next->predicted_covariance[0] = t11 + (t12 * params->dt) + Q[0];
+    const double t13 = self->filtered_covariance[1] + (self->filtered_covariance[2] * params->dt);
+    next->predicted_covariance[1] = t13 + Q[1];
     next->predicted_covariance[2] = self->filtered_covariance[2] + params->dt;
-    const double t15 = self->filtered_covariance[4] * params->dt;
-    next->predicted_covariance[3] = self->filtered_covariance[3] + t15;
+    const double t14 = self->filtered_covariance[4] * params->dt;
+    next->predicted_covariance[3] = self->filtered_covariance[3] + t14;
     next->predicted_covariance[5] = self->filtered_covariance[5] + Q[3];
-    const double t16 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0] + moved_state_3[0];
-    const double t17 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1] + moved_state_3[1];
-    const double t18 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2] + moved_state_3[2];
-    const double t19 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
-    const double t20 = t19 + moved_covariance_3[0];
-    const double t21 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
-    const double t22 = t21 + moved_covariance_3[2];
-    const double t23 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
-    const double t24 = t23 + moved_covariance_3[5];
-    if (!gps_glitch_finite(gps_glitch_defect(t16) + gps_glitch_defect(t17) +
-        gps_glitch_defect(t18) + gps_glitch_defect(t20) + gps_glitch_defect(t22) +
-        gps_glitch_defect(t24)))
+    const double t15 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0] + moved_state_3[0];
+    const double t16 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1] + moved_state_3[1];
+    const double t17 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2] + moved_state_3[2];
+    const double t18 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
+    const double t19 = t18 + moved_covariance_3[0];
+    const double t20 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
+    const double t21 = t20 + moved_covariance_3[2];
+    const double t22 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
+    const double t23 = t22 + moved_covariance_3[5];
+    if (!gps_glitch_finite(gps_glitch_defect(t15) + gps_glitch_defect(t16) +
+        gps_glitch_defect(t17) + gps_glitch_defect(t19) + gps_glitch_defect(t21) +
+        gps_glitch_defect(t23)))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1194,18 +1186,10 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     next->predicted_mode_probability[1] = mode_prediction_1;
     next->predicted_mode_probability[2] = mode_prediction_2;
     next->predicted_mode_probability[3] = mode_prediction_3;
-    next->mode_state[0] = moved_state_0[0];
-    next->mode_state[1] = moved_state_0[1];
-    next->mode_state[2] = moved_state_0[2];
-    next->mode_state[3] = moved_state_1[0];
-    next->mode_state[4] = moved_state_1[1];
-    next->mode_state[5] = moved_state_1[2];
-    next->mode_state[6] = moved_state_2[0];
-    next->mode_state[7] = moved_state_2[1];
-    next->mode_state[8] = moved_state_2[2];
-    next->mode_state[9] = moved_state_3[0];
-    next->mode_state[10] = moved_state_3[1];
-    next->mode_state[11] = moved_state_3[2];
+    gps_glitch_copy(moved_state_0, next->mode_state, 3);
+    gps_glitch_copy(moved_state_1, &next->mode_state[3], 3);
+    gps_glitch_copy(moved_state_2, &next->mode_state[6], 3);
+    gps_glitch_copy(moved_state_3, &next->mode_state[9], 3);
     gps_glitch_copy(moved_covariance_0, next->mode_covariance, 6);
     gps_glitch_copy(moved_covariance_1, &next->mode_covariance[6], 6);
     gps_glitch_copy(moved_covariance_2, &next->mode_covariance[12], 6);

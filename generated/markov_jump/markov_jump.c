@@ -221,42 +221,48 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const
     return MARKOV_JUMP_OK;
 }
 
-/* What differs between the calls of markov_jump_part_2, a row for each. */
-static const double markov_jump_part_2_numbers[6][9] = {
+/* What differs between the calls of markov_jump_propagate_2, a row for each. */
+static const double markov_jump_propagate_2_numbers[9][6] = {
     { 0.0023750000000000004, 0.0013499999999999999, 0.0018, 0.004750000000000001,
-        0.0026999999999999997, 0.0036, 0.009500000000000001, 0.005399999999999999, 0.0072 },
-    { 0.004750000000000001, 0.0026999999999999997, 0.0036, 0.009500000000000001,
-        0.005399999999999999, 0.0072, 0.009500000000000001, 0.005399999999999999, 0.0072 },
-    { 0.00010000000000000002, 0.02025, 0.0072, 0.00020000000000000004, 0.0405, 0.0144,
-        0.0004000000000000001, 0.081, 0.0288 },
-    { 0.00020000000000000004, 0.0405, 0.0144, 0.0004000000000000001, 0.081, 0.0288,
-        0.0004000000000000001, 0.081, 0.0288 },
-    { 2.5000000000000005e-05, 0.0009, 0.081, 5.000000000000001e-05, 0.0018, 0.162,
-        0.00010000000000000002, 0.0036, 0.324 },
-    { 5.000000000000001e-05, 0.0018, 0.162, 0.00010000000000000002, 0.0036, 0.324,
-        0.00010000000000000002, 0.0036, 0.324 }
+        0.0026999999999999997, 0.0036 },
+    { 0.009500000000000001, 0.005399999999999999, 0.0072, 0.004750000000000001,
+        0.0026999999999999997, 0.0036 },
+    { 0.009500000000000001, 0.005399999999999999, 0.0072, 0.009500000000000001,
+        0.005399999999999999, 0.0072 },
+    { 0.00010000000000000002, 0.02025, 0.0072, 0.00020000000000000004, 0.0405, 0.0144 },
+    { 0.0004000000000000001, 0.081, 0.0288, 0.00020000000000000004, 0.0405, 0.0144 },
+    { 0.0004000000000000001, 0.081, 0.0288, 0.0004000000000000001, 0.081, 0.0288 },
+    { 2.5000000000000005e-05, 0.0009, 0.081, 5.000000000000001e-05, 0.0018, 0.162 },
+    { 0.00010000000000000002, 0.0036, 0.324, 5.000000000000001e-05, 0.0018, 0.162 },
+    { 0.00010000000000000002, 0.0036, 0.324, 0.00010000000000000002, 0.0036, 0.324 }
 };
 
-/* propagate; every mode's step. */
-MARKOV_JUMP_INLINE void markov_jump_part_2(const double *mode_law, double *plant_noise,
+/* propagate. */
+MARKOV_JUMP_INLINE void markov_jump_propagate_2(const double *mode_law, double *plant_noise,
     const double *numbers)
 {
     const double t0 = (numbers[0] * mode_law[0]) + (numbers[1] * mode_law[1]);
     plant_noise[0] = t0 + (numbers[2] * mode_law[2]);
     const double t1 = (numbers[3] * mode_law[0]) + (numbers[4] * mode_law[1]);
     plant_noise[1] = t1 + (numbers[5] * mode_law[2]);
-    const double t2 = (numbers[6] * mode_law[0]) + (numbers[7] * mode_law[1]);
-    plant_noise[2] = t2 + (numbers[8] * mode_law[2]);
 }
 
-/* What differs between the calls of markov_jump_propagate_2, a row for each. */
-static const double markov_jump_propagate_2_numbers[2][5] = {
+/* innovation, row by row; a rejected sample is replaced by its prediction. */
+MARKOV_JUMP_INLINE void markov_jump_part_2(const double *augmented_state, double *mean,
+    const double *covariance, double *covariance_2)
+{
+    markov_jump_copy(augmented_state, mean, 9);
+    markov_jump_copy(covariance, covariance_2, 45);
+}
+
+/* What differs between the calls of markov_jump_propagate_3, a row for each. */
+static const double markov_jump_propagate_3_numbers[2][5] = {
     { 0.582, 0.6, 0.3, 0.48, 0.36 },
     { 0.873, 0.9, 0.45, 0.7200000000000001, 0.81 }
 };
 
 /* propagate. */
-MARKOV_JUMP_INLINE void markov_jump_propagate_2(const double *mode_second_moment,
+MARKOV_JUMP_INLINE void markov_jump_propagate_3(const double *mode_second_moment,
     double *moved_moment, const double *numbers)
 {
     const double t0 = (0.97 * mode_second_moment[0]) + mode_second_moment[1];
@@ -277,12 +283,22 @@ MARKOV_JUMP_INLINE void markov_jump_propagate_2(const double *mode_second_moment
     moved_moment[5] = numbers[4] * mode_second_moment[5];
 }
 
-/* propagate; every mode's step. */
-MARKOV_JUMP_INLINE void markov_jump_part_3(const double *mode_law, double *plant_noise,
-    const double *numbers_of_0, const double *numbers_of_1)
+/* propagate. */
+MARKOV_JUMP_INLINE void markov_jump_propagate_4(const double *mode_law, double *plant_noise,
+    const double *numbers_of_0, const double *numbers_of_1, const double *numbers_of_2)
 {
-    markov_jump_part_2(mode_law, plant_noise, numbers_of_0);
-    markov_jump_part_2(mode_law, &plant_noise[3], numbers_of_1);
+    markov_jump_propagate_2(mode_law, plant_noise, numbers_of_0);
+    markov_jump_propagate_2(mode_law, &plant_noise[2], numbers_of_1);
+    markov_jump_propagate_2(mode_law, &plant_noise[4], numbers_of_2);
+}
+
+/* every mode's step. */
+MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step(const double *augmented_filtered_state,
+    double *moved_state)
+{
+    const double t0 = (0.97 * augmented_filtered_state[0]) + augmented_filtered_state[1];
+    moved_state[0] = t0 + (0.5 * augmented_filtered_state[2]);
+    moved_state[1] = (0.8 * augmented_filtered_state[1]) + augmented_filtered_state[2];
 }
 
 /* innovation, row by row. */
@@ -290,21 +306,23 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
     const double *augmented_state, double *innovation_0, double *mean,
     const double *augmented_covariance, double *covariance, const double mean_noise,
     double *pivot_0, double *quadratic, double *log_constant, double *determinant_0,
-    double *rows_present, double *quadratic_lost, double *log_constant_lost,
-    double *determinant_lost_0, uint32_t present)
+    double *rows_present, double *statistic, double *threshold, double *declared,
+    const double consecutive_rejections, double *rejections, uint32_t present)
 {
     double inverse_0 = 0.0;
     double innovation_lost_0 = 0.0;
     double pivot_lost_0;
     double inverse_lost_0 = 0.0;
+    double quadratic_lost = 0.0;
+    double log_constant_lost = 0.0;
+    double determinant_lost_0 = 1.0;
 
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
         innovation_0[0] = y - augmented_state[6];
     }
-    markov_jump_copy(augmented_state, mean, 9);
-    markov_jump_copy(augmented_covariance, covariance, 45);
+    markov_jump_part_2(augmented_state, mean, augmented_covariance, covariance);
 
     /* row 0 of y, measured_position */
     pivot_0[0] = augmented_covariance[27] + mean_noise;
@@ -404,9 +422,40 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
     {
         if (!(pivot_lost_0 > 0.0)) { return MARKOV_JUMP_NOT_POSITIVE_DEFINITE; }
         inverse_lost_0 = 1.0 / pivot_lost_0;
-        quadratic_lost[0] = innovation_lost_0 * (innovation_lost_0 * inverse_lost_0);
-        log_constant_lost[0] = MARKOV_JUMP_LOG_2_PI;
-        determinant_lost_0[0] = pivot_lost_0;
+        quadratic_lost = innovation_lost_0 * (innovation_lost_0 * inverse_lost_0);
+        log_constant_lost = MARKOV_JUMP_LOG_2_PI;
+        determinant_lost_0 = pivot_lost_0;
+    }
+
+    /* test for a loss: llr */
+    if ((present & 0x1u) != 0u)
+    {
+        const double t10 = log_constant_lost + markov_jump_log(determinant_lost_0);
+        const double t11 = -1.7346010553881062 + (-0.5 * (quadratic_lost + t10));
+        const double t12 = quadratic[0] + (log_constant[0] + markov_jump_log(determinant_0[0]));
+        statistic[0] = t11 - (-0.5 * t12);
+        threshold[0] = 0.0;
+    }
+    if ((present & 0x1u) != 0u)
+    {
+        const double t13 = statistic[0] - threshold[0];
+        if (t13 > 0.0)
+        {
+            declared[0] = 1.0;
+        }
+    }
+    rejections[0] = consecutive_rejections;
+    if ((present & 0x1u) != 0u)
+    {
+        rejections[0] = 0.0;
+    }
+    if ((present & 0x1u) != 0u)
+    {
+        const double t14 = statistic[0] - threshold[0];
+        if (t14 > 0.0)
+        {
+            rejections[0] = consecutive_rejections + 1.0;
+        }
     }
     return MARKOV_JUMP_OK;
 }
@@ -532,13 +581,9 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_2(con
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
-    predicted_mode_law[0] = carried_9[0];
-    predicted_mode_law[1] = carried_9[1];
-    predicted_mode_law[2] = carried_9[2];
+    markov_jump_copy(carried_9, predicted_mode_law, 3);
     markov_jump_copy(&carried_9[3], augmented_state, 6);
-    augmented_state[6] = moved_state[0];
-    augmented_state[7] = moved_state[1];
-    augmented_state[8] = moved_state[2];
+    markov_jump_copy(moved_state, &augmented_state[6], 3);
     augmented_covariance[0] = carried_9[10];
     augmented_covariance[1] = carried_9[12];
     augmented_covariance[2] = carried_9[14];
@@ -554,9 +599,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_2(con
     augmented_covariance[27] = t73;
     augmented_covariance[35] = t75;
     augmented_covariance[44] = t77;
-    predicted_state[0] = moved_state[0];
-    predicted_state[1] = moved_state[1];
-    predicted_state[2] = moved_state[2];
+    markov_jump_copy(moved_state, predicted_state, 3);
     predicted_covariance[0] = t73;
     predicted_covariance[2] = t75;
     predicted_covariance[5] = t77;
@@ -564,7 +607,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_2(con
 }
 
 /* every mode's step. */
-MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step(const double *augmented_filtered_covariance,
+MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step_2(const double *augmented_filtered_covariance,
     double *carried_8)
 {
     const double t0 = (0.97 * augmented_filtered_covariance[0]) + augmented_filtered_covariance[1];
@@ -680,6 +723,90 @@ MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step(const double *augmented_fi
     carried_8[28] = t74;
 }
 
+/* every mode's step. */
+MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step_3(const double *augmented_filtered_state,
+    double *moved_state, const double *augmented_filtered_covariance, double *moved_covariance)
+{
+    double carried_8[31];
+
+    /* every mode's step */
+    moved_state[2] = 0.6 * augmented_filtered_state[2];
+    moved_state[5] = 0.8 * augmented_filtered_state[5];
+    const double t0 = -0.30000000000000004 * augmented_filtered_state[2];
+    const double t1 = t0 + (-0.09999999999999998 * augmented_filtered_state[5]);
+    moved_state[8] = t1 + (0.9 * augmented_filtered_state[8]);
+    markov_jump_every_mode_s_step(augmented_filtered_state, moved_state);
+    markov_jump_every_mode_s_step(&augmented_filtered_state[3], &moved_state[3]);
+    markov_jump_every_mode_s_step(&augmented_filtered_state[6], &moved_state[6]);
+    markov_jump_every_mode_s_step_2(augmented_filtered_covariance, carried_8);
+    const double t2 = (0.8 * augmented_filtered_covariance[29]) + augmented_filtered_covariance[37];
+    const double t3 = 0.8 * t2;
+    const double t4 = 0.8 * augmented_filtered_covariance[30];
+    const double t5 = t4 + augmented_filtered_covariance[38];
+    moved_covariance[29] = t3 + t5;
+    moved_covariance[30] = 0.6 * t5;
+    const double t6 = 0.97 * augmented_filtered_covariance[31];
+    const double t7 = t6 + augmented_filtered_covariance[32];
+    const double t8 = 0.8 * (t7 + (0.5 * augmented_filtered_covariance[33]));
+    const double t9 = 0.97 * augmented_filtered_covariance[39];
+    const double t10 = t9 + augmented_filtered_covariance[40];
+    moved_covariance[31] = t8 + (t10 + (0.5 * augmented_filtered_covariance[41]));
+    const double t11 = 0.8 * augmented_filtered_covariance[32];
+    const double t12 = 0.8 * (t11 + augmented_filtered_covariance[40]);
+    const double t13 = 0.8 * augmented_filtered_covariance[33];
+    const double t14 = t13 + augmented_filtered_covariance[41];
+    moved_covariance[32] = t12 + t14;
+    moved_covariance[33] = 0.8 * t14;
+    moved_covariance[34] = (0.8 * carried_8[27]) + carried_8[28];
+    const double t15 = 0.8 * augmented_filtered_covariance[35];
+    const double t16 = 0.8 * (t15 + augmented_filtered_covariance[43]);
+    const double t17 = 0.8 * augmented_filtered_covariance[43];
+    moved_covariance[35] = t16 + (t17 + augmented_filtered_covariance[44]);
+    const double t18 = -0.30000000000000004 * augmented_filtered_covariance[3];
+    const double t19 = t18 + (-0.09999999999999998 * augmented_filtered_covariance[15]);
+    const double t20 = 0.97 * (t19 + (0.9 * augmented_filtered_covariance[36]));
+    const double t21 = -0.30000000000000004 * augmented_filtered_covariance[4];
+    const double t22 = t21 + (-0.09999999999999998 * augmented_filtered_covariance[16]);
+    const double t23 = t22 + (0.9 * augmented_filtered_covariance[37]);
+    const double t24 = t20 + t23;
+    const double t25 = -0.30000000000000004 * augmented_filtered_covariance[5];
+    const double t26 = t25 + (-0.09999999999999998 * augmented_filtered_covariance[17]);
+    const double t27 = t26 + (0.9 * augmented_filtered_covariance[38]);
+    moved_covariance[36] = t24 + (0.5 * t27);
+    moved_covariance[37] = (0.8 * t23) + t27;
+    moved_covariance[38] = 0.6 * t27;
+    const double t28 = -0.30000000000000004 * augmented_filtered_covariance[8];
+    const double t29 = t28 + (-0.09999999999999998 * augmented_filtered_covariance[18]);
+    const double t30 = 0.97 * (t29 + (0.9 * augmented_filtered_covariance[39]));
+    const double t31 = -0.30000000000000004 * augmented_filtered_covariance[12];
+    const double t32 = t31 + (-0.09999999999999998 * augmented_filtered_covariance[19]);
+    const double t33 = t32 + (0.9 * augmented_filtered_covariance[40]);
+    const double t34 = t30 + t33;
+    const double t35 = -0.30000000000000004 * augmented_filtered_covariance[17];
+    const double t36 = t35 + (-0.09999999999999998 * augmented_filtered_covariance[20]);
+    const double t37 = t36 + (0.9 * augmented_filtered_covariance[41]);
+    moved_covariance[39] = t34 + (0.5 * t37);
+    moved_covariance[40] = (0.8 * t33) + t37;
+    moved_covariance[41] = 0.8 * t37;
+    const double t38 = -0.30000000000000004 * augmented_filtered_covariance[23];
+    const double t39 = t38 + (-0.09999999999999998 * augmented_filtered_covariance[26]);
+    const double t40 = 0.97 * (t39 + (0.9 * augmented_filtered_covariance[42]));
+    const double t41 = -0.30000000000000004 * augmented_filtered_covariance[30];
+    const double t42 = t41 + (-0.09999999999999998 * augmented_filtered_covariance[33]);
+    const double t43 = t42 + (0.9 * augmented_filtered_covariance[43]);
+    const double t44 = t40 + t43;
+    const double t45 = -0.30000000000000004 * augmented_filtered_covariance[38];
+    const double t46 = t45 + (-0.09999999999999998 * augmented_filtered_covariance[41]);
+    const double t47 = t46 + (0.9 * augmented_filtered_covariance[44]);
+    moved_covariance[42] = t44 + (0.5 * t47);
+    moved_covariance[43] = (0.8 * t43) + t47;
+    const double t48 = (-0.30000000000000004 * t27) + (-0.09999999999999998 * t37);
+    moved_covariance[44] = t48 + (0.9 * t47);
+    markov_jump_copy(carried_8, moved_covariance, 27);
+    moved_covariance[27] = carried_8[29];
+    moved_covariance[28] = carried_8[30];
+}
+
 /* prediction of the next sample. */
 MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_3(const double *mode_law,
     const double *moved_state, const double *moved_covariance, const double *moved_moment_0,
@@ -764,11 +891,27 @@ MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_3(const double *mode_
     carried_9[15] = t55;
 }
 
-/* prediction of the next sample. */
-MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_4(const double *moved_covariance,
+/* every mode's step. */
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_every_mode_s_step_4(const double
+    *augmented_filtered_state, const double *augmented_filtered_covariance, const double *mode_law,
     const double *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
-    const double *plant_noise_0, const double plant_noise_1, double *carried_10)
+    const double *plant_noise_0, const double *plant_noise_1, const double *plant_noise_2,
+    double *predicted_mode_law, double *augmented_state, double *augmented_covariance,
+    double *predicted_state, double *predicted_covariance, double *predicted_mode_second_moment)
 {
+    double moved_state[9] = { 0.0 };
+    double moved_covariance[45] = { 0.0 };
+    double carried_9[17] = { 0.0 };
+    double carried_10[13] = { 0.0 };
+    markov_jump_status_t status;
+
+    /* every mode's step */
+    markov_jump_every_mode_s_step_3(augmented_filtered_state, moved_state,
+        augmented_filtered_covariance, moved_covariance);
+
+    /* prediction of the next sample */
+    markov_jump_prediction_of_the_next_3(mode_law, moved_state, moved_covariance, moved_moment_0,
+        moved_moment_1, moved_moment_2, plant_noise_0, carried_9);
     const double t0 = 0.9299999999999999 * moved_covariance[4];
     const double t1 = t0 + (0.039999999999999994 * moved_covariance[16]);
     const double t2 = 0.9299999999999999 * (t1 + (0.02 * moved_covariance[37]));
@@ -781,7 +924,7 @@ MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_4(const double *moved
     const double t9 = t5 + (0.02 * t8);
     const double t10 = 0.04750000000000004 * moved_moment_0[4];
     const double t11 = t10 + (0.05639999999999999 * moved_moment_1[4]);
-    carried_10[1] = t9 + (t11 + (0.0196 * moved_moment_2[4]) + plant_noise_0[0]);
+    carried_10[1] = t9 + (t11 + (0.0196 * moved_moment_2[4]) + plant_noise_0[4]);
     const double t12 = 0.9299999999999999 * moved_covariance[5];
     const double t13 = t12 + (0.039999999999999994 * moved_covariance[17]);
     const double t14 = 0.9299999999999999 * (t13 + (0.02 * moved_covariance[38]));
@@ -794,7 +937,7 @@ MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_4(const double *moved
     const double t21 = t17 + (0.02 * t20);
     const double t22 = 0.04750000000000004 * moved_moment_0[5];
     const double t23 = t22 + (0.05639999999999999 * moved_moment_1[5]);
-    carried_10[3] = t21 + (t23 + (0.0196 * moved_moment_2[5]) + plant_noise_0[1]);
+    carried_10[3] = t21 + (t23 + (0.0196 * moved_moment_2[5]) + plant_noise_0[5]);
     const double t24 = (-0.04 * moved_covariance[0]) + (0.8200000000000001 * moved_covariance[6]);
     const double t25 = t24 + (0.08 * moved_covariance[21]);
     const double t26 = 0.9299999999999999 * t25;
@@ -828,7 +971,7 @@ MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_4(const double *moved
     carried_10[9] = t50 + (t51 + (-0.0016 * moved_moment_2[3]));
     const double t52 = (-0.04 * t25) + (0.8200000000000001 * t28) + (0.08 * t31);
     const double t53 = (0.0384 * moved_moment_0[0]) + (0.08999999999999998 * moved_moment_1[0]);
-    carried_10[10] = t52 + (t53 + (0.0736 * moved_moment_2[0]) + plant_noise_1);
+    carried_10[10] = t52 + (t53 + (0.0736 * moved_moment_2[0]) + plant_noise_1[0]);
     const double t54 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[10]);
     const double t55 = t54 + (0.08 * moved_covariance[28]);
     carried_10[12] = 0.9299999999999999 * t55;
@@ -838,114 +981,6 @@ MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_4(const double *moved
     carried_10[6] = t39;
     carried_10[8] = t49;
     carried_10[11] = t55;
-}
-
-/* every mode's step. */
-MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_every_mode_s_step_2(const double *mode_law,
-    const double *augmented_filtered_state, const double *augmented_filtered_covariance,
-    const double *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
-    const double *plant_noise_0, const double *plant_noise_1, double *predicted_mode_law,
-    double *augmented_state, double *augmented_covariance, double *predicted_state,
-    double *predicted_covariance, double *predicted_mode_second_moment)
-{
-    double plant_noise_2[6] = { 0.0 };
-    double moved_state[9] = { 0.0 };
-    double carried_8[31] = { 0.0 };
-    double moved_covariance[45] = { 0.0 };
-    double carried_9[17] = { 0.0 };
-    double carried_10[13] = { 0.0 };
-    markov_jump_status_t status;
-
-    /* every mode's step */
-    markov_jump_part_3(mode_law, plant_noise_2, markov_jump_part_2_numbers[4],
-        markov_jump_part_2_numbers[5]);
-    moved_state[2] = 0.6 * augmented_filtered_state[2];
-    moved_state[5] = 0.8 * augmented_filtered_state[5];
-    const double t0 = -0.30000000000000004 * augmented_filtered_state[2];
-    const double t1 = t0 + (-0.09999999999999998 * augmented_filtered_state[5]);
-    moved_state[8] = t1 + (0.9 * augmented_filtered_state[8]);
-    const double t2 = (0.97 * augmented_filtered_state[0]) + augmented_filtered_state[1];
-    moved_state[0] = t2 + (0.5 * augmented_filtered_state[2]);
-    moved_state[1] = (0.8 * augmented_filtered_state[1]) + augmented_filtered_state[2];
-    const double t3 = (0.97 * augmented_filtered_state[3]) + augmented_filtered_state[4];
-    moved_state[3] = t3 + (0.5 * augmented_filtered_state[5]);
-    moved_state[4] = (0.8 * augmented_filtered_state[4]) + augmented_filtered_state[5];
-    const double t4 = (0.97 * augmented_filtered_state[6]) + augmented_filtered_state[7];
-    moved_state[6] = t4 + (0.5 * augmented_filtered_state[8]);
-    moved_state[7] = (0.8 * augmented_filtered_state[7]) + augmented_filtered_state[8];
-    markov_jump_every_mode_s_step(augmented_filtered_covariance, carried_8);
-    const double t5 = 0.8 * augmented_filtered_covariance[29];
-    const double t6 = 0.8 * (t5 + augmented_filtered_covariance[37]);
-    const double t7 = 0.8 * augmented_filtered_covariance[30];
-    const double t8 = t7 + augmented_filtered_covariance[38];
-    moved_covariance[29] = t6 + t8;
-    moved_covariance[30] = 0.6 * t8;
-    const double t9 = 0.97 * augmented_filtered_covariance[31];
-    const double t10 = t9 + augmented_filtered_covariance[32];
-    const double t11 = 0.8 * (t10 + (0.5 * augmented_filtered_covariance[33]));
-    const double t12 = 0.97 * augmented_filtered_covariance[39];
-    const double t13 = t12 + augmented_filtered_covariance[40];
-    moved_covariance[31] = t11 + (t13 + (0.5 * augmented_filtered_covariance[41]));
-    const double t14 = 0.8 * augmented_filtered_covariance[32];
-    const double t15 = 0.8 * (t14 + augmented_filtered_covariance[40]);
-    const double t16 = 0.8 * augmented_filtered_covariance[33];
-    const double t17 = t16 + augmented_filtered_covariance[41];
-    moved_covariance[32] = t15 + t17;
-    moved_covariance[33] = 0.8 * t17;
-    moved_covariance[34] = (0.8 * carried_8[27]) + carried_8[28];
-    const double t18 = 0.8 * augmented_filtered_covariance[35];
-    const double t19 = 0.8 * (t18 + augmented_filtered_covariance[43]);
-    const double t20 = 0.8 * augmented_filtered_covariance[43];
-    moved_covariance[35] = t19 + (t20 + augmented_filtered_covariance[44]);
-    const double t21 = -0.30000000000000004 * augmented_filtered_covariance[3];
-    const double t22 = t21 + (-0.09999999999999998 * augmented_filtered_covariance[15]);
-    const double t23 = 0.97 * (t22 + (0.9 * augmented_filtered_covariance[36]));
-    const double t24 = -0.30000000000000004 * augmented_filtered_covariance[4];
-    const double t25 = t24 + (-0.09999999999999998 * augmented_filtered_covariance[16]);
-    const double t26 = t25 + (0.9 * augmented_filtered_covariance[37]);
-    const double t27 = t23 + t26;
-    const double t28 = -0.30000000000000004 * augmented_filtered_covariance[5];
-    const double t29 = t28 + (-0.09999999999999998 * augmented_filtered_covariance[17]);
-    const double t30 = t29 + (0.9 * augmented_filtered_covariance[38]);
-    moved_covariance[36] = t27 + (0.5 * t30);
-    moved_covariance[37] = (0.8 * t26) + t30;
-    moved_covariance[38] = 0.6 * t30;
-    const double t31 = -0.30000000000000004 * augmented_filtered_covariance[8];
-    const double t32 = t31 + (-0.09999999999999998 * augmented_filtered_covariance[18]);
-    const double t33 = 0.97 * (t32 + (0.9 * augmented_filtered_covariance[39]));
-    const double t34 = -0.30000000000000004 * augmented_filtered_covariance[12];
-    const double t35 = t34 + (-0.09999999999999998 * augmented_filtered_covariance[19]);
-    const double t36 = t35 + (0.9 * augmented_filtered_covariance[40]);
-    const double t37 = t33 + t36;
-    const double t38 = -0.30000000000000004 * augmented_filtered_covariance[17];
-    const double t39 = t38 + (-0.09999999999999998 * augmented_filtered_covariance[20]);
-    const double t40 = t39 + (0.9 * augmented_filtered_covariance[41]);
-    moved_covariance[39] = t37 + (0.5 * t40);
-    moved_covariance[40] = (0.8 * t36) + t40;
-    moved_covariance[41] = 0.8 * t40;
-    const double t41 = -0.30000000000000004 * augmented_filtered_covariance[23];
-    const double t42 = t41 + (-0.09999999999999998 * augmented_filtered_covariance[26]);
-    const double t43 = 0.97 * (t42 + (0.9 * augmented_filtered_covariance[42]));
-    const double t44 = -0.30000000000000004 * augmented_filtered_covariance[30];
-    const double t45 = t44 + (-0.09999999999999998 * augmented_filtered_covariance[33]);
-    const double t46 = t45 + (0.9 * augmented_filtered_covariance[43]);
-    const double t47 = t43 + t46;
-    const double t48 = -0.30000000000000004 * augmented_filtered_covariance[38];
-    const double t49 = t48 + (-0.09999999999999998 * augmented_filtered_covariance[41]);
-    const double t50 = t49 + (0.9 * augmented_filtered_covariance[44]);
-    moved_covariance[42] = t47 + (0.5 * t50);
-    moved_covariance[43] = (0.8 * t46) + t50;
-    const double t51 = (-0.30000000000000004 * t30) + (-0.09999999999999998 * t40);
-    moved_covariance[44] = t51 + (0.9 * t50);
-    markov_jump_copy(carried_8, moved_covariance, 27);
-    moved_covariance[27] = carried_8[29];
-    moved_covariance[28] = carried_8[30];
-
-    /* prediction of the next sample */
-    markov_jump_prediction_of_the_next_3(mode_law, moved_state, moved_covariance, moved_moment_0,
-        moved_moment_1, moved_moment_2, plant_noise_0, carried_9);
-    markov_jump_prediction_of_the_next_4(moved_covariance, moved_moment_0, moved_moment_1,
-        moved_moment_2, &plant_noise_0[4], plant_noise_1[0], carried_10);
     status = markov_jump_prediction_of_the_next_2(&moved_covariance[2], carried_10,
         &moved_moment_0[1], &moved_moment_1[1], &moved_moment_2[1], plant_noise_1, carried_9,
         plant_noise_0, plant_noise_2, &moved_state[6], predicted_mode_law, augmented_state,
@@ -962,27 +997,27 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_every_mode_s_step_2(const do
         plant_noise_2, &predicted_mode_second_moment[12],
         markov_jump_prediction_of_the_next_numbers[2]);
     if (status != MARKOV_JUMP_OK) { return status; }
-    const double t52 = 0.9299999999999999 * moved_covariance[28];
-    const double t53 = t52 + (0.039999999999999994 * moved_covariance[31]);
-    augmented_covariance[28] = t53 + (0.02 * moved_covariance[34]) + plant_noise_0[1];
-    const double t54 = plant_noise_0[1] + plant_noise_1[1] + plant_noise_2[1];
-    const double t55 = moved_covariance[34] + t54;
-    augmented_covariance[34] = t55;
-    predicted_covariance[1] = t55;
-    const double t56 = 0.9299999999999999 * moved_covariance[36];
-    const double t57 = t56 + (0.039999999999999994 * moved_covariance[39]);
-    augmented_covariance[36] = t57 + (0.02 * moved_covariance[42]) + plant_noise_0[3];
-    const double t58 = 0.9299999999999999 * moved_covariance[37];
-    const double t59 = t58 + (0.039999999999999994 * moved_covariance[40]);
-    augmented_covariance[37] = t59 + (0.02 * moved_covariance[43]) + plant_noise_0[4];
-    const double t60 = plant_noise_0[3] + plant_noise_1[3] + plant_noise_2[3];
-    const double t61 = moved_covariance[42] + t60;
-    augmented_covariance[42] = t61;
-    predicted_covariance[3] = t61;
-    const double t62 = plant_noise_0[4] + plant_noise_1[4] + plant_noise_2[4];
-    const double t63 = moved_covariance[43] + t62;
-    augmented_covariance[43] = t63;
-    predicted_covariance[4] = t63;
+    const double t56 = 0.9299999999999999 * moved_covariance[28];
+    const double t57 = t56 + (0.039999999999999994 * moved_covariance[31]);
+    augmented_covariance[28] = t57 + (0.02 * moved_covariance[34]) + plant_noise_0[1];
+    const double t58 = plant_noise_0[1] + plant_noise_1[1] + plant_noise_2[1];
+    const double t59 = moved_covariance[34] + t58;
+    augmented_covariance[34] = t59;
+    predicted_covariance[1] = t59;
+    const double t60 = 0.9299999999999999 * moved_covariance[36];
+    const double t61 = t60 + (0.039999999999999994 * moved_covariance[39]);
+    augmented_covariance[36] = t61 + (0.02 * moved_covariance[42]) + plant_noise_0[3];
+    const double t62 = 0.9299999999999999 * moved_covariance[37];
+    const double t63 = t62 + (0.039999999999999994 * moved_covariance[40]);
+    augmented_covariance[37] = t63 + (0.02 * moved_covariance[43]) + plant_noise_0[4];
+    const double t64 = plant_noise_0[3] + plant_noise_1[3] + plant_noise_2[3];
+    const double t65 = moved_covariance[42] + t64;
+    augmented_covariance[42] = t65;
+    predicted_covariance[3] = t65;
+    const double t66 = plant_noise_0[4] + plant_noise_1[4] + plant_noise_2[4];
+    const double t67 = moved_covariance[43] + t66;
+    augmented_covariance[43] = t67;
+    predicted_covariance[4] = t67;
     return MARKOV_JUMP_OK;
 }
 
@@ -999,13 +1034,10 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     double log_constant = 0.0;
     double determinant_0 = 1.0;
     double rows_present = 0.0;
-    double quadratic_lost = 0.0;
-    double log_constant_lost = 0.0;
-    double determinant_lost_0 = 1.0;
     double statistic = 0.0;
     double threshold = 0.0;
     double declared = 0.0;
-    double rejections;
+    double rejections = 0.0;
     double kept_state[9];
     double kept_covariance[45];
     markov_jump_status_t status;
@@ -1023,47 +1055,16 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     /* innovation, row by row */
     status = markov_jump_innovation(y[0], self->augmented_state, &innovation_0, mean,
         self->augmented_covariance, covariance, mean_noise, &pivot_0, &quadratic, &log_constant,
-        &determinant_0, &rows_present, &quadratic_lost, &log_constant_lost, &determinant_lost_0,
-        present);
+        &determinant_0, &rows_present, &statistic, &threshold, &declared,
+        self->consecutive_rejections, &rejections, present);
     if (status != MARKOV_JUMP_OK) { return status; }
 
-    /* test for a loss: llr */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t1 = log_constant_lost + markov_jump_log(determinant_lost_0);
-        const double t2 = -1.7346010553881062 + (-0.5 * (quadratic_lost + t1));
-        statistic = t2 - (-0.5 * (quadratic + (log_constant + markov_jump_log(determinant_0))));
-        threshold = 0.0;
-    }
-    if ((present & 0x1u) != 0u)
-    {
-        const double t3 = statistic - threshold;
-        if (t3 > 0.0)
-        {
-            declared = 1.0;
-        }
-    }
-    rejections = self->consecutive_rejections;
-    if ((present & 0x1u) != 0u)
-    {
-        rejections = 0.0;
-    }
-    if ((present & 0x1u) != 0u)
-    {
-        const double t4 = statistic - threshold;
-        if (t4 > 0.0)
-        {
-            rejections = self->consecutive_rejections + 1.0;
-        }
-    }
-
     /* a rejected sample is replaced by its prediction */
-    markov_jump_copy(mean, kept_state, 9);
-    markov_jump_copy(covariance, kept_covariance, 45);
+    markov_jump_part_2(mean, kept_state, covariance, kept_covariance);
     if ((present & 0x1u) != 0u)
     {
-        const double t5 = statistic - threshold;
-        if (t5 > 0.0)
+        const double t1 = statistic - threshold;
+        if (t1 > 0.0)
         {
             markov_jump_copy(self->augmented_state, kept_state, 9);
             markov_jump_copy(self->augmented_covariance, kept_covariance, 45);
@@ -1079,22 +1080,16 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     next->consecutive_rejections = rejections;
     markov_jump_copy(kept_state, next->augmented_filtered_state, 9);
     markov_jump_copy(kept_covariance, next->augmented_filtered_covariance, 45);
-    next->filtered_state[0] = kept_state[6];
-    next->filtered_state[1] = kept_state[7];
-    next->filtered_state[2] = kept_state[8];
+    markov_jump_copy(&kept_state[6], next->filtered_state, 3);
     next->filtered_covariance[0] = kept_covariance[27];
     next->filtered_covariance[1] = kept_covariance[34];
     next->filtered_covariance[2] = kept_covariance[35];
-    next->filtered_covariance[3] = kept_covariance[42];
-    next->filtered_covariance[4] = kept_covariance[43];
-    next->filtered_covariance[5] = kept_covariance[44];
+    markov_jump_copy(&kept_covariance[42], &next->filtered_covariance[3], 3);
     next->innovation[0] = innovation_0;
     next->innovation_covariance[0] = pivot_0;
     next->nis = quadratic;
     markov_jump_copy(self->predicted_mode_second_moment, next->mode_second_moment, 18);
-    next->mode_law[0] = self->predicted_mode_law[0];
-    next->mode_law[1] = self->predicted_mode_law[1];
-    next->mode_law[2] = self->predicted_mode_law[2];
+    markov_jump_copy(self->predicted_mode_law, next->mode_law, 3);
     return MARKOV_JUMP_OK;
 }
 
@@ -1107,9 +1102,10 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_
     double moved_moment_2[6] = { 0.0 };
     double plant_noise_0[6] = { 0.0 };
     double plant_noise_1[6] = { 0.0 };
+    double plant_noise_2[6] = { 0.0 };
     markov_jump_status_t status;
-    markov_jump_propagate_2(self->mode_second_moment, moved_moment_0,
-        markov_jump_propagate_2_numbers[0]);
+    markov_jump_propagate_3(self->mode_second_moment, moved_moment_0,
+        markov_jump_propagate_3_numbers[0]);
     const double t0 = 0.9409 * self->mode_second_moment[6];
     const double t1 = t0 + (1.94 * self->mode_second_moment[7]) + self->mode_second_moment[8];
     const double t2 = t1 + (0.97 * self->mode_second_moment[9]) + self->mode_second_moment[10];
@@ -1125,19 +1121,21 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_
     const double t8 = 0.6400000000000001 * self->mode_second_moment[10];
     moved_moment_1[4] = t8 + (0.8 * self->mode_second_moment[11]);
     moved_moment_1[5] = 0.6400000000000001 * self->mode_second_moment[11];
-    markov_jump_propagate_2(&self->mode_second_moment[12], moved_moment_2,
-        markov_jump_propagate_2_numbers[1]);
-    markov_jump_part_3(self->mode_law, plant_noise_0, markov_jump_part_2_numbers[0],
-        markov_jump_part_2_numbers[1]);
-    markov_jump_part_3(self->mode_law, plant_noise_1, markov_jump_part_2_numbers[2],
-        markov_jump_part_2_numbers[3]);
+    markov_jump_propagate_3(&self->mode_second_moment[12], moved_moment_2,
+        markov_jump_propagate_3_numbers[1]);
+    markov_jump_propagate_4(self->mode_law, plant_noise_0, markov_jump_propagate_2_numbers[0],
+        markov_jump_propagate_2_numbers[1], markov_jump_propagate_2_numbers[2]);
+    markov_jump_propagate_4(self->mode_law, plant_noise_1, markov_jump_propagate_2_numbers[3],
+        markov_jump_propagate_2_numbers[4], markov_jump_propagate_2_numbers[5]);
+    markov_jump_propagate_4(self->mode_law, plant_noise_2, markov_jump_propagate_2_numbers[6],
+        markov_jump_propagate_2_numbers[7], markov_jump_propagate_2_numbers[8]);
 
     /* every mode's step */
-    status = markov_jump_every_mode_s_step_2(self->mode_law, self->augmented_filtered_state,
-        self->augmented_filtered_covariance, moved_moment_0, moved_moment_1, moved_moment_2,
-        plant_noise_0, plant_noise_1, next->predicted_mode_law, next->augmented_state,
-        next->augmented_covariance, next->predicted_state, next->predicted_covariance,
-        next->predicted_mode_second_moment);
+    status = markov_jump_every_mode_s_step_4(self->augmented_filtered_state,
+        self->augmented_filtered_covariance, self->mode_law, moved_moment_0, moved_moment_1,
+        moved_moment_2, plant_noise_0, plant_noise_1, plant_noise_2, next->predicted_mode_law,
+        next->augmented_state, next->augmented_covariance, next->predicted_state,
+        next->predicted_covariance, next->predicted_mode_second_moment);
     if (status != MARKOV_JUMP_OK) { return status; }
     return MARKOV_JUMP_OK;
 }

@@ -300,107 +300,28 @@ SHIP_TRACK_INLINE void ship_track_copy(const double *from, double *to, int size)
     }
 }
 
-/* mode 0: the model: row 2 of y, report_speed_east. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_3(const double pivot_1, double *mean,
-    const double mode_state, const double innovation_1, double *quadratic, double *log_constant,
-    double *determinant_0, double *covariance, uint32_t present)
-{
-    double inverse_1 = 0.0;
-    if ((present & 0x2u) != 0u)
-    {
-        if (!(pivot_1 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
-        inverse_1 = 1.0 / pivot_1;
-        const double t0 = innovation_1 - (mean[1] - mode_state);
-        const double t1 = t0 * inverse_1;
-        quadratic[0] = quadratic[0] + (t0 * t1);
-        log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
-        determinant_0[0] = determinant_0[0] * pivot_1;
-        mean[0] = mean[0] + (covariance[1] * t1);
-        mean[1] = mean[1] + (covariance[2] * t1);
-        mean[2] = mean[2] + (covariance[4] * t1);
-        mean[3] = mean[3] + (covariance[7] * t1);
-        covariance[0] = covariance[0] - (covariance[1] * inverse_1 * covariance[1]);
-        const double t2 = covariance[2] * inverse_1;
-        const double t3 = covariance[1] - (t2 * covariance[1]);
-        const double t4 = covariance[2] - (t2 * covariance[2]);
-        const double t5 = covariance[4] * inverse_1;
-        covariance[3] = covariance[3] - (t5 * covariance[1]);
-        const double t6 = covariance[4] - (t5 * covariance[2]);
-        covariance[5] = covariance[5] - (t5 * covariance[4]);
-        const double t7 = covariance[7] * inverse_1;
-        covariance[6] = covariance[6] - (t7 * covariance[1]);
-        const double t8 = covariance[7] - (t7 * covariance[2]);
-        covariance[8] = covariance[8] - (t7 * covariance[4]);
-        covariance[9] = covariance[9] - (t7 * covariance[7]);
-        covariance[1] = t3;
-        covariance[2] = t4;
-        covariance[4] = t6;
-        covariance[7] = t8;
-    }
-
-    /* mode 0: the model: row 2 of y, report_speed_east */
-    return SHIP_TRACK_OK;
-}
-
-/* mode 0: the model: innovation, row by row; mode 1: with its own A, Q: innovation, row by row;
- * mode 2: with its own A, Q: innovation, row by row. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const double *mode_state,
-    double *innovation_0, double *innovation_1, double *innovation_2, double *innovation_3,
-    const double *mode_covariance, double *variance, double *mean, double *covariance,
-    double *quadratic, double *log_constant, double *determinant_0, uint32_t present)
+/* mode 0: the model: row 1 of y, report_north; mode 1: with its own A, Q: row 1 of y, report_north;
+ * mode 2: with its own A, Q: row 1 of y, report_north. */
+SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *mode_covariance,
+    const double innovation_0, const double *mode_state, double *quadratic, double *log_constant,
+    double *determinant_0, double *mean, double *covariance, const double innovation_1,
+    const double innovation_2, const double innovation_3, uint32_t present)
 {
     double pivot_0;
     double inverse_0 = 0.0;
-    double pivot_1 = 0.0;
+    double pivot_1;
+    double inverse_1 = 0.0;
     double pivot_2;
     double inverse_2 = 0.0;
     double pivot_3;
     double inverse_3 = 0.0;
-    ship_track_status_t status;
-
-    /* mode 0: the model: innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        innovation_0[0] = y[0] - mode_state[0];
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        innovation_1[0] = y[1] - mode_state[1];
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        innovation_2[0] = y[2] - mode_state[2];
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        innovation_3[0] = y[3] - mode_state[3];
-    }
-
-    /* mode 0: the model */
-    variance[0] = mode_covariance[0] + 16.0;
-    variance[2] = mode_covariance[2] + 36.0;
-    variance[5] = mode_covariance[5] + 0.04;
-    variance[9] = mode_covariance[9] + 0.04;
-    variance[1] = mode_covariance[1];
-    variance[3] = mode_covariance[3];
-    variance[4] = mode_covariance[4];
-    variance[6] = mode_covariance[6];
-    variance[7] = mode_covariance[7];
-    variance[8] = mode_covariance[8];
-    mean[0] = mode_state[0];
-    mean[1] = mode_state[1];
-    mean[2] = mode_state[2];
-    mean[3] = mode_state[3];
-    ship_track_copy(mode_covariance, covariance, 10);
-
-    /* mode 0: the model: row 0 of y, report_east */
     pivot_0 = mode_covariance[0] + 16.0;
     if ((present & 0x1u) != 0u)
     {
         if (!(pivot_0 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         inverse_0 = 1.0 / pivot_0;
-        const double t0 = innovation_0[0] * inverse_0;
-        quadratic[0] = innovation_0[0] * t0;
+        const double t0 = innovation_0 * inverse_0;
+        quadratic[0] = innovation_0 * t0;
         mean[0] = mode_state[0] + (mode_covariance[0] * t0);
         mean[1] = mode_state[1] + (mode_covariance[1] * t0);
         mean[2] = mode_state[2] + (mode_covariance[3] * t0);
@@ -424,40 +345,70 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const dou
 
     /* mode 0: the model: row 1 of y, report_north */
     pivot_1 = covariance[2] + 36.0;
-    status = ship_track_mode_3(pivot_1, mean, mode_state[1], innovation_1[0], quadratic,
-        log_constant, determinant_0, covariance, present);
-    if (status != SHIP_TRACK_OK) { return status; }
+    if ((present & 0x2u) != 0u)
+    {
+        if (!(pivot_1 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
+        inverse_1 = 1.0 / pivot_1;
+        const double t4 = innovation_1 - (mean[1] - mode_state[1]);
+        const double t5 = t4 * inverse_1;
+        quadratic[0] = quadratic[0] + (t4 * t5);
+        log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
+        determinant_0[0] = determinant_0[0] * pivot_1;
+        mean[0] = mean[0] + (covariance[1] * t5);
+        mean[1] = mean[1] + (covariance[2] * t5);
+        mean[2] = mean[2] + (covariance[4] * t5);
+        mean[3] = mean[3] + (covariance[7] * t5);
+        covariance[0] = covariance[0] - (covariance[1] * inverse_1 * covariance[1]);
+        const double t6 = covariance[2] * inverse_1;
+        const double t7 = covariance[1] - (t6 * covariance[1]);
+        const double t8 = covariance[2] - (t6 * covariance[2]);
+        const double t9 = covariance[4] * inverse_1;
+        covariance[3] = covariance[3] - (t9 * covariance[1]);
+        const double t10 = covariance[4] - (t9 * covariance[2]);
+        covariance[5] = covariance[5] - (t9 * covariance[4]);
+        const double t11 = covariance[7] * inverse_1;
+        covariance[6] = covariance[6] - (t11 * covariance[1]);
+        const double t12 = covariance[7] - (t11 * covariance[2]);
+        covariance[8] = covariance[8] - (t11 * covariance[4]);
+        covariance[9] = covariance[9] - (t11 * covariance[7]);
+        covariance[1] = t7;
+        covariance[2] = t8;
+        covariance[4] = t10;
+        covariance[7] = t12;
+    }
+
+    /* mode 0: the model: row 2 of y, report_speed_east */
     pivot_2 = covariance[5] + 0.04;
     if ((present & 0x4u) != 0u)
     {
         if (!(pivot_2 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         inverse_2 = 1.0 / pivot_2;
-        const double t4 = innovation_2[0] - (mean[2] - mode_state[2]);
-        const double t5 = t4 * inverse_2;
-        quadratic[0] = quadratic[0] + (t4 * t5);
+        const double t13 = innovation_2 - (mean[2] - mode_state[2]);
+        const double t14 = t13 * inverse_2;
+        quadratic[0] = quadratic[0] + (t13 * t14);
         log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_2;
-        mean[0] = mean[0] + (covariance[3] * t5);
-        mean[1] = mean[1] + (covariance[4] * t5);
-        mean[2] = mean[2] + (covariance[5] * t5);
-        mean[3] = mean[3] + (covariance[8] * t5);
+        mean[0] = mean[0] + (covariance[3] * t14);
+        mean[1] = mean[1] + (covariance[4] * t14);
+        mean[2] = mean[2] + (covariance[5] * t14);
+        mean[3] = mean[3] + (covariance[8] * t14);
         covariance[0] = covariance[0] - (covariance[3] * inverse_2 * covariance[3]);
-        const double t6 = covariance[4] * inverse_2;
-        covariance[1] = covariance[1] - (t6 * covariance[3]);
-        covariance[2] = covariance[2] - (t6 * covariance[4]);
-        const double t7 = covariance[5] * inverse_2;
-        const double t8 = covariance[3] - (t7 * covariance[3]);
-        const double t9 = covariance[4] - (t7 * covariance[4]);
-        const double t10 = covariance[5] - (t7 * covariance[5]);
-        const double t11 = covariance[8] * inverse_2;
-        covariance[6] = covariance[6] - (t11 * covariance[3]);
-        covariance[7] = covariance[7] - (t11 * covariance[4]);
-        const double t12 = covariance[8] - (t11 * covariance[5]);
-        covariance[9] = covariance[9] - (t11 * covariance[8]);
-        covariance[3] = t8;
-        covariance[4] = t9;
-        covariance[5] = t10;
-        covariance[8] = t12;
+        const double t15 = covariance[4] * inverse_2;
+        covariance[1] = covariance[1] - (t15 * covariance[3]);
+        covariance[2] = covariance[2] - (t15 * covariance[4]);
+        const double t16 = covariance[5] * inverse_2;
+        const double t17 = covariance[3] - (t16 * covariance[3]);
+        const double t18 = covariance[4] - (t16 * covariance[4]);
+        const double t19 = covariance[5] - (t16 * covariance[5]);
+        const double t20 = covariance[8] * inverse_2;
+        covariance[6] = covariance[6] - (t20 * covariance[3]);
+        covariance[7] = covariance[7] - (t20 * covariance[4]);
+        const double t21 = covariance[8] - (t20 * covariance[5]);
+        covariance[9] = covariance[9] - (t20 * covariance[8]);
+        covariance[3] = t17;
+        covariance[4] = t18;
+        covariance[5] = t19;
+        covariance[8] = t21;
     }
 
     /* mode 0: the model: row 3 of y, report_speed_north */
@@ -466,31 +417,29 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode(const double *y, const dou
     {
         if (!(pivot_3 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
         inverse_3 = 1.0 / pivot_3;
-        const double t13 = innovation_3[0] - (mean[3] - mode_state[3]);
-        const double t14 = t13 * inverse_3;
-        quadratic[0] = quadratic[0] + (t13 * t14);
+        const double t22 = innovation_3 - (mean[3] - mode_state[3]);
+        const double t23 = t22 * inverse_3;
+        quadratic[0] = quadratic[0] + (t22 * t23);
         log_constant[0] = log_constant[0] + SHIP_TRACK_LOG_2_PI;
         determinant_0[0] = determinant_0[0] * pivot_3;
-        mean[0] = mean[0] + (covariance[6] * t14);
-        mean[1] = mean[1] + (covariance[7] * t14);
-        mean[2] = mean[2] + (covariance[8] * t14);
-        mean[3] = mean[3] + (covariance[9] * t14);
+        mean[0] = mean[0] + (covariance[6] * t23);
+        mean[1] = mean[1] + (covariance[7] * t23);
+        mean[2] = mean[2] + (covariance[8] * t23);
+        mean[3] = mean[3] + (covariance[9] * t23);
         covariance[0] = covariance[0] - (covariance[6] * inverse_3 * covariance[6]);
-        const double t15 = covariance[7] * inverse_3;
-        covariance[1] = covariance[1] - (t15 * covariance[6]);
-        covariance[2] = covariance[2] - (t15 * covariance[7]);
-        const double t16 = covariance[8] * inverse_3;
-        covariance[3] = covariance[3] - (t16 * covariance[6]);
-        covariance[4] = covariance[4] - (t16 * covariance[7]);
-        covariance[5] = covariance[5] - (t16 * covariance[8]);
-        const double t17 = covariance[9] * inverse_3;
-        covariance[6] = covariance[6] - (t17 * covariance[6]);
-        covariance[7] = covariance[7] - (t17 * covariance[7]);
-        covariance[8] = covariance[8] - (t17 * covariance[8]);
-        covariance[9] = covariance[9] - (t17 * covariance[9]);
+        const double t24 = covariance[7] * inverse_3;
+        covariance[1] = covariance[1] - (t24 * covariance[6]);
+        covariance[2] = covariance[2] - (t24 * covariance[7]);
+        const double t25 = covariance[8] * inverse_3;
+        covariance[3] = covariance[3] - (t25 * covariance[6]);
+        covariance[4] = covariance[4] - (t25 * covariance[7]);
+        covariance[5] = covariance[5] - (t25 * covariance[8]);
+        const double t26 = covariance[9] * inverse_3;
+        covariance[6] = covariance[6] - (t26 * covariance[6]);
+        covariance[7] = covariance[7] - (t26 * covariance[7]);
+        covariance[8] = covariance[8] - (t26 * covariance[8]);
+        covariance[9] = covariance[9] - (t26 * covariance[9]);
     }
-
-    /* mode 0: the model */
     return SHIP_TRACK_OK;
 }
 
@@ -572,10 +521,10 @@ SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *me
     const double *mean_m2, const double *combined_0_2_share, double *combined_0_2_mean,
     const double *covariance_3, double *combined_0_2_covariance)
 {
-    double apart_0_1[4] = { 0.0 };
-    double apart_0_1_squared[10] = { 0.0 };
-    double combined_0_1_mean[4] = { 0.0 };
-    double combined_0_1_covariance[10] = { 0.0 };
+    double apart_0_1[4];
+    double apart_0_1_squared[10];
+    double combined_0_1_mean[4];
+    double combined_0_1_covariance[10];
     apart_0_1[0] = mean_m0[0] - mean_m1[0];
     apart_0_1[1] = mean_m0[1] - mean_m1[1];
     apart_0_1[2] = mean_m0[2] - mean_m1[2];
@@ -619,7 +568,51 @@ SHIP_TRACK_INLINE void ship_track_part_2(const double *mean_m0, const double *me
 }
 
 /* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction(const double *mixed_0_1_share,
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction(const double *A, const double *mixed_0_mean,
+    double *moved_state, const double *mixed_0_covariance, const double *Q,
+    double *moved_covariance)
+{
+    moved_state[0] = mixed_0_mean[0] + (A[0] * mixed_0_mean[2]) + (A[4] * mixed_0_mean[3]);
+    moved_state[1] = mixed_0_mean[1] + (A[1] * mixed_0_mean[2]) + (A[5] * mixed_0_mean[3]);
+    moved_state[2] = (A[2] * mixed_0_mean[2]) + (A[6] * mixed_0_mean[3]);
+    moved_state[3] = (A[3] * mixed_0_mean[2]) + (A[7] * mixed_0_mean[3]);
+    const double t0 = mixed_0_covariance[0] + (A[0] * mixed_0_covariance[3]);
+    const double t1 = t0 + (A[4] * mixed_0_covariance[6]);
+    const double t2 = mixed_0_covariance[3] + (A[0] * mixed_0_covariance[5]);
+    const double t3 = t1 + ((t2 + (A[4] * mixed_0_covariance[8])) * A[0]);
+    const double t4 = mixed_0_covariance[6] + (A[0] * mixed_0_covariance[8]);
+    moved_covariance[0] = t3 + ((t4 + (A[4] * mixed_0_covariance[9])) * A[4]) + Q[0];
+    const double t5 = mixed_0_covariance[1] + (A[1] * mixed_0_covariance[3]);
+    const double t6 = t5 + (A[5] * mixed_0_covariance[6]);
+    const double t7 = mixed_0_covariance[4] + (A[1] * mixed_0_covariance[5]);
+    const double t8 = t7 + (A[5] * mixed_0_covariance[8]);
+    const double t9 = t6 + (t8 * A[0]);
+    const double t10 = mixed_0_covariance[7] + (A[1] * mixed_0_covariance[8]);
+    const double t11 = t10 + (A[5] * mixed_0_covariance[9]);
+    moved_covariance[1] = t9 + (t11 * A[4]);
+    const double t12 = mixed_0_covariance[2] + (A[1] * mixed_0_covariance[4]);
+    moved_covariance[2] = t12 + (A[5] * mixed_0_covariance[7]) + (t8 * A[1]) + (t11 * A[5]) + Q[2];
+    const double t13 = (A[2] * mixed_0_covariance[3]) + (A[6] * mixed_0_covariance[6]);
+    const double t14 = (A[2] * mixed_0_covariance[5]) + (A[6] * mixed_0_covariance[8]);
+    const double t15 = t13 + (t14 * A[0]);
+    const double t16 = (A[2] * mixed_0_covariance[8]) + (A[6] * mixed_0_covariance[9]);
+    moved_covariance[3] = t15 + (t16 * A[4]) + Q[1];
+    const double t17 = (A[2] * mixed_0_covariance[4]) + (A[6] * mixed_0_covariance[7]);
+    moved_covariance[4] = t17 + (t14 * A[1]) + (t16 * A[5]);
+    moved_covariance[5] = (t14 * A[2]) + (t16 * A[6]) + Q[5];
+    const double t18 = (A[3] * mixed_0_covariance[3]) + (A[7] * mixed_0_covariance[6]);
+    const double t19 = (A[3] * mixed_0_covariance[5]) + (A[7] * mixed_0_covariance[8]);
+    const double t20 = t18 + (t19 * A[0]);
+    const double t21 = (A[3] * mixed_0_covariance[8]) + (A[7] * mixed_0_covariance[9]);
+    moved_covariance[6] = t20 + (t21 * A[4]);
+    const double t22 = (A[3] * mixed_0_covariance[4]) + (A[7] * mixed_0_covariance[7]);
+    moved_covariance[7] = t22 + (t19 * A[1]) + (t21 * A[5]) + Q[3];
+    moved_covariance[8] = (t19 * A[2]) + (t21 * A[6]);
+    moved_covariance[9] = (t19 * A[3]) + (t21 * A[7]) + Q[7];
+}
+
+/* mixing and prediction of every mode. */
+SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *mixed_0_1_share,
     const double *mode_filtered_state, double *mixed_0_1_mean,
     const double *mode_filtered_covariance, const double *mixed_apart_0_1_squared,
     double *mixed_0_1_covariance)
@@ -665,26 +658,34 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction(const double *mixed_0_1_
     mixed_0_1_covariance[9] = t24 + (t6 * mixed_apart_0_1_squared[9]);
 }
 
-/* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_2(const double *A,
-    const double *mixed_0_mean, double *moved_state)
-{
-    moved_state[0] = mixed_0_mean[0] + (A[0] * mixed_0_mean[2]) + (A[4] * mixed_0_mean[3]);
-    moved_state[1] = mixed_0_mean[1] + (A[1] * mixed_0_mean[2]) + (A[5] * mixed_0_mean[3]);
-    moved_state[2] = (A[2] * mixed_0_mean[2]) + (A[6] * mixed_0_mean[3]);
-    moved_state[3] = (A[3] * mixed_0_mean[2]) + (A[7] * mixed_0_mean[3]);
-}
-
-/* innovation of the mixture. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture(const double
-    whitening_pivot_combined, double *whitening_inverse_combined, int row_0)
+/* mode 2: with its own A, Q: innovation, row by row; mode 0: the model: innovation, row by row. */
+SHIP_TRACK_INLINE void ship_track_mode_3(const double *y, const double *mode_state,
+    double *innovation, double *innovation_2, int row_0, int row_1)
 {
     if (row_0 != 0)
     {
-        if (!(whitening_pivot_combined > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined[0] = 1.0 / whitening_pivot_combined;
+        innovation[0] = y[0] - mode_state[0];
     }
-    return SHIP_TRACK_OK;
+    if (row_1 != 0)
+    {
+        innovation_2[0] = y[1] - mode_state[1];
+    }
+}
+
+/* mode 2: with its own A, Q; mode 0: the model. */
+SHIP_TRACK_INLINE void ship_track_mode_4(const double *mode_covariance, double *variance,
+    const double *mode_state, double *mean, double *covariance)
+{
+    variance[0] = mode_covariance[0] + 16.0;
+    variance[2] = mode_covariance[2] + 36.0;
+    variance[5] = mode_covariance[5] + 0.04;
+    variance[9] = mode_covariance[9] + 0.04;
+    variance[1] = mode_covariance[1];
+    variance[3] = mode_covariance[3];
+    variance[4] = mode_covariance[4];
+    ship_track_copy(&mode_covariance[6], &variance[6], 3);
+    ship_track_copy(mode_state, mean, 4);
+    ship_track_copy(mode_covariance, covariance, 10);
 }
 
 /* mode 0: the model: innovation, row by row; mode 1: with its own A, Q: innovation, row by row. */
@@ -699,20 +700,73 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_mode_2(const double *y, const d
     ship_track_status_t status;
 
     /* mode 0: the model: innovation, row by row */
-    status = ship_track_mode(y, mode_state, innovation_0, innovation_1, innovation_2, innovation_3,
-        mode_covariance, variance, mean, covariance, &quadratic, &log_constant, &determinant_0,
-        present);
+    ship_track_mode_3(y, mode_state, innovation_0, innovation_1, ((present & 0x1u) != 0u),
+        ((present & 0x2u) != 0u));
+    ship_track_mode_3(&y[2], &mode_state[2], innovation_2, innovation_3, ((present & 0x4u) != 0u),
+        ((present & 0x8u) != 0u));
+
+    /* mode 0: the model */
+    ship_track_mode_4(mode_covariance, variance, mode_state, mean, covariance);
+
+    /* mode 0: the model: row 0 of y, report_east */
+    status = ship_track_mode(mode_covariance, innovation_0[0], mode_state, &quadratic,
+        &log_constant, &determinant_0, mean, covariance, innovation_1[0], innovation_2[0],
+        innovation_3[0], present);
     if (status != SHIP_TRACK_OK) { return status; }
+
+    /* mode 0: the model */
     log_density[0] = -0.5 * (quadratic + (log_constant + ship_track_log(determinant_0)));
     return SHIP_TRACK_OK;
 }
 
 /* innovation of the mixture. */
-SHIP_TRACK_INLINE void ship_track_innovation_of_the_mixture_2(const double
-    *predicted_mode_probability, const double *variance_m0, const double *variance_m1,
-    const double *variance_m2, const double *predicted_y_m0, const double *predicted_y_m1,
-    const double *predicted_y_m2, double *combined_variance)
+SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture(const double
+    whitening_pivot_combined, double *whitening_inverse_combined, int row_0)
 {
+    if (row_0 != 0)
+    {
+        if (!(whitening_pivot_combined > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
+        whitening_inverse_combined[0] = 1.0 / whitening_pivot_combined;
+    }
+    return SHIP_TRACK_OK;
+}
+
+/* innovation of the mixture. */
+SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture_2(const double
+    *mode_state, const double *predicted_mode_probability, const double *variance_m0,
+    const double *variance_m1, const double *variance_m2, double *combined_variance,
+    const double innovation_m0_0, const double innovation_m1_0, const double innovation_m2_0,
+    double *combined_innovation, const double innovation_m0_1, const double innovation_m1_1,
+    const double innovation_m2_1, const double innovation_m0_2, const double innovation_m1_2,
+    const double innovation_m2_2, const double innovation_m0_3, const double innovation_m1_3,
+    const double innovation_m2_3, double *whitening_inverse_combined_0,
+    double *whitening_combined_0_1, double *whitening_combined_0_2, double *whitening_combined_0_3,
+    double *whitening_inverse_combined_1, double *whitening_combined_1_2,
+    double *whitening_combined_1_3, double *whitening_inverse_combined_2,
+    double *whitening_combined_2_3, double *whitening_inverse_combined_3, uint32_t present)
+{
+    double predicted_y_m0[4];
+    double predicted_y_m1[4];
+    double predicted_y_m2[4];
+    double whitening_pivot_combined_0 = 0.0;
+    double whitening_pivot_combined_1 = 0.0;
+    double whitening_pivot_combined_2 = 0.0;
+    double whitening_pivot_combined_3 = 0.0;
+    ship_track_status_t status;
+
+    /* innovation of the mixture */
+    predicted_y_m0[0] = mode_state[0];
+    predicted_y_m0[1] = mode_state[1];
+    predicted_y_m0[2] = mode_state[2];
+    predicted_y_m0[3] = mode_state[3];
+    predicted_y_m1[0] = mode_state[4];
+    predicted_y_m1[1] = mode_state[5];
+    predicted_y_m1[2] = mode_state[6];
+    predicted_y_m1[3] = mode_state[7];
+    predicted_y_m2[0] = mode_state[8];
+    predicted_y_m2[1] = mode_state[9];
+    predicted_y_m2[2] = mode_state[10];
+    predicted_y_m2[3] = mode_state[11];
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
     const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
     const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
@@ -794,76 +848,65 @@ SHIP_TRACK_INLINE void ship_track_innovation_of_the_mixture_2(const double
     const double t69 = t68 + (predicted_mode_probability[1] * variance_m1[9]);
     const double t70 = t69 + (predicted_mode_probability[2] * variance_m2[9]);
     combined_variance[9] = t70 + ((t55 * t54) + (t58 * t57) + (t61 * t60));
+    const double t71 = predicted_mode_probability[0] * innovation_m0_0;
+    const double t72 = t71 + (predicted_mode_probability[1] * innovation_m1_0);
+    combined_innovation[0] = t72 + (predicted_mode_probability[2] * innovation_m2_0);
+    const double t73 = predicted_mode_probability[0] * innovation_m0_1;
+    const double t74 = t73 + (predicted_mode_probability[1] * innovation_m1_1);
+    combined_innovation[1] = t74 + (predicted_mode_probability[2] * innovation_m2_1);
+    const double t75 = predicted_mode_probability[0] * innovation_m0_2;
+    const double t76 = t75 + (predicted_mode_probability[1] * innovation_m1_2);
+    combined_innovation[2] = t76 + (predicted_mode_probability[2] * innovation_m2_2);
+    const double t77 = predicted_mode_probability[0] * innovation_m0_3;
+    const double t78 = t77 + (predicted_mode_probability[1] * innovation_m1_3);
+    combined_innovation[3] = t78 + (predicted_mode_probability[2] * innovation_m2_3);
+    whitening_pivot_combined_0 = combined_variance[0];
+    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_0,
+        whitening_inverse_combined_0, ((present & 0x1u) != 0u));
+    if (status != SHIP_TRACK_OK) { return status; }
+    whitening_combined_0_1[0] = combined_variance[1] * whitening_inverse_combined_0[0];
+    whitening_combined_0_2[0] = combined_variance[3] * whitening_inverse_combined_0[0];
+    whitening_combined_0_3[0] = combined_variance[6] * whitening_inverse_combined_0[0];
+    const double t79 = whitening_combined_0_1[0] * combined_variance[1];
+    whitening_pivot_combined_1 = combined_variance[2] - t79;
+    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_1,
+        whitening_inverse_combined_1, ((present & 0x2u) != 0u));
+    if (status != SHIP_TRACK_OK) { return status; }
+    const double t80 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    whitening_combined_1_2[0] = t80 * whitening_inverse_combined_1[0];
+    const double t81 = combined_variance[7] - (whitening_combined_0_3[0] * combined_variance[1]);
+    whitening_combined_1_3[0] = t81 * whitening_inverse_combined_1[0];
+    const double t82 = combined_variance[5] - (whitening_combined_0_2[0] * combined_variance[3]);
+    const double t83 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    whitening_pivot_combined_2 = t82 - (whitening_combined_1_2[0] * t83);
+    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_2,
+        whitening_inverse_combined_2, ((present & 0x4u) != 0u));
+    if (status != SHIP_TRACK_OK) { return status; }
+    const double t84 = combined_variance[8] - (whitening_combined_0_3[0] * combined_variance[3]);
+    const double t85 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    const double t86 = t84 - (whitening_combined_1_3[0] * t85);
+    whitening_combined_2_3[0] = t86 * whitening_inverse_combined_2[0];
+    const double t87 = combined_variance[9] - (whitening_combined_0_3[0] * combined_variance[6]);
+    const double t88 = combined_variance[7] - (whitening_combined_0_3[0] * combined_variance[1]);
+    const double t89 = t87 - (whitening_combined_1_3[0] * t88);
+    const double t90 = combined_variance[8] - (whitening_combined_0_3[0] * combined_variance[3]);
+    const double t91 = combined_variance[4] - (whitening_combined_0_2[0] * combined_variance[1]);
+    const double t92 = whitening_combined_2_3[0] * (t90 - (whitening_combined_1_3[0] * t91));
+    whitening_pivot_combined_3 = t89 - t92;
+    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_3,
+        whitening_inverse_combined_3, ((present & 0x8u) != 0u));
+    if (status != SHIP_TRACK_OK) { return status; }
+    return SHIP_TRACK_OK;
 }
 
-/* combination. */
-SHIP_TRACK_INLINE void ship_track_combination(const double *combined_innovation,
-    const double whitening_inverse_combined_0, const double whitening_combined_0_1,
-    const double whitening_inverse_combined_1, const double whitening_combined_0_2,
-    const double whitening_combined_1_2, const double whitening_inverse_combined_2,
-    const double whitening_combined_0_3, const double whitening_combined_1_3,
-    const double whitening_combined_2_3, const double whitening_inverse_combined_3,
-    double *innovation, const double *combined_variance, double *innovation_covariance, double *nis,
-    const double *weight, double *mode_probability, const double *log_weight_now,
-    double *log_weight, const double log_evidence, double *log_likelihood,
-    const double *combined_0_2_mean, double *filtered_state, const double *combined_0_2_covariance,
-    double *filtered_covariance, const double *mean_m0, double *mode_filtered_state,
-    const double *mean_m1, const double *mean_m2, const double *covariance_m0,
-    double *mode_filtered_covariance, const double *covariance_m1, const double *covariance_m2)
-{
-    const double t0 = combined_innovation[0] * combined_innovation[0];
-    const double t1 = t0 * whitening_inverse_combined_0;
-    const double t2 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    const double t3 = t1 + (t2 * t2 * whitening_inverse_combined_1);
-    const double t4 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
-    const double t5 = t4 - (whitening_combined_1_2 * t2);
-    const double t6 = t3 + (t5 * t5 * whitening_inverse_combined_2);
-    const double t7 = combined_innovation[3] - (whitening_combined_0_3 * combined_innovation[0]);
-    const double t8 = (t7 - (whitening_combined_1_3 * t2)) - (whitening_combined_2_3 * t5);
-    nis[0] = t6 + (t8 * t8 * whitening_inverse_combined_3);
-    innovation[0] = combined_innovation[0];
-    innovation[1] = combined_innovation[1];
-    innovation[2] = combined_innovation[2];
-    innovation[3] = combined_innovation[3];
-    ship_track_copy(combined_variance, innovation_covariance, 10);
-    mode_probability[0] = weight[0];
-    mode_probability[1] = weight[1];
-    mode_probability[2] = weight[2];
-    log_weight[0] = log_weight_now[0];
-    log_weight[1] = log_weight_now[1];
-    log_weight[2] = log_weight_now[2];
-    log_likelihood[0] = log_evidence;
-    filtered_state[0] = combined_0_2_mean[0];
-    filtered_state[1] = combined_0_2_mean[1];
-    filtered_state[2] = combined_0_2_mean[2];
-    filtered_state[3] = combined_0_2_mean[3];
-    ship_track_copy(combined_0_2_covariance, filtered_covariance, 10);
-    mode_filtered_state[0] = mean_m0[0];
-    mode_filtered_state[1] = mean_m0[1];
-    mode_filtered_state[2] = mean_m0[2];
-    mode_filtered_state[3] = mean_m0[3];
-    mode_filtered_state[4] = mean_m1[0];
-    mode_filtered_state[5] = mean_m1[1];
-    mode_filtered_state[6] = mean_m1[2];
-    mode_filtered_state[7] = mean_m1[3];
-    mode_filtered_state[8] = mean_m2[0];
-    mode_filtered_state[9] = mean_m2[1];
-    mode_filtered_state[10] = mean_m2[2];
-    mode_filtered_state[11] = mean_m2[3];
-    ship_track_copy(covariance_m0, mode_filtered_covariance, 10);
-    ship_track_copy(covariance_m1, &mode_filtered_covariance[10], 10);
-    ship_track_copy(covariance_m2, &mode_filtered_covariance[20], 10);
-}
-
-/* mixing and prediction of every mode. */
-SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_3(const double *mode_probability,
+/* law of the next mode, and mixing weights. */
+SHIP_TRACK_INLINE void ship_track_law_of_the_next(const double *mode_probability,
     double *mode_prediction_0, double *mode_prediction_1, const double *log_weight,
     double *log_path_largest_1, double *path_share_total_1, double *mode_prediction_2,
     double *log_path_largest_2, double *path_share_total_2, const double *mode_filtered_state,
     const double *mode_filtered_covariance, double *moved_state_0, const double *Q,
     double *moved_covariance_0, const double *A, double *moved_state_1, double *moved_covariance_1,
-    double *mixed_2_0_2_share, double *mixed_2_0_2_apart, double *mixed_2_0_2_mean,
-    const ship_track_params_t *params)
+    double *moved_state_2, double *moved_covariance_2, const ship_track_params_t *params)
 {
     double mode_prediction_inverse_0;
     double mixing_0[3];
@@ -873,19 +916,25 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_3(const double *mode_pro
     double log_path_2[2];
     double path_share_2[2];
     double path_share_inverse_2;
-    double mixed_0_0_2_share[2] = { 0.0 };
+    double mixed_0_0_2_share[2];
     double mixed_0_0_1_inverse;
-    double mixed_0_0_1_share[2] = { 0.0 };
-    double mixed_apart_0_1[4] = { 0.0 };
-    double mixed_apart_0_1_squared[10] = { 0.0 };
-    double mixed_0_0_1_mean[4] = { 0.0 };
-    double mixed_0_0_1_covariance[10] = { 0.0 };
-    double mixed_0_0_2_mean[4] = { 0.0 };
-    double mixed_0_0_2_covariance[10] = { 0.0 };
+    double mixed_0_0_1_share[2];
+    double mixed_apart_0_1[4];
+    double mixed_apart_0_1_squared[10];
+    double mixed_0_0_1_mean[4];
+    double mixed_0_0_1_covariance[10];
+    double mixed_0_0_2_mean[4];
+    double mixed_0_0_2_covariance[10];
     double mixed_1_0_1_inverse;
-    double mixed_1_0_1_share[2] = { 0.0 };
-    double mixed_1_0_1_mean[4] = { 0.0 };
-    double mixed_1_0_1_covariance[10] = { 0.0 };
+    double mixed_1_0_1_share[2];
+    double mixed_1_0_1_mean[4];
+    double mixed_1_0_1_covariance[10];
+    double mixed_2_0_2_share[2];
+    double mixed_2_0_2_apart[4];
+    double mixed_2_0_2_mean[4];
+    double mixed_2_0_2_covariance[10];
+
+    /* law of the next mode, and mixing weights */
     const double t0 = (0.9 * mode_probability[0]) + (0.15 * mode_probability[1]);
     mode_prediction_0[0] = t0 + (0.15 * mode_probability[2]);
     mode_prediction_inverse_0 = 1.0 / mode_prediction_0[0];
@@ -920,7 +969,7 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_3(const double *mode_pro
     mixed_apart_0_1[2] = mode_filtered_state[2] - mode_filtered_state[6];
     mixed_apart_0_1[3] = mode_filtered_state[3] - mode_filtered_state[7];
     ship_track_part_4(mixed_apart_0_1, mixed_apart_0_1_squared);
-    ship_track_mixing_and_prediction(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean,
+    ship_track_mixing_and_prediction_2(mixed_0_0_1_share, mode_filtered_state, mixed_0_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_0_0_1_covariance);
     ship_track_part_3(mixed_0_0_1_mean, &mode_filtered_state[8], mixed_0_0_2_share,
         mixed_0_0_2_mean, mixed_0_0_1_covariance, &mode_filtered_covariance[20],
@@ -951,214 +1000,60 @@ SHIP_TRACK_INLINE void ship_track_mixing_and_prediction_3(const double *mode_pro
     mixed_1_0_1_inverse = 1.0 / (t9 + (path_share_1[1] * path_share_inverse_1) + SHIP_TRACK_TINY);
     mixed_1_0_1_share[0] = path_share_1[0] * path_share_inverse_1 * mixed_1_0_1_inverse;
     mixed_1_0_1_share[1] = path_share_1[1] * path_share_inverse_1 * mixed_1_0_1_inverse;
-    ship_track_mixing_and_prediction(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
+    ship_track_mixing_and_prediction_2(mixed_1_0_1_share, mode_filtered_state, mixed_1_0_1_mean,
         mode_filtered_covariance, mixed_apart_0_1_squared, mixed_1_0_1_covariance);
-    ship_track_mixing_and_prediction_2(A, mixed_1_0_1_mean, moved_state_1);
-    const double t10 = mixed_1_0_1_covariance[0] + (A[0] * mixed_1_0_1_covariance[3]);
-    const double t11 = t10 + (A[4] * mixed_1_0_1_covariance[6]);
-    const double t12 = mixed_1_0_1_covariance[3] + (A[0] * mixed_1_0_1_covariance[5]);
-    const double t13 = t11 + ((t12 + (A[4] * mixed_1_0_1_covariance[8])) * A[0]);
-    const double t14 = mixed_1_0_1_covariance[6] + (A[0] * mixed_1_0_1_covariance[8]);
-    moved_covariance_1[0] = t13 + ((t14 + (A[4] * mixed_1_0_1_covariance[9])) * A[4]) + Q[8];
-    const double t15 = mixed_1_0_1_covariance[1] + (A[1] * mixed_1_0_1_covariance[3]);
-    const double t16 = t15 + (A[5] * mixed_1_0_1_covariance[6]);
-    const double t17 = mixed_1_0_1_covariance[4] + (A[1] * mixed_1_0_1_covariance[5]);
-    const double t18 = t17 + (A[5] * mixed_1_0_1_covariance[8]);
-    const double t19 = t16 + (t18 * A[0]);
-    const double t20 = mixed_1_0_1_covariance[7] + (A[1] * mixed_1_0_1_covariance[8]);
-    const double t21 = t20 + (A[5] * mixed_1_0_1_covariance[9]);
-    moved_covariance_1[1] = t19 + (t21 * A[4]);
-    const double t22 = mixed_1_0_1_covariance[2] + (A[1] * mixed_1_0_1_covariance[4]);
-    const double t23 = t22 + (A[5] * mixed_1_0_1_covariance[7]) + (t18 * A[1]) + (t21 * A[5]);
-    moved_covariance_1[2] = t23 + Q[10];
-    const double t24 = (A[2] * mixed_1_0_1_covariance[3]) + (A[6] * mixed_1_0_1_covariance[6]);
-    const double t25 = (A[2] * mixed_1_0_1_covariance[5]) + (A[6] * mixed_1_0_1_covariance[8]);
-    const double t26 = t24 + (t25 * A[0]);
-    const double t27 = (A[2] * mixed_1_0_1_covariance[8]) + (A[6] * mixed_1_0_1_covariance[9]);
-    moved_covariance_1[3] = t26 + (t27 * A[4]) + Q[9];
-    const double t28 = (A[2] * mixed_1_0_1_covariance[4]) + (A[6] * mixed_1_0_1_covariance[7]);
-    moved_covariance_1[4] = t28 + (t25 * A[1]) + (t27 * A[5]);
-    moved_covariance_1[5] = (t25 * A[2]) + (t27 * A[6]) + Q[13];
-    const double t29 = (A[3] * mixed_1_0_1_covariance[3]) + (A[7] * mixed_1_0_1_covariance[6]);
-    const double t30 = (A[3] * mixed_1_0_1_covariance[5]) + (A[7] * mixed_1_0_1_covariance[8]);
-    const double t31 = t29 + (t30 * A[0]);
-    const double t32 = (A[3] * mixed_1_0_1_covariance[8]) + (A[7] * mixed_1_0_1_covariance[9]);
-    moved_covariance_1[6] = t31 + (t32 * A[4]);
-    const double t33 = (A[3] * mixed_1_0_1_covariance[4]) + (A[7] * mixed_1_0_1_covariance[7]);
-    moved_covariance_1[7] = t33 + (t30 * A[1]) + (t32 * A[5]) + Q[11];
-    moved_covariance_1[8] = (t30 * A[2]) + (t32 * A[6]);
-    moved_covariance_1[9] = (t30 * A[3]) + (t32 * A[7]) + Q[15];
+    ship_track_mixing_and_prediction(A, mixed_1_0_1_mean, moved_state_1, mixed_1_0_1_covariance,
+        &Q[8], moved_covariance_1);
     mixed_2_0_2_share[0] = path_share_2[0] * path_share_inverse_2;
     mixed_2_0_2_share[1] = path_share_2[1] * path_share_inverse_2;
     mixed_2_0_2_apart[0] = mode_filtered_state[0] - mode_filtered_state[8];
     mixed_2_0_2_apart[1] = mode_filtered_state[1] - mode_filtered_state[9];
     mixed_2_0_2_apart[2] = mode_filtered_state[2] - mode_filtered_state[10];
     mixed_2_0_2_apart[3] = mode_filtered_state[3] - mode_filtered_state[11];
-    const double t34 = mixed_2_0_2_share[0] * mode_filtered_state[0];
-    mixed_2_0_2_mean[0] = t34 + (mixed_2_0_2_share[1] * mode_filtered_state[8]);
-    const double t35 = mixed_2_0_2_share[0] * mode_filtered_state[1];
-    mixed_2_0_2_mean[1] = t35 + (mixed_2_0_2_share[1] * mode_filtered_state[9]);
-    const double t36 = mixed_2_0_2_share[0] * mode_filtered_state[2];
-    mixed_2_0_2_mean[2] = t36 + (mixed_2_0_2_share[1] * mode_filtered_state[10]);
-}
-
-/* combined prediction. */
-SHIP_TRACK_INLINE ship_track_status_t ship_track_combined_prediction(const double *mode_probability,
-    const double *log_weight, const double *mode_filtered_state,
-    const double *mode_filtered_covariance, const double *Q, const double *A,
-    double *predicted_mode_probability, double *predicted_log_weight, double *mode_state,
-    double *mode_covariance, double *predicted_state, double *predicted_covariance,
-    const ship_track_params_t *params)
-{
-    double mode_prediction_0 = 0.0;
-    double mode_prediction_1 = 0.0;
-    double log_path_largest_1 = 0.0;
-    double path_share_total_1 = 0.0;
-    double mode_prediction_2 = 0.0;
-    double log_path_largest_2 = 0.0;
-    double path_share_total_2 = 0.0;
-    double moved_state_0[4] = { 0.0 };
-    double moved_covariance_0[10] = { 0.0 };
-    double moved_state_1[4] = { 0.0 };
-    double moved_covariance_1[10] = { 0.0 };
-    double mixed_2_0_2_share[2] = { 0.0 };
-    double mixed_2_0_2_apart[4] = { 0.0 };
-    double mixed_2_0_2_mean[4] = { 0.0 };
-    double mixed_2_0_2_covariance[10];
-    double moved_state_2[4] = { 0.0 };
-    double moved_covariance_2[10] = { 0.0 };
-    double predicted_0_2_share[2] = { 0.0 };
-    double predicted_0_1_inverse;
-    double predicted_0_1_share[2] = { 0.0 };
-    double predicted_0_2_mean[4] = { 0.0 };
-    double predicted_0_2_covariance[10] = { 0.0 };
-    ship_track_mixing_and_prediction_3(mode_probability, &mode_prediction_0, &mode_prediction_1,
-        log_weight, &log_path_largest_1, &path_share_total_1, &mode_prediction_2,
-        &log_path_largest_2, &path_share_total_2, mode_filtered_state, mode_filtered_covariance,
-        moved_state_0, Q, moved_covariance_0, A, moved_state_1, moved_covariance_1,
-        mixed_2_0_2_share, mixed_2_0_2_apart, mixed_2_0_2_mean, params);
-    const double t0 = mixed_2_0_2_share[0] * mode_filtered_state[3];
-    mixed_2_0_2_mean[3] = t0 + (mixed_2_0_2_share[1] * mode_filtered_state[11]);
-    const double t1 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
-    const double t2 = t1 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
-    const double t3 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
-    mixed_2_0_2_covariance[0] = t2 + (t3 * mixed_2_0_2_apart[0] * mixed_2_0_2_apart[0]);
-    const double t4 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
-    const double t5 = t4 + (mixed_2_0_2_share[1] * mode_filtered_covariance[21]);
-    const double t6 = t3 * mixed_2_0_2_apart[1];
-    mixed_2_0_2_covariance[1] = t5 + (t6 * mixed_2_0_2_apart[0]);
-    const double t7 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
-    const double t8 = t7 + (mixed_2_0_2_share[1] * mode_filtered_covariance[22]);
-    mixed_2_0_2_covariance[2] = t8 + (t6 * mixed_2_0_2_apart[1]);
-    const double t9 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
-    const double t10 = t9 + (mixed_2_0_2_share[1] * mode_filtered_covariance[23]);
-    const double t11 = t3 * mixed_2_0_2_apart[2];
-    mixed_2_0_2_covariance[3] = t10 + (t11 * mixed_2_0_2_apart[0]);
-    const double t12 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
-    const double t13 = t12 + (mixed_2_0_2_share[1] * mode_filtered_covariance[24]);
-    mixed_2_0_2_covariance[4] = t13 + (t11 * mixed_2_0_2_apart[1]);
-    const double t14 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
-    const double t15 = t14 + (mixed_2_0_2_share[1] * mode_filtered_covariance[25]);
-    mixed_2_0_2_covariance[5] = t15 + (t11 * mixed_2_0_2_apart[2]);
-    const double t16 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
-    const double t17 = t16 + (mixed_2_0_2_share[1] * mode_filtered_covariance[26]);
-    const double t18 = t3 * mixed_2_0_2_apart[3];
-    mixed_2_0_2_covariance[6] = t17 + (t18 * mixed_2_0_2_apart[0]);
-    const double t19 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
-    const double t20 = t19 + (mixed_2_0_2_share[1] * mode_filtered_covariance[27]);
-    mixed_2_0_2_covariance[7] = t20 + (t18 * mixed_2_0_2_apart[1]);
-    const double t21 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
-    const double t22 = t21 + (mixed_2_0_2_share[1] * mode_filtered_covariance[28]);
-    mixed_2_0_2_covariance[8] = t22 + (t18 * mixed_2_0_2_apart[2]);
-    const double t23 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
-    const double t24 = t23 + (mixed_2_0_2_share[1] * mode_filtered_covariance[29]);
-    mixed_2_0_2_covariance[9] = t24 + (t18 * mixed_2_0_2_apart[3]);
-    ship_track_mixing_and_prediction_2(&A[8], mixed_2_0_2_mean, moved_state_2);
-    const double t25 = mixed_2_0_2_covariance[0] + (A[8] * mixed_2_0_2_covariance[3]);
-    const double t26 = t25 + (A[12] * mixed_2_0_2_covariance[6]);
-    const double t27 = mixed_2_0_2_covariance[3] + (A[8] * mixed_2_0_2_covariance[5]);
-    const double t28 = t26 + ((t27 + (A[12] * mixed_2_0_2_covariance[8])) * A[8]);
-    const double t29 = mixed_2_0_2_covariance[6] + (A[8] * mixed_2_0_2_covariance[8]);
-    moved_covariance_2[0] = t28 + ((t29 + (A[12] * mixed_2_0_2_covariance[9])) * A[12]) + Q[8];
-    const double t30 = mixed_2_0_2_covariance[1] + (A[9] * mixed_2_0_2_covariance[3]);
-    const double t31 = t30 + (A[13] * mixed_2_0_2_covariance[6]);
-    const double t32 = mixed_2_0_2_covariance[4] + (A[9] * mixed_2_0_2_covariance[5]);
-    const double t33 = t32 + (A[13] * mixed_2_0_2_covariance[8]);
-    const double t34 = t31 + (t33 * A[8]);
-    const double t35 = mixed_2_0_2_covariance[7] + (A[9] * mixed_2_0_2_covariance[8]);
-    const double t36 = t35 + (A[13] * mixed_2_0_2_covariance[9]);
-    moved_covariance_2[1] = t34 + (t36 * A[12]);
-    const double t37 = mixed_2_0_2_covariance[2] + (A[9] * mixed_2_0_2_covariance[4]);
-    const double t38 = t37 + (A[13] * mixed_2_0_2_covariance[7]) + (t33 * A[9]) + (t36 * A[13]);
-    moved_covariance_2[2] = t38 + Q[10];
-    const double t39 = (A[10] * mixed_2_0_2_covariance[3]) + (A[14] * mixed_2_0_2_covariance[6]);
-    const double t40 = (A[10] * mixed_2_0_2_covariance[5]) + (A[14] * mixed_2_0_2_covariance[8]);
-    const double t41 = t39 + (t40 * A[8]);
-    const double t42 = (A[10] * mixed_2_0_2_covariance[8]) + (A[14] * mixed_2_0_2_covariance[9]);
-    moved_covariance_2[3] = t41 + (t42 * A[12]) + Q[9];
-    const double t43 = (A[10] * mixed_2_0_2_covariance[4]) + (A[14] * mixed_2_0_2_covariance[7]);
-    moved_covariance_2[4] = t43 + (t40 * A[9]) + (t42 * A[13]);
-    moved_covariance_2[5] = (t40 * A[10]) + (t42 * A[14]) + Q[13];
-    const double t44 = (A[11] * mixed_2_0_2_covariance[3]) + (A[15] * mixed_2_0_2_covariance[6]);
-    const double t45 = (A[11] * mixed_2_0_2_covariance[5]) + (A[15] * mixed_2_0_2_covariance[8]);
-    const double t46 = t44 + (t45 * A[8]);
-    const double t47 = (A[11] * mixed_2_0_2_covariance[8]) + (A[15] * mixed_2_0_2_covariance[9]);
-    moved_covariance_2[6] = t46 + (t47 * A[12]);
-    const double t48 = (A[11] * mixed_2_0_2_covariance[4]) + (A[15] * mixed_2_0_2_covariance[7]);
-    moved_covariance_2[7] = t48 + (t45 * A[9]) + (t47 * A[13]) + Q[11];
-    moved_covariance_2[8] = (t45 * A[10]) + (t47 * A[14]);
-    moved_covariance_2[9] = (t45 * A[11]) + (t47 * A[15]) + Q[15];
-
-    /* combined prediction */
-    predicted_0_2_share[0] = mode_prediction_0 + mode_prediction_1;
-    predicted_0_2_share[1] = mode_prediction_2;
-    predicted_0_1_inverse = 1.0 / (mode_prediction_0 + mode_prediction_1 + SHIP_TRACK_TINY);
-    predicted_0_1_share[0] = mode_prediction_0 * predicted_0_1_inverse;
-    predicted_0_1_share[1] = mode_prediction_1 * predicted_0_1_inverse;
-    ship_track_part_2(moved_state_0, moved_state_1, predicted_0_1_share, moved_covariance_0,
-        moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
-        moved_covariance_2, predicted_0_2_covariance);
-    predicted_log_weight[0] = ship_track_log(mode_prediction_0);
-    predicted_log_weight[1] = log_path_largest_1 + ship_track_log(path_share_total_1);
-    predicted_log_weight[2] = log_path_largest_2 + ship_track_log(path_share_total_2);
-    const double t49 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0];
-    const double t50 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1];
-    const double t51 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2];
-    const double t52 = moved_state_0[3] + moved_state_1[3] + moved_state_2[3];
-    const double t53 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
-    const double t54 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
-    const double t55 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
-    const double t56 = moved_covariance_0[9] + moved_covariance_1[9] + moved_covariance_2[9];
-    if (!ship_track_finite(ship_track_defect(t49) + ship_track_defect(t50) +
-        ship_track_defect(t51) + ship_track_defect(t52) + ship_track_defect(t53) +
-        ship_track_defect(t54) + ship_track_defect(t55) + ship_track_defect(t56)))
-    {
-        return SHIP_TRACK_RESULT_NOT_FINITE;
-    }
-    predicted_mode_probability[0] = mode_prediction_0;
-    predicted_mode_probability[1] = mode_prediction_1;
-    predicted_mode_probability[2] = mode_prediction_2;
-    mode_state[0] = moved_state_0[0];
-    mode_state[1] = moved_state_0[1];
-    mode_state[2] = moved_state_0[2];
-    mode_state[3] = moved_state_0[3];
-    mode_state[4] = moved_state_1[0];
-    mode_state[5] = moved_state_1[1];
-    mode_state[6] = moved_state_1[2];
-    mode_state[7] = moved_state_1[3];
-    mode_state[8] = moved_state_2[0];
-    mode_state[9] = moved_state_2[1];
-    mode_state[10] = moved_state_2[2];
-    mode_state[11] = moved_state_2[3];
-    ship_track_copy(moved_covariance_0, mode_covariance, 10);
-    ship_track_copy(moved_covariance_1, &mode_covariance[10], 10);
-    ship_track_copy(moved_covariance_2, &mode_covariance[20], 10);
-    predicted_state[0] = predicted_0_2_mean[0];
-    predicted_state[1] = predicted_0_2_mean[1];
-    predicted_state[2] = predicted_0_2_mean[2];
-    predicted_state[3] = predicted_0_2_mean[3];
-    ship_track_copy(predicted_0_2_covariance, predicted_covariance, 10);
-    return SHIP_TRACK_OK;
+    const double t10 = mixed_2_0_2_share[0] * mode_filtered_state[0];
+    mixed_2_0_2_mean[0] = t10 + (mixed_2_0_2_share[1] * mode_filtered_state[8]);
+    const double t11 = mixed_2_0_2_share[0] * mode_filtered_state[1];
+    mixed_2_0_2_mean[1] = t11 + (mixed_2_0_2_share[1] * mode_filtered_state[9]);
+    const double t12 = mixed_2_0_2_share[0] * mode_filtered_state[2];
+    mixed_2_0_2_mean[2] = t12 + (mixed_2_0_2_share[1] * mode_filtered_state[10]);
+    const double t13 = mixed_2_0_2_share[0] * mode_filtered_state[3];
+    mixed_2_0_2_mean[3] = t13 + (mixed_2_0_2_share[1] * mode_filtered_state[11]);
+    const double t14 = mixed_2_0_2_share[0] * mode_filtered_covariance[0];
+    const double t15 = t14 + (mixed_2_0_2_share[1] * mode_filtered_covariance[20]);
+    const double t16 = mixed_2_0_2_share[0] * mixed_2_0_2_share[1];
+    mixed_2_0_2_covariance[0] = t15 + (t16 * mixed_2_0_2_apart[0] * mixed_2_0_2_apart[0]);
+    const double t17 = mixed_2_0_2_share[0] * mode_filtered_covariance[1];
+    const double t18 = t17 + (mixed_2_0_2_share[1] * mode_filtered_covariance[21]);
+    const double t19 = t16 * mixed_2_0_2_apart[1];
+    mixed_2_0_2_covariance[1] = t18 + (t19 * mixed_2_0_2_apart[0]);
+    const double t20 = mixed_2_0_2_share[0] * mode_filtered_covariance[2];
+    const double t21 = t20 + (mixed_2_0_2_share[1] * mode_filtered_covariance[22]);
+    mixed_2_0_2_covariance[2] = t21 + (t19 * mixed_2_0_2_apart[1]);
+    const double t22 = mixed_2_0_2_share[0] * mode_filtered_covariance[3];
+    const double t23 = t22 + (mixed_2_0_2_share[1] * mode_filtered_covariance[23]);
+    const double t24 = t16 * mixed_2_0_2_apart[2];
+    mixed_2_0_2_covariance[3] = t23 + (t24 * mixed_2_0_2_apart[0]);
+    const double t25 = mixed_2_0_2_share[0] * mode_filtered_covariance[4];
+    const double t26 = t25 + (mixed_2_0_2_share[1] * mode_filtered_covariance[24]);
+    mixed_2_0_2_covariance[4] = t26 + (t24 * mixed_2_0_2_apart[1]);
+    const double t27 = mixed_2_0_2_share[0] * mode_filtered_covariance[5];
+    const double t28 = t27 + (mixed_2_0_2_share[1] * mode_filtered_covariance[25]);
+    mixed_2_0_2_covariance[5] = t28 + (t24 * mixed_2_0_2_apart[2]);
+    const double t29 = mixed_2_0_2_share[0] * mode_filtered_covariance[6];
+    const double t30 = t29 + (mixed_2_0_2_share[1] * mode_filtered_covariance[26]);
+    const double t31 = t16 * mixed_2_0_2_apart[3];
+    mixed_2_0_2_covariance[6] = t30 + (t31 * mixed_2_0_2_apart[0]);
+    const double t32 = mixed_2_0_2_share[0] * mode_filtered_covariance[7];
+    const double t33 = t32 + (mixed_2_0_2_share[1] * mode_filtered_covariance[27]);
+    mixed_2_0_2_covariance[7] = t33 + (t31 * mixed_2_0_2_apart[1]);
+    const double t34 = mixed_2_0_2_share[0] * mode_filtered_covariance[8];
+    const double t35 = t34 + (mixed_2_0_2_share[1] * mode_filtered_covariance[28]);
+    mixed_2_0_2_covariance[8] = t35 + (t31 * mixed_2_0_2_apart[2]);
+    const double t36 = mixed_2_0_2_share[0] * mode_filtered_covariance[9];
+    const double t37 = t36 + (mixed_2_0_2_share[1] * mode_filtered_covariance[29]);
+    mixed_2_0_2_covariance[9] = t37 + (t31 * mixed_2_0_2_apart[3]);
+    ship_track_mixing_and_prediction(&A[8], mixed_2_0_2_mean, moved_state_2, mixed_2_0_2_covariance,
+        &Q[8], moved_covariance_2);
 }
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
@@ -1192,8 +1087,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double log_constant_m2 = 0.0;
     double determinant_m2_0 = 1.0;
     double log_density_m2;
-    double weight[3] = { 0.0 };
-    double log_weight_now[3] = { 0.0 };
+    double weight[3];
+    double log_weight_now[3];
     double log_evidence = 0.0;
     double log_joint[3] = { 0.0 };
     double log_largest = 0.0;
@@ -1201,42 +1096,29 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double share_total = 0.0;
     double share_total_inverse = 0.0;
     double log_share_total = 0.0;
-    double predicted_y_m0[4] = { 0.0 };
-    double predicted_y_m1[4] = { 0.0 };
-    double predicted_y_m2[4] = { 0.0 };
     double combined_variance[10] = { 0.0 };
     double combined_innovation[4] = { 0.0 };
-    double whitening_pivot_combined_0 = 0.0;
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1 = 0.0;
     double whitening_combined_0_2 = 0.0;
     double whitening_combined_0_3 = 0.0;
-    double whitening_pivot_combined_1 = 0.0;
     double whitening_inverse_combined_1 = 0.0;
     double whitening_combined_1_2 = 0.0;
     double whitening_combined_1_3 = 0.0;
-    double whitening_pivot_combined_2 = 0.0;
     double whitening_inverse_combined_2 = 0.0;
     double whitening_combined_2_3 = 0.0;
-    double whitening_pivot_combined_3;
     double whitening_inverse_combined_3 = 0.0;
-    double combined_0_2_share[2] = { 0.0 };
+    double combined_0_2_share[2];
     double combined_0_1_inverse;
-    double combined_0_1_share[2] = { 0.0 };
-    double combined_0_2_mean[4] = { 0.0 };
-    double combined_0_2_covariance[10] = { 0.0 };
+    double combined_0_1_share[2];
+    double combined_0_2_mean[4];
+    double combined_0_2_covariance[10];
     ship_track_status_t status;
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
-        (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[9] >= 0.0)))
-    {
-        return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[10] >= 0.0) && (self->mode_covariance[12] >= 0.0) &&
-        (self->mode_covariance[15] >= 0.0) && (self->mode_covariance[19] >= 0.0)))
-    {
-        return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->mode_covariance[20] >= 0.0) && (self->mode_covariance[22] >= 0.0) &&
+        (self->mode_covariance[5] >= 0.0) && (self->mode_covariance[9] >= 0.0) &&
+        (self->mode_covariance[10] >= 0.0) && (self->mode_covariance[12] >= 0.0) &&
+        (self->mode_covariance[15] >= 0.0) && (self->mode_covariance[19] >= 0.0) &&
+        (self->mode_covariance[20] >= 0.0) && (self->mode_covariance[22] >= 0.0) &&
         (self->mode_covariance[25] >= 0.0) && (self->mode_covariance[29] >= 0.0)))
     {
         return SHIP_TRACK_NOT_POSITIVE_DEFINITE;
@@ -1255,10 +1137,22 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     if (status != SHIP_TRACK_OK) { return status; }
 
     /* mode 2: with its own A, Q: innovation, row by row */
-    status = ship_track_mode(y, &self->mode_state[8], &innovation_m2_0, &innovation_m2_1,
-        &innovation_m2_2, &innovation_m2_3, &self->mode_covariance[20], variance_m2, mean_m2,
-        covariance_m2, &quadratic_m2, &log_constant_m2, &determinant_m2_0, present);
+    ship_track_mode_3(y, &self->mode_state[8], &innovation_m2_0, &innovation_m2_1,
+        ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
+    ship_track_mode_3(&y[2], &self->mode_state[10], &innovation_m2_2, &innovation_m2_3,
+        ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
+
+    /* mode 2: with its own A, Q */
+    ship_track_mode_4(&self->mode_covariance[20], variance_m2, &self->mode_state[8], mean_m2,
+        covariance_m2);
+
+    /* mode 2: with its own A, Q: row 0 of y, report_east */
+    status = ship_track_mode(&self->mode_covariance[20], innovation_m2_0, &self->mode_state[8],
+        &quadratic_m2, &log_constant_m2, &determinant_m2_0, mean_m2, covariance_m2, innovation_m2_1,
+        innovation_m2_2, innovation_m2_3, present);
     if (status != SHIP_TRACK_OK) { return status; }
+
+    /* mode 2: with its own A, Q */
     log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + ship_track_log(determinant_m2_0)));
 
     /* probabilities of the modes */
@@ -1300,71 +1194,16 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     }
 
     /* innovation of the mixture */
-    predicted_y_m0[0] = self->mode_state[0];
-    predicted_y_m0[1] = self->mode_state[1];
-    predicted_y_m0[2] = self->mode_state[2];
-    predicted_y_m0[3] = self->mode_state[3];
-    predicted_y_m1[0] = self->mode_state[4];
-    predicted_y_m1[1] = self->mode_state[5];
-    predicted_y_m1[2] = self->mode_state[6];
-    predicted_y_m1[3] = self->mode_state[7];
-    predicted_y_m2[0] = self->mode_state[8];
-    predicted_y_m2[1] = self->mode_state[9];
-    predicted_y_m2[2] = self->mode_state[10];
-    predicted_y_m2[3] = self->mode_state[11];
-    ship_track_innovation_of_the_mixture_2(self->predicted_mode_probability, variance_m0,
-        variance_m1, variance_m2, predicted_y_m0, predicted_y_m1, predicted_y_m2,
-        combined_variance);
-    const double t5 = self->predicted_mode_probability[0] * innovation_m0_0;
-    const double t6 = t5 + (self->predicted_mode_probability[1] * innovation_m1_0);
-    combined_innovation[0] = t6 + (self->predicted_mode_probability[2] * innovation_m2_0);
-    const double t7 = self->predicted_mode_probability[0] * innovation_m0_1;
-    const double t8 = t7 + (self->predicted_mode_probability[1] * innovation_m1_1);
-    combined_innovation[1] = t8 + (self->predicted_mode_probability[2] * innovation_m2_1);
-    const double t9 = self->predicted_mode_probability[0] * innovation_m0_2;
-    const double t10 = t9 + (self->predicted_mode_probability[1] * innovation_m1_2);
-    combined_innovation[2] = t10 + (self->predicted_mode_probability[2] * innovation_m2_2);
-    const double t11 = self->predicted_mode_probability[0] * innovation_m0_3;
-    const double t12 = t11 + (self->predicted_mode_probability[1] * innovation_m1_3);
-    combined_innovation[3] = t12 + (self->predicted_mode_probability[2] * innovation_m2_3);
-    whitening_pivot_combined_0 = combined_variance[0];
-    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_0,
-        &whitening_inverse_combined_0, ((present & 0x1u) != 0u));
+    status = ship_track_innovation_of_the_mixture_2(self->mode_state,
+        self->predicted_mode_probability, variance_m0, variance_m1, variance_m2, combined_variance,
+        innovation_m0_0, innovation_m1_0, innovation_m2_0, combined_innovation, innovation_m0_1,
+        innovation_m1_1, innovation_m2_1, innovation_m0_2, innovation_m1_2, innovation_m2_2,
+        innovation_m0_3, innovation_m1_3, innovation_m2_3, &whitening_inverse_combined_0,
+        &whitening_combined_0_1, &whitening_combined_0_2, &whitening_combined_0_3,
+        &whitening_inverse_combined_1, &whitening_combined_1_2, &whitening_combined_1_3,
+        &whitening_inverse_combined_2, &whitening_combined_2_3, &whitening_inverse_combined_3,
+        present);
     if (status != SHIP_TRACK_OK) { return status; }
-    whitening_combined_0_1 = combined_variance[1] * whitening_inverse_combined_0;
-    whitening_combined_0_2 = combined_variance[3] * whitening_inverse_combined_0;
-    whitening_combined_0_3 = combined_variance[6] * whitening_inverse_combined_0;
-    const double t13 = whitening_combined_0_1 * combined_variance[1];
-    whitening_pivot_combined_1 = combined_variance[2] - t13;
-    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_1,
-        &whitening_inverse_combined_1, ((present & 0x2u) != 0u));
-    if (status != SHIP_TRACK_OK) { return status; }
-    const double t14 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
-    whitening_combined_1_2 = t14 * whitening_inverse_combined_1;
-    const double t15 = combined_variance[7] - (whitening_combined_0_3 * combined_variance[1]);
-    whitening_combined_1_3 = t15 * whitening_inverse_combined_1;
-    const double t16 = combined_variance[5] - (whitening_combined_0_2 * combined_variance[3]);
-    const double t17 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
-    whitening_pivot_combined_2 = t16 - (whitening_combined_1_2 * t17);
-    status = ship_track_innovation_of_the_mixture(whitening_pivot_combined_2,
-        &whitening_inverse_combined_2, ((present & 0x4u) != 0u));
-    if (status != SHIP_TRACK_OK) { return status; }
-    const double t18 = combined_variance[8] - (whitening_combined_0_3 * combined_variance[3]);
-    const double t19 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
-    const double t20 = t18 - (whitening_combined_1_3 * t19);
-    whitening_combined_2_3 = t20 * whitening_inverse_combined_2;
-    const double t21 = combined_variance[9] - (whitening_combined_0_3 * combined_variance[6]);
-    const double t22 = combined_variance[7] - (whitening_combined_0_3 * combined_variance[1]);
-    const double t23 = t21 - (whitening_combined_1_3 * t22);
-    const double t24 = combined_variance[8] - (whitening_combined_0_3 * combined_variance[3]);
-    const double t25 = combined_variance[4] - (whitening_combined_0_2 * combined_variance[1]);
-    const double t26 = whitening_combined_2_3 * (t24 - (whitening_combined_1_3 * t25));
-    whitening_pivot_combined_3 = t23 - t26;
-    if ((present & 0x8u) != 0u)
-    {
-        if (!(whitening_pivot_combined_3 > 0.0)) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
-        whitening_inverse_combined_3 = 1.0 / whitening_pivot_combined_3;
-    }
 
     /* combination */
     combined_0_2_share[0] = weight[0] + weight[1];
@@ -1380,15 +1219,29 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
-    ship_track_combination(combined_innovation, whitening_inverse_combined_0,
-        whitening_combined_0_1, whitening_inverse_combined_1, whitening_combined_0_2,
-        whitening_combined_1_2, whitening_inverse_combined_2, whitening_combined_0_3,
-        whitening_combined_1_3, whitening_combined_2_3, whitening_inverse_combined_3,
-        next->innovation, combined_variance, next->innovation_covariance, &next->nis, weight,
-        next->mode_probability, log_weight_now, next->log_weight, log_evidence,
-        &next->log_likelihood, combined_0_2_mean, next->filtered_state, combined_0_2_covariance,
-        next->filtered_covariance, mean_m0, next->mode_filtered_state, mean_m1, mean_m2,
-        covariance_m0, next->mode_filtered_covariance, covariance_m1, covariance_m2);
+    const double t5 = combined_innovation[0] * combined_innovation[0];
+    const double t6 = t5 * whitening_inverse_combined_0;
+    const double t7 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
+    const double t8 = t6 + (t7 * t7 * whitening_inverse_combined_1);
+    const double t9 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
+    const double t10 = t9 - (whitening_combined_1_2 * t7);
+    const double t11 = t8 + (t10 * t10 * whitening_inverse_combined_2);
+    const double t12 = combined_innovation[3] - (whitening_combined_0_3 * combined_innovation[0]);
+    const double t13 = (t12 - (whitening_combined_1_3 * t7)) - (whitening_combined_2_3 * t10);
+    next->nis = t11 + (t13 * t13 * whitening_inverse_combined_3);
+    ship_track_copy(combined_innovation, next->innovation, 4);
+    ship_track_copy(combined_variance, next->innovation_covariance, 10);
+    ship_track_copy(weight, next->mode_probability, 3);
+    ship_track_copy(log_weight_now, next->log_weight, 3);
+    next->log_likelihood = log_evidence;
+    ship_track_copy(combined_0_2_mean, next->filtered_state, 4);
+    ship_track_copy(combined_0_2_covariance, next->filtered_covariance, 10);
+    ship_track_copy(mean_m0, next->mode_filtered_state, 4);
+    ship_track_copy(mean_m1, &next->mode_filtered_state[4], 4);
+    ship_track_copy(mean_m2, &next->mode_filtered_state[8], 4);
+    ship_track_copy(covariance_m0, next->mode_filtered_covariance, 10);
+    ship_track_copy(covariance_m1, &next->mode_filtered_covariance[10], 10);
+    ship_track_copy(covariance_m2, &next->mode_filtered_covariance[20], 10);
     return SHIP_TRACK_OK;
 }
 
@@ -1396,9 +1249,26 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
 SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *self,
     const ship_track_params_t *params, ship_track_t *next)
 {
-    double A[16] = { 0.0 };
-    double Q[16] = { 0.0 };
-    ship_track_status_t status;
+    double A[16];
+    double Q[16];
+    double mode_prediction_0;
+    double mode_prediction_1;
+    double log_path_largest_1;
+    double path_share_total_1;
+    double mode_prediction_2;
+    double log_path_largest_2;
+    double path_share_total_2;
+    double moved_state_0[4];
+    double moved_covariance_0[10];
+    double moved_state_1[4];
+    double moved_covariance_1[10];
+    double moved_state_2[4];
+    double moved_covariance_2[10];
+    double predicted_0_2_share[2];
+    double predicted_0_1_inverse;
+    double predicted_0_1_share[2];
+    double predicted_0_2_mean[4];
+    double predicted_0_2_covariance[10];
     const double t0 = params->turn * params->dt;
     const double t1 = ship_track_sin(t0);
     const double t2 = t1 / params->turn;
@@ -1446,21 +1316,56 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     Q[13] = t14;
     Q[14] = t13;
     Q[15] = t14;
-    if (!((Q[0] >= 0.0) && (Q[2] >= 0.0) && (Q[5] >= 0.0) && (Q[7] >= 0.0)))
-    {
-        return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
-    }
-    if (!((Q[8] >= 0.0) && (Q[10] >= 0.0) && (Q[13] >= 0.0) && (Q[15] >= 0.0)))
+    if (!((Q[0] >= 0.0) && (Q[2] >= 0.0) && (Q[5] >= 0.0) && (Q[7] >= 0.0) && (Q[8] >= 0.0) &&
+        (Q[10] >= 0.0) && (Q[13] >= 0.0) && (Q[15] >= 0.0)))
     {
         return SHIP_TRACK_PARAMETER_OUT_OF_RANGE;
     }
 
     /* law of the next mode, and mixing weights */
-    status = ship_track_combined_prediction(self->mode_probability, self->log_weight,
-        self->mode_filtered_state, self->mode_filtered_covariance, Q, A,
-        next->predicted_mode_probability, next->predicted_log_weight, next->mode_state,
-        next->mode_covariance, next->predicted_state, next->predicted_covariance, params);
-    if (status != SHIP_TRACK_OK) { return status; }
+    ship_track_law_of_the_next(self->mode_probability, &mode_prediction_0, &mode_prediction_1,
+        self->log_weight, &log_path_largest_1, &path_share_total_1, &mode_prediction_2,
+        &log_path_largest_2, &path_share_total_2, self->mode_filtered_state,
+        self->mode_filtered_covariance, moved_state_0, Q, moved_covariance_0, A, moved_state_1,
+        moved_covariance_1, moved_state_2, moved_covariance_2, params);
+
+    /* combined prediction */
+    predicted_0_2_share[0] = mode_prediction_0 + mode_prediction_1;
+    predicted_0_2_share[1] = mode_prediction_2;
+    predicted_0_1_inverse = 1.0 / (mode_prediction_0 + mode_prediction_1 + SHIP_TRACK_TINY);
+    predicted_0_1_share[0] = mode_prediction_0 * predicted_0_1_inverse;
+    predicted_0_1_share[1] = mode_prediction_1 * predicted_0_1_inverse;
+    ship_track_part_2(moved_state_0, moved_state_1, predicted_0_1_share, moved_covariance_0,
+        moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
+        moved_covariance_2, predicted_0_2_covariance);
+    next->predicted_log_weight[0] = ship_track_log(mode_prediction_0);
+    next->predicted_log_weight[1] = log_path_largest_1 + ship_track_log(path_share_total_1);
+    next->predicted_log_weight[2] = log_path_largest_2 + ship_track_log(path_share_total_2);
+    const double t15 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0];
+    const double t16 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1];
+    const double t17 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2];
+    const double t18 = moved_state_0[3] + moved_state_1[3] + moved_state_2[3];
+    const double t19 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
+    const double t20 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
+    const double t21 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
+    const double t22 = moved_covariance_0[9] + moved_covariance_1[9] + moved_covariance_2[9];
+    if (!ship_track_finite(ship_track_defect(t15) + ship_track_defect(t16) +
+        ship_track_defect(t17) + ship_track_defect(t18) + ship_track_defect(t19) +
+        ship_track_defect(t20) + ship_track_defect(t21) + ship_track_defect(t22)))
+    {
+        return SHIP_TRACK_RESULT_NOT_FINITE;
+    }
+    next->predicted_mode_probability[0] = mode_prediction_0;
+    next->predicted_mode_probability[1] = mode_prediction_1;
+    next->predicted_mode_probability[2] = mode_prediction_2;
+    ship_track_copy(moved_state_0, next->mode_state, 4);
+    ship_track_copy(moved_state_1, &next->mode_state[4], 4);
+    ship_track_copy(moved_state_2, &next->mode_state[8], 4);
+    ship_track_copy(moved_covariance_0, next->mode_covariance, 10);
+    ship_track_copy(moved_covariance_1, &next->mode_covariance[10], 10);
+    ship_track_copy(moved_covariance_2, &next->mode_covariance[20], 10);
+    ship_track_copy(predicted_0_2_mean, next->predicted_state, 4);
+    ship_track_copy(predicted_0_2_covariance, next->predicted_covariance, 10);
     return SHIP_TRACK_OK;
 }
 

@@ -447,11 +447,7 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     next->predicted_compressed_cross_covariance[1] = t7 + -0.1;
     if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t1) +
         soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t4) +
-        soft_fault_cpcf_defect(t6)))
-    {
-        return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
-    }
-    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(self->compressed_measurement[0]) +
+        soft_fault_cpcf_defect(t6) + soft_fault_cpcf_defect(self->compressed_measurement[0]) +
         soft_fault_cpcf_defect(t10)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;

@@ -160,11 +160,8 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     double inverse_compression_1 = 0.0;
     double deviation_compression[2];
     double collecting_0;
-    if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
-    {
-        return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((self->predicted_compression_covariance[0] >= 0.0) &&
+    if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0) &&
+        (self->predicted_compression_covariance[0] >= 0.0) &&
         (self->predicted_compression_covariance[2] >= 0.0)))
     {
         return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE;
@@ -465,11 +462,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     const double t12 = self->compression_covariance[2] + 1.0;
     if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t1) +
         soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t4) +
-        soft_fault_dfcf_defect(t6)))
-    {
-        return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
-    }
-    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t7) +
+        soft_fault_dfcf_defect(t6) + soft_fault_dfcf_defect(t7) +
         soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t10) +
         soft_fault_dfcf_defect(t12)))
     {

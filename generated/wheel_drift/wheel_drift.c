@@ -153,15 +153,31 @@ static int wheel_drift_present_rows(const double *y, uint32_t valid, uint32_t *p
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
-/* filter with group 0, 1: row 4 of y, ublox: compression filter; filter with group 0, 1, 2, 3: row
- * 2 of y, wheel_rl: compression filter. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_7(const double numbers_2,
+/* Copy the elements of an array to another. */
+WHEEL_DRIFT_INLINE void wheel_drift_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* filter with group 0, 1: row 1 of y, wheel_fr: compression filter; filter with group 0, 1, 2: row
+ * 1 of y, wheel_fr: compression filter; filter with group 0, 1, 2, 3: row 1 of y, wheel_fr:
+ * compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_8(const double numbers_2,
     double *covariance, double *mean, const double predicted_compression_deviation,
     const double innovation, int row_0)
 {
     double cross[2];
     double pivot;
     double inverse = 0.0;
+
+    /* filter with group 0, 1: row 1 of y, wheel_fr: compression filter */
     cross[0] = numbers_2 * covariance[0];
     cross[1] = numbers_2 * covariance[1];
     pivot = (numbers_2 * cross[0]) + 0.04;
@@ -182,20 +198,39 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_7(const do
         covariance[1] = t5 + (t6 * t2);
         covariance[2] = (covariance[2] - (t4 * cross[1])) + (t6 * t4);
     }
-
-    /* filter with group 0, 1: row 4 of y, ublox: compression filter */
     return WHEEL_DRIFT_OK;
 }
 
-/* filter with group 0, 1: row 5 of y, qcom: compression filter; filter with group 0: row 5 of y,
- * qcom: compression filter. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_10(double *covariance,
-    const double numbers_2, double *mean, const double predicted_compression_deviation,
-    const double innovation, int row_0)
+/* What differs between the calls of wheel_drift_filter_with_group_3, a row for each. */
+static const double wheel_drift_filter_with_group_3_numbers[10][1] = {
+    { 0.25 },
+    { 9.0 },
+    { 0.25 },
+    { 9.0 },
+    { 0.25 },
+    { 9.0 },
+    { 0.25 },
+    { 9.0 },
+    { 0.25 },
+    { 9.0 }
+};
+
+/* filter with group 0: row 4 of y, ublox: compression filter; filter with group 0: row 5 of y,
+ * qcom: compression filter; filter with group 1: row 4 of y, ublox: compression filter; filter with
+ * group 1: row 5 of y, qcom: compression filter; filter with group 2: row 4 of y, ublox:
+ * compression filter; filter with group 2: row 5 of y, qcom: compression filter; filter with group
+ * 3: row 4 of y, ublox: compression filter; filter with group 3: row 5 of y, qcom: compression
+ * filter; filter with group 0, 1: row 4 of y, ublox: compression filter; filter with group 0, 1:
+ * row 5 of y, qcom: compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_3(double *covariance,
+    double *mean, const double predicted_compression_deviation, const double innovation,
+    const double *numbers, int row_0)
 {
     double pivot;
     double inverse = 0.0;
-    pivot = covariance[0] + numbers_2;
+
+    /* filter with group 0: row 4 of y, ublox: compression filter */
+    pivot = covariance[0] + numbers[0];
     if (row_0 != 0)
     {
         if (!(pivot > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
@@ -205,34 +240,35 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_10(double 
         mean[1] = mean[1] + (covariance[1] * t0);
         const double t1 = covariance[0] * inverse;
         const double t2 = covariance[0] - (t1 * covariance[0]);
-        const double t3 = t2 + (((numbers_2 * t1) - t2) * t1);
+        const double t3 = t2 + (((numbers[0] * t1) - t2) * t1);
         const double t4 = covariance[1] * inverse;
         const double t5 = covariance[1] - (t4 * covariance[0]);
-        const double t6 = (numbers_2 * t4) - t5;
+        const double t6 = (numbers[0] * t4) - t5;
         const double t7 = t5 + (t6 * t1);
         covariance[2] = (covariance[2] - (t4 * covariance[1])) + (t6 * t4);
         covariance[0] = t3;
         covariance[1] = t7;
     }
-
-    /* filter with group 0, 1: row 5 of y, qcom: compression filter */
     return WHEEL_DRIFT_OK;
 }
 
-/* What differs between the calls of wheel_drift_filter_with_group_8, a row for each. */
-static const double wheel_drift_filter_with_group_8_numbers[2][1] = {
-    { 0.25 },
-    { 9.0 }
-};
-
-/* filter with group 0, 1: row 5 of y, qcom: compression filter; filter with group 0, 1. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_8(double *covariance,
+/* filter with group 0, 1: row 4 of y, ublox: compression filter; filter with group 0: row 4 of y,
+ * ublox: compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_11(double *covariance,
     double *mean, const double predicted_compression_deviation, const double innovation,
-    const double *numbers, int row_0)
+    const double innovation_2, const double *numbers_of_0, const double *numbers_of_1,
+    uint32_t present)
 {
     wheel_drift_status_t status;
-    status = wheel_drift_filter_with_group_10(covariance, numbers[0], mean,
-        predicted_compression_deviation, innovation, row_0);
+
+    /* filter with group 0, 1: row 4 of y, ublox: compression filter */
+    status = wheel_drift_filter_with_group_3(covariance, mean, predicted_compression_deviation,
+        innovation, numbers_of_0, ((present & 0x10u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1: row 5 of y, qcom: compression filter */
+    status = wheel_drift_filter_with_group_3(covariance, mean, predicted_compression_deviation,
+        innovation_2, numbers_of_1, ((present & 0x20u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
     return WHEEL_DRIFT_OK;
 }
@@ -252,28 +288,30 @@ static const double wheel_drift_filter_with_group_numbers[11][1] = {
     { 0.9903931860948796 }
 };
 
-/* filter with group 0, 1: row 4 of y, ublox: compression filter; filter with group 0, 2: row 4 of
- * y, ublox: compression filter; filter with group 0, 3: row 4 of y, ublox: compression filter;
- * filter with group 1, 2: row 4 of y, ublox: compression filter; filter with group 1, 3: row 4 of
- * y, ublox: compression filter; filter with group 2, 3: row 4 of y, ublox: compression filter;
- * filter with group 0, 1, 2: row 4 of y, ublox: compression filter; filter with group 0, 1, 3: row
- * 4 of y, ublox: compression filter; filter with group 0, 2, 3: row 4 of y, ublox: compression
- * filter; filter with group 1, 2, 3: row 4 of y, ublox: compression filter; filter with group 0, 1,
- * 2, 3: row 4 of y, ublox: compression filter. */
+/* filter with group 0, 1: row 1 of y, wheel_fr: compression filter; filter with group 0, 2: row 2
+ * of y, wheel_rl: compression filter; filter with group 0, 3: row 3 of y, wheel_rr: compression
+ * filter; filter with group 1, 2: row 2 of y, wheel_rl: compression filter; filter with group 1, 3:
+ * row 3 of y, wheel_rr: compression filter; filter with group 2, 3: row 3 of y, wheel_rr:
+ * compression filter; filter with group 0, 1, 2: row 2 of y, wheel_rl: compression filter; filter
+ * with group 0, 1, 3: row 3 of y, wheel_rr: compression filter; filter with group 0, 2, 3: row 3 of
+ * y, wheel_rr: compression filter; filter with group 1, 2, 3: row 3 of y, wheel_rr: compression
+ * filter; filter with group 0, 1, 2, 3: row 3 of y, wheel_rr: compression filter. */
 WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group(double *covariance,
     double *mean, const double predicted_compression_deviation, const double innovation,
     const double innovation_2, const double innovation_3, const double *numbers, uint32_t present,
     int row_0)
 {
     wheel_drift_status_t status;
-    status = wheel_drift_filter_with_group_7(numbers[0], covariance, mean,
+
+    /* filter with group 0, 1: row 1 of y, wheel_fr: compression filter */
+    status = wheel_drift_filter_with_group_8(numbers[0], covariance, mean,
         predicted_compression_deviation, innovation, row_0);
     if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_filter_with_group_8(covariance, mean, predicted_compression_deviation,
-        innovation_2, wheel_drift_filter_with_group_8_numbers[0], ((present & 0x10u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_filter_with_group_8(covariance, mean, predicted_compression_deviation,
-        innovation_3, wheel_drift_filter_with_group_8_numbers[1], ((present & 0x20u) != 0u));
+
+    /* filter with group 0, 1: row 4 of y, ublox: compression filter */
+    status = wheel_drift_filter_with_group_11(covariance, mean, predicted_compression_deviation,
+        innovation_2, innovation_3, wheel_drift_filter_with_group_3_numbers[8],
+        wheel_drift_filter_with_group_3_numbers[9], present);
     if (status != WHEEL_DRIFT_OK) { return status; }
     return WHEEL_DRIFT_OK;
 }
@@ -297,17 +335,17 @@ static const double wheel_drift_filter_with_group_2_numbers[15][1] = {
     { 0.9921619208254787 }
 };
 
-/* filter with group 0: row 4 of y, ublox: compression filter; filter with group 1: row 4 of y,
- * ublox: compression filter; filter with group 2: row 4 of y, ublox: compression filter; filter
- * with group 3: row 4 of y, ublox: compression filter; filter with group 0, 1: row 1 of y,
- * wheel_fr: compression filter; filter with group 0, 2: row 2 of y, wheel_rl: compression filter;
- * filter with group 0, 3: row 3 of y, wheel_rr: compression filter; filter with group 1, 2: row 2
- * of y, wheel_rl: compression filter; filter with group 1, 3: row 3 of y, wheel_rr: compression
- * filter; filter with group 2, 3: row 3 of y, wheel_rr: compression filter; filter with group 0, 1,
- * 2: row 1 of y, wheel_fr: compression filter; filter with group 0, 1, 3: row 1 of y, wheel_fr:
- * compression filter; filter with group 0, 2, 3: row 2 of y, wheel_rl: compression filter; filter
- * with group 1, 2, 3: row 2 of y, wheel_rl: compression filter; filter with group 0, 1, 2, 3: row 1
- * of y, wheel_fr: compression filter. */
+/* filter with group 0: row 0 of y, wheel_fl: compression filter; filter with group 1: row 1 of y,
+ * wheel_fr: compression filter; filter with group 2: row 2 of y, wheel_rl: compression filter;
+ * filter with group 3: row 3 of y, wheel_rr: compression filter; filter with group 0, 1: row 0 of
+ * y, wheel_fl: compression filter; filter with group 0, 2: row 0 of y, wheel_fl: compression
+ * filter; filter with group 0, 3: row 0 of y, wheel_fl: compression filter; filter with group 1, 2:
+ * row 1 of y, wheel_fr: compression filter; filter with group 1, 3: row 1 of y, wheel_fr:
+ * compression filter; filter with group 2, 3: row 2 of y, wheel_rl: compression filter; filter with
+ * group 0, 1, 2: row 0 of y, wheel_fl: compression filter; filter with group 0, 1, 3: row 0 of y,
+ * wheel_fl: compression filter; filter with group 0, 2, 3: row 0 of y, wheel_fl: compression
+ * filter; filter with group 1, 2, 3: row 1 of y, wheel_fr: compression filter; filter with group 0,
+ * 1, 2, 3: row 0 of y, wheel_fl: compression filter. */
 WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_2(const double
     *predicted_compression_covariance, const double innovation_0,
     const double *predicted_compression_deviation, double *mean, double *covariance,
@@ -335,14 +373,13 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_2(const do
         covariance[1] = t4 + (t5 * t1);
         covariance[2] = (predicted_compression_covariance[2] - (t3 * cross_0[1])) + (t5 * t3);
     }
-
-    /* filter with group 0: row 4 of y, ublox: compression filter */
     return WHEEL_DRIFT_OK;
 }
 
-/* filter with group 0, 1, 2, 3; filter with group 0; filter with group 0, 1, 2; filter with group
- * 0, 1. */
-WHEEL_DRIFT_INLINE void wheel_drift_filter_with_group_11(const double innovation_4,
+/* filter with group 0, 1, 2, 3: innovation, row by row; filter with group 0, 1, 2: innovation, row
+ * by row; filter with group 0, 1: innovation, row by row; filter with group 0: innovation, row by
+ * row. */
+WHEEL_DRIFT_INLINE void wheel_drift_filter_with_group_9(const double innovation_4,
     const double predicted_compression_deviation, double *innovation, const double innovation_5,
     double *innovation_2, uint32_t present)
 {
@@ -354,76 +391,6 @@ WHEEL_DRIFT_INLINE void wheel_drift_filter_with_group_11(const double innovation
     {
         innovation_2[0] = innovation_5 - predicted_compression_deviation;
     }
-
-    /* filter with group 0, 1, 2, 3 */
-}
-
-/* What differs between the calls of wheel_drift_filter_with_group_9, a row for each. */
-static const double wheel_drift_filter_with_group_9_numbers[2][1] = {
-    { 0.25 },
-    { 9.0 }
-};
-
-/* filter with group 0: row 5 of y, qcom: compression filter; filter with group 0. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_9(double *covariance,
-    double *mean, const double predicted_compression_deviation, const double innovation,
-    const double *numbers, int row_0)
-{
-    wheel_drift_status_t status;
-    status = wheel_drift_filter_with_group_10(covariance, numbers[0], mean,
-        predicted_compression_deviation, innovation, row_0);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    return WHEEL_DRIFT_OK;
-}
-
-/* What differs between the calls of wheel_drift_filter_with_group_3, a row for each. */
-static const double wheel_drift_filter_with_group_3_numbers[4][1] = {
-    { 0.9921619208254787 },
-    { 0.9921619208254787 },
-    { 0.9903931860948796 },
-    { 0.9903931860948796 }
-};
-
-/* filter with group 0: innovation, row by row; filter with group 1: innovation, row by row; filter
- * with group 2: innovation, row by row; filter with group 3: innovation, row by row. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_3(const double
-    *predicted_compression_deviation, const double innovation, const double innovation_4,
-    const double innovation_5, const double *predicted_compression_covariance, double *covariance,
-    const double *mean_host, double *deviation, const double *numbers, const double *numbers_of_0,
-    uint32_t present, int row_0)
-{
-    double innovation_0 = 0.0;
-    double innovation_1 = 0.0;
-    double innovation_2 = 0.0;
-    double mean[2] = { 0.0 };
-    wheel_drift_status_t status;
-
-    /* filter with group 0: innovation, row by row */
-    if (row_0 != 0)
-    {
-        innovation_0 = innovation - (numbers[0] * predicted_compression_deviation[0]);
-    }
-    wheel_drift_filter_with_group_11(innovation_4, predicted_compression_deviation[0],
-        &innovation_1, innovation_5, &innovation_2, present);
-    mean[0] = predicted_compression_deviation[0];
-    mean[1] = predicted_compression_deviation[1];
-    covariance[0] = predicted_compression_covariance[0];
-    covariance[1] = predicted_compression_covariance[1];
-    covariance[2] = predicted_compression_covariance[2];
-
-    /* filter with group 0: row 0 of y, wheel_fl: compression filter */
-    status = wheel_drift_filter_with_group_2(predicted_compression_covariance, innovation_0,
-        predicted_compression_deviation, mean, covariance, numbers_of_0, row_0);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_filter_with_group_9(covariance, mean, predicted_compression_deviation[0],
-        innovation_1, wheel_drift_filter_with_group_9_numbers[0], ((present & 0x10u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_filter_with_group_9(covariance, mean, predicted_compression_deviation[0],
-        innovation_2, wheel_drift_filter_with_group_9_numbers[1], ((present & 0x20u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    deviation[0] = mean[0] - mean_host[0];
-    deviation[1] = mean[1] - mean_host[1];
-    return WHEEL_DRIFT_OK;
 }
 
 /* What differs between the calls of wheel_drift_filter_with_group_4, a row for each. */
@@ -450,9 +417,6 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_4(const do
     double innovation_3_2 = 0.0;
     double innovation_4_2 = 0.0;
     double mean[2] = { 0.0 };
-    double cross_1[2];
-    double pivot_1;
-    double inverse_1 = 0.0;
     wheel_drift_status_t status;
 
     /* filter with group 0, 1, 2: innovation, row by row */
@@ -468,43 +432,30 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_4(const do
     {
         innovation_2_2 = innovation_3 - (0.9903931860948796 * predicted_compression_deviation[0]);
     }
-    wheel_drift_filter_with_group_11(innovation_4, predicted_compression_deviation[0],
+    wheel_drift_filter_with_group_9(innovation_4, predicted_compression_deviation[0],
         &innovation_3_2, innovation_5, &innovation_4_2, present);
+
+    /* filter with group 0, 1, 2 */
     mean[0] = predicted_compression_deviation[0];
     mean[1] = predicted_compression_deviation[1];
-    covariance[0] = predicted_compression_covariance[0];
-    covariance[1] = predicted_compression_covariance[1];
-    covariance[2] = predicted_compression_covariance[2];
+    wheel_drift_copy(predicted_compression_covariance, covariance, 3);
 
     /* filter with group 0, 1, 2: row 0 of y, wheel_fl: compression filter */
     status = wheel_drift_filter_with_group_2(predicted_compression_covariance, innovation_0,
         predicted_compression_deviation, mean, covariance, numbers_of_0, row_0);
     if (status != WHEEL_DRIFT_OK) { return status; }
-    cross_1[0] = numbers[0] * covariance[0];
-    cross_1[1] = numbers[0] * covariance[1];
-    pivot_1 = (numbers[0] * cross_1[0]) + 0.04;
-    if (row_1 != 0)
-    {
-        if (!(pivot_1 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
-        inverse_1 = 1.0 / pivot_1;
-        const double t0 = numbers[0] * (mean[0] - predicted_compression_deviation[0]);
-        const double t1 = (innovation_1 - t0) * inverse_1;
-        mean[0] = mean[0] + (cross_1[0] * t1);
-        mean[1] = mean[1] + (cross_1[1] * t1);
-        const double t2 = cross_1[0] * inverse_1;
-        const double t3 = covariance[0] - (t2 * cross_1[0]);
-        covariance[0] = t3 + (((0.04 * t2) - (numbers[0] * t3)) * t2);
-        const double t4 = cross_1[1] * inverse_1;
-        const double t5 = covariance[1] - (t4 * cross_1[0]);
-        const double t6 = (0.04 * t4) - (numbers[0] * t5);
-        covariance[1] = t5 + (t6 * t2);
-        covariance[2] = (covariance[2] - (t4 * cross_1[1])) + (t6 * t4);
-    }
+
+    /* filter with group 0, 1, 2: row 1 of y, wheel_fr: compression filter */
+    status = wheel_drift_filter_with_group_8(numbers[0], covariance, mean,
+        predicted_compression_deviation[0], innovation_1, row_1);
+    if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 2: row 2 of y, wheel_rl: compression filter */
     status = wheel_drift_filter_with_group(covariance, mean, predicted_compression_deviation[0],
         innovation_2_2, innovation_3_2, innovation_4_2, numbers_of_1, present, row_2);
     if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1, 2 */
     deviation[0] = mean[0] - mean_host[0];
     deviation[1] = mean[1] - mean_host[1];
     return WHEEL_DRIFT_OK;
@@ -547,21 +498,25 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_5(const do
     {
         innovation_1 = innovation_2 - (numbers[1] * predicted_compression_deviation[0]);
     }
-    wheel_drift_filter_with_group_11(innovation_4, predicted_compression_deviation[0],
+    wheel_drift_filter_with_group_9(innovation_4, predicted_compression_deviation[0],
         &innovation_2_2, innovation_5, &innovation_3, present);
+
+    /* filter with group 0, 1 */
     mean[0] = predicted_compression_deviation[0];
     mean[1] = predicted_compression_deviation[1];
-    covariance[0] = predicted_compression_covariance[0];
-    covariance[1] = predicted_compression_covariance[1];
-    covariance[2] = predicted_compression_covariance[2];
+    wheel_drift_copy(predicted_compression_covariance, covariance, 3);
 
     /* filter with group 0, 1: row 0 of y, wheel_fl: compression filter */
     status = wheel_drift_filter_with_group_2(predicted_compression_covariance, innovation_0,
         predicted_compression_deviation, mean, covariance, numbers_of_0, row_0);
     if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1: row 1 of y, wheel_fr: compression filter */
     status = wheel_drift_filter_with_group(covariance, mean, predicted_compression_deviation[0],
         innovation_1, innovation_2_2, innovation_3, numbers_of_1, present, row_1);
     if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1 */
     deviation[0] = mean[0] - mean_host[0];
     deviation[1] = mean[1] - mean_host[1];
     return WHEEL_DRIFT_OK;
@@ -611,12 +566,15 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next(const
 
 /* test of group 0; test of group 1; test of group 2; test of group 3. */
 WHEEL_DRIFT_INLINE void wheel_drift_test_of_group(const double collecting,
-    const double *filtered_covariance, const double *compression_covariance, double *difference,
-    const double *compression_deviation, double *shift, double *scale, double *statistic,
-    double *dof, double *threshold)
+    const double *filtered_covariance, const double *compression_covariance,
+    const double *compression_deviation, double *statistic, double *dof, double *threshold)
 {
+    double difference[3] = { 0.0 };
+    double shift[2] = { 0.0 };
+    double scale[2] = { 0.0 };
     double inverse_0 = 0.0;
     double share_0_1 = 0.0;
+    double inverse_1 = 0.0;
 
     /* test of group 0 */
     const double t0 = collecting - 0.5;
@@ -657,43 +615,8 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group(const double collecting,
         dof[0] = 1.0;
         threshold[0] = 10.827566170662733;
     }
-}
-
-/* What differs between the calls of wheel_drift_filter_with_group_6, a row for each. */
-static const double wheel_drift_filter_with_group_6_numbers[2][1] = {
-    { 0.9921619208254787 },
-    { 0.9903931860948796 }
-};
-
-/* filter with group 0, 1, 2, 3: row 2 of y, wheel_rl: compression filter; filter with group 0, 1,
- * 2, 3: row 3 of y, wheel_rr: compression filter. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_6(double
-    *covariance_compression14, double *mean_compression14,
-    const double predicted_compression_deviation, const double innovation_compression14,
-    const double *numbers, int row_0)
-{
-    wheel_drift_status_t status;
-    status = wheel_drift_filter_with_group_7(numbers[0], covariance_compression14,
-        mean_compression14, predicted_compression_deviation, innovation_compression14, row_0);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    return WHEEL_DRIFT_OK;
-}
-
-/* test of group 0; test of group 1; test of group 2. */
-WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double collecting,
-    const double *filtered_covariance, const double *compression_covariance,
-    const double *compression_deviation, double *statistic, double *dof, double *threshold)
-{
-    double difference[3] = { 0.0 };
-    double shift[2] = { 0.0 };
-    double scale[2] = { 0.0 };
-    double inverse_1 = 0.0;
-
-    /* test of group 0 */
-    wheel_drift_test_of_group(collecting, filtered_covariance, compression_covariance, difference,
-        compression_deviation, shift, scale, statistic, dof, threshold);
-    const double t0 = difference[2] - (1.0e-11 * scale[1]);
-    if (t0 > 0.0)
+    const double t9 = difference[2] - (1.0e-11 * scale[1]);
+    if (t9 > 0.0)
     {
         inverse_1 = 1.0 / difference[2];
         statistic[0] = statistic[0] + (shift[1] * (shift[1] * inverse_1));
@@ -702,22 +625,87 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double collecting,
     }
 }
 
+/* What differs between the calls of wheel_drift_filter_with_group_6, a row for each. */
+static const double wheel_drift_filter_with_group_6_numbers[4][1] = {
+    { 0.9921619208254787 },
+    { 0.9921619208254787 },
+    { 0.9903931860948796 },
+    { 0.9903931860948796 }
+};
+
+/* filter with group 0: innovation, row by row; filter with group 1: innovation, row by row; filter
+ * with group 2: innovation, row by row; filter with group 3: innovation, row by row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_6(const double
+    *predicted_compression_deviation, const double innovation, const double innovation_4,
+    const double innovation_5, const double *predicted_compression_covariance, double *covariance,
+    const double *mean_host, double *deviation, const double *numbers, const double *numbers_of_0,
+    const double *numbers_of_1, const double *numbers_of_2, uint32_t present, int row_0)
+{
+    double innovation_0 = 0.0;
+    double innovation_1 = 0.0;
+    double innovation_2 = 0.0;
+    double mean[2] = { 0.0 };
+    wheel_drift_status_t status;
+
+    /* filter with group 0: innovation, row by row */
+    if (row_0 != 0)
+    {
+        innovation_0 = innovation - (numbers[0] * predicted_compression_deviation[0]);
+    }
+    wheel_drift_filter_with_group_9(innovation_4, predicted_compression_deviation[0], &innovation_1,
+        innovation_5, &innovation_2, present);
+
+    /* filter with group 0 */
+    mean[0] = predicted_compression_deviation[0];
+    mean[1] = predicted_compression_deviation[1];
+    wheel_drift_copy(predicted_compression_covariance, covariance, 3);
+
+    /* filter with group 0: row 0 of y, wheel_fl: compression filter */
+    status = wheel_drift_filter_with_group_2(predicted_compression_covariance, innovation_0,
+        predicted_compression_deviation, mean, covariance, numbers_of_0, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0: row 4 of y, ublox: compression filter */
+    status = wheel_drift_filter_with_group_11(covariance, mean, predicted_compression_deviation[0],
+        innovation_1, innovation_2, numbers_of_1, numbers_of_2, present);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0 */
+    deviation[0] = mean[0] - mean_host[0];
+    deviation[1] = mean[1] - mean_host[1];
+    return WHEEL_DRIFT_OK;
+}
+
+/* What differs between the calls of wheel_drift_filter_with_group_7, a row for each. */
+static const double wheel_drift_filter_with_group_7_numbers[2][1] = {
+    { 0.9921619208254787 },
+    { 0.9903931860948796 }
+};
+
+/* filter with group 0, 1, 2, 3: row 1 of y, wheel_fr: compression filter; filter with group 0, 1,
+ * 2, 3: row 2 of y, wheel_rl: compression filter. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_7(double
+    *covariance_compression14, double *mean_compression14,
+    const double predicted_compression_deviation, const double innovation_compression14,
+    const double *numbers, int row_0)
+{
+    wheel_drift_status_t status;
+
+    /* filter with group 0, 1, 2, 3: row 1 of y, wheel_fr: compression filter */
+    status = wheel_drift_filter_with_group_8(numbers[0], covariance_compression14,
+        mean_compression14, predicted_compression_deviation, innovation_compression14, row_0);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+    return WHEEL_DRIFT_OK;
+}
+
 /* correct. */
 WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct_2(const double
     *predicted_compression_covariance)
 {
     if (!((predicted_compression_covariance[0] >= 0.0) && (predicted_compression_covariance[2] >=
-        0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((predicted_compression_covariance[3] >= 0.0) && (predicted_compression_covariance[5] >=
-        0.0)))
-    {
-        return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
-    }
-    if (!((predicted_compression_covariance[6] >= 0.0) && (predicted_compression_covariance[8] >=
-        0.0)))
+        0.0) && (predicted_compression_covariance[3] >= 0.0) &&
+        (predicted_compression_covariance[5] >= 0.0) && (predicted_compression_covariance[6] >=
+        0.0) && (predicted_compression_covariance[8] >= 0.0)))
     {
         return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE;
     }
@@ -734,68 +722,13 @@ WHEEL_DRIFT_INLINE void wheel_drift_prediction_of_the_next_3(const double *compr
     predicted_compression_covariance[3] = compression_covariance[3] + t1;
     const double t2 = compression_covariance[7] * A;
     predicted_compression_covariance[6] = compression_covariance[6] + t2;
-    const double t3 = compression_covariance[10] * A;
-    predicted_compression_covariance[9] = compression_covariance[9] + t3;
-    const double t4 = compression_covariance[13] * A;
-    predicted_compression_covariance[12] = compression_covariance[12] + t4;
 }
 
-/* filter with group 0, 1: innovation, row by row; filter with group 1, 2: innovation, row by
- * row. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const double
-    *predicted_compression_deviation, const double innovation, const double innovation_2,
-    const double innovation_4, const double innovation_5,
-    const double *predicted_compression_covariance, double *covariance, const double *mean_host,
-    double *deviation, const double innovation_3, double *covariance_2, double *deviation_2,
-    const double *numbers_of_0, const double *numbers_of_1, const double *numbers_of_2,
-    const double *numbers_of_3, const double *numbers_of_4, const double *numbers_of_5,
-    uint32_t present, int row_0, int row_1, int row_2)
-{
-    wheel_drift_status_t status;
-
-    /* filter with group 0, 1: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(predicted_compression_deviation, innovation,
-        innovation_2, innovation_4, innovation_5, predicted_compression_covariance, covariance,
-        mean_host, deviation, numbers_of_0, numbers_of_1, numbers_of_2, present, row_0, row_1);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 0, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[2], innovation,
-        innovation_3, innovation_4, innovation_5, &predicted_compression_covariance[3],
-        covariance_2, mean_host, deviation_2, numbers_of_3, numbers_of_4, numbers_of_5, present,
-        row_0, row_2);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    return WHEEL_DRIFT_OK;
-}
-
-/* filter with group 0: innovation, row by row; filter with group 2: innovation, row by row. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_13(const double
-    *predicted_compression_deviation, const double innovation, const double innovation_4,
-    const double innovation_5, const double *predicted_compression_covariance, double *covariance,
-    const double *mean_host, double *deviation, const double innovation_2, double *covariance_2,
-    double *deviation_2, const double *numbers_of_0, const double *numbers_of_1,
-    const double *numbers_of_2, const double *numbers_of_3, uint32_t present, int row_0, int row_1)
-{
-    wheel_drift_status_t status;
-
-    /* filter with group 0: innovation, row by row */
-    status = wheel_drift_filter_with_group_3(predicted_compression_deviation, innovation,
-        innovation_4, innovation_5, predicted_compression_covariance, covariance, mean_host,
-        deviation, numbers_of_0, numbers_of_1, present, row_0);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 1: innovation, row by row */
-    status = wheel_drift_filter_with_group_3(&predicted_compression_deviation[2], innovation_2,
-        innovation_4, innovation_5, &predicted_compression_covariance[3], covariance_2, mean_host,
-        deviation_2, numbers_of_2, numbers_of_3, present, row_1);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    return WHEEL_DRIFT_OK;
-}
-
-/* verdict on group 1; verdict on group 2; verdict on group 3. */
+/* verdict on group 0; verdict on group 1; verdict on group 2; verdict on group 3. */
 WHEEL_DRIFT_INLINE void wheel_drift_verdict_on_group(const double collecting, double *accepted,
     double *rejected, const double statistic, const double threshold)
 {
+    /* verdict on group 0 */
     accepted[0] = collecting;
     rejected[0] = 0.0;
     const double t0 = statistic - threshold;
@@ -804,33 +737,75 @@ WHEEL_DRIFT_INLINE void wheel_drift_verdict_on_group(const double collecting, do
         accepted[0] = 0.0;
         rejected[0] = 1.0;
     }
-
-    /* verdict on group 1 */
 }
 
-/* filter with group 2, 3: innovation, row by row. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_14(const double
-    *predicted_compression_deviation, const double innovation_2, const double innovation_3,
+/* What differs between the calls of wheel_drift_innovation, a row for each. */
+static const double wheel_drift_innovation_numbers[2][1] = {
+    { 0.9921619208254787 },
+    { 0.9903931860948796 }
+};
+
+/* innovation, row by row. */
+WHEEL_DRIFT_INLINE void wheel_drift_innovation(const double predicted_state, const double *y,
+    double *innovation, double *innovation_2, const double *numbers, int row_0, int row_1)
+{
+    if (row_0 != 0)
+    {
+        innovation[0] = y[0] - (numbers[0] * predicted_state);
+    }
+    if (row_1 != 0)
+    {
+        innovation_2[0] = y[1] - (numbers[0] * predicted_state);
+    }
+}
+
+/* What differs between the calls of wheel_drift_filter_with_group_10, a row for each. */
+static const double wheel_drift_filter_with_group_10_numbers[2][1] = {
+    { 0.9921619208254787 },
+    { 0.9903931860948796 }
+};
+
+/* filter with group 0, 1, 2, 3: innovation, row by row. */
+WHEEL_DRIFT_INLINE void wheel_drift_filter_with_group_10(const double
+    predicted_compression_deviation, const double innovation, double *innovation_compression14,
+    const double innovation_2, double *innovation_compression14_2, const double *numbers, int row_0,
+    int row_1)
+{
+    if (row_0 != 0)
+    {
+        innovation_compression14[0] = innovation - (numbers[0] * predicted_compression_deviation);
+    }
+    if (row_1 != 0)
+    {
+        const double t0 = numbers[0] * predicted_compression_deviation;
+        innovation_compression14_2[0] = innovation_2 - t0;
+    }
+}
+
+/* filter with group 1, 3: innovation, row by row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const double
+    *predicted_compression_deviation, const double innovation_1, const double innovation_3,
     const double innovation_4, const double innovation_5,
     const double *predicted_compression_covariance, const double *mean_host,
-    const double innovation_0, const double innovation_1, const double *host_state,
+    const double innovation_2, const double innovation_0, const double *host_state,
     const double *deviation_compression, const double *deviation_compression1,
     const double *deviation_compression2, const double *deviation_compression3,
     const double *deviation_compression4, const double *deviation_compression5,
     const double *deviation_compression6, const double *deviation_compression7,
-    const double *deviation_compression8, const double *predicted_collecting,
-    const double predicted_covariance, const double determinant_host_0,
-    const double log_constant_host, const double quadratic_host, double *filtered_state,
-    const double *covariance_host, double *filtered_covariance, double *compression_deviation,
-    const double *covariance_compression, double *compression_covariance,
-    const double *covariance_compression1, const double *covariance_compression2,
-    const double *covariance_compression3, const double *covariance_compression4,
-    const double *covariance_compression5, const double *covariance_compression6,
-    const double *covariance_compression7, const double *covariance_compression8,
+    const double *predicted_collecting, const double predicted_covariance,
+    const double determinant_host_0, const double log_constant_host, const double quadratic_host,
+    double *filtered_state, const double *covariance_host, double *filtered_covariance,
+    double *compression_deviation, const double *covariance_compression,
+    double *compression_covariance, const double *covariance_compression1,
+    const double *covariance_compression2, const double *covariance_compression3,
+    const double *covariance_compression4, const double *covariance_compression5,
+    const double *covariance_compression6, const double *covariance_compression7,
     double *innovation, double *innovation_covariance, double *nis, double *log_likelihood,
     const double predicted_window_left, double *window_left, double *collecting,
     double *test_statistic, double *test_dof, double *fault_declared, uint32_t present)
 {
+    double covariance_compression8[3] = { 0.0 };
+    double deviation_compression8[2] = { 0.0 };
     double covariance_compression9[3] = { 0.0 };
     double deviation_compression9[2] = { 0.0 };
     double covariance_compression10[3] = { 0.0 };
@@ -856,9 +831,18 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_14(const d
     double collecting_3;
     wheel_drift_status_t status;
 
-    /* filter with group 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(predicted_compression_deviation, innovation_2,
+    /* filter with group 1, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(predicted_compression_deviation, innovation_1,
         innovation_3, innovation_4, innovation_5, predicted_compression_covariance,
+        covariance_compression8, mean_host, deviation_compression8,
+        wheel_drift_filter_with_group_5_numbers[4], wheel_drift_filter_with_group_2_numbers[8],
+        wheel_drift_filter_with_group_numbers[4], present, ((present & 0x2u) != 0u),
+        ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 2, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[2], innovation_2,
+        innovation_3, innovation_4, innovation_5, &predicted_compression_covariance[3],
         covariance_compression9, mean_host, deviation_compression9,
         wheel_drift_filter_with_group_5_numbers[5], wheel_drift_filter_with_group_2_numbers[9],
         wheel_drift_filter_with_group_numbers[5], present, ((present & 0x4u) != 0u),
@@ -866,89 +850,87 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_14(const d
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[2], innovation_0,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[4], innovation_0,
         innovation_1, innovation_2, innovation_4, innovation_5,
-        &predicted_compression_covariance[3], covariance_compression10, mean_host,
+        &predicted_compression_covariance[6], covariance_compression10, mean_host,
         deviation_compression10, wheel_drift_filter_with_group_4_numbers[0],
         wheel_drift_filter_with_group_2_numbers[10], wheel_drift_filter_with_group_numbers[6],
         present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[4], innovation_0,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[6], innovation_0,
         innovation_1, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[6], covariance_compression11, mean_host,
+        &predicted_compression_covariance[9], covariance_compression11, mean_host,
         deviation_compression11, wheel_drift_filter_with_group_4_numbers[1],
         wheel_drift_filter_with_group_2_numbers[11], wheel_drift_filter_with_group_numbers[7],
         present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[6], innovation_0,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[8], innovation_0,
         innovation_2, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[9], covariance_compression12, mean_host,
+        &predicted_compression_covariance[12], covariance_compression12, mean_host,
         deviation_compression12, wheel_drift_filter_with_group_4_numbers[2],
         wheel_drift_filter_with_group_2_numbers[12], wheel_drift_filter_with_group_numbers[8],
         present, ((present & 0x1u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 1, 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[8], innovation_1,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[10], innovation_1,
         innovation_2, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[12], covariance_compression13, mean_host,
+        &predicted_compression_covariance[15], covariance_compression13, mean_host,
         deviation_compression13, wheel_drift_filter_with_group_4_numbers[3],
         wheel_drift_filter_with_group_2_numbers[13], wheel_drift_filter_with_group_numbers[9],
         present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 2, 3: innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        const double t0 = 0.9921619208254787 * predicted_compression_deviation[10];
-        innovation_compression14_0 = innovation_0 - t0;
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        const double t1 = 0.9921619208254787 * predicted_compression_deviation[10];
-        innovation_compression14_1 = innovation_1 - t1;
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        const double t2 = 0.9903931860948796 * predicted_compression_deviation[10];
-        innovation_compression14_2 = innovation_2 - t2;
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        const double t3 = 0.9903931860948796 * predicted_compression_deviation[10];
-        innovation_compression14_3 = innovation_3 - t3;
-    }
-    wheel_drift_filter_with_group_11(innovation_4, predicted_compression_deviation[10],
+    wheel_drift_filter_with_group_10(predicted_compression_deviation[12], innovation_0,
+        &innovation_compression14_0, innovation_1, &innovation_compression14_1,
+        wheel_drift_filter_with_group_10_numbers[0], ((present & 0x1u) != 0u), ((present & 0x2u) !=
+        0u));
+    wheel_drift_filter_with_group_10(predicted_compression_deviation[12], innovation_2,
+        &innovation_compression14_2, innovation_3, &innovation_compression14_3,
+        wheel_drift_filter_with_group_10_numbers[1], ((present & 0x4u) != 0u), ((present & 0x8u) !=
+        0u));
+    wheel_drift_filter_with_group_9(innovation_4, predicted_compression_deviation[12],
         &innovation_compression14_4, innovation_5, &innovation_compression14_5, present);
-    mean_compression14[0] = predicted_compression_deviation[10];
-    mean_compression14[1] = predicted_compression_deviation[11];
-    covariance_compression14[0] = predicted_compression_covariance[15];
-    covariance_compression14[1] = predicted_compression_covariance[16];
-    covariance_compression14[2] = predicted_compression_covariance[17];
+
+    /* filter with group 0, 1, 2, 3 */
+    mean_compression14[0] = predicted_compression_deviation[12];
+    mean_compression14[1] = predicted_compression_deviation[13];
+    covariance_compression14[0] = predicted_compression_covariance[18];
+    covariance_compression14[1] = predicted_compression_covariance[19];
+    covariance_compression14[2] = predicted_compression_covariance[20];
 
     /* filter with group 0, 1, 2, 3: row 0 of y, wheel_fl: compression filter */
-    status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[15],
-        innovation_compression14_0, &predicted_compression_deviation[10], mean_compression14,
+    status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[18],
+        innovation_compression14_0, &predicted_compression_deviation[12], mean_compression14,
         covariance_compression14, wheel_drift_filter_with_group_2_numbers[14], ((present & 0x1u) !=
         0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_filter_with_group_6(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[10], innovation_compression14_1,
-        wheel_drift_filter_with_group_6_numbers[0], ((present & 0x2u) != 0u));
+
+    /* filter with group 0, 1, 2, 3: row 1 of y, wheel_fr: compression filter */
+    status = wheel_drift_filter_with_group_7(covariance_compression14, mean_compression14,
+        predicted_compression_deviation[12], innovation_compression14_1,
+        wheel_drift_filter_with_group_7_numbers[0], ((present & 0x2u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_filter_with_group_6(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[10], innovation_compression14_2,
-        wheel_drift_filter_with_group_6_numbers[1], ((present & 0x4u) != 0u));
+
+    /* filter with group 0, 1, 2, 3: row 2 of y, wheel_rl: compression filter */
+    status = wheel_drift_filter_with_group_7(covariance_compression14, mean_compression14,
+        predicted_compression_deviation[12], innovation_compression14_2,
+        wheel_drift_filter_with_group_7_numbers[1], ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1, 2, 3: row 3 of y, wheel_rr: compression filter */
     status = wheel_drift_filter_with_group(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[10], innovation_compression14_3, innovation_compression14_4,
+        predicted_compression_deviation[12], innovation_compression14_3, innovation_compression14_4,
         innovation_compression14_5, wheel_drift_filter_with_group_numbers[10], present,
         ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1, 2, 3 */
     deviation_compression14[0] = mean_compression14[0] - mean_host[0];
     deviation_compression14[1] = mean_compression14[1] - mean_host[1];
     if (!wheel_drift_finite(wheel_drift_defect(host_state[0]) + wheel_drift_defect(host_state[1]) +
@@ -1025,13 +1007,11 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_14(const d
     innovation_covariance[17] = 0.9903931860948796 * predicted_covariance;
     innovation_covariance[18] = 0.9903931860948796 * predicted_covariance;
     innovation_covariance[20] = predicted_covariance + 9.0;
-    const double t4 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
-    log_likelihood[0] = -0.5 * t4;
+    const double t0 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
+    log_likelihood[0] = -0.5 * t0;
     filtered_state[0] = host_state[0];
     filtered_state[1] = host_state[1];
-    filtered_covariance[0] = covariance_host[0];
-    filtered_covariance[1] = covariance_host[1];
-    filtered_covariance[2] = covariance_host[2];
+    wheel_drift_copy(covariance_host, filtered_covariance, 3);
     compression_deviation[0] = deviation_compression[0];
     compression_deviation[1] = deviation_compression[1];
     compression_deviation[2] = deviation_compression1[0];
@@ -1062,51 +1042,21 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_14(const d
     compression_deviation[27] = deviation_compression13[1];
     compression_deviation[28] = deviation_compression14[0];
     compression_deviation[29] = deviation_compression14[1];
-    compression_covariance[0] = covariance_compression[0];
-    compression_covariance[1] = covariance_compression[1];
-    compression_covariance[2] = covariance_compression[2];
-    compression_covariance[3] = covariance_compression1[0];
-    compression_covariance[4] = covariance_compression1[1];
-    compression_covariance[5] = covariance_compression1[2];
-    compression_covariance[6] = covariance_compression2[0];
-    compression_covariance[7] = covariance_compression2[1];
-    compression_covariance[8] = covariance_compression2[2];
-    compression_covariance[9] = covariance_compression3[0];
-    compression_covariance[10] = covariance_compression3[1];
-    compression_covariance[11] = covariance_compression3[2];
-    compression_covariance[12] = covariance_compression4[0];
-    compression_covariance[13] = covariance_compression4[1];
-    compression_covariance[14] = covariance_compression4[2];
-    compression_covariance[15] = covariance_compression5[0];
-    compression_covariance[16] = covariance_compression5[1];
-    compression_covariance[17] = covariance_compression5[2];
-    compression_covariance[18] = covariance_compression6[0];
-    compression_covariance[19] = covariance_compression6[1];
-    compression_covariance[20] = covariance_compression6[2];
-    compression_covariance[21] = covariance_compression7[0];
-    compression_covariance[22] = covariance_compression7[1];
-    compression_covariance[23] = covariance_compression7[2];
-    compression_covariance[24] = covariance_compression8[0];
-    compression_covariance[25] = covariance_compression8[1];
-    compression_covariance[26] = covariance_compression8[2];
-    compression_covariance[27] = covariance_compression9[0];
-    compression_covariance[28] = covariance_compression9[1];
-    compression_covariance[29] = covariance_compression9[2];
-    compression_covariance[30] = covariance_compression10[0];
-    compression_covariance[31] = covariance_compression10[1];
-    compression_covariance[32] = covariance_compression10[2];
-    compression_covariance[33] = covariance_compression11[0];
-    compression_covariance[34] = covariance_compression11[1];
-    compression_covariance[35] = covariance_compression11[2];
-    compression_covariance[36] = covariance_compression12[0];
-    compression_covariance[37] = covariance_compression12[1];
-    compression_covariance[38] = covariance_compression12[2];
-    compression_covariance[39] = covariance_compression13[0];
-    compression_covariance[40] = covariance_compression13[1];
-    compression_covariance[41] = covariance_compression13[2];
-    compression_covariance[42] = covariance_compression14[0];
-    compression_covariance[43] = covariance_compression14[1];
-    compression_covariance[44] = covariance_compression14[2];
+    wheel_drift_copy(covariance_compression, compression_covariance, 3);
+    wheel_drift_copy(covariance_compression1, &compression_covariance[3], 3);
+    wheel_drift_copy(covariance_compression2, &compression_covariance[6], 3);
+    wheel_drift_copy(covariance_compression3, &compression_covariance[9], 3);
+    wheel_drift_copy(covariance_compression4, &compression_covariance[12], 3);
+    wheel_drift_copy(covariance_compression5, &compression_covariance[15], 3);
+    wheel_drift_copy(covariance_compression6, &compression_covariance[18], 3);
+    wheel_drift_copy(covariance_compression7, &compression_covariance[21], 3);
+    wheel_drift_copy(covariance_compression8, &compression_covariance[24], 3);
+    wheel_drift_copy(covariance_compression9, &compression_covariance[27], 3);
+    wheel_drift_copy(covariance_compression10, &compression_covariance[30], 3);
+    wheel_drift_copy(covariance_compression11, &compression_covariance[33], 3);
+    wheel_drift_copy(covariance_compression12, &compression_covariance[36], 3);
+    wheel_drift_copy(covariance_compression13, &compression_covariance[39], 3);
+    wheel_drift_copy(covariance_compression14, &compression_covariance[42], 3);
     innovation[0] = innovation_0;
     innovation[1] = innovation_1;
     innovation[2] = innovation_2;
@@ -1140,215 +1090,184 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_14(const d
 }
 
 /* test of group 1. */
-WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_3(const double *collecting,
+WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     const double *filtered_covariance, const double *compression_covariance,
     const double *compression_deviation, double *statistic_1, double *dof_1, double *statistic_2,
-    double *dof_2, double *statistic_3, double *dof_3, double *accepted_0, double *rejected_0,
-    const double statistic_0, const double threshold_0, double *accepted_1, double *rejected_1,
-    double *accepted_2, double *rejected_2, double *accepted_3, double *rejected_3,
+    double *dof_2, double *statistic_3, double *dof_3, double *rejected_0, const double statistic_0,
+    const double threshold_0, double *rejected_1, double *rejected_2, double *rejected_3,
     const double *filtered_state, double *closed_state, double *closed_covariance)
 {
     double threshold_1 = 0.0;
     double threshold_2 = 0.0;
-    double difference_3[3] = { 0.0 };
-    double shift_3[2] = { 0.0 };
-    double scale_3[2] = { 0.0 };
     double threshold_3 = 0.0;
-    double inverse_3_1 = 0.0;
+    double accepted_0;
+    double accepted_1;
+    double accepted_2;
+    double accepted_3;
 
     /* test of group 1 */
-    wheel_drift_test_of_group_2(collecting[1], filtered_covariance, &compression_covariance[3],
+    wheel_drift_test_of_group(collecting[1], filtered_covariance, &compression_covariance[3],
         &compression_deviation[2], statistic_1, dof_1, &threshold_1);
 
     /* test of group 2 */
-    wheel_drift_test_of_group_2(collecting[2], filtered_covariance, &compression_covariance[6],
+    wheel_drift_test_of_group(collecting[2], filtered_covariance, &compression_covariance[6],
         &compression_deviation[4], statistic_2, dof_2, &threshold_2);
 
     /* test of group 3 */
     wheel_drift_test_of_group(collecting[3], filtered_covariance, &compression_covariance[9],
-        difference_3, &compression_deviation[6], shift_3, scale_3, statistic_3, dof_3,
-        &threshold_3);
-    const double t0 = difference_3[2] - (1.0e-11 * scale_3[1]);
-    if (t0 > 0.0)
-    {
-        inverse_3_1 = 1.0 / difference_3[2];
-        statistic_3[0] = statistic_3[0] + (shift_3[1] * (shift_3[1] * inverse_3_1));
-        dof_3[0] = 2.0;
-        threshold_3 = 13.815510557964274;
-    }
+        &compression_deviation[6], statistic_3, dof_3, &threshold_3);
 
     /* verdict on group 0 */
-    wheel_drift_verdict_on_group(collecting[0], accepted_0, rejected_0, statistic_0, threshold_0);
-    wheel_drift_verdict_on_group(collecting[1], accepted_1, rejected_1, statistic_1[0],
+    wheel_drift_verdict_on_group(collecting[0], &accepted_0, rejected_0, statistic_0, threshold_0);
+
+    /* verdict on group 1 */
+    wheel_drift_verdict_on_group(collecting[1], &accepted_1, rejected_1, statistic_1[0],
         threshold_1);
-    wheel_drift_verdict_on_group(collecting[2], accepted_2, rejected_2, statistic_2[0],
+
+    /* verdict on group 2 */
+    wheel_drift_verdict_on_group(collecting[2], &accepted_2, rejected_2, statistic_2[0],
         threshold_2);
-    accepted_3[0] = collecting[3];
-    rejected_3[0] = 0.0;
-    const double t1 = statistic_3[0] - threshold_3;
-    if (t1 > 0.0)
-    {
-        accepted_3[0] = 0.0;
-        rejected_3[0] = 1.0;
-    }
+
+    /* verdict on group 3 */
+    wheel_drift_verdict_on_group(collecting[3], &accepted_3, rejected_3, statistic_3[0],
+        threshold_3);
     closed_state[0] = filtered_state[0];
     closed_state[1] = filtered_state[1];
-    closed_covariance[0] = filtered_covariance[0];
-    closed_covariance[1] = filtered_covariance[1];
-    closed_covariance[2] = filtered_covariance[2];
+    wheel_drift_copy(filtered_covariance, closed_covariance, 3);
 
     /* the host takes over: group 0 */
-    const double t2 = (((-0.5 + accepted_0[0]) - accepted_1[0]) - accepted_2[0]) - accepted_3[0];
-    if (t2 > 0.0)
+    const double t0 = (((-0.5 + accepted_0) - accepted_1) - accepted_2) - accepted_3;
+    if (t0 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[0];
         closed_state[1] = filtered_state[1] + compression_deviation[1];
-        closed_covariance[0] = compression_covariance[0];
-        closed_covariance[1] = compression_covariance[1];
-        closed_covariance[2] = compression_covariance[2];
+        wheel_drift_copy(compression_covariance, closed_covariance, 3);
     }
 
     /* the host takes over: group 1 */
-    const double t3 = (((-0.5 - accepted_0[0]) + accepted_1[0]) - accepted_2[0]) - accepted_3[0];
-    if (t3 > 0.0)
+    const double t1 = (((-0.5 - accepted_0) + accepted_1) - accepted_2) - accepted_3;
+    if (t1 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[2];
         closed_state[1] = filtered_state[1] + compression_deviation[3];
-        closed_covariance[0] = compression_covariance[3];
-        closed_covariance[1] = compression_covariance[4];
-        closed_covariance[2] = compression_covariance[5];
+        wheel_drift_copy(&compression_covariance[3], closed_covariance, 3);
     }
 
     /* the host takes over: group 2 */
-    const double t4 = (((-0.5 - accepted_0[0]) - accepted_1[0]) + accepted_2[0]) - accepted_3[0];
-    if (t4 > 0.0)
+    const double t2 = (((-0.5 - accepted_0) - accepted_1) + accepted_2) - accepted_3;
+    if (t2 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[4];
         closed_state[1] = filtered_state[1] + compression_deviation[5];
-        closed_covariance[0] = compression_covariance[6];
-        closed_covariance[1] = compression_covariance[7];
-        closed_covariance[2] = compression_covariance[8];
+        wheel_drift_copy(&compression_covariance[6], closed_covariance, 3);
     }
 
     /* the host takes over: group 3 */
-    const double t5 = (((-0.5 - accepted_0[0]) - accepted_1[0]) - accepted_2[0]) + accepted_3[0];
-    if (t5 > 0.0)
+    const double t3 = (((-0.5 - accepted_0) - accepted_1) - accepted_2) + accepted_3;
+    if (t3 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[6];
         closed_state[1] = filtered_state[1] + compression_deviation[7];
-        closed_covariance[0] = compression_covariance[9];
-        closed_covariance[1] = compression_covariance[10];
-        closed_covariance[2] = compression_covariance[11];
+        wheel_drift_copy(&compression_covariance[9], closed_covariance, 3);
     }
 
     /* the host takes over: group 0, 1 */
-    const double t6 = ((-1.5 + accepted_0[0] + accepted_1[0]) - accepted_2[0]) - accepted_3[0];
-    if (t6 > 0.0)
+    const double t4 = ((-1.5 + accepted_0 + accepted_1) - accepted_2) - accepted_3;
+    if (t4 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[8];
         closed_state[1] = filtered_state[1] + compression_deviation[9];
-        closed_covariance[0] = compression_covariance[12];
-        closed_covariance[1] = compression_covariance[13];
-        closed_covariance[2] = compression_covariance[14];
+        wheel_drift_copy(&compression_covariance[12], closed_covariance, 3);
     }
 
     /* the host takes over: group 0, 2 */
-    const double t7 = (((-1.5 + accepted_0[0]) - accepted_1[0]) + accepted_2[0]) - accepted_3[0];
-    if (t7 > 0.0)
+    const double t5 = (((-1.5 + accepted_0) - accepted_1) + accepted_2) - accepted_3;
+    if (t5 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[10];
         closed_state[1] = filtered_state[1] + compression_deviation[11];
-        closed_covariance[0] = compression_covariance[15];
-        closed_covariance[1] = compression_covariance[16];
-        closed_covariance[2] = compression_covariance[17];
+        wheel_drift_copy(&compression_covariance[15], closed_covariance, 3);
     }
 
     /* the host takes over: group 0, 3 */
-    const double t8 = (((-1.5 + accepted_0[0]) - accepted_1[0]) - accepted_2[0]) + accepted_3[0];
-    if (t8 > 0.0)
+    const double t6 = (((-1.5 + accepted_0) - accepted_1) - accepted_2) + accepted_3;
+    if (t6 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[12];
         closed_state[1] = filtered_state[1] + compression_deviation[13];
-        closed_covariance[0] = compression_covariance[18];
-        closed_covariance[1] = compression_covariance[19];
-        closed_covariance[2] = compression_covariance[20];
+        wheel_drift_copy(&compression_covariance[18], closed_covariance, 3);
     }
 
     /* the host takes over: group 1, 2 */
-    const double t9 = ((-1.5 - accepted_0[0]) + accepted_1[0] + accepted_2[0]) - accepted_3[0];
-    if (t9 > 0.0)
+    const double t7 = ((-1.5 - accepted_0) + accepted_1 + accepted_2) - accepted_3;
+    if (t7 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[14];
         closed_state[1] = filtered_state[1] + compression_deviation[15];
-        closed_covariance[0] = compression_covariance[21];
-        closed_covariance[1] = compression_covariance[22];
-        closed_covariance[2] = compression_covariance[23];
+        wheel_drift_copy(&compression_covariance[21], closed_covariance, 3);
     }
 
     /* the host takes over: group 1, 3 */
-    const double t10 = (((-1.5 - accepted_0[0]) + accepted_1[0]) - accepted_2[0]) + accepted_3[0];
-    if (t10 > 0.0)
+    const double t8 = (((-1.5 - accepted_0) + accepted_1) - accepted_2) + accepted_3;
+    if (t8 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[16];
         closed_state[1] = filtered_state[1] + compression_deviation[17];
-        closed_covariance[0] = compression_covariance[24];
-        closed_covariance[1] = compression_covariance[25];
-        closed_covariance[2] = compression_covariance[26];
+        wheel_drift_copy(&compression_covariance[24], closed_covariance, 3);
     }
 
     /* the host takes over: group 2, 3 */
-    const double t11 = ((-1.5 - accepted_0[0]) - accepted_1[0]) + accepted_2[0] + accepted_3[0];
-    if (t11 > 0.0)
+    const double t9 = ((-1.5 - accepted_0) - accepted_1) + accepted_2 + accepted_3;
+    if (t9 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[18];
         closed_state[1] = filtered_state[1] + compression_deviation[19];
-        closed_covariance[0] = compression_covariance[27];
-        closed_covariance[1] = compression_covariance[28];
-        closed_covariance[2] = compression_covariance[29];
+        wheel_drift_copy(&compression_covariance[27], closed_covariance, 3);
     }
 
     /* the host takes over: group 0, 1, 2 */
-    const double t12 = (-2.5 + accepted_0[0] + accepted_1[0] + accepted_2[0]) - accepted_3[0];
-    if (t12 > 0.0)
+    const double t10 = (-2.5 + accepted_0 + accepted_1 + accepted_2) - accepted_3;
+    if (t10 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[20];
         closed_state[1] = filtered_state[1] + compression_deviation[21];
-        closed_covariance[0] = compression_covariance[30];
-        closed_covariance[1] = compression_covariance[31];
-        closed_covariance[2] = compression_covariance[32];
+        wheel_drift_copy(&compression_covariance[30], closed_covariance, 3);
     }
 
     /* the host takes over: group 0, 1, 3 */
-    const double t13 = ((-2.5 + accepted_0[0] + accepted_1[0]) - accepted_2[0]) + accepted_3[0];
-    if (t13 > 0.0)
+    const double t11 = ((-2.5 + accepted_0 + accepted_1) - accepted_2) + accepted_3;
+    if (t11 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[22];
         closed_state[1] = filtered_state[1] + compression_deviation[23];
-        closed_covariance[0] = compression_covariance[33];
-        closed_covariance[1] = compression_covariance[34];
-        closed_covariance[2] = compression_covariance[35];
+        wheel_drift_copy(&compression_covariance[33], closed_covariance, 3);
     }
 
     /* the host takes over: group 0, 2, 3 */
-    const double t14 = ((-2.5 + accepted_0[0]) - accepted_1[0]) + accepted_2[0] + accepted_3[0];
-    if (t14 > 0.0)
+    const double t12 = ((-2.5 + accepted_0) - accepted_1) + accepted_2 + accepted_3;
+    if (t12 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[24];
         closed_state[1] = filtered_state[1] + compression_deviation[25];
-        closed_covariance[0] = compression_covariance[36];
-        closed_covariance[1] = compression_covariance[37];
-        closed_covariance[2] = compression_covariance[38];
+        wheel_drift_copy(&compression_covariance[36], closed_covariance, 3);
     }
 
     /* the host takes over: group 1, 2, 3 */
-    const double t15 = (-2.5 - accepted_0[0]) + accepted_1[0] + accepted_2[0] + accepted_3[0];
-    if (t15 > 0.0)
+    const double t13 = (-2.5 - accepted_0) + accepted_1 + accepted_2 + accepted_3;
+    if (t13 > 0.0)
     {
         closed_state[0] = filtered_state[0] + compression_deviation[26];
         closed_state[1] = filtered_state[1] + compression_deviation[27];
-        closed_covariance[0] = compression_covariance[39];
-        closed_covariance[1] = compression_covariance[40];
-        closed_covariance[2] = compression_covariance[41];
+        wheel_drift_copy(&compression_covariance[39], closed_covariance, 3);
+    }
+
+    /* the host takes over: group 0, 1, 2, 3 */
+    const double t14 = -3.5 + accepted_0 + accepted_1 + accepted_2 + accepted_3;
+    if (t14 > 0.0)
+    {
+        closed_state[0] = filtered_state[0] + compression_deviation[28];
+        closed_state[1] = filtered_state[1] + compression_deviation[29];
+        wheel_drift_copy(&compression_covariance[42], closed_covariance, 3);
     }
 }
 
@@ -1388,8 +1307,6 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double deviation_compression6[2] = { 0.0 };
     double covariance_compression7[3] = { 0.0 };
     double deviation_compression7[2] = { 0.0 };
-    double covariance_compression8[3] = { 0.0 };
-    double deviation_compression8[2] = { 0.0 };
     wheel_drift_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
     {
@@ -1407,22 +1324,10 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* innovation, row by row */
-    if ((present & 0x1u) != 0u)
-    {
-        innovation_0 = y[0] - (0.9921619208254787 * self->predicted_state[0]);
-    }
-    if ((present & 0x2u) != 0u)
-    {
-        innovation_1 = y[1] - (0.9921619208254787 * self->predicted_state[0]);
-    }
-    if ((present & 0x4u) != 0u)
-    {
-        innovation_2 = y[2] - (0.9903931860948796 * self->predicted_state[0]);
-    }
-    if ((present & 0x8u) != 0u)
-    {
-        innovation_3 = y[3] - (0.9903931860948796 * self->predicted_state[0]);
-    }
+    wheel_drift_innovation(self->predicted_state[0], y, &innovation_0, &innovation_1,
+        wheel_drift_innovation_numbers[0], ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
+    wheel_drift_innovation(self->predicted_state[0], &y[2], &innovation_2, &innovation_3,
+        wheel_drift_innovation_numbers[1], ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
     if ((present & 0x10u) != 0u)
     {
         innovation_4 = y[4] - self->predicted_state[0];
@@ -1488,34 +1393,56 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     host_state[1] = self->predicted_state[1] + mean_host[1];
 
     /* filter with group 0: innovation, row by row */
-    status = wheel_drift_filter_with_group_13(self->predicted_compression_deviation, innovation_0,
+    status = wheel_drift_filter_with_group_6(self->predicted_compression_deviation, innovation_0,
         innovation_4, innovation_5, self->predicted_compression_covariance, covariance_compression,
-        mean_host, deviation_compression, innovation_1, covariance_compression1,
-        deviation_compression1, wheel_drift_filter_with_group_3_numbers[0],
-        wheel_drift_filter_with_group_2_numbers[0], wheel_drift_filter_with_group_3_numbers[1],
-        wheel_drift_filter_with_group_2_numbers[1], present, ((present & 0x1u) != 0u),
-        ((present & 0x2u) != 0u));
+        mean_host, deviation_compression, wheel_drift_filter_with_group_6_numbers[0],
+        wheel_drift_filter_with_group_2_numbers[0], wheel_drift_filter_with_group_3_numbers[0],
+        wheel_drift_filter_with_group_3_numbers[1], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 1: innovation, row by row */
+    status = wheel_drift_filter_with_group_6(&self->predicted_compression_deviation[2],
+        innovation_1, innovation_4, innovation_5, &self->predicted_compression_covariance[3],
+        covariance_compression1, mean_host, deviation_compression1,
+        wheel_drift_filter_with_group_6_numbers[1], wheel_drift_filter_with_group_2_numbers[1],
+        wheel_drift_filter_with_group_3_numbers[2], wheel_drift_filter_with_group_3_numbers[3],
+        present, ((present & 0x2u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_13(&self->predicted_compression_deviation[4],
+    status = wheel_drift_filter_with_group_6(&self->predicted_compression_deviation[4],
         innovation_2, innovation_4, innovation_5, &self->predicted_compression_covariance[6],
-        covariance_compression2, mean_host, deviation_compression2, innovation_3,
-        covariance_compression3, deviation_compression3, wheel_drift_filter_with_group_3_numbers[2],
-        wheel_drift_filter_with_group_2_numbers[2], wheel_drift_filter_with_group_3_numbers[3],
-        wheel_drift_filter_with_group_2_numbers[3], present, ((present & 0x4u) != 0u),
-        ((present & 0x8u) != 0u));
+        covariance_compression2, mean_host, deviation_compression2,
+        wheel_drift_filter_with_group_6_numbers[2], wheel_drift_filter_with_group_2_numbers[2],
+        wheel_drift_filter_with_group_3_numbers[4], wheel_drift_filter_with_group_3_numbers[5],
+        present, ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_6(&self->predicted_compression_deviation[6],
+        innovation_3, innovation_4, innovation_5, &self->predicted_compression_covariance[9],
+        covariance_compression3, mean_host, deviation_compression3,
+        wheel_drift_filter_with_group_6_numbers[3], wheel_drift_filter_with_group_2_numbers[3],
+        wheel_drift_filter_with_group_3_numbers[6], wheel_drift_filter_with_group_3_numbers[7],
+        present, ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1: innovation, row by row */
-    status = wheel_drift_filter_with_group_12(&self->predicted_compression_deviation[8],
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[8],
         innovation_0, innovation_1, innovation_4, innovation_5,
         &self->predicted_compression_covariance[12], covariance_compression4, mean_host,
-        deviation_compression4, innovation_2, covariance_compression5, deviation_compression5,
-        wheel_drift_filter_with_group_5_numbers[0], wheel_drift_filter_with_group_2_numbers[4],
-        wheel_drift_filter_with_group_numbers[0], wheel_drift_filter_with_group_5_numbers[1],
+        deviation_compression4, wheel_drift_filter_with_group_5_numbers[0],
+        wheel_drift_filter_with_group_2_numbers[4], wheel_drift_filter_with_group_numbers[0],
+        present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[10],
+        innovation_0, innovation_2, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[15], covariance_compression5, mean_host,
+        deviation_compression5, wheel_drift_filter_with_group_5_numbers[1],
         wheel_drift_filter_with_group_2_numbers[5], wheel_drift_filter_with_group_numbers[1],
-        present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
+        present, ((present & 0x1u) != 0u), ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 3: innovation, row by row */
@@ -1528,32 +1455,29 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 1, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_12(&self->predicted_compression_deviation[14],
+    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[14],
         innovation_1, innovation_2, innovation_4, innovation_5,
         &self->predicted_compression_covariance[21], covariance_compression7, mean_host,
-        deviation_compression7, innovation_3, covariance_compression8, deviation_compression8,
-        wheel_drift_filter_with_group_5_numbers[3], wheel_drift_filter_with_group_2_numbers[7],
-        wheel_drift_filter_with_group_numbers[3], wheel_drift_filter_with_group_5_numbers[4],
-        wheel_drift_filter_with_group_2_numbers[8], wheel_drift_filter_with_group_numbers[4],
-        present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
+        deviation_compression7, wheel_drift_filter_with_group_5_numbers[3],
+        wheel_drift_filter_with_group_2_numbers[7], wheel_drift_filter_with_group_numbers[3],
+        present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
-    /* filter with group 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_14(&self->predicted_compression_deviation[18],
-        innovation_2, innovation_3, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[27], mean_host, innovation_0, innovation_1,
+    /* filter with group 1, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_12(&self->predicted_compression_deviation[16],
+        innovation_1, innovation_3, innovation_4, innovation_5,
+        &self->predicted_compression_covariance[24], mean_host, innovation_2, innovation_0,
         host_state, deviation_compression, deviation_compression1, deviation_compression2,
         deviation_compression3, deviation_compression4, deviation_compression5,
-        deviation_compression6, deviation_compression7, deviation_compression8,
-        self->predicted_collecting, self->predicted_covariance[0], determinant_host_0,
-        log_constant_host, quadratic_host, next->filtered_state, covariance_host,
-        next->filtered_covariance, next->compression_deviation, covariance_compression,
-        next->compression_covariance, covariance_compression1, covariance_compression2,
-        covariance_compression3, covariance_compression4, covariance_compression5,
-        covariance_compression6, covariance_compression7, covariance_compression8, next->innovation,
-        next->innovation_covariance, &next->nis, &next->log_likelihood, self->predicted_window_left,
-        &next->window_left, next->collecting, next->test_statistic, next->test_dof,
-        next->fault_declared, present);
+        deviation_compression6, deviation_compression7, self->predicted_collecting,
+        self->predicted_covariance[0], determinant_host_0, log_constant_host, quadratic_host,
+        next->filtered_state, covariance_host, next->filtered_covariance,
+        next->compression_deviation, covariance_compression, next->compression_covariance,
+        covariance_compression1, covariance_compression2, covariance_compression3,
+        covariance_compression4, covariance_compression5, covariance_compression6,
+        covariance_compression7, next->innovation, next->innovation_covariance, &next->nis,
+        &next->log_likelihood, self->predicted_window_left, &next->window_left, next->collecting,
+        next->test_statistic, next->test_dof, next->fault_declared, present);
     if (status != WHEEL_DRIFT_OK) { return status; }
     return WHEEL_DRIFT_OK;
 }
@@ -1570,39 +1494,24 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     double dof_2 = 0.0;
     double statistic_3 = 0.0;
     double dof_3 = 0.0;
-    double accepted_0 = 0.0;
-    double rejected_0 = 0.0;
-    double accepted_1 = 0.0;
-    double rejected_1 = 0.0;
-    double accepted_2 = 0.0;
-    double rejected_2 = 0.0;
-    double accepted_3 = 0.0;
-    double rejected_3 = 0.0;
-    double closed_state[2] = { 0.0 };
-    double closed_covariance[3] = { 0.0 };
+    double rejected_0;
+    double rejected_1;
+    double rejected_2;
+    double rejected_3;
+    double closed_state[2];
+    double closed_covariance[3];
 
     /* test of group 0 */
-    wheel_drift_test_of_group_2(self->collecting[0], self->filtered_covariance,
+    wheel_drift_test_of_group(self->collecting[0], self->filtered_covariance,
         self->compression_covariance, self->compression_deviation, &statistic_0, &dof_0,
         &threshold_0);
 
     /* test of group 1 */
-    wheel_drift_test_of_group_3(self->collecting, self->filtered_covariance,
+    wheel_drift_test_of_group_2(self->collecting, self->filtered_covariance,
         self->compression_covariance, self->compression_deviation, &statistic_1, &dof_1,
-        &statistic_2, &dof_2, &statistic_3, &dof_3, &accepted_0, &rejected_0, statistic_0,
-        threshold_0, &accepted_1, &rejected_1, &accepted_2, &rejected_2, &accepted_3, &rejected_3,
-        self->filtered_state, closed_state, closed_covariance);
-
-    /* the host takes over: group 0, 1, 2, 3 */
-    const double t0 = -3.5 + accepted_0 + accepted_1 + accepted_2 + accepted_3;
-    if (t0 > 0.0)
-    {
-        closed_state[0] = self->filtered_state[0] + self->compression_deviation[28];
-        closed_state[1] = self->filtered_state[1] + self->compression_deviation[29];
-        closed_covariance[0] = self->compression_covariance[42];
-        closed_covariance[1] = self->compression_covariance[43];
-        closed_covariance[2] = self->compression_covariance[44];
-    }
+        &statistic_2, &dof_2, &statistic_3, &dof_3, &rejected_0, statistic_0, threshold_0,
+        &rejected_1, &rejected_2, &rejected_3, self->filtered_state, closed_state,
+        closed_covariance);
 
     /* results of the window */
     if (!wheel_drift_finite(wheel_drift_defect(closed_state[0]) +
@@ -1613,9 +1522,7 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     }
     next->filtered_state[0] = closed_state[0];
     next->filtered_state[1] = closed_state[1];
-    next->filtered_covariance[0] = closed_covariance[0];
-    next->filtered_covariance[1] = closed_covariance[1];
-    next->filtered_covariance[2] = closed_covariance[2];
+    wheel_drift_copy(closed_covariance, next->filtered_covariance, 3);
     next->compression_deviation[0] = 0.0;
     next->compression_deviation[1] = 0.0;
     next->compression_deviation[2] = 0.0;
@@ -1646,51 +1553,21 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
     next->compression_deviation[27] = 0.0;
     next->compression_deviation[28] = 0.0;
     next->compression_deviation[29] = 0.0;
-    next->compression_covariance[0] = closed_covariance[0];
-    next->compression_covariance[1] = closed_covariance[1];
-    next->compression_covariance[2] = closed_covariance[2];
-    next->compression_covariance[3] = closed_covariance[0];
-    next->compression_covariance[4] = closed_covariance[1];
-    next->compression_covariance[5] = closed_covariance[2];
-    next->compression_covariance[6] = closed_covariance[0];
-    next->compression_covariance[7] = closed_covariance[1];
-    next->compression_covariance[8] = closed_covariance[2];
-    next->compression_covariance[9] = closed_covariance[0];
-    next->compression_covariance[10] = closed_covariance[1];
-    next->compression_covariance[11] = closed_covariance[2];
-    next->compression_covariance[12] = closed_covariance[0];
-    next->compression_covariance[13] = closed_covariance[1];
-    next->compression_covariance[14] = closed_covariance[2];
-    next->compression_covariance[15] = closed_covariance[0];
-    next->compression_covariance[16] = closed_covariance[1];
-    next->compression_covariance[17] = closed_covariance[2];
-    next->compression_covariance[18] = closed_covariance[0];
-    next->compression_covariance[19] = closed_covariance[1];
-    next->compression_covariance[20] = closed_covariance[2];
-    next->compression_covariance[21] = closed_covariance[0];
-    next->compression_covariance[22] = closed_covariance[1];
-    next->compression_covariance[23] = closed_covariance[2];
-    next->compression_covariance[24] = closed_covariance[0];
-    next->compression_covariance[25] = closed_covariance[1];
-    next->compression_covariance[26] = closed_covariance[2];
-    next->compression_covariance[27] = closed_covariance[0];
-    next->compression_covariance[28] = closed_covariance[1];
-    next->compression_covariance[29] = closed_covariance[2];
-    next->compression_covariance[30] = closed_covariance[0];
-    next->compression_covariance[31] = closed_covariance[1];
-    next->compression_covariance[32] = closed_covariance[2];
-    next->compression_covariance[33] = closed_covariance[0];
-    next->compression_covariance[34] = closed_covariance[1];
-    next->compression_covariance[35] = closed_covariance[2];
-    next->compression_covariance[36] = closed_covariance[0];
-    next->compression_covariance[37] = closed_covariance[1];
-    next->compression_covariance[38] = closed_covariance[2];
-    next->compression_covariance[39] = closed_covariance[0];
-    next->compression_covariance[40] = closed_covariance[1];
-    next->compression_covariance[41] = closed_covariance[2];
-    next->compression_covariance[42] = closed_covariance[0];
-    next->compression_covariance[43] = closed_covariance[1];
-    next->compression_covariance[44] = closed_covariance[2];
+    wheel_drift_copy(closed_covariance, next->compression_covariance, 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[3], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[6], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[9], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[12], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[15], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[18], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[21], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[24], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[27], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[30], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[33], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[36], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[39], 3);
+    wheel_drift_copy(closed_covariance, &next->compression_covariance[42], 3);
     next->collecting[0] = 0.0;
     next->collecting[1] = 0.0;
     next->collecting[2] = 0.0;
@@ -1747,10 +1624,7 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     next->predicted_covariance[0] = t4;
     next->predicted_covariance[2] = t5;
     next->predicted_window_left = left;
-    next->predicted_collecting[0] = self->collecting[0];
-    next->predicted_collecting[1] = self->collecting[1];
-    next->predicted_collecting[2] = self->collecting[2];
-    next->predicted_collecting[3] = self->collecting[3];
+    wheel_drift_copy(self->collecting, next->predicted_collecting, 4);
     const double t6 = self->filtered_covariance[2] * A;
     next->predicted_covariance[1] = self->filtered_covariance[1] + t6;
     status = wheel_drift_prediction_of_the_next(A, self->compression_deviation,
@@ -1775,10 +1649,14 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     if (status != WHEEL_DRIFT_OK) { return status; }
     wheel_drift_prediction_of_the_next_3(&self->compression_covariance[1], A,
         &next->predicted_compression_covariance[1]);
-    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[16], A,
-        &next->predicted_compression_covariance[16]);
-    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[31], A,
-        &next->predicted_compression_covariance[31]);
+    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[10], A,
+        &next->predicted_compression_covariance[10]);
+    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[19], A,
+        &next->predicted_compression_covariance[19]);
+    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[28], A,
+        &next->predicted_compression_covariance[28]);
+    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[37], A,
+        &next->predicted_compression_covariance[37]);
     return WHEEL_DRIFT_OK;
 }
 

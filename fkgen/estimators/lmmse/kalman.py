@@ -23,7 +23,7 @@ from fkgen.estimators.gaussian.estimate import (
 )
 from fkgen.estimators.gaussian.sequential import Form
 from fkgen.faults import SensorFaults
-from fkgen.problem import Name, Spec
+from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.linalg import sparse
@@ -65,13 +65,6 @@ def _demand_rates(script: Script, spec: Spec, plant: Plant) -> None:
         demand_rates(script, rates_of(spec.faults.actuator, plant))
 
 
-def _told(spec: Spec, plant: Plant, faults: SensorFaults) -> Plant:
-    """The plant in the condition that the parameters gamma and delta tell."""
-    mode = faults.sensed(spec.model, Name("gamma"), Name("delta"))
-    C, D, R = (lift(matrix, plant.parameters) for matrix in (mode.C, mode.D, mode.R))
-    return replace(plant, C=C, D=D, R=R)
-
-
 def _demand_indicators(script: Script, plant: Plant, faults: SensorFaults) -> None:
     """Refuse a gamma that is neither 0 nor 1, and a delta that is neither 1 nor C."""
     gamma, delta = plant.parameters["gamma"], plant.parameters["delta"]
@@ -88,7 +81,9 @@ def _update(
     _demand_rates(script, spec, plant)
     if spec.faults.sensor is not None:
         _demand_indicators(script, plant, spec.faults.sensor)
-        plant = _told(spec, plant, spec.faults.sensor)
+        told = spec.faults.sensor.told(spec.model)
+        C, D, R = (lift(matrix, plant.parameters) for matrix in (told.C, told.D, told.R))
+        plant = replace(plant, C=C, D=D, R=R)
     plant = bound(script, plant, "CDR")
     found, posterior = correct(
         script,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError, UserError
 from fkgen.families import ALIASES, NAMES, family
 from fkgen.faults import JumpFaults
+from fkgen.faults.jump import INDICATOR
 from fkgen.problem import Spec
 from fkgen.trials.simulation import Simulation
 
@@ -20,9 +21,6 @@ Array = NDArray[np.floating]
 
 #: Label of the genie-aided filter.
 GENIE = "genie"
-
-#: Parameter of the genie-aided filter of a jumping plant: 1 in a mode and 0 in the others.
-_INDICATOR = "in_mode_{}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +153,7 @@ def filter_inputs(simulation: Simulation, spec: Spec, *, genie: bool) -> FilterI
         if simulation.arrival is not None:
             y = np.where(simulation.arrival[..., None], y, np.nan)
         for i in range(len(truth.faults.jump.modes)):
-            params[_INDICATOR.format(i)] = (simulation.mode == i).astype(float)
+            params[INDICATOR.format(i)] = (simulation.mode == i).astype(float)
         u = np.concatenate([driving, np.ones((*driving.shape[:-1], 1))], axis=-1)
     elif gamma is not None and delta is not None:
         params |= {"gamma": gamma, "delta": delta}
@@ -166,35 +164,18 @@ def filter_inputs(simulation: Simulation, spec: Spec, *, genie: bool) -> FilterI
 
 
 def _mode_aided(truth: Spec, faults: JumpFaults) -> Spec:
-    """The spec of a Kalman filter whose matrices are chosen by indicators of the modes.
+    """The spec of a Kalman filter that is told the mode.
 
     What a mode adds to the state is the coefficient of one more input, which is 1.
     """
     table: dict[str, Any] = truth.to_dict()
-    modes: list[dict[str, Any]] = [mode.plain() for mode in faults.modes]
-    model, driven = table["model"], bool(truth.model.nu)
-    for letter in ("A", "C", "Q", "R"):
-        model[letter] = _chosen([mode[letter] for mode in modes])
-    added = _chosen([[[entry] for entry in mode["c"]] for mode in modes])
-    B = _chosen([mode["B"] for mode in modes]) if driven else [[] for _ in range(truth.model.nx)]
-    D = _chosen([mode["D"] for mode in modes]) if driven else [[] for _ in range(truth.model.ny)]
-    model["B"] = [[*row, *extra] for row, extra in zip(B, added, strict=True)]
-    model["D"] = [[*row, 0.0] for row in D]
-    model.pop("inputs", None)
-    indicators = {_INDICATOR.format(i): float(i == 0) for i in range(len(modes))}
-    table["parameters"] = dict(table["parameters"]) | indicators
+    told = faults.told()
+    added = {
+        "B": [[*row, *extra] for row, extra in zip(told.B.plain(), told.c.plain(), strict=True)],
+        "D": [[*row, 0.0] for row in told.D.plain()],
+    }
+    kept = {letter: getattr(told, letter).plain() for letter in ("A", "C", "Q", "R")}
+    table["model"] |= kept | added
+    table["model"].pop("inputs", None)
+    table["parameters"] |= {INDICATOR.format(i): float(i == 0) for i in range(len(faults.modes))}
     return Spec.from_dict(table | {"faults": {}, "filter": {"family": "kf"}}, file=truth.file)
-
-
-def _chosen(matrices: Sequence[Any]) -> list[list[Any]]:
-    """Entries that differ as a sum over modes, those that do not as they are."""
-
-    def entry(values: Sequence[object]) -> object:
-        if all(value == values[0] for value in values):
-            return values[0]
-        return " + ".join(f"{_INDICATOR.format(i)}*({value})" for i, value in enumerate(values))
-
-    return [
-        [entry(entries) for entries in zip(*rows, strict=True)]
-        for rows in zip(*matrices, strict=True)
-    ]

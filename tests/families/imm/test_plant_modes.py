@@ -31,7 +31,7 @@ from sensor_specs import chain, sensed
 
 from fkgen.oracle.exact.batch import batch_lmmse
 from fkgen.oracle.exact.enumeration import enumerate_jumps
-from fkgen.oracle.textbook.imm import interacting
+from fkgen.oracle.textbook.switching import interacting
 
 
 def same_modes(result, expected):

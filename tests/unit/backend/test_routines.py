@@ -10,10 +10,22 @@ from plants import motor
 
 from fkgen.backend import routines
 from fkgen.backend.expressions import joined
-from fkgen.backend.ir import Assign, Call, Expression, Literal, Operate, Operator, Phase, Temp, walk
+from fkgen.backend.ir import (
+    Assign,
+    Call,
+    Expression,
+    Literal,
+    Operate,
+    Operator,
+    Phase,
+    Require,
+    Temp,
+    walk,
+)
 from fkgen.backend.lower import lower
 from fkgen.backend.routines import Outline, expanded, form_of, lines_of, outline
 from fkgen.families import family
+from fkgen.symbolic.interface import Kind, Status
 
 
 def program_of(spec):
@@ -113,8 +125,32 @@ def test_values_are_joined_in_the_order_in_which_they_are_computed():
 
 
 def test_elements_that_are_copied_in_a_row_are_one_copy():
-    pairs = [(replace(ELEMENT, index=i), replace(ELEMENT, name="b", index=i + 2)) for i in range(7)]
+    pairs = [
+        (replace(ELEMENT, index=i), replace(ELEMENT, name="b", index=i + 2)) for i in range(40)
+    ]
     (copy,) = body_of(*(Assign(*pair) for pair in pairs))
-    assert (copy.target, copy.source, copy.size) == (*pairs[0], 7)
-    gap = body_of(*(Assign(*pair) for pair in pairs[:3] + pairs[4:]))
-    assert all(isinstance(node, Assign) for node in gap)
+    assert (copy.target, copy.source, copy.size) == (*pairs[0], 40)
+    *rows, last = body_of(*(Assign(*pair) for pair in pairs[:4] + pairs[5:]))
+    assert rows == [Assign(*pair) for pair in pairs[:4]]
+    assert last.size == 35
+
+
+def test_few_copies_are_not_worth_a_function():
+    pairs = [(replace(ELEMENT, index=i), replace(ELEMENT, name="b", index=i)) for i in range(7)]
+    assert body_of(*(Assign(*pair) for pair in pairs)) == tuple(Assign(*pair) for pair in pairs)
+
+
+def test_a_number_and_an_array_of_one_have_one_form():
+    single = replace(ELEMENT, name="b", index=None)
+    forms = [form_of((PRODUCT, Assign(each, Temp(0)))) for each in (ELEMENT, single)]
+    assert forms[0].shape == forms[1].shape
+
+
+def test_what_is_required_with_one_status_is_asked_at_once():
+    required = [
+        Require((replace(ELEMENT, index=i),), kind, Status.NOT_POSITIVE_DEFINITE)
+        for i, kind in enumerate([Kind.POSITIVE, Kind.POSITIVE, Kind.FINITE])
+    ]
+    first, last = body_of(*required)
+    assert first == replace(required[0], values=(required[0].values + required[1].values))
+    assert last == required[2]
