@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
 Maintenance = Literal["optimal", "paper"]
-MAINTENANCE: tuple[Maintenance, ...] = ("optimal", "paper")
 
 _WAY_OUT = "for the family cpcf; the family dfcf takes any rows"
 
@@ -38,7 +37,7 @@ class CpcfOptions(CompressionOptions):
     def read(cls, section: Section, faults: object, model: Model) -> Self:
         """What every compression filter has, and the maintenance."""
         common = CompressionOptions.read(section, faults, model)
-        how = section.choice("maintenance", MAINTENANCE, "optimal")
+        how: Maintenance = section.choice("maintenance", get_args(Maintenance), "optimal")
         return cls(common.test, common.reacquire, how)
 
 

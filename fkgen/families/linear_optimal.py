@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
 LinearForm = Literal["lemma2", "augmented"]
-FORMS: tuple[LinearForm, ...] = ("lemma2", "augmented")
 
 #: Samples after which the errors are compared.
 HORIZON = 200
@@ -40,7 +39,7 @@ class LinearOptions(Options):
     @classmethod
     def read(cls, section: Section, _: Faults, __: Model) -> Self:
         """The form, by default that of the paper."""
-        return cls(section.choice("form", FORMS, "lemma2"))
+        return cls(section.choice("form", get_args(LinearForm), "lemma2"))
 
 
 def check(spec: Spec) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 from fkgen.families.family import Family, built_by, by_option, demand_noise, proved_by
 from fkgen.faults import Faults, JumpFaults
@@ -21,8 +21,7 @@ from fkgen.problem.table.section import Section
 
 Detector = Literal["none", "llr", "nis", "energy"]
 Gain = Literal["time_varying", "stationary"]
-DETECTORS: tuple[Detector, ...] = ("none", "llr", "nis", "energy")
-GAINS: tuple[Gain, ...] = ("time_varying", "stationary")
+DETECTORS: tuple[Detector, ...] = get_args(Detector)
 
 SOURCE = "Costa 1994, sec. III; Costa, Fragoso & Marques 2005, sec. 5.4; Nahi 1969, eq. (13)"
 
@@ -73,7 +72,7 @@ class LossOptions(Options):
             window=section.count("window", 1, LONGEST_WINDOW),
             lock_out=section.count("lock_out", 10, 10**6),
             reinitialise=section.flag("reinitialise", default=False),
-            gain=section.choice("gain", GAINS, "time_varying"),
+            gain=section.choice("gain", get_args(Gain), "time_varying"),
         )
 
     def plain(self) -> dict[str, object]:

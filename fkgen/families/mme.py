@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 from fkgen.errors import DataError
 from fkgen.families.family import Family, Table, built_by, proved_by
@@ -22,7 +22,6 @@ from fkgen.problem.table.section import Section, as_list, as_number
 from fkgen.problem.text.foreign import plain_list
 
 Likelihood = Literal["mixture", "gaussian"]
-LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
 DEFAULT_FLOOR = 1e-6
 
 
@@ -41,12 +40,15 @@ class MmeOptions(Options):
         """Hypotheses, each of one rate where the inputs fail together."""
         common = faults.actuator is None or faults.actuator.dependence == "common"
         hypotheses = _hypotheses(section, 1 if common else model.nu)
-        count = len(hypotheses)
+        count, place = len(hypotheses), section.place.entry("prior")
+        prior = (1.0 / count,) * count
+        if "prior" in section:
+            prior = as_distribution(section.table["prior"], place, count, "one per hypothesis")
         return cls(
             hypotheses,
-            _prior(section, count),
+            prior,
             _floor(section, count),
-            section.choice("likelihood", LIKELIHOODS, "mixture"),
+            section.choice("likelihood", get_args(Likelihood), "mixture"),
         )
 
 
@@ -70,19 +72,10 @@ def _hypothesis(entry: object, place: Place, length: int) -> tuple[float, ...]:
     return tuple(as_probability(rate, place.item(index)) for index, rate in enumerate(rates))
 
 
-def _prior(section: Section, count: int) -> tuple[float, ...]:
-    if "prior" not in section:
-        return (1.0 / count,) * count
-    place = section.place.entry("prior")
-    return as_distribution(section.table["prior"], place, count, "one per hypothesis")
-
-
 def _floor(section: Section, count: int) -> float:
-    if "weight_floor" not in section:
-        return DEFAULT_FLOOR
     place = section.place.entry("weight_floor")
     expected = f"a number in [0, 1/{count}): {count} hypotheses share the probability 1"
-    floor = as_number(section.table["weight_floor"], place, expected)
+    floor = as_number(section.table.get("weight_floor", DEFAULT_FLOOR), place, expected)
     if not 0.0 <= floor < 1.0 / count:
         raise place.error(show(floor), expected)
     return floor

@@ -8,7 +8,7 @@ carried on is an option, because the paper's equation holds without faults only.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 from fkgen.families.family import Family, built_by, proved_by
 from fkgen.faults import Faults
@@ -18,7 +18,6 @@ from fkgen.problem.filter import Options, Traits
 from fkgen.problem.table.section import Section
 
 CovarianceReading = Literal["moment_matched", "weighted", "paper", "paper_nominal"]
-READINGS: tuple[CovarianceReading, ...] = ("moment_matched", "weighted", "paper", "paper_nominal")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +29,7 @@ class OneStepOptions(Options):
     @classmethod
     def read(cls, section: Section, _: Faults, __: Model) -> Self:
         """The reading, by default the one that is right."""
-        return cls(section.choice("covariance", READINGS, "moment_matched"))
+        return cls(section.choice("covariance", get_args(CovarianceReading), "moment_matched"))
 
 
 FAMILY = Family(

@@ -84,19 +84,9 @@ class PartialState:
     rest: ca.SX  # (n, n), what e^2 contributes to e: identity minus ``first`` T1
     phi: ca.SX  # (m, m)
 
-    def transition(self, plant: Plant) -> ca.SX:
-        """Of (e, V) in one sample: V+ = F11 V - F12 e^2 - G1 w, eq. (D2)."""
-        moved, none = self.T1 @ plant.A, ca.SX(*self.first.shape)
-        return sparse(ca.blockcat(plant.A, none, -(moved @ self.rest), moved @ self.first))
-
     def advance(self, plant: Plant) -> ca.SX:
         """F11 of (39)."""
         return sparse(self.T1 @ plant.A @ self.first)
-
-    def noise(self, plant: Plant) -> ca.SX:
-        """Covariance that the process noise adds to (e, V)."""
-        entering = self.T1 @ plant.Q
-        return ca.blockcat(plant.Q, -entering.T, -entering, entering @ self.T1.T)
 
 
 def partial_state(spec: Spec, plant: Plant) -> PartialState:
@@ -367,11 +357,15 @@ def _taken_over(script: Script, given: PartialDesign) -> tuple[SequentialUpdate,
 def _predict(given: PartialDesign) -> Phase:
     script, symbols = Script(given.symbols), given.symbols
     plant, n, m = bound(script, given.plant, "ABQ"), given.plant.nx, len(given.rows)
-    carried, partial = given.compressed(), given.partial
+    carried, partial, T1 = given.compressed(), given.partial, given.partial.T1
+    # Of (e, V): V+ = F11 V - F12 e^2 - G1 w, eq. (D2).
+    moved, noise = T1 @ plant.A, T1 @ plant.Q
+    step = [[plant.A, ca.SX(n, m)], [-(moved @ partial.rest), moved @ partial.first]]
+    Q = ca.blockcat([[plant.Q, -noise.T], [-noise, noise @ T1.T]])
     state = plant.A @ symbols["filtered_state"] + plant.B @ symbols["u"]
     joint = carried.joint(symbols["filtered_covariance"])
-    moved = congruence(partial.transition(plant), joint) + pack(partial.noise(plant))
-    covariance, cross, noise = parts(moved, n, m)
+    later = congruence(sparse(ca.blockcat(step)), joint) + pack(Q)
+    covariance, cross, noise = parts(later, n, m)
     counted = count_down(script, symbols, given.soft)
     after = Compressed(partial.advance(plant) @ carried.measurement, noise, cross)
     with script.titled("prediction of the next sample"):
