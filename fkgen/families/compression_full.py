@@ -20,9 +20,10 @@ FAMILY = Family(
         source="Lee & Lee, Theorem 2, eqs. (17)-(25), (50), (51), as a second Kalman filter",
     ),
     proof=proved_by(
-        "compression:WINDOWS",
-        "compression:REJECTED",
-        "compression:ACCEPTED",
+        "compression",
+        "WINDOWS",
+        "REJECTED",
+        "ACCEPTED",
         theorems="compression:COMPRESSION_IDENTITIES",
     ),
     traits=Traits(windows="full"),

@@ -83,9 +83,10 @@ FAMILY = Family(
         source="Lee & Lee, Theorem 4, eqs. (28), (29), (37)-(47), (50), (51)",
     ),
     proof=proved_by(
-        "partial_compression:PRIMITIVE_NOISES",
-        "partial_compression:CONTRADICTED",
-        "partial_compression:HOST_ALONE",
+        "partial_compression",
+        "PRIMITIVE_NOISES",
+        "CONTRADICTED",
+        "HOST_ALONE",
         theorems="compression:PARTIAL_IDENTITIES",
     ),
     traits=Traits(windows="partial"),

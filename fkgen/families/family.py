@@ -48,11 +48,11 @@ def by_option(key: str, **builders: Callable[[Spec], Recursion]) -> Callable[[Sp
     return lambda spec: builders[getattr(spec.filter.options, key)](spec)
 
 
-def proved_by(*forms: str, theorems: str = "") -> Callable[[], Proof]:
-    """Closed forms "module:NAME" of the claims, and a tuple of theorems, imported when needed."""
+def proved_by(claims: str, *names: str, theorems: str = "") -> Callable[[], Proof]:
+    """Closed forms of a module of claims, and theorems "module:NAME", imported when asked for."""
 
     def proof() -> Proof:
-        closed_forms = tuple(_found(f"oracle.claims.{form}") for form in forms)
+        closed_forms = tuple(_found(f"oracle.claims.{claims}:{name}") for name in names)
         return Proof(closed_forms, _found(f"oracle.theorems.{theorems}") if theorems else ())
 
     return proof

@@ -78,7 +78,7 @@ FAMILY = Family(
     name="imm",
     title="modes of the sensor or of the plant that last: interacting multiple models",
     build=built_by("models.interacting:interacting_models"),
-    proof=proved_by("sensor:IMM", "sensor:ENUMERATION"),
+    proof=proved_by("sensor", "IMM", "ENUMERATION"),
     traits=Traits(models="mixed", densities=True),
     options=ImmOptions,
     accepts={"sensor": read_sensor_faults, "jump": read_jump_faults},

@@ -17,7 +17,7 @@ FAMILY = Family(
         source="Anderson & Moore 1979, Optimal Filtering, sec. 3.1 and 6.5",
         with_gain=False,
     ),
-    proof=proved_by("gaussian:BATCH", "gaussian:RICCATI"),
+    proof=proved_by("gaussian", "BATCH", "RICCATI"),
     traits=Traits(linear=True),
     starter="starter_kf.toml",
 )

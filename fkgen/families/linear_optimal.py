@@ -140,7 +140,7 @@ FAMILY = Family(
         ),
     ),
     proof=proved_by(
-        "sensor:LEMMA_2_FORM", "sensor:LINEAR_BATCH", theorems="linear_optimal:LINEAR_IDENTITIES"
+        "sensor", "LEMMA_2_FORM", "LINEAR_BATCH", theorems="linear_optimal:LINEAR_IDENTITIES"
     ),
     traits=Traits(moments=True),
     options=LinearOptions,

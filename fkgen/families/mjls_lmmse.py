@@ -148,7 +148,7 @@ FAMILY = Family(
         time_varying=built_by("lmmse.jump:jump_filter", source=SOURCE),
         stationary=built_by("lmmse.stationary:stationary_filter", source=SOURCE),
     ),
-    proof=proved_by("jump:PATHS", "jump:TEXTBOOK"),
+    proof=proved_by("jump", "PATHS", "TEXTBOOK"),
     traits=Traits(moments=True),
     options=LossOptions,
     accepts={"jump": partial(read_jump_faults, arrivals=True)},

@@ -33,9 +33,7 @@ FAMILY = Family(
         source="Strandt, Schneider & Yaz, eqs. (4), (9)-(13)",
         with_gain=True,
     ),
-    proof=proved_by(
-        "gaussian:BATCH", "gaussian:OPTIMAL_GAIN", "gaussian:RICCATI", theorems="mkf:IDENTITIES"
-    ),
+    proof=proved_by("gaussian", "BATCH", "OPTIMAL_GAIN", "RICCATI", theorems="mkf:IDENTITIES"),
     traits=Traits(linear=True),
     accepts={"actuator": read_actuator_faults},
     adopt=with_rate,

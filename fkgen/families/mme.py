@@ -96,7 +96,7 @@ FAMILY = Family(
     name="mme",
     title="unknown actuator fault rate: a bank of modified Kalman filters, one per hypothesis",
     build=built_by("models.bank:multiple_model_bank"),
-    proof=proved_by("gaussian:MME_TEXTBOOK", "gaussian:MME_BATCH", theorems="mkf:IDENTITIES"),
+    proof=proved_by("gaussian", "MME_TEXTBOOK", "MME_BATCH", theorems="mkf:IDENTITIES"),
     traits=Traits(models="bank", densities=True),
     options=MmeOptions,
     accepts={"actuator": partial(read_actuator_faults, rate_known=False)},

@@ -36,7 +36,7 @@ FAMILY = Family(
     name="one_step",
     title="sensors that lose their signal or gain noise: one-step optimal filter",
     build=built_by("models.one_step:one_step_optimal"),
-    proof=proved_by("sensor:ONE_STEP", "sensor:ENUMERATION"),
+    proof=proved_by("sensor", "ONE_STEP", "ENUMERATION"),
     traits=Traits(models="merged", densities=True),
     options=OneStepOptions,
     accepts={"sensor": read_sensor_faults},

@@ -26,9 +26,8 @@ MILD = 1e4
 LONG, SHORT, MANY_STATES = 6, 4, 8
 
 #: Ports that start as the prior covariance of the spec.
-_PRIORS = {"predicted_covariance", "filtered_covariance", "mode_covariance", "riccati_covariance"}
-_PRIORS |= {"mode_filtered_covariance", "predicted_compression_covariance"}
-_PRIORS |= {"compression_covariance"}
+_OF = ("predicted_", "filtered_", "mode_", "mode_filtered_", "riccati_", "compression_")
+_PRIORS = {f"{of}covariance" for of in (*_OF, "predicted_compression_")}
 
 _COVARIANCE = {
     "filtered_state": "filtered_covariance",
@@ -38,13 +37,7 @@ _COVARIANCE = {
 
 
 def validate(spec: Spec) -> Validated:
-    """Build the recursion of a spec and run every closed form of its family.
-
-    Raises
-    ------
-    ValidationError
-        If one is contradicted: a defect of fkgen, never of the spec.
-    """
+    """Build the recursion of a spec and run every closed form of its family; all have to hold."""
     found = family(spec.filter.family)
     caveats = found.caveats(spec)
     recursion = found.build(spec)

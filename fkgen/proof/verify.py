@@ -29,15 +29,7 @@ class Step:
 
 
 def verify(spec: Spec) -> tuple[Claim, ...]:
-    """Run everything; whether each claim holds is for the caller to see.
-
-    Raises
-    ------
-    ValidationError
-        If a closed form is contradicted: there is no C then.
-    CompilerError
-        If there is no C compiler or it refuses the code.
-    """
+    """Run everything; whether each claim holds is for the caller to see."""
     return tuple(claim for step in steps(spec) for claim in step.run())
 
 

@@ -91,7 +91,9 @@ class AugmentedState:
         self.groups = lumping.groups  # the modes that share a part
         self.kernel = np.array(lumping.transition)  # (N, N), of the groups
         self.plants = mode_plants(spec, modes)  # of every mode, then of every mode without a signal
-        self.base = self.plants[0]  # for names and sizes, which all modes share
+        exact = any(plant.noise_free for plant in self.plants)
+        #: For names and sizes, which all modes share, and whether one may measure without noise
+        self.base = replace(self.plants[0], noise_free=exact)
         #: Parts are (x, 1) 1{mode}: something known is added to the state, or to y
         self.ones = bool(spec.model.nu) or any(plant.c.nnz() for plant in self.plants)
         self.modes = len(self.groups)  # N
@@ -383,7 +385,7 @@ def whole(z: AugmentedState, state: ca.SX, packed: ca.SX, prefix: str) -> dict[s
 def jump_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion with a gain that follows the moments."""
     z = AugmentedState(spec)
-    form = update_form(spec, noisy(z), augmented=False)
+    form = update_form(spec, z.base, augmented=False)
     return recursion_of(z, source, partial(_update, form=form), _predict, form=form)
 
 
@@ -416,11 +418,6 @@ def recursion_of(
         notes=(*notes, *_notes(z)),
         outcomes=loss_outcomes(spec),
     )
-
-
-def noisy(z: AugmentedState) -> Plant:
-    """A plant with the names of the rows, and whether a mode may measure without noise."""
-    return replace(z.base, noise_free=any(plant.noise_free for plant in z.plants))
 
 
 def _notes(z: AugmentedState) -> tuple[str, ...]:
@@ -469,7 +466,7 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, form: Form) -> Phas
     noise = mean_noise(script, z, plants, z.law(symbols, "predicted_"))
     L, offset = measured(z, plants, u)
     measurement = measurement_of(
-        noisy(z),
+        z.base,
         scalar=z.spec.code.scalar,
         y=symbols["y"],
         C=sparse(z.rate * L),
@@ -545,6 +542,6 @@ def unchanged(z: AugmentedState, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
     if "mode_law" in symbols:
         result["mode_law"] = z.law(symbols, "predicted_")
     if "state_second_moment" in symbols:
-        now = moments_of(z, symbols, "predicted_")
-        result["state_second_moment"] = pack(total([*now.second]))
+        seconds = split_packed(symbols["predicted_mode_second_moment"], z.base.nx)
+        result["state_second_moment"] = total(seconds)
     return result
