@@ -314,7 +314,7 @@ def test_mistake_windows_of_another_length(shift, monkeypatch):
     def wrong(script, symbols, soft):
         return right(script, symbols, replace(soft, window=soft.window + shift))
 
-    monkeypatch.setattr(partial, "count_down", wrong)
+    monkeypatch.setattr(window, "count_down", wrong)
     spec = plant()
     spec = replace(spec, faults=replace(spec.faults, soft=replace(spec.faults.soft, window=2)))
     assert MOMENTS in refusals(recursion(spec))

@@ -31,19 +31,7 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
 )
 from fkgen.estimators.gaussian.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
-from fkgen.estimators.windows.window import (
-    Design,
-    Takeover,
-    closed,
-    collect,
-    count_down,
-    host_ports,
-    innovation_of_host,
-    observed,
-    soft_faults,
-    verdict_on,
-    window_ports,
-)
+from fkgen.estimators.windows import window
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
@@ -57,9 +45,9 @@ Groups = tuple[int, ...]
 
 def compression_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion of ``compression_full`` and ``dfcf``."""
-    count = len(_subsets(soft_faults(spec)))
-    ports = *host_ports(spec), *_ports(spec.model.nx, count), *window_ports(spec)
-    design = Design(spec, ports)
+    count = len(_subsets(window.soft_faults(spec)))
+    ports = *window.host_ports(spec), *_ports(spec.model.nx, count), *window.window_ports(spec)
+    design = window.Design(spec, ports)
     prior = prior_of(spec)[1] * count
     initial = {f"{of}compression_covariance": prior for of in ("", "predicted_")}
     phases = _update(design), _closing(design), _predict(design)
@@ -88,7 +76,7 @@ def _rows(soft: SoftFaults, subset: Groups) -> tuple[int, ...]:
     return tuple(sorted((*soft.host, *(row for group in subset for row in soft.groups[group]))))
 
 
-def _filters(design: Design, prefix: str = "") -> list[tuple[Groups, ca.SX, ca.SX]]:
+def _filters(design: window.Design, prefix: str = "") -> list[tuple[Groups, ca.SX, ca.SX]]:
     """(groups, d, packed P*) of every compression filter."""
     n, symbols = design.plant.nx, design.symbols
     deviation = ca.vertsplit(symbols[f"{prefix}compression_deviation"], n)
@@ -96,14 +84,14 @@ def _filters(design: Design, prefix: str = "") -> list[tuple[Groups, ca.SX, ca.S
     return list(zip(_subsets(design.soft), deviation, covariance, strict=True))
 
 
-def _update(design: Design) -> Phase:
+def _update(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     state, packed = symbols["predicted_state"], symbols["predicted_covariance"]
     priors = _filters(design, "predicted_")
     for covariance in (packed, *(P for _, _, P in priors)):
         demand_positive(script, covariance, n)
-    plant, whole, innovation = observed(script, design)
+    plant, whole, innovation = window.observed(script, design)
     host = _host(design, script, whole, innovation)
     correction = ca.SX.zeros(n) if host is None else host.mean
     filtered = script.let("host_state", state + correction)
@@ -116,7 +104,7 @@ def _update(design: Design) -> Phase:
             deviations.append(script.let(f"deviation{tag}", found.mean - correction))
         covariances.append(found.covariance)
     demand_finite(script, ca.vertcat(filtered, *deviations))
-    counted = collect(script, symbols, design.soft)
+    counted = window.collect(script, symbols, design.soft)
     with script.titled("results of the update"):
         script.put(
             {
@@ -124,7 +112,7 @@ def _update(design: Design) -> Phase:
                 "filtered_covariance": packed if host is None else host.covariance,
                 "compression_deviation": ca.vertcat(*deviations),
                 "compression_covariance": ca.vertcat(*covariances),
-                **innovation_of_host(design, plant, innovation, host),
+                **window.innovation_of_host(design, plant, innovation, host),
                 **counted,
             }
         )
@@ -132,7 +120,7 @@ def _update(design: Design) -> Phase:
 
 
 def _host(
-    design: Design, script: Script, whole: Measurement, innovation: list[ca.SX]
+    design: window.Design, script: Script, whole: Measurement, innovation: list[ca.SX]
 ) -> Conditioned | None:
     """The host conditioned on its rows (29), as a correction of its prediction."""
     rows, n = design.soft.host, design.plant.nx
@@ -156,7 +144,7 @@ def _part(
     )
 
 
-def _closing(design: Design) -> Phase:
+def _closing(design: window.Design) -> Phase:
     """The test (50), (51) of every group, and the update of the host by what it accepts (25)."""
     n, script, filters = design.plant.nx, Script(design.symbols), _filters(design)
     tests = [_test(design, script, group) for group in range(len(design.soft.groups))]
@@ -164,7 +152,7 @@ def _closing(design: Design) -> Phase:
     for group, test in enumerate(tests):
         excess = partial(operator.sub, test.value, test.looked_up)
         with script.titled(f"verdict on group {group}"):
-            flags = verdict_on(script, design, group, f"_{group}", excess)
+            flags = window.verdict_on(script, design, group, f"_{group}", excess)
         verdicts.append((*flags, test.value, test.rank))
     takeovers = []
     for subset, d, P in filters:
@@ -172,7 +160,7 @@ def _closing(design: Design) -> Phase:
         for group, (accepted, *_) in enumerate(verdicts):
             agreed += accepted if group in subset else -accepted
         title = f"the host takes over: group {', '.join(map(str, subset))}"
-        takeovers.append(Takeover(title, agreed, d, P))
+        takeovers.append(window.Takeover(title, agreed, d, P))
 
     def restarted(covariance: ca.SX) -> dict[str, ca.SX]:
         return {
@@ -180,10 +168,10 @@ def _closing(design: Design) -> Phase:
             "compression_covariance": ca.vertcat(*[covariance] * len(filters)),
         }
 
-    return closed(script, design, verdicts, takeovers, restarted=restarted)
+    return window.closed(script, design, verdicts, takeovers, restarted=restarted)
 
 
-def _test(design: Design, script: Script, group: int) -> QuadraticForm:
+def _test(design: window.Design, script: Script, group: int) -> QuadraticForm:
     """The statistic d' (P - P*)^+ d of a group, if it holds a measurement."""
     n, host = design.plant.nx, design.symbols["filtered_covariance"]
     _, d, P = _filters(design)[group]
@@ -198,7 +186,7 @@ def _test(design: Design, script: Script, group: int) -> QuadraticForm:
         return quadratic_form(script, names, n, DIRECTION[design.spec.code.scalar], table)
 
 
-def _predict(design: Design) -> Phase:
+def _predict(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     plant = bound(script, design.plant, "ABQ")
@@ -207,7 +195,7 @@ def _predict(design: Design) -> Phase:
     filters = _filters(design)
     deviations = [plant.A @ d for _, d, _ in filters]
     covariances = [congruence(plant.A, unpack(P, n)) + pack(plant.Q) for _, _, P in filters]
-    counted = count_down(script, symbols, design.soft)
+    counted = window.count_down(script, symbols, design.soft)
     guards = [finite(state, covariance), *map(finite, deviations, covariances)]
     with script.titled("prediction of the next sample"):
         script.put(

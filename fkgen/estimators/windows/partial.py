@@ -24,19 +24,7 @@ from fkgen.estimators.gaussian.estimate import bound, demand_finite, demand_posi
 from fkgen.estimators.gaussian.rank import DIRECTION, thresholds
 from fkgen.estimators.gaussian.sequential import SequentialUpdate
 from fkgen.estimators.lmmse.kalman import by_rows, constant, from_rows
-from fkgen.estimators.windows.window import (
-    Design,
-    Takeover,
-    closed,
-    collect,
-    count_down,
-    host_ports,
-    innovation_of_host,
-    observed,
-    soft_faults,
-    verdict_on,
-    window_ports,
-)
+from fkgen.estimators.windows import window
 from fkgen.faults.partial_state import measured_states, similarity, typical_deviation
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
@@ -91,7 +79,7 @@ class PartialState:
 
 def partial_state(spec: Spec, plant: Plant) -> PartialState:
     """Find T1, phi and T for the compression group of a spec, (37)-(39)."""
-    n, which = plant.nx, list(soft_faults(spec).compressed)
+    n, which = plant.nx, list(window.soft_faults(spec).compressed)
     stated = spec.model.C.values(spec.defaults)[which]
     deviation = typical_deviation(spec.model, spec.defaults)
     measured = list(measured_states(stated, deviation))
@@ -108,13 +96,13 @@ def partial_state(spec: Spec, plant: Plant) -> PartialState:
     return PartialState(constant(T1), constant(first), constant(rest), phi)
 
 
-class PartialDesign(Design):
+class PartialDesign(window.Design):
     """What the phases are written from."""
 
     def __init__(self, spec: Spec) -> None:
-        rows = soft_faults(spec).compressed
+        rows = window.soft_faults(spec).compressed
         own = _compressed_ports(spec.model.nx, len(rows))
-        super().__init__(spec, (*host_ports(spec), *window_ports(spec), *own))
+        super().__init__(spec, (*window.host_ports(spec), *window.window_ports(spec), *own))
         self.rows = rows  # the compression group
         self.partial = partial_state(spec, self.plant)
         self.active = self.symbols["predicted_collecting"]  # 1 if there was a Z before, else 0
@@ -155,7 +143,7 @@ def update(given: PartialDesign) -> Phase:
     script, symbols, found = Script(given.symbols), given.symbols, None
     state, covariance = symbols["predicted_state"], symbols["predicted_covariance"]
     demand_positive(script, covariance, given.plant.nx)
-    plant, y, innovation = observed(script, given)
+    plant, y, innovation = window.observed(script, given)
     compressed = _carried(script, given)
     if given.soft.host:
         found, compressed = _by_host(script, given, y, (innovation, compressed))
@@ -163,15 +151,15 @@ def update(given: PartialDesign) -> Phase:
     after = replace(y, offset=y.offset + plant.C @ state).only(given.rows)
     compressed = _compress(script, given, plant, (after, covariance, compressed))
     demand_finite(script, ca.vertcat(state, compressed.measurement))
-    window = collect(script, symbols, given.soft)
+    counted = window.collect(script, symbols, given.soft)
     with script.titled("results of the update"):
         script.put(
             {
                 "filtered_state": state,
                 "filtered_covariance": covariance,
-                **innovation_of_host(given, plant, innovation, found),
+                **window.innovation_of_host(given, plant, innovation, found),
                 **compressed.ports(),
-                **window,
+                **counted,
             }
         )
     return script.phase()
@@ -308,11 +296,11 @@ def closing(given: PartialDesign) -> Phase:
         return taken.nis - threshold
 
     with script.titled("verdict"):
-        accepted, rejected = verdict_on(script, given, 0, "", excess)
+        accepted, rejected = window.verdict_on(script, given, 0, "", excess)
     title, collecting = "the host takes over", given.symbols["collecting"]
-    takeover = Takeover(title, accepted, taken.mean[:n], parts(taken.covariance, n, m)[0])
+    takeover = window.Takeover(title, accepted, taken.mean[:n], parts(taken.covariance, n, m)[0])
     verdict = accepted, rejected, taken.nis * collecting, rank * collecting
-    return closed(script, given, [verdict], [takeover], title=title)
+    return window.closed(script, given, [verdict], [takeover], title=title)
 
 
 def _taken_over(script: Script, given: PartialDesign) -> tuple[SequentialUpdate, ca.SX]:
@@ -366,7 +354,7 @@ def _predict(given: PartialDesign) -> Phase:
     joint = carried.joint(symbols["filtered_covariance"])
     later = congruence(sparse(ca.blockcat(step)), joint) + pack(Q)
     covariance, cross, noise = parts(later, n, m)
-    counted = count_down(script, symbols, given.soft)
+    counted = window.count_down(script, symbols, given.soft)
     after = Compressed(partial.advance(plant) @ carried.measurement, noise, cross)
     with script.titled("prediction of the next sample"):
         script.put(
