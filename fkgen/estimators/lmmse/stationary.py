@@ -8,7 +8,7 @@ and an ergodic chain.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import casadi as ca
@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, RANK_TOLERANCE, condition
-from fkgen.estimators.gaussian.decorrelation import Measurement
-from fkgen.estimators.gaussian.estimate import demand_finite, finite
+from fkgen.estimators.gaussian.conditioning import condition
+from fkgen.estimators.gaussian.estimate import demand_finite, finite, measurement_of
 from fkgen.estimators.lmmse import jump
 from fkgen.estimators.lmmse.jump import Array, AugmentedState, Moments
 from fkgen.estimators.lmmse.kalman import constant, innovation_results
@@ -140,18 +139,16 @@ def stationary_filter(spec: Spec, source: str) -> Recursion:
 
 
 def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary) -> Phase:
-    script, prior, scalar = Script(symbols), symbols["augmented_state"], z.spec.code.scalar
+    script, prior = Script(symbols), symbols["augmented_state"]
     L, _ = jump.measured(z, z.plants, symbols["u"])
     nothing = (ca.SX(1, 1), ca.SX(1, 1))
-    measurement = Measurement(
+    measurement = measurement_of(
+        replace(z.base, noise_free=is_singular(at_rest.innovation)),
+        scalar=z.spec.code.scalar,
+        y=symbols["y"],
         C=ca.SX(z.base.ny, 1),
         offset=sparse(z.rate * L) @ prior,
         R=constant(at_rest.innovation),
-        y=symbols["y"],
-        rows=z.base.rows,
-        at=tuple(range(z.base.ny)),
-        rank_tolerance=RANK_TOLERANCE[scalar] if is_singular(at_rest.innovation) else None,
-        pivots_per_log=PIVOTS_PER_LOG[scalar],
     )
     found = condition(script, nothing, measurement, form="short")
     corrected = script.let("corrected", prior + constant(at_rest.gain) @ found.innovation)
