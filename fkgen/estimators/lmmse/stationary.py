@@ -86,7 +86,8 @@ def stationary_of(z: AugmentedState) -> Stationary:
     signal = _number(unpack(jump.signal_moment(z, z.plants, now, u), z.base.ny))
     R = noise + doubt * signal
     X = riccati(F, L, W, R)
-    S, gain = _gain(X, L, R)
+    S, inverse = _innovation(X, L, R)
+    gain = X @ L.T @ inverse
     return Stationary(predicted=X, filtered=X - gain @ L @ X, innovation=S, noise=noise, gain=gain)
 
 
@@ -97,7 +98,7 @@ def riccati(F: Array, L: Array, W: Array, R: Array) -> Array:
     """
     X = _lyapunov(F, W)
     for _ in range(100):
-        K = F @ _gain(X, L, R)[1]
+        K = F @ X @ L.T @ _innovation(X, L, R)[1]
         following = _lyapunov(F - K @ L, W + K @ R @ K.T)
         change = np.abs(following - X).max()
         X = following
@@ -106,10 +107,10 @@ def riccati(F: Array, L: Array, W: Array, R: Array) -> Array:
     return X
 
 
-def _gain(X: Array, L: Array, R: Array) -> tuple[Array, Array]:
-    """S = L X L' + R and X L' S^-1."""
+def _innovation(X: Array, L: Array, R: Array) -> tuple[Array, Array]:
+    """S = L X L' + R and its inverse."""
     S = L @ X @ L.T + R
-    return S, X @ L.T @ np.linalg.pinv(S, rcond=RANK, hermitian=True)
+    return S, np.asarray(np.linalg.pinv(S, rcond=RANK, hermitian=True), float)
 
 
 def _lyapunov(F: Array, W: Array) -> Array:
