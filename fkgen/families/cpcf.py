@@ -83,7 +83,7 @@ FAMILY = Family(
         source="Lee & Lee, Theorem 4, eqs. (28), (29), (37)-(47), (50), (51)",
     ),
     proof=proved_by(
-        "partial_compression",
+        "compression",
         "PRIMITIVE_NOISES",
         "CONTRADICTED",
         "HOST_ALONE",
