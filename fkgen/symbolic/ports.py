@@ -89,11 +89,6 @@ def prior_of(spec: Spec) -> tuple[Start, Start]:
     return state, tuple(float(P0[i, j]) for i, j in triangle(spec.model.nx))
 
 
-def start_of(spec: Spec) -> dict[str, Start]:
-    """Start values of `state_ports`: the prior."""
-    return {port.name: port.start for port in state_ports(spec)}
-
-
 def symbols_of(spec: Spec, plant: Plant, ports: Sequence[Port]) -> dict[str, ca.SX]:
     """Symbols by name: parameters, ``u``, ``y`` and every port (packed, by rows)."""
     symbols = {PARAMETER + name: symbol for name, symbol in plant.parameters.items()}
