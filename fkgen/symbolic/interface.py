@@ -77,8 +77,10 @@ class Port:
     @property
     def size(self) -> int:
         """Number of scalars stored in C."""
-        whole = math.prod(self.shape)
-        return whole * (self.shape[-1] + 1) // (2 * self.shape[-1]) if self.symmetric else whole
+        if not self.symmetric:
+            return math.prod(self.shape)
+        n = self.shape[-1]
+        return math.prod(self.shape[:-2]) * n * (n + 1) // 2
 
 
 class Kind(Enum):

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
 from fkgen.estimators.gaussian.estimate import (
+    Posterior,
     bound,
     correct,
     demand_finite,
     demand_positive,
     demand_rates,
-    estimated,
     finite,
     propagate,
     update_form,
@@ -131,7 +131,7 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
     _demand_rates(script, spec, plant)
     plant = bound(script, plant, "ABQ")
     actuation = _actuation(spec, plant, symbols["u"])
-    posterior, r = estimated(symbols["filtered_state"], symbols["filtered_covariance"]), 0
+    posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
     if "actuation_deviation" in symbols:
         r = symbols["actuation_deviation"].numel()
         posterior = replace(
