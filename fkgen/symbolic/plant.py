@@ -29,6 +29,7 @@ class Plant:
     R: ca.SX
     c: ca.SX  # (n, 1), a known offset: nothing but in modes of jump faults
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
+    scalar: str  # Of the C code, for tolerances
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
 
@@ -56,6 +57,7 @@ def plant_of(spec: Spec) -> Plant:
         **{letter: lift(getattr(model, letter), parameters) for letter in "ABCDQR"},
         c=ca.SX(model.nx, 1),
         rows=tuple(signal.name for signal in model.outputs),
+        scalar=spec.code.scalar,
         noise_free=_is_noise_free(model.R),
     )
 

@@ -12,7 +12,7 @@ from mutants import proved, recursion, refusals
 
 from fkgen.estimators.gaussian.actuation import certain
 from fkgen.estimators.gaussian.estimate import Posterior, propagate
-from fkgen.estimators.models import merge, modes, switching
+from fkgen.estimators.models import merge, switching
 
 TEXTBOOK = "matrix filters"
 BAYES = "exact Bayes"
@@ -49,9 +49,9 @@ def test_mistake_the_mode_before_moves_the_state(monkeypatch):
 
 
 def test_mistake_modes_move_as_their_neighbours(monkeypatch):
-    right = modes.Modes.motions.fget
+    right = switching.Modes.motions.fget
     turned = property(lambda modes: (*right(modes)[1:], right(modes)[0]))
-    monkeypatch.setattr(modes.Modes, "motions", turned)
+    monkeypatch.setattr(switching.Modes, "motions", turned)
     assert BAYES in refusals(recursion(plant("dynamics", **KNOWN)))
 
 
@@ -87,9 +87,9 @@ def test_mistake_process_noise_of_the_first_mode_for_all(monkeypatch):
 
 @pytest.mark.parametrize(("letter", "name"), [("c", "offsets"), ("B", "inputs")])
 def test_mistake_modes_taken_for_equal_that_differ(letter, name, monkeypatch):
-    right = modes._identity
+    right = switching._identity
     monkeypatch.setattr(
-        modes, "_identity", lambda each, letters: right(each, letters.replace(letter, ""))
+        switching, "_identity", lambda each, letters: right(each, letters.replace(letter, ""))
     )
     failed = refusals(recursion(plant(name, **KNOWN)))
     assert BAYES in failed

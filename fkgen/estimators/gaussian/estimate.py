@@ -35,19 +35,15 @@ SHORT_FORM_RATIO = 1e6
 DIFFERENCE_RATIO = 1e2
 
 
-def _nothing() -> ca.SX:
-    return ca.SX(0, 1)
-
-
 @dataclass(frozen=True, slots=True)
 class Posterior:
     """(x, gamma - xi) given y[0..k]; the deviation is empty unless y depends on gamma."""
 
     state: ca.SX  # (n,)
     covariance: ca.SX  # packed
-    deviation: ca.SX = field(default_factory=_nothing)  # (r,)
-    deviation_covariance: ca.SX = field(default_factory=_nothing)  # packed
-    cross_covariance: ca.SX = field(default_factory=_nothing)  # (r, n)
+    deviation: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # (r,)
+    deviation_covariance: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # packed
+    cross_covariance: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # (r, n)
 
 
 def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
@@ -81,7 +77,6 @@ def correct(
     prior: tuple[ca.SX, ca.SX],
     *,
     y: ca.SX,
-    scalar: str,
     form: Form,
     tag: str = "",
     with_gain: bool = False,
@@ -93,9 +88,7 @@ def correct(
         state = ca.vertcat(state, ca.SX.zeros(actuation.size))
         covariance = ca.diagcat(covariance, actuation.covariance)
         C = ca.horzcat(C, plant.D @ actuation.through)
-    measurement = measurement_of(
-        plant, scalar=scalar, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R
-    )
+    measurement = measurement_of(plant, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R)
     found = condition(
         script, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
     )
@@ -110,9 +103,7 @@ def correct(
     return found, posterior
 
 
-def measurement_of(
-    plant: Plant, *, scalar: str, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX
-) -> Measurement:
+def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX) -> Measurement:
     """Y = C z + offset + w as this plant measures it, with what rank and logarithms need."""
     return Measurement(
         C=C,
@@ -121,8 +112,8 @@ def measurement_of(
         y=y,
         rows=plant.rows,
         at=tuple(range(plant.ny)),
-        rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
-        pivots_per_log=PIVOTS_PER_LOG[scalar],
+        rank_tolerance=RANK_TOLERANCE[plant.scalar] if plant.noise_free else None,
+        pivots_per_log=PIVOTS_PER_LOG[plant.scalar],
     )
 
 
@@ -165,12 +156,6 @@ def bound_all(script: Script, plants: Sequence[Plant], letters: str) -> tuple[Pl
         replace(plant, **{letter: named[id(getattr(plant, letter))] for letter in letters})
         for plant in plants
     )
-
-
-def demand_rates(script: Script, rates: list[ca.SX]) -> None:
-    """Refuse success rates outside [0, 1] that come from run-time parameters."""
-    for rate in rates:
-        script.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
 
 
 def finite(state: ca.SX, packed: ca.SX) -> Guard:

@@ -171,9 +171,8 @@ class SequentialUpdate:
         if not all(each.is_leaf() for each in ca.vertsplit(cross)):
             cross = script.let(f"cross{tag}_{i}", cross)
         later = self.rows[i + 1 :] if self.variance is None else []
-        coupling = column([ca.mtimes(other.c.T, cross) for other in later])
-        if later:
-            coupling = script.let(f"coupling{tag}_{i}", coupling)
+        products = [ca.mtimes(other.c.T, cross) for other in later]
+        coupling = script.let(f"coupling{tag}_{i}", column(products))
         pivot = script.let(f"pivot{tag}_{i}", ca.mtimes(row.c.T, cross) + row.variance)
         self.coupling.append(coupling)
         self.pivot.append(pivot)

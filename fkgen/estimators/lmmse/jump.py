@@ -466,7 +466,6 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, form: Form) -> Phas
     L, offset = measured(z, plants, u)
     measurement = measurement_of(
         z.base,
-        scalar=z.spec.code.scalar,
         y=symbols["y"],
         C=sparse(z.rate * L),
         offset=z.rate * offset,

@@ -15,7 +15,6 @@ from fkgen.estimators.gaussian.estimate import (
     correct,
     demand_finite,
     demand_positive,
-    demand_rates,
     finite,
     propagate,
     update_form,
@@ -75,8 +74,10 @@ def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
 
 
 def _demand_rates(script: Script, spec: Spec, plant: Plant) -> None:
+    """Refuse success rates outside [0, 1] that come from run-time parameters."""
     if spec.faults.actuator is not None:
-        demand_rates(script, rates_of(spec.faults.actuator, plant))
+        for rate in rates_of(spec.faults.actuator, plant):
+            script.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
 
 
 def _demand_indicators(script: Script, plant: Plant, faults: SensorFaults) -> None:
@@ -105,7 +106,6 @@ def _update(
         _actuation(spec, plant, symbols["u"]),
         (symbols["predicted_state"], symbols["predicted_covariance"]),
         y=symbols["y"],
-        scalar=spec.code.scalar,
         form=form,
         with_gain=with_gain,
     )

@@ -235,7 +235,6 @@ def _condition(
         C, noise = ca.horzcat(C, ca.SX.eye(p)), ca.SX(p, p)
     measurement = measurement_of(
         plant,
-        scalar=design.spec.code.scalar,
         y=symbols["y"],
         C=C,
         offset=ca.diag(pi) @ plant.D @ symbols["u"],

@@ -145,7 +145,6 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary
     nothing = (ca.SX(1, 1), ca.SX(1, 1))
     measurement = measurement_of(
         replace(z.base, noise_free=is_singular(at_rest.innovation)),
-        scalar=z.spec.code.scalar,
         y=symbols["y"],
         C=ca.SX(z.base.ny, 1),
         offset=sparse(z.rate * L) @ prior,

@@ -26,7 +26,7 @@ from fkgen.estimators.gaussian.estimate import (
 )
 from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
-from fkgen.estimators.models.merge import combined_innovation, mixture_covariance
+from fkgen.estimators.models.merge import Gaussian, combined_innovation, mixture_covariance
 from fkgen.estimators.models.weights import log_prior, log_sum_exp, patterns, reweigh
 from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
@@ -151,7 +151,8 @@ def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
 
 
 def _update(bank: Bank) -> Phase:
-    script, spec, symbols = Script(bank.symbols), bank.spec, bank.symbols
+    script, symbols, spec = Script(bank.symbols), bank.symbols, bank.spec
+    y, held = symbols["y"], (symbols["mode_probability"], symbols["log_weight"])
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
         demand_positive(script, packed, bank.plant.nx)
@@ -160,17 +161,13 @@ def _update(bank: Bank) -> Phase:
     for i, prior in enumerate(priors):
         with script.titled(f"hypothesis {i}"):
             conditioned, posterior = correct(
-                script, bank.plant, bank.actuation(i), prior,
-                y=symbols["y"], scalar=spec.code.scalar, form=bank.form, tag=f"_h{i}",
-            )  # fmt: skip
+                script, bank.plant, bank.actuation(i), prior, y=y, form=bank.form, tag=f"_h{i}"
+            )
         demand_finite(script, posterior.state)
         found.append(conditioned)
         posteriors.append(posterior)
     with script.titled("weights of the hypotheses"):
-        logs = [
-            _log_likelihood(script, bank, i, priors[i][1], each) for i, each in enumerate(found)
-        ]
-        held = (symbols["mode_probability"], symbols["log_weight"])
+        logs = [_log_likelihood(script, bank, i, priors[i], each) for i, each in enumerate(found)]
         weights = reweigh(script, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
     with script.titled("combination"):
         C, D = bank.plant.C, bank.plant.D
@@ -199,14 +196,16 @@ def _update(bank: Bank) -> Phase:
     return script.phase()
 
 
-def _log_likelihood(script: Script, bank: Bank, i: int, prior: ca.SX, found: Conditioned) -> ca.SX:
+def _log_likelihood(
+    script: Script, bank: Bank, i: int, prior: Gaussian, found: Conditioned
+) -> ca.SX:
     """Gaussian (15), or the mixture over gamma[k]: sum_g P(g) N(y; C x + D g u, S0)."""
     if not bank.mixture or not bank.random[i]:
         return script.let(f"log_likelihood_h{i}", found.log_likelihood)
     plant, through = bank.plant, bank.plant.D @ bank.actuation(i).through
     rates = _random_rates(bank.spec.filter.options.hypotheses[i])
     healthless = found.innovation + through @ ca.SX(rates)
-    S = congruence(plant.C, unpack(prior, plant.nx)) + pack(plant.R)
+    S = congruence(plant.C, unpack(prior[1], plant.nx)) + pack(plant.R)
     S = script.let(f"share_variance_h{i}", S)
     whitened = whiten(script, S, ca.horzcat(healthless, through), f"_h{i}")
     terms = [

@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
 
 from fkgen.estimators.gaussian.actuation import certain
 from fkgen.estimators.gaussian.estimate import (
@@ -32,9 +33,16 @@ from fkgen.estimators.gaussian.estimate import (
 )
 from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.estimators.models.merge import Gaussian, Mixer, combined_innovation, mixture_covariance
-from fkgen.estimators.models.modes import Modes, mean_noise, move_alike
-from fkgen.estimators.models.weights import Prediction, advance, log_prior, log_sum_exp, reweigh
+from fkgen.estimators.models.weights import (
+    Kernel,
+    Prediction,
+    advance,
+    log_prior,
+    log_sum_exp,
+    reweigh,
+)
 from fkgen.problem import Spec
+from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import column, split_estimates, split_packed, total, weighted_sum
@@ -58,6 +66,95 @@ JUMPING = "the mode of sample k drives the step from x(k-1) to x(k), with parame
 
 #: From probabilities and corrections of the modes to the ports that keep an estimate.
 Combination = Callable[[Script, ca.SX, list[Conditioned]], dict[str, ca.SX]]
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One condition of the plant within a mode: its share of the mode, and the plant in it."""
+
+    title: str
+    share: float
+    plant: Plant
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """The modes of a switching filter.
+
+    A mode has several variants where it lumps conditions together that only the density tells
+    apart; they move alike. They are entangled where they lead to different estimates, because R
+    correlates the rows that they differ in with others.
+    """
+
+    variants: tuple[tuple[Variant, ...], ...]
+    kernel: Kernel
+    initial: tuple[float, ...]  # at sample 0
+    entangled: bool
+
+    @classmethod
+    def of(cls, spec: Spec, plants: Sequence[Plant]) -> Modes:
+        """The modes that a spec states, made of the plants of its chain.
+
+        Three modes for four conditions of a sensor: the mixture of both noises at gamma = 0.
+        """
+        chain, sensor = spec.faults.chain(spec.model), spec.faults.sensor
+        count = len(chain.modes)
+        lumps = sensor if sensor is not None and spec.filter.option("modes", 4) < count else None
+        found = chain.lumped(tuple((i,) for i in range(count))) if lumps is None else lumps.lumped()
+        variants = tuple(
+            tuple(
+                Variant(chain.modes[i].title, share, plants[i])
+                for i, share in zip(group, shares, strict=True)
+                if share > 0.0
+            )
+            for group, shares in zip(found.groups, found.shares, strict=True)
+        )
+        entangled = lumps is not None and lumps.entangles(spec.model.R)
+        return cls(variants, found.transition, found.initial, entangled)
+
+    @property
+    def note(self) -> str:
+        """What the modes are, in their order."""
+        names = [" or ".join(each.title for each in mode) for mode in self.variants]
+        return "modes: " + "; ".join(f"{i} = {name}" for i, name in enumerate(names))
+
+    @property
+    def predicted_as(self) -> tuple[int, ...]:
+        """Index of the mode whose prediction each mode uses.
+
+        Unreachable modes reuse a reachable one so that their covariance cannot overflow.
+        """
+        possible = visited(self.kernel, self.initial)
+        first = int(np.argmax(possible))
+        return tuple(j if seen else first for j, seen in enumerate(possible))
+
+    @property
+    def motions(self) -> tuple[Plant, ...]:
+        """Per mode a plant that moves as in this mode; modes that move alike have the same one."""
+        known: dict[tuple[int, ...], Plant] = {}
+        plants = [mode[0].plant for mode in self.variants]
+        return tuple(known.setdefault(_identity(each, "ABcQ"), each) for each in plants)
+
+
+def move_alike(plants: Sequence[Plant]) -> bool:
+    """Whether plants differ in nothing but Q as far as x[k+1] is concerned."""
+    return len({_identity(each, "ABc") for each in plants}) == 1
+
+
+def mean_noise(plants: Sequence[Plant], probability: ca.SX) -> ca.SX:
+    """Q if each of the plants has a probability."""
+    distinct = {id(each.Q): each.Q for each in plants}
+    if len(distinct) == 1:
+        return plants[0].Q
+    total = ca.SX(*plants[0].Q.shape)
+    for key, Q in distinct.items():
+        total += sum(probability[j] for j, each in enumerate(plants) if id(each.Q) == key) * Q
+    return total
+
+
+def _identity(plant: Plant, letters: str) -> tuple[int, ...]:
+    """What tells two plants apart: matrices that are equal are the same object."""
+    return tuple(id(getattr(plant, letter)) for letter in letters)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,10 +208,6 @@ class Switching:
         """The modes for one phase: computed entries of these matrices are named."""
         return Modes.of(self.spec, bound_all(script, self.plants, letters))
 
-    def mixer(self, script: Script, name: str, parts: list[Gaussian]) -> Mixer:
-        """What merges these Gaussians."""
-        return Mixer(script, name, parts, self.spec.code.scalar)
-
     def filtered(self) -> list[Gaussian]:
         """What imm keeps of every mode after y[k]."""
         states, packed = (self.symbols[f"mode_filtered_{of}"] for of in ("state", "covariance"))
@@ -144,14 +237,14 @@ class Switching:
 
     def corrected(self, script: Script, modes: Modes, mode: int, prior: Gaussian) -> Conditioned:
         """What a mode makes of y[k]: the mixture of its variants."""
-        variants, each = modes.variants[mode], []
+        variants, u, y = modes.variants[mode], self.symbols["u"], self.symbols["y"]
+        each = []
         for at, variant in enumerate(variants):
             tag = f"_m{mode}_{at}" if at else f"_m{mode}"
             with script.titled(f"mode {mode}: {variant.title}"):
                 found, _ = correct(
-                    script, variant.plant, certain(self.symbols["u"]), prior,
-                    y=self.symbols["y"], scalar=self.spec.code.scalar, form=self.form, tag=tag,
-                )  # fmt: skip
+                    script, variant.plant, certain(u), prior, y=y, form=self.form, tag=tag
+                )
                 density = script.let(f"log_density{tag}", found.log_likelihood)
             each.append(replace(found, log_likelihood=density))
         if len(each) == 1:
@@ -168,9 +261,8 @@ class Switching:
             return whole
         weights = script.let(f"variant_weight_m{mode}", ca.exp(ca.vertcat(*joint) - total))
         parts = [(one.mean, one.covariance) for one in each]
-        state = script.let(
-            f"merged_state_m{mode}", weighted_sum(weights, [one.mean for one in each])
-        )
+        mean = weighted_sum(weights, [one.mean for one in each])
+        state = script.let(f"merged_state_m{mode}", mean)
         covariance = mixture_covariance(weights, parts, state)
         covariance = script.let(f"merged_covariance_m{mode}", covariance)
         return replace(whole, mean=state, covariance=covariance)
@@ -184,22 +276,24 @@ def one_step_optimal(spec: Spec) -> Recursion:
     option = spec.filter.options.covariance
     beside = RICCATIS[option]
     filtering = Switching.of(spec, _riccati_ports(spec, beside))
-    symbols, n = filtering.symbols, spec.model.nx
+    symbols = filtering.symbols
 
     def combined(script: Script, weights: ca.SX, each: list[Conditioned]) -> dict[str, ca.SX]:
-        states, covariances = [one.mean for one in each], [one.covariance for one in each]
-        state = script.let("combined_state", weighted_sum(weights, states))
+        parts = [(one.mean, one.covariance) for one in each]
+        covariances = [packed for _, packed in parts]
+        state = script.let("combined_state", weighted_sum(weights, [mean for mean, _ in parts]))
         demand_finite(script, state)
-        parts = list(zip(states, covariances, strict=True))
-        matched = mixture_covariance(weights, parts, state)
-        covariance = matched if option == "moment_matched" else weighted_sum(weights, covariances)
+        covariance = weighted_sum(weights, covariances)
+        if option == "moment_matched":
+            covariance = mixture_covariance(weights, parts, state)
         results = {"filtered_state": state, "filtered_covariance": covariance}
-        beside_it = {"riccati_filtered_covariance": ca.vertcat(*covariances[:beside])}
-        return results | (beside_it if beside else {})
+        if beside:
+            results["riccati_filtered_covariance"] = ca.vertcat(*covariances[:beside])
+        return results
 
     packed = symbols["riccati_covariance" if beside else "predicted_covariance"]
-    parts = split_packed(packed, n)
-    priors = [(symbols["predicted_state"], parts[j % len(parts)]) for j in range(4)]
+    known = split_packed(packed, spec.model.nx)
+    priors = [(symbols["predicted_state"], known[j % len(known)]) for j in range(4)]
     phases = filtering.update(priors, combined), _one_prediction(filtering, beside)
     notes = f"covariance: {option}", filtering.modes.note
     return filtering.filter("Sigalov & Oshman, sec. III, eqs. (3)-(14)", phases, *notes)
@@ -257,7 +351,7 @@ def interacting_models(spec: Spec) -> Recursion:
 
     def combined(script: Script, weights: ca.SX, each: list[Conditioned]) -> dict[str, ca.SX]:
         parts = [(one.mean, one.covariance) for one in each]
-        state, covariance = filtering.mixer(script, "combined", parts).under(weights)
+        state, covariance = Mixer(script, "combined", parts, spec.code.scalar).under(weights)
         demand_finite(script, state)
         return {
             "filtered_state": state,
@@ -309,7 +403,7 @@ def _moved(
     What is the same is computed once.
     """
     symbols, motions = filtering.symbols, modes.motions
-    mixer = filtering.mixer(script, "mixed", filtering.filtered())
+    mixer = Mixer(script, "mixed", filtering.filtered(), filtering.spec.code.scalar)
     mixed: dict[int, Gaussian] = {}
     known: dict[tuple[int, int], int] = {}
     moved: list[Gaussian] = []
@@ -345,4 +439,4 @@ def _combined(
     masses = [ca.SX(0) for _ in moved[0]]
     for j, at in enumerate(moved[1]):
         masses[at] += probability[j]
-    return filtering.mixer(script, "predicted", moved[0]).under(column(masses))
+    return Mixer(script, "predicted", moved[0], filtering.spec.code.scalar).under(column(masses))

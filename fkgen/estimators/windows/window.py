@@ -116,14 +116,8 @@ def window_ports(spec: Spec) -> tuple[Port, ...]:
 def observed(script: Script, design: Design) -> tuple[Plant, Measurement, list[ca.SX]]:
     """The plant with named entries, y as it measures it, and the innovation of the host."""
     plant, symbols = bound(script, design.plant, "CDR"), design.symbols
-    y = measurement_of(
-        plant,
-        scalar=design.spec.code.scalar,
-        y=symbols["y"],
-        C=plant.C,
-        offset=plant.D @ symbols["u"],
-        R=plant.R,
-    )
+    offset = plant.D @ symbols["u"]
+    y = measurement_of(plant, y=symbols["y"], C=plant.C, offset=offset, R=plant.R)
     return plant, y, innovations(script, symbols["predicted_state"], y, "")
 
 
