@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any, TypeVar
 from typing import Literal as Either
 
 from fkgen.symbolic.interface import VERDICTS, Kind, Outcome, Port, Status
 
 Scalar = Either["double", "float"]
+T = TypeVar("T")
 
 
 class Space(Enum):
@@ -47,20 +49,7 @@ class Operator(Enum):
     @property
     def is_function(self) -> bool:
         """Whether it is printed as a call."""
-        return self in FUNCTIONS
-
-
-FUNCTIONS = frozenset(
-    {
-        Operator.EXP,
-        Operator.LOG,
-        Operator.SQRT,
-        Operator.SIN,
-        Operator.COS,
-        Operator.TAN,
-        Operator.ATAN2,
-    }
-)
+        return self.value in {"exp", "log", "sqrt", "sin", "cos", "tan", "atan2"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +159,7 @@ class IfPresent:
     """Run ``body`` if this row of y is present (any row, if None)."""
 
     row: Row | None
-    body: tuple[Statement, ...]
+    body: Body
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +167,7 @@ class IfPositive:
     """Run ``body`` if ``value`` is positive."""
 
     value: Operand
-    body: tuple[Statement, ...]
+    body: Body
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +191,9 @@ class Call:
     tables: tuple[Table | TableArgument, ...] = ()
 
 
-Statement = Operate | Copy | CopyArray | Assign | Require | IfPresent | IfPositive | Heading | Call
+Condition = IfPresent | IfPositive
+Statement = Operate | Copy | CopyArray | Assign | Require | Condition | Heading | Call
+Body = tuple[Statement, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +229,7 @@ class Routine:
     rows: int
     tables: int
     locals: tuple[Local, ...]
-    body: tuple[Statement, ...]
+    body: Body
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +240,7 @@ class Phase:
     """
 
     locals: tuple[Local, ...]
-    body: tuple[Statement, ...]
+    body: Body
     reads_input: bool
     reads_parameters: bool
     unless: str | None = None
@@ -378,39 +369,83 @@ class CProgram:
 
 
 def _operations(*phases: Phase) -> Counter[Operator]:
-    return Counter(
-        node.operator for phase in phases for node in walk(phase.body) if isinstance(node, Operate)
-    )
+    return Counter(node.operator for phase in phases for node in every(Operate, phase.body))
 
 
 def _flops(operations: Counter[Operator]) -> int:
     return sum(n for operator, n in operations.items() if not operator.is_function)
 
 
-def walk(body: tuple[Statement, ...]) -> Iterator[Statement]:
+#: What a node consists of, in the order of computation.
+_PARTS: dict[type, tuple[str, ...]] = {
+    Expression: ("arguments",),
+    Operate: ("arguments", "target"),
+    Copy: ("value", "target"),
+    CopyArray: ("source", "target"),
+    Assign: ("value", "target"),
+    Require: ("values",),
+    IfPresent: ("row", "body"),
+    IfPositive: ("value", "body"),
+    Call: ("arguments", "constants", "tables", "rows"),
+    Heading: (),
+}
+
+
+def mapped(node: Any, part: Callable[[Any], Any]) -> Any:
+    """Statements with other temporaries, numbers, elements, rows and tables in their places."""
+    if isinstance(node, tuple):
+        return tuple(mapped(each, part) for each in node)
+    if type(node) not in _PARTS:
+        return None if node is None else part(node)
+    parts = {name: mapped(getattr(node, name), part) for name in _PARTS[type(node)]}
+    return replace(node, **parts)
+
+
+def numbered(node: Any) -> Any:
+    """Statements with their temporaries numbered anew, in order."""
+    temps: dict[Temp, Temp] = {}
+
+    def part(part: Any) -> Any:
+        return temps.setdefault(part, Temp(len(temps))) if isinstance(part, Temp) else part
+
+    return mapped(node, part)
+
+
+def walk(body: Body) -> Iterator[Statement]:
     """Every statement, those under conditions too, in order."""
     for node in body:
         yield node
-        if isinstance(node, IfPresent | IfPositive):
+        if isinstance(node, Condition):
             yield from walk(node.body)
 
 
-def operands(node: Statement) -> tuple[Operand, ...]:
+def every(kind: type[T], body: Body) -> Iterator[T]:
+    """Every statement of a kind, those under conditions too, in order."""
+    return (node for node in walk(body) if isinstance(node, kind))
+
+
+def read(kind: type[T], body: Body) -> Iterator[T]:
+    """Every operand of a kind that statements read, those under conditions too."""
+    return (each for node in walk(body) for each in operands(node) if isinstance(each, kind))
+
+
+def elements(body: Body) -> list[Element]:
+    """Every element that statements read or write, those under conditions too."""
+    parts: list[Any] = []
+    mapped(body, parts.append)
+    return [part for part in parts if isinstance(part, Element)]
+
+
+def operands(node: Statement) -> Iterator[Operand]:
     """What a statement reads itself (not its body), that of its expressions too."""
-    match node:
-        case Operate(_, _, read) | Require(read, _, _) | Call(_, read):
-            return tuple(leaf for each in read for leaf in leaves(each))
-        case CopyArray(_, source, _):
-            return (source,)
-        case Copy(_, value) | Assign(_, value) | IfPositive(value, _):
-            return tuple(leaves(value))
-    return ()
+    for name in _PARTS[type(node)]:
+        if name in {"arguments", "value", "values", "source"}:
+            yield from _leaves(getattr(node, name))
 
 
-def leaves(operand: Operand) -> Iterator[Operand]:
-    """What an operand is made of, if it is an expression; itself if not."""
-    if isinstance(operand, Expression):
-        for argument in operand.arguments:
-            yield from leaves(argument)
+def _leaves(node: Any) -> Iterator[Operand]:
+    if isinstance(node, Expression | tuple):
+        for each in node.arguments if isinstance(node, Expression) else node:
+            yield from _leaves(each)
     else:
-        yield operand
+        yield node
