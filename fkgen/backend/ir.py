@@ -337,10 +337,15 @@ class CProgram:
         return tuple(status for status in Status if status not in VERDICTS or status in told)
 
     @property
+    def verbs(self) -> dict[str, Phase]:
+        """Update, closing (if there is one) and predict by the names of their functions."""
+        phases = {"correct": self.update, "close_window": self.closing, "propagate": self.predict}
+        return {verb: phase for verb, phase in phases.items() if phase is not None}
+
+    @property
     def phases(self) -> tuple[Phase, ...]:
         """Update, closing (if there is one) and predict, in this order."""
-        closing = () if self.closing is None else (self.closing,)
-        return self.update, *closing, self.predict
+        return tuple(self.verbs.values())
 
     @property
     def functions(self) -> frozenset[Operator]:

@@ -12,18 +12,16 @@ from fkgen.backend.execute import self_test_vectors
 from fkgen.backend.expressions import joined
 from fkgen.backend.functions import (
     INLINED,
-    argument_doc,
     elementary_context,
     functions_of,
     phases_of,
     shared_context,
     signature,
-    step_call,
     valid_argument,
 )
-from fkgen.backend.ir import CProgram, Operator
+from fkgen.backend.ir import CopyArray, CProgram, every
 from fkgen.backend.lines import filled_lines, folded, guards_joined, model_lines, unit_text
-from fkgen.backend.printer import Printer, copies_arrays
+from fkgen.backend.printer import Printer
 from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
 from fkgen.symbolic.interface import Port, Status
@@ -59,8 +57,8 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     if context["shared"]:
         shared = shared_context(program.scalar) | {"version": __version__}
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
-    record = filled("record.c.j2", context | {"call": step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
+    record = filled("record.c.j2", context)
     return Source(program=program, files=complete, record=record, claims=claims)
 
 
@@ -107,12 +105,11 @@ def _context(program: CProgram) -> dict[str, object]:
         "valid_argument": valid_argument(c),
         "phases": phases_of(c, outlined.phases),
         "routines": outlined.routines,
-        "copies": copies_arrays(outlined.bodies),
+        "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
         "calls_that_refuse": c.calls_that_refuse,
         "inlined": program.flops <= INLINED,
         "functions": functions_of(c),
         "signature": lambda name: signature(c, name),
-        "argument_doc": argument_doc(c),
         "inputs": [_numbers(c, row) for row in vectors.u],
         "measured": [_numbers(c, row) for row in vectors.y],
         "trace": [_numbers(c, row) for row in vectors.trace],
@@ -123,7 +120,6 @@ def _context(program: CProgram) -> dict[str, object]:
             for port in program.ports
         ],
         "masks": [_mask(c, row) for row in vectors.y],
-        "call": step_call(program, record=False),
     }
 
 
@@ -135,11 +131,15 @@ def _title(program: CProgram) -> str:
 
 def cost(program: CProgram) -> str:
     """Operations of one step in words."""
-    calls = {op: n for op, n in program.operations.items() if op.is_function}
     text = [f"{program.flops} floating-point operations"]
-    text += [f"{n} {op.value}" for op, n in sorted(calls.items(), key=lambda item: item[0].value)]
+    text += [f"{n} {function}" for function, n in _calls(program).items()]
     closing = f"; at the end of a window {program.closing_flops} more" if program.closing else ""
     return " and ".join(text) + closing
+
+
+def _calls(program: CProgram) -> dict[str, int]:
+    calls = {op.value: n for op, n in program.operations.items() if op.is_function}
+    return dict(sorted(calls.items()))
 
 
 def _numbers(c: Printer, values: tuple[float, ...]) -> list[str]:
@@ -203,11 +203,7 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
         "proved": list(claims),
         "flops": program.flops,
         **({"closing_flops": program.closing_flops} if program.closing else {}),
-        "calls": {
-            op.value: n
-            for op, n in sorted(program.operations.items(), key=_operator_name)
-            if op.is_function
-        },
+        "calls": _calls(program),
         "parameters": dict(program.parameters),
         "states": [signal.name for signal in program.states],
         "inputs": [signal.name for signal in program.inputs],
@@ -218,7 +214,3 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
         ],
         "statuses": {status.name: status.value for status in program.statuses},
     }
-
-
-def _operator_name(item: tuple[Operator, int]) -> str:
-    return item[0].value

@@ -198,10 +198,9 @@ class Outline:
 
 def outline(program: ir.CProgram) -> Outline:
     """Rewrite the phases of a program with calls."""
-    verbs = ["correct", *(["close_window"] if program.closing else []), "propagate"]
     if sum(lines_of(phase.body) for phase in program.phases) > LARGEST:
         return Outline(program.phases, ())
-    functions = [_function(*each) for each in zip(verbs, program.phases, strict=True)]
+    functions = [_function(verb, phase) for verb, phase in program.verbs.items()]
     book = _Book(functions)
     while runs := book.repeated():
         book.take(runs)

@@ -8,19 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fkgen.backend.functions import elementary_context
-from fkgen.backend.ir import (
-    Element,
-    Operate,
-    Operator,
-    Phase,
-    Space,
-    operands,
-    walk,
-)
+from fkgen.backend.ir import Element, Operate, Operator, Phase, Require, Space, every, read
 from fkgen.backend.lower import lower_phase
-from fkgen.backend.printer import StatementPrinter, tests_finiteness
+from fkgen.backend.printer import StatementPrinter
 from fkgen.backend.render import filled
-from fkgen.symbolic.interface import Status
+from fkgen.symbolic.interface import Kind, Status
 from fkgen.trials import random_numbers
 from fkgen.trials.sampling import INPUTS, Sampling
 from fkgen.version import __version__
@@ -56,15 +48,14 @@ def render_sampler(sampling: Sampling) -> SamplerSource:
         (verb, comment, lower_phase(sampling.ports, getattr(sampling, verb), INPUTS))
         for verb, comment in _PHASES
     ]
-    bodies = tuple(phase for _, _, phase in lowered)
-    nodes = (node for phase in bodies for node in walk(phase.body))
-    operations = [node.operator for node in nodes if isinstance(node, Operate)]
+    body = tuple(node for _, _, phase in lowered for node in phase.body)
+    operations = [node.operator for node in every(Operate, body)]
     functions = {operator for operator in operations if operator.is_function}
     context = elementary_context(c, frozenset(functions | _NORMAL)) | {
         "parameters": [(p.name, p.default) for p in spec.stated_parameters],
         "ports": sampling.ports,
         "version": __version__,
-        "tests_finiteness": tests_finiteness(bodies),
+        "tests_finiteness": any(n.kind is Kind.FINITE for n in every(Require, body)),
         "n": sizes[0],
         "q": sizes[1],
         "p": sizes[2],
@@ -109,12 +100,7 @@ class _PhaseText:
 
 def _read(phase: Phase) -> tuple[str, ...]:
     """Names of the arguments that a phase reads."""
-    found = {
-        operand.name
-        for node in walk(phase.body)
-        for operand in operands(node)
-        if isinstance(operand, Element) and operand.space is Space.INPUT
-    }
+    found = {each.name for each in read(Element, phase.body) if each.space is Space.INPUT}
     return tuple(name for name in INPUTS if name in found)
 
 
