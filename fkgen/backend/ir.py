@@ -266,29 +266,10 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
-class Listing:
-    """A matrix or vector as the spec states it: texts of its entries, row by row."""
-
-    name: str  # Such as A
-    rows: tuple[tuple[str, ...], ...]
-    form: str = "matrix"  # "matrix", "diagonal" (one row: its entries), "zeros" or "vector"
-    unit: str = ""  # In the units of the signals, as of a `Port`: "x/u"
-
-
-@dataclass(frozen=True, slots=True)
-class Statements:
-    """What the spec says about the model, under a title: sentences, then matrices."""
-
-    title: str
-    listings: tuple[Listing, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class Stated:
     """The spec as far as a reader of the code has to know it."""
 
-    #: The model, what differs from it in each mode, the law of the faults
-    parts: tuple[Statements, ...] = ()
+    model: tuple[str, ...] = ()  # The model, its modes and faults, as lines of a comment
     ranges: tuple[tuple[str, str], ...] = ()  # What is known about each parameter
     #: Constants of the code that are products of entries, and which
     folded: tuple[tuple[float, str], ...] = ()

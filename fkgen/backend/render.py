@@ -20,7 +20,7 @@ from fkgen.backend.functions import (
     valid_argument,
 )
 from fkgen.backend.ir import CopyArray, CProgram, every
-from fkgen.backend.lines import filled_lines, folded, guards_joined, model_lines, unit_text
+from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, units_of
 from fkgen.backend.printer import Printer
 from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
@@ -76,6 +76,7 @@ def filled(template: str, context: dict[str, object]) -> str:
 def _context(program: CProgram) -> dict[str, object]:
     outlined = joined(outline(program), (c := Printer(program)).fits)
     c.take(outlined.routines)
+    units = units_of(program)
     vectors, starts = self_test_vectors(program), _starts(program)
     modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
     return elementary_context(c, program.functions) | {
@@ -93,8 +94,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "bad_input": Status.INPUT_NOT_FINITE,
         "mismatch": Status.SELFTEST_FAILED,
         "shape": _shape_text,
-        "unit": lambda port: f", {text}" if (text := unit_text(program, port.unit)) else "",
-        "model": model_lines(program),
+        "unit": lambda port: f", {text}" if (text := unit_text(units, port.unit)) else "",
         "ranges": dict(program.stated.ranges),
         "listed": filled_lines,
         "numbers": lambda values: _numbers(c, values),
