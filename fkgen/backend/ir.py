@@ -331,7 +331,7 @@ class CProgram:
     @property
     def functions(self) -> frozenset[Operator]:
         """Elementary functions that the program needs."""
-        return frozenset(op for op in self.operations + self.closing_operations if op.is_function)
+        return frozenset(op for op in _operations(*self.phases) if op.is_function)
 
     @property
     def operations(self) -> Counter[Operator]:
@@ -339,27 +339,22 @@ class CProgram:
         return _operations(self.update, self.predict)
 
     @property
-    def closing_operations(self) -> Counter[Operator]:
-        """Operations of the closing."""
-        return _operations() if self.closing is None else _operations(self.closing)
-
-    @property
     def flops(self) -> int:
         """Additions, multiplications and the like of one step; calls are counted apart."""
-        return _flops(self.operations)
+        return _flops(self.update, self.predict)
 
     @property
     def closing_flops(self) -> int:
         """The same of the closing."""
-        return _flops(self.closing_operations)
+        return 0 if self.closing is None else _flops(self.closing)
 
 
 def _operations(*phases: Phase) -> Counter[Operator]:
     return Counter(node.operator for phase in phases for node in every(Operate, phase.body))
 
 
-def _flops(operations: Counter[Operator]) -> int:
-    return sum(n for operator, n in operations.items() if not operator.is_function)
+def _flops(*phases: Phase) -> int:
+    return sum(n for operator, n in _operations(*phases).items() if not operator.is_function)
 
 
 #: What a node consists of, in the order of computation.

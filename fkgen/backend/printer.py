@@ -65,6 +65,11 @@ class StatementPrinter:
         return f"!(self->{port.given}{at} > {self.literal(0.0)}) ? ({self.real})NAN : "
 
     @property
+    def valid(self) -> str:
+        """Declaration of the bits of the rows of y that were measured."""
+        return "uint32_t valid" if self.words == 1 else f"const uint32_t valid[{self.words}]"
+
+    @property
     def present(self) -> str:
         """Declaration of the bits of the rows of y that are present."""
         return "uint32_t present" if self.words == 1 else "const uint32_t *present"

@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import jinja2
 
+from fkgen.backend.elementary import FORMATS
 from fkgen.backend.execute import self_test_vectors
 from fkgen.backend.expressions import joined
-from fkgen.backend.functions import (
-    INLINED,
-    elementary_context,
-    functions_of,
-    phases_of,
-    shared_context,
-    signature,
-    valid_argument,
-)
-from fkgen.backend.ir import CopyArray, CProgram, every
+from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
 from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, units_of
-from fkgen.backend.printer import Printer
+from fkgen.backend.printer import Printer, StatementPrinter, shared_prefix, tests
 from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
+
+#: Operations per step up to which update and predict are compiled into step: a copy of the instance
+#: between them costs more than the code.
+INLINED = 2500
+
+#: Name of the files that hold the functions for all filters of a program, by scalar.
+SHARED = "fkgen_elementary_{}"
+
+_COMMENTS = {
+    "correct": "Condition on y[k]",
+    "close_window": "At the end of a window",
+    "propagate": "Move to k + 1",
+}
 
 
 @cache
@@ -55,7 +62,7 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
     if context["shared"]:
-        shared = shared_context(program.scalar) | {"version": __version__}
+        shared = _shared_context(program.scalar) | {"version": __version__}
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
     complete = with_manifest(files, _facts(program, claims))
     record = filled("record.c.j2", context)
@@ -85,41 +92,132 @@ def _context(program: CProgram) -> dict[str, object]:
         "api": API_VERSION,
         "title": _title(program),
         "modes": next(iter(modes), 0),
-        "signal_groups": _signal_groups(program),
         "cost": cost(program),
         "scalars": sum(port.size for port in program.ports),
         "statuses": program.statuses,
         "positive": [c.status(status) for status in program.statuses if status.value >= 0],
-        "null": Status.NULL_POINTER,
-        "bad_input": Status.INPUT_NOT_FINITE,
-        "mismatch": Status.SELFTEST_FAILED,
+        "Status": Status,
         "shape": _shape_text,
         "unit": lambda port: f", {text}" if (text := unit_text(units, port.unit)) else "",
         "ranges": dict(program.stated.ranges),
         "listed": filled_lines,
-        "numbers": lambda values: _numbers(c, values),
+        "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
         "starts": starts,
         "tables": {owner: values for values, owner in starts.values()},
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
-        "valid_argument": valid_argument(c),
-        "phases": phases_of(c, outlined.phases),
+        "phases": _phases(c, outlined.phases),
         "routines": outlined.routines,
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
         "calls_that_refuse": c.calls_that_refuse,
         "inlined": program.flops <= INLINED,
-        "functions": functions_of(c),
-        "signature": lambda name: signature(c, name),
-        "inputs": [_numbers(c, row) for row in vectors.u],
-        "measured": [_numbers(c, row) for row in vectors.y],
-        "trace": [_numbers(c, row) for row in vectors.trace],
-        "final": [(name, len(values), _numbers(c, values)) for name, values in vectors.final],
-        "start": vectors.start,
+        "functions": _functions(c),
+        "vectors": vectors,
         "members": [
             f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
             for port in program.ports
         ],
         "masks": [_mask(c, row) for row in vectors.y],
+    }
+
+
+def _arguments(c: Printer, name: str) -> dict[str, str]:
+    """Declarations of what one of the three functions that run a filter is given."""
+    program = c.program
+    arguments = {"self": f"{c.name}_t *self"}
+    if program.parameters:
+        arguments["params"] = f"const {c.name}_params_t *params"
+    if program.inputs:
+        arguments["u"] = f"const {c.real} u[{len(program.inputs)}]"
+    if name != "predict":
+        arguments["y"] = f"const {c.real} y[{len(program.outputs)}]"
+        arguments["valid"] = c.valid
+    return arguments
+
+
+def _given(c: Printer, verb: str) -> dict[str, str]:
+    """Declarations of what a phase is given besides the instance that it reads and the next."""
+    phase, given = c.program.verbs[verb], {}
+    if phase.reads_parameters:
+        given["params"] = f"const {c.name}_params_t *params"
+    if phase.reads_input:
+        given["u"] = f"const {c.real} *u"
+    if verb == "correct":
+        given |= {"y": f"const {c.real} *y", "present": c.present}
+    return given
+
+
+def _phases(c: Printer, phases: Iterable[Phase]) -> list[dict[str, Any]]:
+    """The phases as static functions; what few samples need is never inlined."""
+    return [
+        {
+            "verb": verb,
+            "comment": _COMMENTS[verb],
+            "arguments": ", ".join(
+                [f"const {c.name}_t *self", *_given(c, verb).values(), f"{c.name}_t *next"]
+            ),
+            "program": phase,
+            "inlined": c.program.flops <= INLINED and verb != "close_window",
+        }
+        for verb, phase in zip(c.program.verbs, phases, strict=True)
+    ]
+
+
+def _functions(c: Printer) -> dict[str, dict[str, Any]]:
+    """Update, predict and step: what each calls, maybe under a condition, and what it returns."""
+
+    def call(verb: str, source: str = "&next", when: str = "") -> dict[str, str]:
+        given = ", ".join([source, *_given(c, verb), "&next"])
+        return {"text": f"{c.name}_{verb}({given})", "when": when}
+
+    correct, closing = [call("correct", "self")], c.program.closing
+    if closing is not None:
+        ends = f"!(next.{closing.unless} > {c.literal(0.0)})"
+        correct.append(call("close_window", when=ends))
+    move, step = [call("propagate", "self")], [*correct, call("propagate")]
+    outcome = f"({c.any_row}) ? {c.outcome} : {c.status(Status.SKIPPED)}"
+    functions = {}
+    for name, calls in (("update", correct), ("predict", move), ("step", step)):
+        arguments = _arguments(c, name)
+        pointers = [each for each in arguments if each != "valid" or c.words > 1]
+        functions[name] = {
+            "signature": f"{c.name}_status_t {c.name}_{name}({', '.join(arguments.values())})",
+            "calls": calls,
+            "reads_y": "y" in arguments,
+            "null": tests([f"{pointer} == NULL" for pointer in pointers], "||"),
+            "result": outcome if "y" in arguments else c.status(Status.OK),
+        }
+    return functions
+
+
+def _shared_context(scalar: Scalar) -> dict[str, object]:
+    """What the templates of the shared files read: every function, whatever a filter needs."""
+    c = StatementPrinter(shared_prefix(scalar), scalar, 1)
+    functions = frozenset(operator for operator in Operator if operator.is_function)
+    return elementary_context(c, functions) | {"storage": "", "file": SHARED.format(scalar)}
+
+
+def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> dict[str, object]:
+    """Names, constants, and which functions there are; sqrt where atan2 needs it."""
+    needs = {op.value: op in functions for op in Operator if op.is_function}
+    needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
+    needs["scale"] = needs["exp"]
+    needs["sqrt"] = needs["sqrt"] or needs["atan2"]
+    return {
+        "c": c,
+        "name": c.name,
+        "elementary": c.elementary,
+        "storage": "static ",
+        "upper": c.upper,
+        "real": c.real,
+        "word": "uint64_t" if c.real == "double" else "uint32_t",
+        "f": FORMATS[c.real],
+        "needs": needs,
+        "needs_elementary": bool(functions),
+        "shared": SHARED.format(c.real) if functions and c.elementary != c.name else "",
+        "root2": math.sqrt(2.0),
+        "ln2": math.log(2.0),
+        "pi": math.pi,
     }
 
 
@@ -140,10 +238,6 @@ def cost(program: CProgram) -> str:
 def _calls(program: CProgram) -> dict[str, int]:
     calls = {op.value: n for op, n in program.operations.items() if op.is_function}
     return dict(sorted(calls.items()))
-
-
-def _numbers(c: Printer, values: tuple[float, ...]) -> list[str]:
-    return [c.literal(0.0 if math.isnan(value) else value) for value in values]
 
 
 def _mask(c: Printer, row: tuple[float, ...]) -> str:
@@ -180,15 +274,6 @@ def _period(values: tuple[float, ...]) -> tuple[float, ...]:
     sizes = (d for d in range(1, len(words) + 1) if len(words) % d == 0)
     size = next(d for d in sizes if words == words[:d] * (len(words) // d))
     return values[:size]
-
-
-def _signal_groups(program: CProgram) -> list[tuple[str, str, tuple[object, ...]]]:
-    groups = [
-        ("States", "x", program.states),
-        ("Inputs", "u", program.inputs),
-        ("Measurements", "y", program.outputs),
-    ]
-    return [group for group in groups if group[2]]
 
 
 def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fkgen.backend.functions import elementary_context
 from fkgen.backend.ir import Element, Operate, Operator, Phase, Require, Space, every, read
 from fkgen.backend.lower import lower_phase
 from fkgen.backend.printer import StatementPrinter
-from fkgen.backend.render import filled
+from fkgen.backend.render import elementary_context, filled
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.trials import random_numbers
 from fkgen.trials.sampling import INPUTS, Sampling
