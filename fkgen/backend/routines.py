@@ -12,7 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, count, groupby
+from itertools import chain, combinations, count, groupby
 from typing import Any
 
 from fkgen.backend import ir
@@ -50,7 +50,6 @@ _GIVEN = (partial(Element, Space.CONSTANT, "numbers"), ir.RowArgument, ir.TableA
 _HEADING = ir.Heading("")
 
 Variable = tuple[Space, str]
-_Place = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,80 +92,83 @@ def _kind(part: Any) -> int:
 
 
 @dataclass(slots=True)
+class _Block:
+    """Statements that stay together."""
+
+    statements: ir.Body
+    section: str
+    form: Form = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.form = form_of(self.statements)
+
+
+@dataclass(slots=True, eq=False)
 class _Function:
     """A function that is being rewritten: a phase, or the body of a routine."""
 
     name: str
-    chunks: list[ir.Body]
+    blocks: list[_Block]
     locals: list[ir.Local]
-    sections: list[str]
-    forms: list[Form] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.forms = [form_of(chunk) for chunk in self.chunks]
-
-    def whole(self, start: int, end: int) -> bool:
-        """Whether chunks are part of one section, or whole sections."""
-        sections = self.sections
-        within = len(set(sections[start:end])) == 1
-        begins = start == 0 or sections[start - 1] != sections[start]
-        return within or (begins and (sections[end:] or [""])[0] != sections[end - 1])
-
-    def put(self, start: int, length: int, chunks: list[ir.Body]) -> None:
-        """Other chunks in place of some."""
-        where = slice(start, start + length)
-        self.chunks[where] = chunks
-        self.forms[where] = [form_of(chunk) for chunk in chunks]
-        self.sections[where] = [self.sections[start]] * len(chunks)
 
     def users(self, name: str) -> set[int]:
-        """Which chunks use a local."""
+        """Which blocks use a local."""
         key = (Space.LOCAL, name)
-        return {i for i, form in enumerate(self.forms) if key in dict(form.variables)}
+        return {i for i, block in enumerate(self.blocks) if key in dict(block.form.variables)}
 
     def split(self) -> None:
         """Cut blocks that are too long; what later statements read is carried in an array."""
         at = 0
-        while at < len(self.chunks):
-            chunk = self.chunks[at]
+        while at < len(self.blocks):
+            chunk = self.blocks[at].statements
             if len(chunk) > LONGEST and not any(isinstance(n, ir.Condition) for n in chunk):
                 name = f"carried_{len(self.locals)}"
                 pieces, size = _halves(chunk, name)
                 self.locals.append(ir.Local(name, size, None))
-                self.put(at, 1, pieces)
+                _Run(self, at, at + 1).put(pieces)
             else:
                 at += 1
 
     @property
     def body(self) -> ir.Body:
-        return tuple(chain(*self.chunks))
+        return tuple(node for block in self.blocks for node in block.statements)
 
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """Some chunks in a row."""
+    """Some blocks in a row."""
 
     function: _Function
     start: int
-    length: int
+    end: int
 
     @property
-    def chunks(self) -> list[ir.Body]:
-        return self.function.chunks[self.start : self.start + self.length]
+    def blocks(self) -> list[_Block]:
+        return self.function.blocks[self.start : self.end]
 
     @property
     def statements(self) -> ir.Body:
-        return tuple(chain(*self.chunks))
+        return tuple(node for block in self.blocks for node in block.statements)
+
+    def is_whole(self) -> bool:
+        """Whether it is part of one section, or whole sections."""
+        sections = [block.section for block in self.function.blocks]
+        begins = self.start == 0 or sections[self.start - 1] != sections[self.start]
+        ends = (sections[self.end :] or [""])[0] != sections[self.end - 1]
+        return len(set(sections[self.start : self.end])) == 1 or (begins and ends)
+
+    def put(self, chunks: list[ir.Body]) -> None:
+        """Other statements in its place."""
+        section = self.blocks[0].section
+        self.function.blocks[self.start : self.end] = [_Block(chunk, section) for chunk in chunks]
 
     @property
     def headings(self) -> list[str]:
         """The headings inside, or the one that it stands under."""
-        before = chain(*reversed(self.function.chunks[: self.start]))
-        inside, above = (
-            [n.text for n in ir.every(ir.Heading, tuple(nodes))]
-            for nodes in (self.statements, before)
-        )
-        return inside or above[:1] or [self.function.name.replace("_", " ")]
+        before = _Run(self.function, 0, self.start).statements
+        inside, above = ([*ir.every(ir.Heading, body)] for body in (self.statements, before))
+        own = [heading.text for heading in inside or above[-1:]]
+        return own or [self.function.name.replace("_", " ")]
 
     @property
     def is_call(self) -> bool:
@@ -176,8 +178,9 @@ class _Run:
 
     def private(self, key: Variable, base: int | None) -> tuple[int | None, ir.Local] | None:
         """The local that a variable is, nameless, and where it begins; None if others use it."""
-        users = self.function.users(key[1])
-        if key[0] is not Space.LOCAL or not users <= {*range(self.start, self.start + self.length)}:
+        if key[0] is not Space.LOCAL or self.function.users(key[1]) - {
+            *range(self.start, self.end)
+        }:
             return None
         found = next(local for local in self.function.locals if local.name == key[1])
         return base, replace(found, name="")
@@ -215,13 +218,13 @@ def outline(program: ir.CProgram) -> Outline:
 
 def _function(verb: str, phase: ir.Phase) -> _Function:
     ends = (*(at for at, _ in phase.chunks[1:]), len(phase.body))
-    chunks: list[ir.Body] = []
-    sections: list[str] = []
-    for (start, section), end in zip(phase.chunks, ends, strict=True):
-        for _, nodes in groupby(phase.body[start:end], lambda n: isinstance(n, ir.Heading)):
-            chunks += _apart(tuple(nodes))
-        sections += [section] * (len(chunks) - len(sections))
-    return _Function(verb, chunks, list(phase.locals), sections)
+    blocks = [
+        _Block(part, section)
+        for (start, section), end in zip(phase.chunks, ends, strict=True)
+        for _, nodes in groupby(phase.body[start:end], lambda node: isinstance(node, ir.Heading))
+        for part in _apart(tuple(nodes))
+    ]
+    return _Function(verb, blocks, list(phase.locals))
 
 
 def _apart(chunk: ir.Body) -> list[ir.Body]:
@@ -282,13 +285,12 @@ class _Book:
     def repeated(self) -> list[_Run]:
         """The runs whose outlining saves most; none if nothing is worth it."""
         best: tuple[int, list[_Run]] = (0, [])
-        seen: set[_Place] = set()
-        for place in self._candidates():
-            if place in seen:
+        seen: set[_Run] = set()
+        for run in self._candidates():
+            if run in seen:
                 continue
-            f, start, length = place
-            run = _Run(self.functions[f], start, length)
-            runs = self._like(run, seen)
+            runs = self._like(run)
+            seen |= set(runs)
             lines = lines_of(run.statements)
             call = 2 + len(form_of(run.statements).variables) // 3
             saved = (len(runs) - 1) * lines - OVERHEAD - len(runs) * call
@@ -297,39 +299,34 @@ class _Book:
                 best = saved, runs
         return best[1]
 
-    def _candidates(self) -> Iterator[_Place]:
-        """The longest runs that begin with each pair of chunks of one shape."""
-        places: dict[Any, list[tuple[int, int]]] = defaultdict(list)
-        for f, function in enumerate(self.functions):
-            for i, form in enumerate(function.forms):
-                places[form.shape].append((f, i))
+    def _candidates(self) -> Iterator[_Run]:
+        """The longest runs that begin with each pair of blocks of one shape."""
+        places: dict[Any, list[tuple[_Function, int]]] = defaultdict(list)
+        for function in self.functions:
+            for i, block in enumerate(function.blocks):
+                places[block.form.shape].append((function, i))
         for same in places.values():
-            for a, (f, i) in enumerate(same):
-                for g, j in same[a + 1 :]:
-                    one, other = self.functions[f].forms[i:], self.functions[g].forms[j:]
-                    length = _alike(one[: j - i] if f == g else one, other)
-                    while length > 1 and (
-                        one[length - 1].shape == (_HEADING,)
-                        or not self.functions[f].whole(i, i + length)
-                        or not self.functions[g].whole(j, j + length)
-                    ):
-                        length -= 1
-                    yield f, i, length
+            for (f, i), (g, j) in combinations(same, 2):
+                one = f.blocks[i : j if f is g else None]
+                length = _alike(one, g.blocks[j:])
+                while length > 1 and (
+                    one[length - 1].form.shape == (_HEADING,)
+                    or not _Run(f, i, i + length).is_whole()
+                    or not _Run(g, j, j + length).is_whole()
+                ):
+                    length -= 1
+                yield _Run(f, i, i + length)
 
-    def _like(self, run: _Run, seen: set[_Place]) -> list[_Run]:
+    def _like(self, run: _Run) -> list[_Run]:
         """All runs like this one that do not overlap."""
-        forms = run.function.forms[run.start : run.start + run.length]
-        found = []
-        for f, function in enumerate(self.functions):
+        blocks, found = run.blocks, []
+        for function in self.functions:
             at = 0
-            while at + run.length <= len(function.forms):
-                same = _alike(forms, function.forms[at : at + run.length]) == run.length
-                if same and function.whole(at, at + run.length):
-                    seen.add((f, at, run.length))
-                    found.append(_Run(function, at, run.length))
-                    at += run.length
-                else:
-                    at += 1
+            while at + len(blocks) <= len(function.blocks):
+                other = _Run(function, at, at + len(blocks))
+                same = _alike(blocks, other.blocks) == len(blocks) and other.is_whole()
+                found += [other] if same else []
+                at += len(blocks) if same else 1
         return found
 
     def take(self, runs: list[_Run]) -> None:
@@ -337,15 +334,13 @@ class _Book:
         titles = _titles(runs)
         arguments = {name: routine.arguments for name, (routine, _) in self.bodies.items()}
         routine, chunks, calls = _drafted(runs, self._name(titles), titles, arguments)
-        first = runs[0]
-        sections = first.function.sections[first.start : first.start + first.length]
-        body = _Function(routine.name, chunks, list(routine.locals), sections)
+        blocks = [_Block(c, old.section) for c, old in zip(chunks, runs[0].blocks, strict=True)]
+        body = _Function(routine.name, blocks, list(routine.locals))
         headed = [isinstance(run.statements[0], ir.Heading) for run in runs]
         for run, call, title, with_title in sorted(
             zip(runs, calls, titles, headed, strict=True), key=lambda each: -each[0].start
         ):
-            text = (ir.Heading(title), call) if with_title else (call,)
-            run.function.put(run.start, run.length, [text])
+            run.put([(ir.Heading(title), call) if with_title else (call,)])
         for run in runs:
             function = run.function
             function.locals = [local for local in function.locals if function.users(local.name)]
@@ -357,21 +352,21 @@ class _Book:
         function.split()
         while lines_of(function.body) > LONGEST:
             run = max(self._pieces(function), key=lambda run: lines_of(run.statements))
-            if run.is_call or run.length == len(function.chunks):
+            if run.is_call or len(run.blocks) == len(function.blocks):
                 return
             self.take([run])
 
     @staticmethod
     def _pieces(function: _Function) -> Iterator[_Run]:
         """As much as a routine may hold: whole sections from each heading on, or from anywhere."""
-        forms, end = function.forms, len(function.forms)
-        headed = [i for i, form in enumerate(forms) if form.shape[0] == _HEADING]
-        sizes = [lines_of(chunk) for chunk in function.chunks]
+        blocks, end = function.blocks, len(function.blocks)
+        headed = [i for i, block in enumerate(blocks) if block.form.shape[0] == _HEADING]
+        sizes = [lines_of(block.statements) for block in blocks]
         for start in range(end):
             within = [k for k in range(start + 1, end + 1) if sum(sizes[start:k]) <= LONGEST]
             sections = [k for k in within if start in headed and k in {*headed, end}]
             stop = max(sections or ([] if headed else within), default=start + 1)
-            yield _Run(function, start, stop - start)
+            yield _Run(function, start, stop)
 
     def _name(self, titles: list[str]) -> str:
         """A name after what the titles of the runs have in common."""
@@ -420,11 +415,12 @@ def _new(stem: str, taken: set[str]) -> str:
     return next(name for name in names if name not in taken)
 
 
-def _alike(one: Sequence[Form], other: Sequence[Form]) -> int:
-    """How many forms, from the first on, are the same with the same renaming of variables."""
+def _alike(one: Sequence[_Block], other: Sequence[_Block]) -> int:
+    """How many blocks, from the first on, are the same with the same renaming of variables."""
     there: dict[Variable, tuple[Variable, int]] = {}
     back: dict[Variable, Variable] = {}
-    for length, (a, b) in enumerate(zip(one, other, strict=False)):
+    for length, (block, twin) in enumerate(zip(one, other, strict=False)):
+        a, b = block.form, twin.form
         if a.shape != b.shape:
             return length
         for (key, base), (name, at) in zip(a.variables, b.variables, strict=True):
@@ -469,7 +465,7 @@ def _drafted(
         at = next(columns[_kind(part)])
         return part if at is None else _GIVEN[_kind(part)](at)
 
-    chunks = ir.numbered(ir.mapped(tuple(runs[0].chunks), part))
+    chunks = ir.numbered(ir.mapped(tuple(block.statements for block in runs[0].blocks), part))
     numbers, rows, tables = (table for _, table in given)
     routine = ir.Routine(
         name=name,
