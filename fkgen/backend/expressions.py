@@ -122,7 +122,7 @@ def _copied(body: Body) -> Body:
     for node in body:
         match node:
             case Assign(Element(index=int()) as to, Element(index=int()) as source):
-                if run and (to, source) != tuple(map(_next, run[-1])):
+                if run and (to, source) != tuple(each.shifted(1) for each in run[-1]):
                     close()
                 run.append((to, source))
                 continue
@@ -133,7 +133,3 @@ def _copied(body: Body) -> Body:
             nodes.append(node)
     close()
     return tuple(nodes)
-
-
-def _next(element: Element) -> Element:
-    return replace(element, index=(element.index or 0) + 1)

@@ -74,6 +74,10 @@ class Element:
     name: str
     index: int | None
 
+    def shifted(self, by: int) -> Element:
+        """The element so many places on; a scalar stays itself."""
+        return self if self.index is None else replace(self, index=self.index + by)
+
 
 @dataclass(frozen=True, slots=True)
 class Expression:

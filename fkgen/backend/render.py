@@ -109,7 +109,6 @@ def _context(program: CProgram) -> dict[str, object]:
         "phases": _phases(c, outlined.phases),
         "routines": outlined.routines,
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
-        "calls_that_refuse": c.calls_that_refuse,
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
         "vectors": vectors,

@@ -445,10 +445,8 @@ def _drafted(
     """A routine, its chunks and its calls: what differs between the runs becomes arguments."""
     forms = [form_of(run.statements) for run in runs]
     places = _places(runs, forms, known)
-    given = [
-        _columns(each)
-        for each in zip(*((f.literals, f.rows, f.tables) for f in forms), strict=True)
-    ]
+    values = [(form.literals, form.rows, form.tables) for form in forms]
+    given = [_columns(each) for each in zip(*values, strict=True)]
     columns = [iter(column) for column, _ in given]
 
     def part(part: Any) -> Any:
@@ -459,11 +457,10 @@ def _drafted(
                 place, low = places[space, own]
                 if isinstance(place, ir.Local):
                     return Element(Space.LOCAL, place.name, index)
-                return Element(
-                    Space.ARGUMENT, place.name, None if place.single else (index or 0) - low
-                )
-        at = next(columns[_kind(part)])
-        return part if at is None else _GIVEN[_kind(part)](at)
+                at = None if place.single else (index or 0) - low
+                return Element(Space.ARGUMENT, place.name, at)
+        column = next(columns[_kind(part)])
+        return part if column is None else _GIVEN[_kind(part)](column)
 
     chunks = ir.numbered(ir.mapped(tuple(block.statements for block in runs[0].blocks), part))
     numbers, rows, tables = (table for _, table in given)
@@ -479,15 +476,15 @@ def _drafted(
     )
     calls = []
     for i, form in enumerate(forms):
-        bound, own_names = [], {}
-        for (place, low), (_, base), ((space, own), at) in zip(
-            places.values(), forms[0].variables, form.variables, strict=True
-        ):
-            own_names[place.name] = own
-            if isinstance(place, ir.Argument):
-                bound.append(Element(space, own, None if at is None else at - (base or 0) + low))
+        each = list(zip(places.values(), forms[0].variables, form.variables, strict=True))
+        own_names = {place.name: own for (place, _), _, ((_, own), _) in each}
+        bound = tuple(
+            Element(*variable, at).shifted(low - (base or 0))
+            for (place, low), (_, base), (variable, at) in each
+            if isinstance(place, ir.Argument)
+        )
         table = ir.Table(name, i) if numbers[0] else None
-        calls.append(ir.Call(name, tuple(bound), table, rows[i], tables[i]))
+        calls.append(ir.Call(name, bound, table, rows[i], tables[i]))
         if form_of(expanded(routine, calls[-1], own_names)) != form:
             raise InternalError(f"routine {name} is not what it stands for")
     return routine, list(chunks), calls
@@ -546,10 +543,7 @@ def expanded(routine: ir.Routine, call: ir.Call, locals_: Mapping[str, str]) -> 
     def part(part: Any) -> Any:
         match part:
             case Element(Space.ARGUMENT, name, index):
-                begin = bound[name]
-                return replace(
-                    begin, index=None if begin.index is None else begin.index + (index or 0)
-                )
+                return bound[name].shifted(index or 0)
             case Element(Space.CONSTANT, _, int(index)) if (
                 isinstance(call.constants, ir.Table) and routine.constants[0]
             ):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain
+from itertools import chain, combinations_with_replacement
 
 from fkgen.backend.ir import Constant, Literal, Phase, Scalar, Stated, read
 from fkgen.backend.lines import WIDTH, unit_text, units_of, wrapped
@@ -256,19 +256,16 @@ def _coefficients(letter: str, matrix: Matrix) -> Iterator[tuple[float, str]]:
         for j, entry in enumerate(row)
         if isinstance(entry, Number) and entry != ZERO
     }
-    for (i, k), a in values.items():
-        for (j, m), b in values.items():
-            if j < i or (j == i and m < k):
-                continue
-            first, second = f"{letter}[{i}][{k}]", f"{letter}[{j}][{m}]"
-            text = f"{first}^2" if first == second else f"{first} {second}"
-            if i == j and k != m:
-                yield a * b + a * b, f"2 {text}"
-            elif k != m and (i, m) in values and (j, k) in values:
-                other = f"{letter}[{i}][{m}] {letter}[{j}][{k}]"
-                yield a * b + values[i, m] * values[j, k], f"({text} + {other})"
-            else:
-                yield a * b, text
+    for ((i, k), a), ((j, m), b) in combinations_with_replacement(values.items(), 2):
+        first, second = f"{letter}[{i}][{k}]", f"{letter}[{j}][{m}]"
+        text = f"{first}^2" if first == second else f"{first} {second}"
+        if i == j and k != m:
+            yield a * b + a * b, f"2 {text}"
+        elif k != m and (i, m) in values and (j, k) in values:
+            other = f"{letter}[{i}][{m}] {letter}[{j}][{k}]"
+            yield a * b + values[i, m] * values[j, k], f"({text} + {other})"
+        else:
+            yield a * b, text
 
 
 def _numbers_in(table: object) -> Iterator[float]:
