@@ -53,12 +53,8 @@ class Machine:
         elementary: Callable[[Operator, list[Number]], Number],
         arithmetic: Mapping[Operator, Callable[..., Number]],
     ) -> None:
-        """Compute with other numbers than the program's: a constructor, functions, operators."""
+        """Start anew with other numbers than the program's: a constructor, functions, operators."""
         self.real, self.elementary, self.arithmetic = real, elementary, arithmetic
-        self.reset()
-
-    def reset(self) -> None:
-        """As ``_init`` does."""
         initial = dict(self.program.initial)
         self.ports = {
             port.name: [self.real(v) for v in initial.get(port.name, (0.0,) * port.size)]

@@ -223,7 +223,7 @@ class Routine:
     """Statements that a program runs more than once, or that are a function for their length.
 
     Elements of its arguments have the space ``ARGUMENT``; ``CONSTANT`` is the table of numbers in
-    which the calls differ, one row per call; ``ROW`` stands for rows of y in which they differ.
+    which the calls differ, one row per call.
     """
 
     name: str

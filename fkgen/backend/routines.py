@@ -336,11 +336,10 @@ class _Book:
         routine, chunks, calls = _drafted(runs, self._name(titles), titles, arguments)
         blocks = [_Block(c, old.section) for c, old in zip(chunks, runs[0].blocks, strict=True)]
         body = _Function(routine.name, blocks, list(routine.locals))
-        headed = [isinstance(run.statements[0], ir.Heading) for run in runs]
-        for run, call, title, with_title in sorted(
-            zip(runs, calls, titles, headed, strict=True), key=lambda each: -each[0].start
-        ):
-            run.put([(ir.Heading(title), call) if with_title else (call,)])
+        last_first = sorted(zip(runs, calls, titles, strict=True), key=lambda each: -each[0].start)
+        for run, call, title in last_first:
+            headed = isinstance(run.statements[0], ir.Heading)
+            run.put([(ir.Heading(title), call) if headed else (call,)])
         for run in runs:
             function = run.function
             function.locals = [local for local in function.locals if function.users(local.name)]
@@ -433,10 +432,8 @@ def _alike(one: Sequence[_Block], other: Sequence[_Block]) -> int:
 def _titles(runs: list[_Run]) -> list[str]:
     """For each run the heading that tells it from the others; the first one, where none does."""
     each = [run.headings for run in runs]
-    telling = [texts for texts in zip(*each, strict=False) if len(set(texts)) == len(runs)]
-    if len(runs) > 1 and telling:
-        return list(telling[0])
-    return [headings[0] for headings in each]
+    telling = (texts for texts in zip(*each, strict=False) if len(set(texts)) == len(runs))
+    return list(next(telling, (headings[0] for headings in each)))
 
 
 def _drafted(
