@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.problem import Spec
-from fkgen.problem.numbers import probability
+from fkgen.runtime.record import probability
 from fkgen.study.comparisons.candidates import GENIE, fault_section
 from fkgen.study.comparisons.footprint import Footprint
 from fkgen.study.comparisons.scores import (

@@ -19,10 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.errors import DataError
 from fkgen.families import NAMES, family
 from fkgen.problem import Matrix, Spec
-from fkgen.problem.numbers import probability, whole
-from fkgen.runtime.record import choice, numbers
-from fkgen.study.diagnostics.model_numbers import ModelNumbers
-from fkgen.study.diagnostics.visibility import lasting_innovation
+from fkgen.runtime.record import choice, numbers, probability, whole
+from fkgen.study.diagnostics.subject import Subject
 from fkgen.study.effects.effect import required_noncentrality
 from fkgen.study.effects.profiles import step
 from fkgen.study.effects.response import linear_response
@@ -140,7 +138,7 @@ def _information(
         raise DataError(
             "detectability", given=f"the family {spec.filter.family}", expected=expected
         )
-    model = ModelNumbers(spec)
+    model = Subject(spec)
     steady = model.steady_at(driven)
     if steady is None:
         given = "a filter that does not come to rest"
@@ -153,7 +151,7 @@ def _information(
     if not effect.gaussian:
         expected = "u = 0, or D = 0: with both, y shows which commands are lost and is a mixture"
         raise DataError("u", given=f"{driven} under mkf with D", expected=expected)
-    left = lasting_innovation(model, steady, d)
+    left = model.lasting_innovation(steady, d)
     plateau = float(left @ np.linalg.pinv(steady.innovation, hermitian=True) @ left)
     return effect.noncentrality, plateau
 

@@ -16,8 +16,8 @@ from fkgen.oracle.plants.actuator import simulate
 from fkgen.oracle.sampled import draw_record
 from fkgen.pipeline import build
 from fkgen.problem import Code
-from fkgen.problem.numbers import whole
 from fkgen.runtime.compiled import CompiledFilter
+from fkgen.runtime.record import whole
 from fkgen.runtime.results import Run
 from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.effects.scenario import FaultScenario
