@@ -84,7 +84,8 @@ class Machine:
                     if isinstance(element, Element) and element.space is Space.NEXT:
                         state[element.name][element.index or 0] = value
         self.ports = state
-        return self._outcome() if any(present) else Status.SKIPPED
+        applies = (o.status for o in self.program.outcomes if max(state[o.port]) > o.level)
+        return next(applies, Status.OK) if any(present) else Status.SKIPPED
 
     def _elements(
         self, phase: ir.Phase, state: Mapping[str, list[Number]]
@@ -97,13 +98,6 @@ class Machine:
             for i in range(local.size):
                 place = i if local.size > 1 else None
                 yield Element(Space.LOCAL, local.name, place), self.real(local.initial or 0.0)
-
-    def _outcome(self) -> Status:
-        """The status of a sample that was used, or rejected by a test."""
-        for outcome in self.program.outcomes:
-            if max(self.ports[outcome.port]) > outcome.level:
-                return outcome.status
-        return Status.OK
 
 
 @dataclass(slots=True)

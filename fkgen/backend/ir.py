@@ -421,16 +421,10 @@ def elements(body: Body) -> list[Element]:
     return [part for part in parts if isinstance(part, Element)]
 
 
-def operands(node: Statement) -> Iterator[Operand]:
+def operands(node: Statement) -> list[Operand]:
     """What a statement reads itself (not its body), that of its expressions too."""
+    found: list[Operand] = []
     for name in _PARTS[type(node)]:
         if name in {"arguments", "value", "values", "source"}:
-            yield from _leaves(getattr(node, name))
-
-
-def _leaves(node: Any) -> Iterator[Operand]:
-    if isinstance(node, Expression | tuple):
-        for each in node.arguments if isinstance(node, Expression) else node:
-            yield from _leaves(each)
-    else:
-        yield node
+            mapped(getattr(node, name), found.append)
+    return found

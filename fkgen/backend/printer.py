@@ -18,6 +18,9 @@ _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV:
 _PREFIX = {Space.PARAMETER: "params->", Space.SELF: "self->", Space.NEXT: "next->"}
 _WORD_BITS = 32
 
+#: Prefix of elementary functions of which all filters of a program share one copy, by scalar.
+SHARED_PREFIX = "fkgen_{}"
+
 
 class StatementPrinter:
     """Print statements."""
@@ -30,9 +33,8 @@ class StatementPrinter:
         self.routines: dict[str, ir.Routine] = {}
         self.needs: dict[str, set[str]] = {}
         #: The largest finite number, and the smallest normal one
-        self.limit, self.tiny = (
-            ("DBL_MAX", "DBL_MIN") if scalar == "double" else ("FLT_MAX", "FLT_MIN")
-        )
+        kind = "DBL" if scalar == "double" else "FLT"
+        self.limit, self.tiny = f"{kind}_MAX", f"{kind}_MIN"
         self.rows = rows
         self.words = -(-rows // _WORD_BITS)  # 32-bit words that one bit per row of y needs
 
@@ -97,9 +99,9 @@ class StatementPrinter:
         """Whether a statement stands on one line."""
         return 4 * depth + len(self.statement(node)) <= WIDTH
 
-    def block(self, body: ir.Body, depth: int = 1) -> str:
-        """Statements with indentation."""
-        return textwrap.indent("\n".join(map(self.statement, body)), "    " * depth)
+    def block(self, body: ir.Body) -> str:
+        """Statements, indented once."""
+        return textwrap.indent("\n".join(map(self.statement, body)), "    ")
 
     def statement(self, node: ir.Statement) -> str:  # noqa: PLR0911 - one per node
         """One statement as C."""
@@ -206,7 +208,7 @@ class Printer(StatementPrinter):
         super().__init__(program.name, program.scalar, len(program.outputs))
         self.program = program
         if program.shares_functions:
-            self.elementary = shared_prefix(program.scalar)
+            self.elementary = SHARED_PREFIX.format(program.scalar)
         self.names = {each.value: f"{self.upper}_{each.name}" for each in program.constants}
 
     def take(self, routines: Iterable[ir.Routine]) -> None:
@@ -260,11 +262,6 @@ class Printer(StatementPrinter):
             above = tests([f"self->{outcome.port}{place} > {level}" for place in places], "||")
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
-
-
-def shared_prefix(scalar: ir.Scalar) -> str:
-    """Prefix of elementary functions of which all filters of a program share one copy."""
-    return f"fkgen_{scalar}"
 
 
 def tests(each: list[str], how: str) -> str:

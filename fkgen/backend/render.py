@@ -15,7 +15,7 @@ from fkgen.backend.execute import self_test_vectors
 from fkgen.backend.expressions import joined
 from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
 from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, units_of
-from fkgen.backend.printer import Printer, StatementPrinter, shared_prefix, tests
+from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, tests
 from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
 from fkgen.symbolic.interface import Port, Status
@@ -85,13 +85,13 @@ def _context(program: CProgram) -> dict[str, object]:
     c.take(outlined.routines)
     units = units_of(program)
     vectors, starts = self_test_vectors(program), _starts(program)
-    modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
+    modes = (port.shape[0] for port in program.ports if port.name == "mode_probability")
     return elementary_context(c, program.functions) | {
         "program": program,
         "version": __version__,
         "api": API_VERSION,
         "title": _title(program),
-        "modes": next(iter(modes), 0),
+        "modes": next(modes, 0),
         "cost": cost(program),
         "scalars": sum(port.size for port in program.ports),
         "statuses": program.statuses,
@@ -191,7 +191,7 @@ def _functions(c: Printer) -> dict[str, dict[str, Any]]:
 
 def _shared_context(scalar: Scalar) -> dict[str, object]:
     """What the templates of the shared files read: every function, whatever a filter needs."""
-    c = StatementPrinter(shared_prefix(scalar), scalar, 1)
+    c = StatementPrinter(SHARED_PREFIX.format(scalar), scalar, 1)
     functions = frozenset(operator for operator in Operator if operator.is_function)
     return elementary_context(c, functions) | {"storage": "", "file": SHARED.format(scalar)}
 
@@ -246,11 +246,9 @@ def _mask(c: Printer, row: tuple[float, ...]) -> str:
 
 
 def _shape_text(port: Port) -> str:
-    if not port.symmetric:
-        extent = " x ".join(str(length) for length in port.shape)
-        return f" ({extent})" if len(port.shape) > 1 else ""
-    stacked = " x ".join(str(length) for length in port.shape[:-2])
-    return f" ({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
+    *stacked, n = map(str, port.shape or (1,))
+    parts = [*stacked[:-1], f"symmetric {n} x {n}"] if port.symmetric else [*stacked, n]
+    return f" ({' x '.join(parts)})" if stacked else ""
 
 
 def _starts(program: CProgram) -> dict[str, tuple[tuple[float, ...], str]]:

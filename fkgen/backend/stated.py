@@ -27,7 +27,12 @@ _Part = tuple[str, Iterable[list[str]]]
 
 def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
     """What the header says about a spec; ``phases`` hold the constants that it folded."""
-    parts = [_model(spec), *_modes(spec), *_faults(spec)]
+    faults = spec.faults
+    parts = [_model(spec), *_modes(spec)]
+    parts += [_actuator(spec, faults.actuator)] if faults.actuator is not None else []
+    parts += [_sensor(spec, faults.sensor)] if faults.sensor is not None else []
+    parts += [_jump(faults.jump)] if faults.jump is not None else []
+    parts += [_soft(spec, faults.soft)] if faults.soft is not None else []
     return Stated(
         model=tuple(
             line for title, listings in parts for line in (f" * {title}.", *chain(*listings), " *")
@@ -62,13 +67,12 @@ def _matrix(spec: Spec, name: str, matrix: Matrix) -> list[str]:
     """A matrix as the spec states it."""
     rows = [tuple(map(_text, row)) for row in matrix.rows]
     unit = unit_text(units_of(spec.model), _UNITS.get(name, ""))
-    entries = {(i, j): entry for i, row in enumerate(matrix.rows) for j, entry in enumerate(row)}
+    nonzero = [i != j for i, row in enumerate(matrix.rows) for j, e in enumerate(row) if e != ZERO]
     if name in {"x0", "c"}:
         return _vector(name, (row[0] for row in rows), unit)
-    if len(entries) > 1 and all(entry == ZERO for entry in entries.values()):
+    if not nonzero and matrix.shape != (1, 1):
         return _vector(name, map(str, matrix.shape), unit, "zeros(", ")")
-    diagonal = all(entry == ZERO for (i, j), entry in entries.items() if i != j)
-    if name in {"Q", "R", "P0"} and diagonal and len(rows) > 1:
+    if name in {"Q", "R", "P0"} and not any(nonzero) and len(rows) > 1:
         return _vector(name, (row[i] for i, row in enumerate(rows)), unit, "diag(", ")")
     return _rows(name, rows, unit)
 
@@ -108,19 +112,6 @@ def _listing(name: str, pieces: list[str], unit: str) -> list[str]:
     if unit and len(lines[-1]) + len(unit) + 3 <= WIDTH:
         return [*lines[:-1], f"{lines[-1]}   {unit}"]
     return [*lines, *([f"{margin}{unit}"] if unit else [])]
-
-
-def _faults(spec: Spec) -> Iterator[_Part]:
-    """The law of the faults in words, with its numbers."""
-    faults = spec.faults
-    if faults.actuator is not None:
-        yield _actuator(spec, faults.actuator)
-    if faults.sensor is not None:
-        yield _sensor(spec, faults.sensor)
-    if faults.jump is not None:
-        yield _jump(faults.jump)
-    if faults.soft is not None:
-        yield _soft(spec, faults.soft)
 
 
 def _soft(spec: Spec, soft: SoftFaults) -> _Part:
