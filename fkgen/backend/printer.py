@@ -162,7 +162,7 @@ class StatementPrinter:
             defects = " + ".join(f"{self.name}_defect({value})" for value in values)
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
-        return f"!({tests([f'{value} {relation} {zero}' for value in values], '&&')})"
+        return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
 
     def _call(self, node: ir.Call) -> str:
         routine, needs = self.routines[node.routine], self.needs[node.routine]
@@ -259,14 +259,14 @@ class Printer(StatementPrinter):
         for outcome in reversed(self.program.outcomes):
             places = [f"[{i}]" for i in range(sizes.get(outcome.port, 0))] or [""]
             level = self.literal(outcome.level)
-            above = tests([f"self->{outcome.port}{place} > {level}" for place in places], "||")
+            above = combined([f"self->{outcome.port}{place} > {level}" for place in places], "||")
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
 
 
-def tests(each: list[str], how: str) -> str:
+def combined(tests: list[str], how: str) -> str:
     """Tests joined by an operator, in parentheses if there are several."""
-    return each[0] if len(each) == 1 else f" {how} ".join(f"({test})" for test in each)
+    return tests[0] if len(tests) == 1 else f" {how} ".join(f"({test})" for test in tests)
 
 
 def _under(test: str, inner: str) -> str:

@@ -15,7 +15,7 @@ from fkgen.backend.execute import self_test_vectors
 from fkgen.backend.expressions import joined
 from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
 from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, units_of
-from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, tests
+from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
 from fkgen.symbolic.interface import Port, Status
@@ -183,7 +183,7 @@ def _functions(c: Printer) -> dict[str, dict[str, Any]]:
             "signature": f"{c.name}_status_t {c.name}_{name}({', '.join(arguments.values())})",
             "calls": calls,
             "reads_y": "y" in arguments,
-            "null": tests([f"{pointer} == NULL" for pointer in pointers], "||"),
+            "null": combined([f"{pointer} == NULL" for pointer in pointers], "||"),
             "result": outcome if "y" in arguments else c.status(Status.OK),
         }
     return functions

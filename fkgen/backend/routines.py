@@ -178,9 +178,8 @@ class _Run:
 
     def private(self, key: Variable, base: int | None) -> tuple[int | None, ir.Local] | None:
         """The local that a variable is, nameless, and where it begins; None if others use it."""
-        if key[0] is not Space.LOCAL or self.function.users(key[1]) - {
-            *range(self.start, self.end)
-        }:
+        inside = {*range(self.start, self.end)}
+        if key[0] is not Space.LOCAL or not self.function.users(key[1]) <= inside:
             return None
         found = next(local for local in self.function.locals if local.name == key[1])
         return base, replace(found, name="")
