@@ -1,4 +1,4 @@
-"""What a filter shows to the outside: ports, statuses, demands. No CasADi here."""
+"""What a filter shows to the outside: ports and how they are stored, statuses. No CasADi here."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import math
 from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum
 from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 
 class Role(Enum):
@@ -55,6 +58,11 @@ class Outcome:
     level: float
 
 
+def triangle(n: int) -> list[tuple[int, int]]:
+    """Index pairs of the lower triangle of an n x n matrix, by rows: (0,0), (1,0), (1,1), ..."""
+    return [(i, j) for i in range(n) for j in range(i + 1)]
+
+
 @dataclass(frozen=True, slots=True)
 class Port:
     """A member of the C instance and a column of a run."""
@@ -79,8 +87,18 @@ class Port:
         """Number of scalars stored in C."""
         if not self.symmetric:
             return math.prod(self.shape)
-        n = self.shape[-1]
-        return math.prod(self.shape[:-2]) * n * (n + 1) // 2
+        return math.prod(self.shape[:-2]) * len(triangle(self.shape[-1]))
+
+    def unpacked(self, stored: ArrayLike) -> NDArray[np.floating]:
+        """A stored sample in the shape that Python shows."""
+        values = np.asarray(stored)
+        if not self.symmetric:
+            return values.reshape(self.shape)
+        pairs = triangle(n := self.shape[-1])
+        index = np.zeros((n, n), int)
+        for at, (i, j) in enumerate(pairs):
+            index[i, j] = index[j, i] = at
+        return values.reshape(-1, len(pairs))[:, index].reshape(self.shape)
 
 
 class Kind(Enum):

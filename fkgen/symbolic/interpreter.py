@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.symbolic.interface import Kind
-from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.symbolic.recursion import Block, Recursion
 
@@ -66,7 +65,7 @@ class Interpreter:
         for k in range(len(y)):
             self.step(y[k], u[k], {name: float(value[k]) for name, value in parameters.items()})
             for port in ports:
-                value: Any = unpacked(port, self.values[port.name])
+                value: Any = port.unpacked(self.values[port.name])
                 if port.given:
                     value = np.where(self.values[port.given].reshape(port.shape) > 0, value, np.nan)
                 rows[port.name].append(

@@ -11,7 +11,7 @@ from functools import reduce
 
 import casadi as ca
 
-from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.interface import triangle
 
 
 def column(values: list[ca.SX]) -> ca.SX:

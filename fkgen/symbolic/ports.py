@@ -9,8 +9,7 @@ from functools import partial
 import casadi as ca
 
 from fkgen.problem import Spec
-from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.interface import Port, Role, triangle
 from fkgen.symbolic.plant import Plant
 
 #: Prefix of run-time parameters among the symbols: a parameter may be called ``u``.

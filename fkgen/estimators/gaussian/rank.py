@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fkgen.symbolic.builder import Script
+from fkgen.symbolic.interface import triangle
 from fkgen.symbolic.linalg import column, pack, unpack
-from fkgen.symbolic.packing import triangle
 
 #: Share of a variance that a measurement has to remove to count as information.
 DIRECTION = {"double": 1e-11, "float": 1e-4}

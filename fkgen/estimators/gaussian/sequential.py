@@ -15,7 +15,7 @@ import casadi as ca
 
 from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI, Measurement, Row, decorrelate
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.interface import Kind, Status, triangle
 from fkgen.symbolic.linalg import (
     column,
     congruence,
@@ -27,7 +27,6 @@ from fkgen.symbolic.linalg import (
     total,
     unpack,
 )
-from fkgen.symbolic.packing import triangle
 
 Form = Literal["short", "joseph"]
 
