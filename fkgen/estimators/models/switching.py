@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -192,7 +193,7 @@ class Switching:
             form=update_form(spec, plants[0], augmented=False),
         )
 
-    def filter(self, source: str, phases: tuple[Phase, Phase], *notes: str) -> Recursion:
+    def recursion(self, source: str, phases: tuple[Phase, Phase], *notes: str) -> Recursion:
         """The recursion of these two phases."""
         return Recursion(
             spec=self.spec,
@@ -296,24 +297,19 @@ def one_step_optimal(spec: Spec) -> Recursion:
     priors = [(symbols["predicted_state"], known[j % len(known)]) for j in range(4)]
     phases = filtering.update(priors, combined), _one_prediction(filtering, beside)
     notes = f"covariance: {option}", filtering.modes.note
-    return filtering.filter("Sigalov & Oshman, sec. III, eqs. (3)-(14)", phases, *notes)
+    return filtering.recursion("Sigalov & Oshman, sec. III, eqs. (3)-(14)", phases, *notes)
 
 
 def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
-    n, packed = spec.model.nx, prior_of(spec)[1] * count
+    n, start = spec.model.nx, prior_of(spec)[1] * count
+    shape = (count, n, n) if count > 1 else (n, n)
     what = f"as if gamma were always 1, for delta = 1{' and C' if count > 1 else ''}"
-    return tuple(
-        carried(
-            f"riccati_{of}covariance",
-            (count, n, n) if count > 1 else (n, n),
-            f"{P} {what}",
-            unit="xx",
-            symmetric=True,
-            start=packed,
-        )
-        for of, P in (("", "P(k+1|k)"), ("filtered_", "P(k|k)"))
-        if count
+    covariance = partial(carried, unit="xx", symmetric=True, start=start)
+    ports = (
+        covariance("riccati_covariance", shape, f"P(k+1|k) {what}"),
+        covariance("riccati_filtered_covariance", shape, f"P(k|k) {what}"),
     )
+    return ports if count else ()
 
 
 def _one_prediction(filtering: Switching, beside: int) -> Phase:
@@ -363,11 +359,11 @@ def interacting_models(spec: Spec) -> Recursion:
     symbols = filtering.symbols
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], spec.model.nx)
     phases = filtering.update(priors, combined), _predictions(filtering)
-    if spec.faults.jump is None:
-        source = "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)"
-        return filtering.filter(source, phases, filtering.modes.note)
-    source = "Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
-    return filtering.filter(source, phases, filtering.modes.note, JUMPING)
+    source, notes = "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)", [filtering.modes.note]
+    if spec.faults.jump is not None:
+        source = "Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
+        notes.append(JUMPING)
+    return filtering.recursion(source, phases, *notes)
 
 
 def _predictions(filtering: Switching) -> Phase:
