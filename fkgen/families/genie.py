@@ -1,4 +1,4 @@
-"""The yardstick: a Kalman filter that is told gamma and delta of every sample.
+"""The genie-aided filter, a lower bound: it is told gamma and delta of every sample.
 
 Sigalov & Oshman, sec. VI: no filter that has to find them out can be better. ``gamma`` (0 or 1) and
 ``delta`` (1 or the noise factor) are run-time parameters.
@@ -40,7 +40,7 @@ def without_law(table: Table, _: Spec) -> Table:
 
 FAMILY = Family(
     name="genie",
-    title="Kalman filter that is told the sensor faults: the yardstick",
+    title="genie-aided Kalman filter, told the sensor faults: a lower bound",
     build=build,
     proof=proof,
     traits=Traits(linear=True, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0))),

@@ -1,4 +1,4 @@
-"""Kalman filter: the family without faults, and the yardstick of the others.
+"""Kalman filter: the family without faults, which the others are compared with.
 
 One step corrects the prediction for sample k with y[k] and predicts sample k + 1 (Anderson & Moore
 1979, sec. 3.1), with missing rows left out and time-varying models through run-time parameters.

@@ -14,7 +14,7 @@ from fkgen.oracle.plants.jump import JumpSystem, simulate_jumps
 from fkgen.oracle.plants.sensor import SensorLaw, gamma_delta, simulate_sensor
 from fkgen.problem import Spec
 
-#: All four modes equally often: for a yardstick that is told them, and states no law.
+#: All four modes equally often: for a genie-aided filter, which is told them and states no law.
 UNIFORM = np.full((4, 4), 0.25)
 
 

@@ -1,4 +1,4 @@
-"""`Script`, the mutable builder: it collects the blocks of a phase while it is written."""
+"""`PhaseBuilder`, the mutable builder: it collects the blocks of a phase while it is written."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fkgen.symbolic.linalg import column
 from fkgen.symbolic.recursion import Block, Condition, Guard, Phase, Variable
 
 
-class Script:
+class PhaseBuilder:
     """Write a phase line by line; `phase` freezes it."""
 
     def __init__(self, ports: Mapping[str, ca.SX]) -> None:
@@ -33,7 +33,7 @@ class Script:
         self._titles.pop()
 
     @contextmanager
-    def when(
+    def if_present(
         self, row: int | None, positive: ca.SX | None = None, *, present: bool = True
     ) -> Iterator[None]:
         """Blocks written inside run only if this row of y is present (any row, if None)."""
@@ -41,9 +41,9 @@ class Script:
         yield
         self._condition = None
 
-    def where(self, positive: ca.SX) -> AbstractContextManager[None]:
+    def if_positive(self, positive: ca.SX) -> AbstractContextManager[None]:
         """Blocks written inside run only if ``positive`` is, whatever rows are present."""
-        return self.when(None, positive, present=False)
+        return self.if_present(None, positive, present=False)
 
     def local(self, name: str, size: int, initial: float | None = None) -> ca.SX:
         """Declare a variable of this phase and return its symbol."""
@@ -59,7 +59,7 @@ class Script:
         """The symbol of a variable or port that is declared."""
         return self._symbols[name]
 
-    def put(self, assign: Mapping[str, ca.SX], guards: Sequence[Guard] = ()) -> None:
+    def assign(self, assign: Mapping[str, ca.SX], guards: Sequence[Guard] = ()) -> None:
         """Append a block: all assignments happen at once."""
         dense = {name: ca.densify(value) for name, value in assign.items()}
         for name, value in dense.items():
@@ -69,12 +69,12 @@ class Script:
         block = Block(title, dense, self._condition, tuple(guards), section="; ".join(sections))
         self._blocks.append(block)
 
-    def let(self, name: str, value: ca.SX, initial: float | None = None) -> ca.SX:
+    def define(self, name: str, value: ca.SX, initial: float | None = None) -> ca.SX:
         """Name an intermediate value, so that it is computed once; constants stay as they are."""
         if value.is_constant():
             return value
         symbol = self.local(name, value.numel(), initial)
-        self.put({name: value})
+        self.assign({name: value})
         return symbol
 
     def name_entries(self, name: str, matrix: ca.SX) -> ca.SX:
@@ -94,7 +94,7 @@ class Script:
         ]
         if not position:
             return tuple(matrices)
-        symbols = self.let(name, ca.cse(column([matrices[at].nz[k] for at, k in position])))
+        symbols = self.define(name, ca.cse(column([matrices[at].nz[k] for at, k in position])))
         named = tuple(ca.SX(matrix) for matrix in matrices)
         for i, (at, k) in enumerate(position):
             named[at].nz[k] = symbols[i]
@@ -104,7 +104,7 @@ class Script:
         """Refuse the sample unless all values are of this kind; constants are left out."""
         undecided = [value for value in values if not value.is_constant()]
         if undecided:
-            self.put({}, [Guard(column(undecided), kind, status)])
+            self.assign({}, [Guard(column(undecided), kind, status)])
 
     def phase(self, *, unless: str | None = None) -> Phase:
         """Freeze what was written, without assignments to locals that nothing reads."""

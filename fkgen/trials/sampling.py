@@ -21,7 +21,7 @@ from fkgen.backend.printer import StatementPrinter
 from fkgen.backend.render import elementary_context, filled
 from fkgen.problem import Spec
 from fkgen.symbolic import recursion
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Role, Status
 from fkgen.symbolic.linalg import column, is_zero, sparse
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
@@ -138,38 +138,38 @@ def _symbols(spec: Spec, plant: Plant, conditions: Conditions) -> dict[str, ca.S
 
 def _start(spec: Spec, symbols: Mapping[str, ca.SX]) -> recursion.Phase:
     """x[0] = x0 + root(P0) w."""
-    script = Script(symbols)
+    builder = PhaseBuilder(symbols)
     x0, root = ca.SX(spec.model.x0.values()), lower_root(ca.SX(spec.model.P0.values()))
-    script.put({"state": x0 + root @ symbols["w"]})
-    return script.phase()
+    builder.assign({"state": x0 + root @ symbols["w"]})
+    return builder.phase()
 
 
 def _law(
     spec: Spec, plant: Plant, conditions: Conditions, symbols: Mapping[str, ca.SX]
 ) -> recursion.Phase:
     """The probabilities of the Bernoulli variables, of which none may be negative."""
-    script = Script(symbols)
+    builder = PhaseBuilder(symbols)
     thresholds: list[ca.SX] = []
     for patterns in probabilities_of(spec, plant, conditions, symbols["hypothesis"]):
         sums = list(accumulate(patterns))
         every = [value + _ROUNDED for value in (*patterns, 1 - sums[-1])]
-        script.demand(Kind.NONNEGATIVE, every, Status.PARAMETER_OUT_OF_RANGE)
+        builder.demand(Kind.NONNEGATIVE, every, Status.PARAMETER_OUT_OF_RANGE)
         thresholds += sums
     if thresholds:
-        script.put({"threshold": column(thresholds)})
-    return script.phase()
+        builder.assign({"threshold": column(thresholds)})
+    return builder.phase()
 
 
 def _sample(
     plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX], port: str
 ) -> recursion.Phase:
     """y[k] = s (C x + D u) + d root(R) v, or x[k+1] = A x + B u + root(Q) w + c."""
-    script, indicator = Script(symbols), symbols["indicator"]
+    builder, indicator = PhaseBuilder(symbols), symbols["indicator"]
     letters, noise = ("CDR", "v") if port == "measurement" else ("ABQ", "w")
     M, N, covariances = ([getattr(plant, letter) for plant in plants] for letter in letters)
     for covariance in covariances:
         variances = ca.vertsplit(sparse(ca.diag(covariance)))
-        script.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+        builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
     roots = {id(covariance): lower_root(covariance) for covariance in covariances}
     root = _moving([roots[id(covariance)] for covariance in covariances], indicator)
     u = symbols["coin"] * symbols["u"] if conditions.coins else symbols["u"]
@@ -182,9 +182,9 @@ def _sample(
         value = signal * value + deviation * added
     else:
         value = value + added + _moving([plant.c for plant in plants], indicator)
-    script.put({port: value})
-    script.demand(Kind.FINITE, ca.vertsplit(symbols[port]), Status.RESULT_NOT_FINITE)
-    return script.phase()
+    builder.assign({port: value})
+    builder.demand(Kind.FINITE, ca.vertsplit(symbols[port]), Status.RESULT_NOT_FINITE)
+    return builder.phase()
 
 
 def _moving(values: Sequence[ca.SX], indicator: ca.SX) -> ca.SX:

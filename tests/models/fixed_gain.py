@@ -11,7 +11,7 @@ from fkgen.families.family import Family, Proof
 from fkgen.oracle.claims.claim import ClosedForm
 from fkgen.problem.filter import Options
 from fkgen.problem.table.section import as_list, as_number
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.linalg import congruence, pack, unpack
 from fkgen.symbolic.plant import plant_of
 from fkgen.symbolic.ports import innovation_ports, prior_of, state_ports, symbols_of
@@ -50,15 +50,15 @@ def build(spec):
 
 
 def corrected(plant, symbols, K):
-    script = Script(symbols)
+    builder = PhaseBuilder(symbols)
     x, P = symbols["predicted_state"], unpack(symbols["predicted_covariance"], plant.nx)
-    seen = script.local("seen", 1, 0.0)
-    off = script.local("off", 1, 0.0)
-    S = script.let("S", plant.C @ P @ plant.C.T + plant.R)
-    with script.when(row=0):
-        script.put({"seen": ca.SX(1.0), "off": symbols["y"] - plant.C @ x})
+    seen = builder.local("seen", 1, 0.0)
+    off = builder.local("off", 1, 0.0)
+    S = builder.define("S", plant.C @ P @ plant.C.T + plant.R)
+    with builder.if_present(row=0):
+        builder.assign({"seen": ca.SX(1.0), "off": symbols["y"] - plant.C @ x})
     rest = ca.SX.eye(plant.nx) - seen * K @ plant.C
-    script.put(
+    builder.assign(
         {
             "filtered_state": x + K * off,
             "filtered_covariance": congruence(rest, P) + congruence(seen * K, plant.R),
@@ -68,19 +68,19 @@ def corrected(plant, symbols, K):
             "log_likelihood": -0.5 * (off * off / S + seen * ca.log(2.0 * np.pi * S)),
         }
     )
-    return script.phase()
+    return builder.phase()
 
 
 def moved(plant, symbols):
-    script = Script(symbols)
+    builder = PhaseBuilder(symbols)
     P = unpack(symbols["filtered_covariance"], plant.nx)
-    script.put(
+    builder.assign(
         {
             "predicted_state": plant.A @ symbols["filtered_state"],
             "predicted_covariance": congruence(plant.A, P) + pack(plant.Q),
         }
     )
-    return script.phase()
+    return builder.phase()
 
 
 def in_numpy(spec, record):

@@ -133,8 +133,8 @@ def test_mistake_z_not_propagated(maintenance):
 def changed_host(monkeypatch, change):
     right = partial._by_host
 
-    def by_host(script, given, y, known):
-        found, carried = right(script, given, y, known)
+    def by_host(builder, given, y, known):
+        found, carried = right(builder, given, y, known)
         return found, change(carried, known[1])
 
     monkeypatch.setattr(partial, "_by_host", by_host)
@@ -208,8 +208,8 @@ def test_mistake_s_not_compressed(maintenance, monkeypatch):
 def test_mistake_a_start_that_remembers_s(monkeypatch):
     right = partial._first
 
-    def remembering(script, partial, measurement):
-        found = right(script, partial, measurement)
+    def remembering(builder, partial, measurement):
+        found = right(builder, partial, measurement)
         return replace(found, cross=found.cross + 0.1)
 
     monkeypatch.setattr(partial, "_first", remembering)
@@ -277,10 +277,10 @@ def test_mistake_in_the_gain_without_s(monkeypatch):
 
     closing = partial._taken_over
 
-    def wrong(script, given):
+    def wrong(builder, given):
         with monkeypatch.context() as patch:
             patch.setattr(Compressed, "joint", uncorrelated)
-            return closing(script, given)
+            return closing(builder, given)
 
     monkeypatch.setattr(partial, "_taken_over", wrong)
     text = refusals(recursion(plant()))
@@ -311,8 +311,8 @@ def test_mistake_a_rejected_measurement_used_all_the_same():
 def test_mistake_windows_of_another_length(shift, monkeypatch):
     right = window.count_down
 
-    def wrong(script, symbols, soft):
-        return right(script, symbols, replace(soft, window=soft.window + shift))
+    def wrong(builder, symbols, soft):
+        return right(builder, symbols, replace(soft, window=soft.window + shift))
 
     monkeypatch.setattr(window, "count_down", wrong)
     spec = plant()

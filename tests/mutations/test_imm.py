@@ -24,15 +24,15 @@ def test_what_is_not_mutated_passes(name):
     assert len(proved(recursion(plant(name))).claims) == 3
 
 
-def moved_before_mixing(script, filtering, modes, law):
+def moved_before_mixing(builder, filtering, modes, law):
     """The step from x[k] to x[k+1] is that of mode k."""
     symbols, motions = filtering.symbols, modes.motions
     parts = filtering.filtered()
     left = []
     for i, (part, each) in enumerate(zip(parts, motions, strict=True)):
         state, packed, _ = propagate(each, certain(symbols["u"]), Posterior(*part))
-        left.append((script.let(f"left_{i}", state), script.let(f"left_P_{i}", packed)))
-    mixer = merge.Mixer(script, "mixed", left, "double")
+        left.append((builder.define(f"left_{i}", state), builder.define(f"left_P_{i}", packed)))
+    mixer = merge.Mixer(builder, "mixed", left, "double")
     mixed = [
         mixer.under(weights, f"_{at}", column)
         for at, (weights, column) in enumerate(zip(law.mixing, law.columns, strict=True))
@@ -59,8 +59,8 @@ def test_mistake_modes_move_as_their_neighbours(monkeypatch):
 def test_mistake_combined_prediction_weighted_with_the_mode_of_the_present(name, monkeypatch):
     right = switching._combined
 
-    def present(script, filtering, motions, moved, _):
-        return right(script, filtering, motions, moved, filtering.symbols["mode_probability"])
+    def present(builder, filtering, motions, moved, _):
+        return right(builder, filtering, motions, moved, filtering.symbols["mode_probability"])
 
     monkeypatch.setattr(switching, "_combined", present)
     assert TEXTBOOK in refusals(recursion(plant(name)))

@@ -57,11 +57,11 @@ def test_what_is_not_mutated_passes(law):
 def test_mistake_p11_once_instead_of_squared(law, monkeypatch):
     right = lemma2._noise
 
-    def once(script, design, plant, *rest):
+    def once(builder, design, plant, *rest):
         p11 = design.persistence()
         P = unpack(design.symbols["predicted_covariance"], plant.nx)
         signal = unpack(congruence(plant.C, P), plant.ny)  # p11 C P C' + W for p11^2 C P C' + W
-        return right(script, design, plant, *rest) + (p11 - p11 * p11) * signal
+        return right(builder, design, plant, *rest) + (p11 - p11 * p11) * signal
 
     plant = linear(law)
     monkeypatch.setattr(lemma2, "_noise", once)

@@ -89,8 +89,8 @@ def test_mistake_mode_after_the_jump(monkeypatch):
     """y[k] and the step to k + 1 belong to mode[k], not to mode[k + 1]."""
     right = jump.mean_noise
 
-    def late(script, split, plants, law):
-        return right(script, split, plants, jump.next_law(split, law))
+    def late(builder, split, plants, law):
+        return right(builder, split, plants, jump.next_law(split, law))
 
     monkeypatch.setattr(jump, "mean_noise", late)
     assert_seen(recursion(PLAIN))

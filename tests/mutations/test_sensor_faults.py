@@ -133,8 +133,8 @@ def test_mistake_missing_spread_term_in_one_step(monkeypatch):
 
 @pytest.mark.parametrize("which", MATCHED)
 def test_mistake_transposed_kernel(which, monkeypatch):
-    def transposed(script, kernel, *rest, **options):
-        return weights.advance(script, tuple(zip(*kernel, strict=True)), *rest, **options)
+    def transposed(builder, kernel, *rest, **options):
+        return weights.advance(builder, tuple(zip(*kernel, strict=True)), *rest, **options)
 
     monkeypatch.setattr(switching, "advance", transposed)
     assert TEXTBOOK in refusals(recursion(scalar(ANY, which)))
@@ -154,8 +154,8 @@ def test_mistake_mu0_propagated_before_the_first_sample(which):
 
 @pytest.mark.parametrize("which", MATCHED)
 def test_mistake_probability_floor(which, monkeypatch):
-    def floored(script, held, logs, _, kind):
-        return weights.reweigh(script, held, logs, 1e-12, kind)
+    def floored(builder, held, logs, _, kind):
+        return weights.reweigh(builder, held, logs, 1e-12, kind)
 
     monkeypatch.setattr(switching, "reweigh", floored)
     mutant = recursion(scalar(SURE, which))
@@ -165,20 +165,20 @@ def test_mistake_probability_floor(which, monkeypatch):
     assert found["mode_probability"][0, 1:].all()
 
 
-def without_logarithms(script, held, logs, _, __):
+def without_logarithms(builder, held, logs, _, __):
     """Bayes' rule with densities themselves."""
     probability, _ = held
     n = len(logs)
     result = weights.Weights(
-        script.local("weight", n),
-        script.local("log_weight_now", n),
-        script.local("evidence", 1, 0.0),
+        builder.local("weight", n),
+        builder.local("log_weight_now", n),
+        builder.local("evidence", 1, 0.0),
     )
-    script.put({"weight": probability, "log_weight_now": held[1]})
-    with script.when(None):
+    builder.assign({"weight": probability, "log_weight_now": held[1]})
+    with builder.if_present(None):
         joint = ca.vertcat(*(probability[i] * ca.exp(logs[i]) for i in range(n)))
         total = ca.sum1(joint)
-        script.put(
+        builder.assign(
             {
                 "weight": joint / total,
                 "log_weight_now": ca.log(joint / total),
@@ -229,8 +229,8 @@ def test_mistake_no_spread(name, monkeypatch):
     assert (BAYES in failed) is (name == "combined")
 
 
-def normalised_over_j(script, kernel, now, *rest, **options):
-    right = weights.advance(script, kernel, now, *rest, **options)
+def normalised_over_j(builder, kernel, now, *rest, **options):
+    right = weights.advance(builder, kernel, now, *rest, **options)
     columns = zip(*kernel, strict=True)
     # p_ij mu_i / sum_j p_ij mu_i
     mixing = tuple(ca.SX(list(entries)) * now[0] / (now[0] + 1e-290) for entries in columns)
@@ -238,8 +238,8 @@ def normalised_over_j(script, kernel, now, *rest, **options):
     return replace(right, mixing=mixing, columns=(None,) * count, group=tuple(range(count)))
 
 
-def of_the_present(script, kernel, now, *rest, **options):
-    right = weights.advance(script, kernel, now, *rest, **options)
+def of_the_present(builder, kernel, now, *rest, **options):
+    right = weights.advance(builder, kernel, now, *rest, **options)
     return replace(right, probability=now[0], logarithm=now[1])
 
 

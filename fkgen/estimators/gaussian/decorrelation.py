@@ -13,7 +13,7 @@ from functools import partial
 
 import casadi as ca
 
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import is_zero, sparse, total, unpack
 
@@ -58,7 +58,7 @@ class Row:
 
 
 def decorrelate(
-    script: Script, measurement: Measurement, innovation: list[ca.SX], tag: str
+    builder: PhaseBuilder, measurement: Measurement, innovation: list[ca.SX], tag: str
 ) -> list[Row]:
     """Write the blocks of the elimination; a diagonal R passes through without any."""
     p = measurement.C.shape[0]
@@ -73,14 +73,14 @@ def decorrelate(
             continue
         pivot, coupling = R[j, j], {i: R[i, j] for i in later}
         positive = None if tolerance is None else pivot - tolerance * measurement.R[j, j]
-        revised = partial(_revised, script, (measurement.at[j], positive))
-        with script.titled(f"noise of {measurement.rows[j]} out of the rows below"):
+        revised = partial(_revised, builder, (measurement.at[j], positive))
+        with builder.titled(f"noise of {measurement.rows[j]} out of the rows below"):
             if tolerance is None:
-                with script.when(measurement.at[j]):
-                    script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
+                with builder.if_present(measurement.at[j]):
+                    builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
             for i in later:
                 name = f"{tag}_{j}_{i}"
-                share = script.let(f"share{name}", coupling[i] / pivot)
+                share = builder.define(f"share{name}", coupling[i] / pivot)
                 C[i] = revised(f"sensed{name}", C[i], C[i] - share * C[j])
                 e[i] = revised(f"decorrelated{name}", e[i], e[i] - share * e[j])
                 of_y[i] = revised(f"combined{name}", of_y[i], of_y[i] - share * of_y[j])
@@ -92,16 +92,16 @@ def decorrelate(
 
 
 def _revised(
-    script: Script, when: tuple[int, ca.SX | None], name: str, old: ca.SX, new: ca.SX
+    builder: PhaseBuilder, when: tuple[int, ca.SX | None], name: str, old: ca.SX, new: ca.SX
 ) -> ca.SX:
     """The new value where a row is present and something positive, the old one elsewhere."""
     pattern = new.sparsity()
     if pattern.nnz() == 0:
         return new
-    symbol = script.local(name, pattern.nnz())
-    script.put({name: ca.vertcat(ca.project(old, pattern).nz[:])})
-    with script.when(*when):
-        script.put({name: ca.vertcat(new.nz[:])})
+    symbol = builder.local(name, pattern.nnz())
+    builder.assign({name: ca.vertcat(ca.project(old, pattern).nz[:])})
+    with builder.if_present(*when):
+        builder.assign({name: ca.vertcat(new.nz[:])})
     return ca.SX(pattern, symbol)
 
 
@@ -122,23 +122,23 @@ class Whitened:
         return total(e[j] * e[j] * inverse for j, inverse in enumerate(self.inverse))
 
 
-def whiten(script: Script, packed: ca.SX, columns: ca.SX, tag: str) -> Whitened:
+def whiten(builder: PhaseBuilder, packed: ca.SX, columns: ca.SX, tag: str) -> Whitened:
     """Write the blocks that eliminate S (packed) from ``columns`` (p, c)."""
     p = columns.shape[0]
     S = ca.SX(unpack(packed, p))
     rows = [columns[i, :] for i in range(p)]
     inverses, logs = [], []
     for j in range(p):
-        pivot = script.let(f"whitening_pivot{tag}_{j}", S[j, j])
+        pivot = builder.define(f"whitening_pivot{tag}_{j}", S[j, j])
         inverse, log = f"whitening_inverse{tag}_{j}", f"whitening_log{tag}_{j}"
-        inverses.append(script.local(inverse, 1, initial=0.0))
-        logs.append(script.local(log, 1, initial=0.0))
-        with script.when(j):
-            script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
-            script.put({inverse: 1 / pivot})
-            script.put({log: ca.log(pivot) + LOG_TWO_PI})
+        inverses.append(builder.local(inverse, 1, initial=0.0))
+        logs.append(builder.local(log, 1, initial=0.0))
+        with builder.if_present(j):
+            builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
+            builder.assign({inverse: 1 / pivot})
+            builder.assign({log: ca.log(pivot) + LOG_TWO_PI})
         for i in range(j + 1, p):
-            share = script.let(f"whitening{tag}_{j}_{i}", S[i, j] * inverses[j])
+            share = builder.define(f"whitening{tag}_{j}_{i}", S[i, j] * inverses[j])
             rows[i] = rows[i] - share * rows[j]
             for k in range(j + 1, i + 1):
                 S[i, k] = S[i, k] - share * S[k, j]

@@ -22,7 +22,7 @@ from fkgen.estimators.gaussian.sequential import (
     condition,
 )
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, unpack
 from fkgen.symbolic.plant import Plant
@@ -71,7 +71,7 @@ def prior_to_noise(spec: Spec) -> float:
 
 
 def correct(
-    script: Script,
+    builder: PhaseBuilder,
     plant: Plant,
     actuation: Actuation,
     prior: tuple[ca.SX, ca.SX],
@@ -90,7 +90,7 @@ def correct(
         C = ca.horzcat(C, plant.D @ actuation.through)
     measurement = measurement_of(plant, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R)
     found = condition(
-        script, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
+        builder, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
     )
     P = unpack(found.covariance, state.numel())
     posterior = Posterior(
@@ -137,21 +137,21 @@ def propagate(
     return state + B @ posterior.deviation, congruence(through, joint) + pack(plant.Q), through
 
 
-def bound(script: Script, plant: Plant, letters: str) -> Plant:
+def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
     """The plant with its computed entries named; variances below zero are refused."""
-    return bound_all(script, (plant,), letters)[0]
+    return bound_all(builder, (plant,), letters)[0]
 
 
-def bound_all(script: Script, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
+def bound_all(builder: PhaseBuilder, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
     """The same for several plants; a matrix that is the same object in some is named once."""
     named: dict[int, Any] = {}
     for letter in letters:
         own = {id(matrix): matrix for matrix in (getattr(plant, letter) for plant in plants)}
-        named |= zip(own, script.name_all(letter, [*own.values()]), strict=True)
+        named |= zip(own, builder.name_all(letter, [*own.values()]), strict=True)
         for matrix in (named[key] for key in own if letter in "QR"):
             diagonal = [matrix[i, i] for i in range(matrix.shape[0])]
             variances = [value for value in diagonal if not is_zero(value)]
-            script.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+            builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
     return tuple(
         replace(plant, **{letter: named[id(getattr(plant, letter))] for letter in letters})
         for plant in plants
@@ -164,15 +164,15 @@ def finite(state: ca.SX, packed: ca.SX) -> Guard:
     return Guard(ca.densify(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
 
 
-def demand_finite(script: Script, state: ca.SX) -> None:
+def demand_finite(builder: PhaseBuilder, state: ca.SX) -> None:
     """Refuse the sample unless the corrected state is finite.
 
     Its variances are then finite too: none is larger than before the correction, and a pivot whose
     reciprocal overflows spoils the state along with them.
     """
-    script.demand(Kind.FINITE, ca.vertsplit(state), Status.RESULT_NOT_FINITE)
+    builder.demand(Kind.FINITE, ca.vertsplit(state), Status.RESULT_NOT_FINITE)
 
 
-def demand_positive(script: Script, packed: ca.SX, n: int) -> None:
+def demand_positive(builder: PhaseBuilder, packed: ca.SX, n: int) -> None:
     """Refuse to go on from a covariance with a negative variance."""
-    script.demand(Kind.NONNEGATIVE, diagonal(packed, n), Status.NOT_POSITIVE_DEFINITE)
+    builder.demand(Kind.NONNEGATIVE, diagonal(packed, n), Status.NOT_POSITIVE_DEFINITE)

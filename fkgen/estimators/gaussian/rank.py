@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import triangle
 from fkgen.symbolic.linalg import column, pack, unpack
 
@@ -30,7 +30,7 @@ class QuadraticForm:
 
 
 def quadratic_form(
-    script: Script, names: tuple[str, str, str], n: int, tolerance: float, table: list[float]
+    builder: PhaseBuilder, names: tuple[str, str, str], n: int, tolerance: float, table: list[float]
 ) -> QuadraticForm:
     """Write the elimination of D (packed), of d and of the variances that pivots are measured by.
 
@@ -38,10 +38,10 @@ def quadratic_form(
     a variance that counts; ``table[r - 1]`` is looked up at rank r.
     """
     tag = names[0].removeprefix("difference")
-    packed, vector, variance = (script.symbol(name) for name in names)
+    packed, vector, variance = (builder.symbol(name) for name in names)
     matrix = ca.densify(unpack(packed, n))
     form = QuadraticForm(
-        *(script.local(f"{what}{tag}", 1, 0.0) for what in ("statistic", "dof", "threshold"))
+        *(builder.local(f"{what}{tag}", 1, 0.0) for what in ("statistic", "dof", "threshold"))
     )
     for j in range(n):
         for i in range(j + 1, n):  # components change places if i has the larger share
@@ -50,21 +50,21 @@ def quadratic_form(
             exchanged = column(
                 [matrix[order[a], order[b]] if b >= j else matrix[a, b] for a, b in triangle(n)]
             )
-            with script.where(matrix[i, i] * variance[j] - matrix[j, j] * variance[i]):
+            with builder.if_positive(matrix[i, i] * variance[j] - matrix[j, j] * variance[i]):
                 new = exchanged, vector[order], variance[order]
-                script.put(dict(zip(names, new, strict=True)))
+                builder.assign(dict(zip(names, new, strict=True)))
         pivot = matrix[j, j]
-        with script.where(pivot - tolerance * variance[j]):
-            inverse = script.let(f"inverse{tag}_{j}", 1 / pivot, initial=0.0)
+        with builder.if_positive(pivot - tolerance * variance[j]):
+            inverse = builder.define(f"inverse{tag}_{j}", 1 / pivot, initial=0.0)
             weight = vector[j] * inverse
             reduced, rest = ca.SX(matrix), ca.SX(vector)
             for i in range(j + 1, n):
-                share = script.let(f"share{tag}_{j}_{i}", matrix[i, j] * inverse, 0.0)
+                share = builder.define(f"share{tag}_{j}_{i}", matrix[i, j] * inverse, 0.0)
                 rest[i] = vector[i] - share * vector[j]
                 for k in range(j + 1, i + 1):
                     reduced[i, k] = matrix[i, k] - share * matrix[k, j]
             left = {names[0]: pack(reduced), names[1]: rest} if j + 1 < n else {}
-            script.put(
+            builder.assign(
                 {
                     f"statistic{tag}": form.value + vector[j] * weight,
                     f"dof{tag}": ca.SX(j + 1),

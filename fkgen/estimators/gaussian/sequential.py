@@ -14,7 +14,7 @@ from typing import Literal
 import casadi as ca
 
 from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI, Measurement, Row, decorrelate
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status, triangle
 from fkgen.symbolic.linalg import (
     column,
@@ -51,7 +51,7 @@ class Conditioned:
 
 
 def condition(
-    script: Script,
+    builder: PhaseBuilder,
     prior: tuple[ca.SX, ca.SX],
     measurement: Measurement,
     *,
@@ -66,11 +66,11 @@ def condition(
     """
     (mean, covariance), (p, m) = prior, measurement.C.shape
     if innovation is None:
-        innovation = innovations(script, mean, measurement, tag)
-    variance = _variance(script, covariance, measurement, tag)
+        innovation = innovations(builder, mean, measurement, tag)
+    variance = _variance(builder, covariance, measurement, tag)
     update = SequentialUpdate(
-        script=script,
-        rows=decorrelate(script, measurement, innovation, tag),
+        builder=builder,
+        rows=decorrelate(builder, measurement, innovation, tag),
         at=measurement.at,
         tag=tag,
         form=form,
@@ -82,7 +82,7 @@ def condition(
         pivots_per_log=measurement.pivots_per_log,
     )
     for i in range(p):
-        with script.titled(f"row {measurement.at[i]} of y, {measurement.rows[i]}"):
+        with builder.titled(f"row {measurement.at[i]} of y, {measurement.rows[i]}"):
             update.update_row(i)
     logarithms = [ca.log(product) for product in update.determinant]
     return Conditioned(
@@ -97,7 +97,7 @@ def condition(
 
 
 def _variance(
-    script: Script, covariance: ca.SX, measurement: Measurement, tag: str
+    builder: PhaseBuilder, covariance: ca.SX, measurement: Measurement, tag: str
 ) -> ca.SX | None:
     """S = C P C' + R, packed; None if it comes cheaper from the factors of the row updates.
 
@@ -109,19 +109,21 @@ def _variance(
     decided = R.sparsity().is_diag() and measurement.rank_tolerance is None
     if decided and by_factors <= operations(S):
         return None
-    return script.let(f"variance{tag}", S)
+    return builder.define(f"variance{tag}", S)
 
 
-def innovations(script: Script, mean: ca.SX, measurement: Measurement, tag: str) -> list[ca.SX]:
+def innovations(
+    builder: PhaseBuilder, mean: ca.SX, measurement: Measurement, tag: str
+) -> list[ca.SX]:
     """Each row of y minus its prediction; zero where the row is missing."""
     result = []
-    with script.titled("innovation, row by row"):
+    with builder.titled("innovation, row by row"):
         for i in range(measurement.C.shape[0]):
             name = f"innovation{tag}_{i}"
-            result.append(script.local(name, 1, initial=0.0))
+            result.append(builder.local(name, 1, initial=0.0))
             predicted = ca.mtimes(measurement.C[i, :], mean)
-            with script.when(measurement.at[i]):
-                script.put({name: measurement.y[i] - predicted - measurement.offset[i]})
+            with builder.if_present(measurement.at[i]):
+                builder.assign({name: measurement.y[i] - predicted - measurement.offset[i]})
     return result
 
 
@@ -135,7 +137,7 @@ class SequentialUpdate:
     rows of y that have to be there, empty if these rows are no rows of y.
     """
 
-    script: Script
+    builder: PhaseBuilder
     rows: list[Row]
     at: tuple[int, ...]
     tag: str
@@ -160,19 +162,19 @@ class SequentialUpdate:
         self.mean = self.prior
         self.determinant = [ca.SX(1)] * -(-len(self.rows) // pivots_per_log)
         start = {f"mean{self.tag}": self.mean, f"covariance{self.tag}": self.covariance}
-        self.symbols = {name: self.script.local(name, v.numel()) for name, v in start.items()}
-        self.script.put(start)
+        self.symbols = {name: self.builder.local(name, v.numel()) for name, v in start.items()}
+        self.builder.assign(start)
 
     def update_row(self, i: int) -> None:
         """Take row i in: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
-        row, script, tag, significant = self.rows[i], self.script, self.tag, None
+        row, builder, tag, significant = self.rows[i], self.builder, self.tag, None
         cross = unpack(self.covariance, self.mean.numel()) @ row.c
         if not all(each.is_leaf() for each in ca.vertsplit(cross)):
-            cross = script.let(f"cross{tag}_{i}", cross)
+            cross = builder.define(f"cross{tag}_{i}", cross)
         later = self.rows[i + 1 :] if self.variance is None else []
         products = [ca.mtimes(other.c.T, cross) for other in later]
-        coupling = script.let(f"coupling{tag}_{i}", column(products))
-        pivot = script.let(f"pivot{tag}_{i}", ca.mtimes(row.c.T, cross) + row.variance)
+        coupling = builder.define(f"coupling{tag}_{i}", column(products))
+        pivot = builder.define(f"pivot{tag}_{i}", ca.mtimes(row.c.T, cross) + row.variance)
         self.coupling.append(coupling)
         self.pivot.append(pivot)
         innovation = self._innovation(i)
@@ -182,10 +184,10 @@ class SequentialUpdate:
             return
         if self.rank_tolerance is not None and self.variance is not None:
             own = diagonal(self.variance, len(self.rows))[i]
-            script.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
+            builder.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
             significant = pivot - self.rank_tolerance * own  # no combination of the rows before it
         row_of_y = self.at[i] if self.at else None
-        with script.when(row_of_y, significant, present=bool(self.at)):
+        with builder.if_present(row_of_y, significant, present=bool(self.at)):
             self._update(i, cross, innovation)
 
     def _innovation(self, i: int) -> ca.SX:
@@ -199,9 +201,9 @@ class SequentialUpdate:
         return innovation
 
     def _update(self, i: int, cross: ca.SX, innovation: ca.SX) -> None:
-        script, row, tag, pivot = self.script, self.rows[i], self.tag, self.pivot[i]
-        script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
-        inverse = script.let(f"inverse{tag}_{i}", 1 / pivot, initial=0.0)
+        builder, row, tag, pivot = self.builder, self.rows[i], self.tag, self.pivot[i]
+        builder.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
+        inverse = builder.define(f"inverse{tag}_{i}", 1 / pivot, initial=0.0)
         weight, k = innovation * inverse, cross * inverse
         constant = pivot.is_constant()  # its logarithm is taken right here
         chunk = i * len(self.determinant) // len(self.rows)
@@ -221,7 +223,7 @@ class SequentialUpdate:
             gain = self.gain + ca.mtimes(k, row.of_y.T - ca.mtimes(row.c.T, self.gain))
             new[f"update_gain{tag}"] = ca.reshape(ca.densify(gain), -1, 1)
         symbol = {name: self._symbol(name, value.numel()) for name, value in new.items()}
-        script.put({name: value for name, value in new.items() if value.numel()})
+        builder.assign({name: value for name, value in new.items() if value.numel()})
         self.weight.append(symbol[f"weight{tag}_{i}"])
         self.factor.append(symbol[f"factor{tag}_{i}"])
         self.nis = symbol[f"quadratic{tag}"]
@@ -237,7 +239,7 @@ class SequentialUpdate:
         """The variable of this name, declared at first use: neutral where its row is missing."""
         if name not in self.symbols:
             initial = 1.0 if name.startswith("determinant") else 0.0
-            self.symbols[name] = self.script.local(name, size, initial) if size else ca.SX(0, 1)
+            self.symbols[name] = self.builder.local(name, size, initial) if size else ca.SX(0, 1)
         return self.symbols[name]
 
     def innovation_covariance(self) -> ca.SX:

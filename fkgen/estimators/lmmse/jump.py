@@ -35,7 +35,7 @@ from fkgen.estimators.lmmse.kalman import constant, innovation_results
 from fkgen.estimators.lmmse.loss_tests import LossTest, judges, loss_outcomes, loss_ports
 from fkgen.faults.sensor import EQUAL
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import (
     column,
@@ -260,14 +260,14 @@ def step_of(z: AugmentedState, plant: Plant, u: ca.SX) -> ca.SX:
 
 
 def moved_moments(
-    script: Script, z: AugmentedState, plants: Sequence[Plant], now: Moments, u: ca.SX
+    builder: PhaseBuilder, z: AugmentedState, plants: Sequence[Plant], now: Moments, u: ca.SX
 ) -> list[ca.SX]:
     """Second moment of (A x + b, 1) 1{mode}, or of A x 1{mode}, mode by mode."""
     result = []
     for i in range(z.modes):
         before = now.joint(i) if z.ones else now.second[i]
         moved = congruence(step_of(z, z.plant(plants, i), u), before)
-        result.append(unpack(script.let(f"moved_moment_{i}", moved), z.width))
+        result.append(unpack(builder.define(f"moved_moment_{i}", moved), z.width))
     return result
 
 
@@ -333,15 +333,15 @@ def mixing(z: AugmentedState) -> tuple[ca.SX, ca.SX]:
 
 def _predict(z: AugmentedState, symbols: dict[str, ca.SX]) -> Phase:
     """The phase ``predict`` of a gain that follows the moments."""
-    script, n = Script(symbols), z.base.nx
+    builder, n = PhaseBuilder(symbols), z.base.nx
     u = symbols["u"]
-    plants = bound_all(script, z.plants, "ABQc")
+    plants = bound_all(builder, z.plants, "ABQc")
     now = moments_of(z, symbols, "")
-    with script.titled("second moments, mode by mode"):
-        moved = moved_moments(script, z, plants, now, u)
+    with builder.titled("second moments, mode by mode"):
+        moved = moved_moments(builder, z, plants, now, u)
         law = next_law(z, z.law(symbols, ""))
         noise = [
-            unpack(script.let(f"plant_noise_{j}", pack(each)), n)
+            unpack(builder.define(f"plant_noise_{j}", pack(each)), n)
             for j, each in enumerate(plant_noise(z, plants, now.law))
         ]
         mixed = z.mixed(moved)
@@ -353,23 +353,23 @@ def _predict(z: AugmentedState, symbols: dict[str, ca.SX]) -> Phase:
             results["predicted_mode_first_moment"] = ca.vertcat(*first)
         if not z.settled:
             results["predicted_mode_law"] = law
-    with script.titled("every mode's step"):
+    with builder.titled("every mode's step"):
         G, known = steps(z, plants, u)
-        moved_state = script.let("moved_state", G @ symbols["augmented_filtered_state"] + known)
+        moved_state = builder.define("moved_state", G @ symbols["augmented_filtered_state"] + known)
         filtered = unpack(symbols["augmented_filtered_covariance"], z.size)
-        packed = script.let("moved_covariance", row_congruence(G, filtered))
-    with script.titled("mixing by the chain"):
+        packed = builder.define("moved_covariance", row_congruence(G, filtered))
+    with builder.titled("mixing by the chain"):
         M, known = mixing(z)
         state = M @ moved_state + known
         covariance = row_congruence(M, unpack(packed, z.size))
         covariance += pack(augmented_noise(z, moved, noise))
-    with script.titled("prediction of the next sample"):
+    with builder.titled("prediction of the next sample"):
         results |= {"augmented_state": state, "augmented_covariance": covariance}
         results |= whole(z, state, covariance, "predicted")
         guards = [finite(state, covariance)]
         guards += [finite(column([each[0]]), each) for each in second]
-        script.put(results, guards)
-    return script.phase()
+        builder.assign(results, guards)
+    return builder.phase()
 
 
 def whole(z: AugmentedState, state: ca.SX, packed: ca.SX, prefix: str) -> dict[str, ca.SX]:
@@ -434,10 +434,12 @@ def _notes(z: AugmentedState) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def mean_noise(script: Script, z: AugmentedState, plants: Sequence[Plant], law: ca.SX) -> ca.SX:
+def mean_noise(
+    builder: PhaseBuilder, z: AugmentedState, plants: Sequence[Plant], law: ca.SX
+) -> ca.SX:
     """sum_i pi_i R_i, its computed entries named."""
     noises = [plant.R for plant in plants[: len(z.chain.modes)]]
-    return script.name_entries("mean_noise", sparse(shared(noises, ca.vertsplit(law))))
+    return builder.name_entries("mean_noise", sparse(shared(noises, ca.vertsplit(law))))
 
 
 def signal_moment(z: AugmentedState, plants: Sequence[Plant], now: Moments, u: ca.SX) -> ca.SX:
@@ -457,24 +459,24 @@ def signal_moment(z: AugmentedState, plants: Sequence[Plant], now: Moments, u: c
 
 
 def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, form: Form) -> Phase:
-    script, u = Script(symbols), symbols["u"]
+    builder, u = PhaseBuilder(symbols), symbols["u"]
     prior = symbols["augmented_state"], symbols["augmented_covariance"]
-    demand_positive(script, prior[1], z.size)
-    plants = bound_all(script, z.plants, "CDR")
+    demand_positive(builder, prior[1], z.size)
+    plants = bound_all(builder, z.plants, "CDR")
     now = moments_of(z, symbols, "predicted_")
-    noise = mean_noise(script, z, plants, z.law(symbols, "predicted_"))
+    noise = mean_noise(builder, z, plants, z.law(symbols, "predicted_"))
     L, offset = measured(z, plants, u)
     measurement = measurement_of(
         z.base,
         y=symbols["y"],
         C=sparse(z.rate * L),
         offset=z.rate * offset,
-        R=_with_doubt(script, z, noise, lambda: signal_moment(z, plants, now, u)),
+        R=_with_doubt(builder, z, noise, lambda: signal_moment(z, plants, now, u)),
     )
-    found = condition(script, (prior[0], unpack(prior[1], z.size)), measurement, form=form)
-    demand_finite(script, found.mean)
+    found = condition(builder, (prior[0], unpack(prior[1], z.size)), measurement, form=form)
+    demand_finite(builder, found.mean)
     (state, covariance), results = kept(
-        script,
+        builder,
         z,
         (found, measurement, noise),
         corrected=(found.mean, found.covariance),
@@ -488,24 +490,24 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, form: Form) -> Phas
         **innovation_results(found),
         **unchanged(z, symbols),
     }
-    with script.titled("results of the update"):
-        script.put(results)
-    return script.phase()
+    with builder.titled("results of the update"):
+        builder.assign(results)
+    return builder.phase()
 
 
 def _with_doubt(
-    script: Script, z: AugmentedState, noise: ca.SX, moment: Callable[[], ca.SX]
+    builder: PhaseBuilder, z: AugmentedState, noise: ca.SX, moment: Callable[[], ca.SX]
 ) -> ca.SX:
     """R, and p (1 - p) E[s s'] where nobody knows whether y holds the signal s: Nahi 1969."""
     doubt = z.rate * (1.0 - z.rate)
     if not doubt:
         return noise
-    signal = unpack(script.let("signal_moment", moment()), z.base.ny)
-    return script.name_entries("noise_and_doubt", sparse(noise + doubt * signal))
+    signal = unpack(builder.define("signal_moment", moment()), z.base.ny)
+    return builder.name_entries("noise_and_doubt", sparse(noise + doubt * signal))
 
 
 def kept(
-    script: Script,
+    builder: PhaseBuilder,
     z: AugmentedState,
     judged: tuple[Conditioned, Measurement, ca.SX],
     *,
@@ -519,17 +521,17 @@ def kept(
     """
     if not judges(z.spec):
         return corrected, {}
-    verdict = LossTest(script, z.spec).verdict(*judged)
+    verdict = LossTest(builder, z.spec).verdict(*judged)
     names = ("kept_state", "kept_covariance")[: len(corrected)]
-    kept = [script.local(name, each.numel()) for name, each in zip(names, corrected, strict=True)]
-    with script.titled("a rejected sample is replaced by its prediction"):
-        script.put(dict(zip(names, corrected, strict=True)))
-        with script.when(None, verdict.excess):
-            script.put(dict(zip(names, prior, strict=True)))
+    kept = [builder.local(name, each.numel()) for name, each in zip(names, corrected, strict=True)]
+    with builder.titled("a rejected sample is replaced by its prediction"):
+        builder.assign(dict(zip(names, corrected, strict=True)))
+        with builder.if_present(None, verdict.excess):
+            builder.assign(dict(zip(names, prior, strict=True)))
     if z.restarts:
         title = "after too many rejections in a row: a new start"
-        with script.titled(title), script.when(None, verdict.locked):
-            script.put(dict(zip(names, fresh(), strict=True)))
+        with builder.titled(title), builder.if_present(None, verdict.locked):
+            builder.assign(dict(zip(names, fresh(), strict=True)))
     return kept, verdict.results
 
 

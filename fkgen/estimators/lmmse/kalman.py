@@ -22,7 +22,7 @@ from fkgen.estimators.gaussian.estimate import (
 from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.linalg import sparse
 from fkgen.symbolic.plant import Plant, lift, plant_of
@@ -73,35 +73,35 @@ def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
     return certain(u) if faults is None else intermittent(faults, rates_of(faults, plant), u, plant)
 
 
-def _demand_rates(script: Script, spec: Spec, plant: Plant) -> None:
+def _demand_rates(builder: PhaseBuilder, spec: Spec, plant: Plant) -> None:
     """Refuse success rates outside [0, 1] that come from run-time parameters."""
     if spec.faults.actuator is not None:
         for rate in rates_of(spec.faults.actuator, plant):
-            script.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
+            builder.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
 
 
-def _demand_indicators(script: Script, plant: Plant, faults: SensorFaults) -> None:
+def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults) -> None:
     """Refuse a gamma that is neither 0 nor 1, and a delta that is neither 1 nor C."""
     gamma, delta = plant.parameters["gamma"], plant.parameters["delta"]
     for value, other in ((gamma, ca.SX(0)), (delta, ca.SX(faults.noise_factor))):
         zero = (value - 1) * (value - other)
-        script.demand(Kind.NONNEGATIVE, [zero, -zero], Status.PARAMETER_OUT_OF_RANGE)
+        builder.demand(Kind.NONNEGATIVE, [zero, -zero], Status.PARAMETER_OUT_OF_RANGE)
 
 
 def _update(
     spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
 ) -> Phase:
-    script = Script(symbols)
-    demand_positive(script, symbols["predicted_covariance"], plant.nx)
-    _demand_rates(script, spec, plant)
+    builder = PhaseBuilder(symbols)
+    demand_positive(builder, symbols["predicted_covariance"], plant.nx)
+    _demand_rates(builder, spec, plant)
     if spec.faults.sensor is not None:
-        _demand_indicators(script, plant, spec.faults.sensor)
+        _demand_indicators(builder, plant, spec.faults.sensor)
         told = spec.faults.sensor.told(spec.model)
         C, D, R = (lift(matrix, plant.parameters) for matrix in (told.C, told.D, told.R))
         plant = replace(plant, C=C, D=D, R=R)
-    plant = bound(script, plant, "CDR")
+    plant = bound(builder, plant, "CDR")
     found, posterior = correct(
-        script,
+        builder,
         plant,
         _actuation(spec, plant, symbols["u"]),
         (symbols["predicted_state"], symbols["predicted_covariance"]),
@@ -109,7 +109,7 @@ def _update(
         form=form,
         with_gain=with_gain,
     )
-    demand_finite(script, posterior.state)
+    demand_finite(builder, posterior.state)
     assign = {
         "filtered_state": posterior.state,
         "filtered_covariance": posterior.covariance,
@@ -121,15 +121,15 @@ def _update(
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: plant.nx, :])
         assign["actuation_gain"] = by_rows(found.gain[plant.nx :, :])
-    with script.titled("results of the update"):
-        script.put({name: value for name, value in assign.items() if value.numel()})
-    return script.phase()
+    with builder.titled("results of the update"):
+        builder.assign({name: value for name, value in assign.items() if value.numel()})
+    return builder.phase()
 
 
 def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
-    script = Script(symbols)
-    _demand_rates(script, spec, plant)
-    plant = bound(script, plant, "ABQ")
+    builder = PhaseBuilder(symbols)
+    _demand_rates(builder, spec, plant)
+    plant = bound(builder, plant, "ABQ")
     actuation = _actuation(spec, plant, symbols["u"])
     posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
     if "actuation_deviation" in symbols:
@@ -147,9 +147,9 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
         if r:
             gain = ca.vertcat(gain, from_rows(symbols["actuation_gain"], r))
         assign["gain"] = by_rows(through @ gain)
-    with script.titled("prediction of the next sample"):
-        script.put(assign, [finite(state, covariance)])
-    return script.phase()
+    with builder.titled("prediction of the next sample"):
+        builder.assign(assign, [finite(state, covariance)])
+    return builder.phase()
 
 
 def innovation_results(found: Conditioned) -> dict[str, ca.SX]:

@@ -34,7 +34,7 @@ from fkgen.estimators.lmmse.kalman import by_rows, from_rows, innovation_results
 from fkgen.estimators.models.weights import TINY
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, is_zero, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant, plant_of
@@ -191,16 +191,16 @@ def _ports(plant: Plant) -> tuple[Port, ...]:
 
 def _update(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
-    script = Script(symbols)
-    demand_positive(script, symbols["predicted_covariance"], n)
-    plant = bound(script, design.plant, "CDR")
-    with script.titled("moments of the measurement"):
-        C, found, gain = _condition(script, design, plant)
-    demand_finite(script, found.mean)
-    with script.titled("results of the update"):
-        F2 = script.name_entries("gain", gain)
+    builder = PhaseBuilder(symbols)
+    demand_positive(builder, symbols["predicted_covariance"], n)
+    plant = bound(builder, design.plant, "CDR")
+    with builder.titled("moments of the measurement"):
+        C, found, gain = _condition(builder, design, plant)
+    demand_finite(builder, found.mean)
+    with builder.titled("results of the update"):
+        F2 = builder.name_entries("gain", gain)
         F1 = (ca.SX.eye(n) - F2 @ C) @ from_rows(symbols["transition"], n)
-        script.put(
+        builder.assign(
             {
                 "filtered_state": found.mean,
                 "filtered_covariance": found.covariance,
@@ -210,11 +210,11 @@ def _update(design: UncertainFilter) -> Phase:
                 **{name: symbols[f"predicted_{name}"] for name in CARRIED if name in symbols},
             }
         )
-    return script.phase()
+    return builder.phase()
 
 
 def _condition(
-    script: Script, design: UncertainFilter, plant: Plant
+    builder: PhaseBuilder, design: UncertainFilter, plant: Plant
 ) -> tuple[ca.SX, Conditioned, ca.SX]:
     """p11 C of every row, what conditioning on y = p11 C x + w gives, and its gain."""
     symbols, rows, n, p = design.symbols, list(design.faults.rows), plant.nx, plant.ny
@@ -222,14 +222,14 @@ def _condition(
     pi = ca.SX.ones(p)
     pi[rows] = p11
     second = unpack(symbols["predicted_state_second_moment"], n)
-    noise = _noise(script, design, plant, _signal_moment(plant, symbols, second))
+    noise = _noise(builder, design, plant, _signal_moment(plant, symbols, second))
     C = measured = sparse(ca.diag(pi) @ plant.C)
     state = symbols["predicted_state"]
     covariance = unpack(symbols["predicted_covariance"], n)
     if not design.white:
         cross = ca.SX(n, p)
         cross[:, rows] = (g - p11) * (second @ plant.C[rows, :].T)
-        cross = script.name_entries("noise_cross", sparse(cross))
+        cross = builder.name_entries("noise_cross", sparse(cross))
         state = ca.vertcat(state, ca.SX.zeros(p))
         covariance = sparse(ca.blockcat(covariance, cross, cross.T, noise))
         C, noise = ca.horzcat(C, ca.SX.eye(p)), ca.SX(p, p)
@@ -240,23 +240,23 @@ def _condition(
         offset=ca.diag(pi) @ plant.D @ symbols["u"],
         R=noise,
     )
-    found = condition(script, (state, covariance), measurement, form=design.form, with_gain=True)
+    found = condition(builder, (state, covariance), measurement, form=design.form, with_gain=True)
     if found.gain is None:
         raise InternalError("a condition without a gain")
     P = unpack(found.covariance, state.numel())[:n, :n]
     return measured, replace(found, mean=found.mean[:n, 0], covariance=pack(P)), found.gain[:n, :]
 
 
-def _noise(script: Script, design: UncertainFilter, plant: Plant, signal: ca.SX) -> ca.SX:
+def _noise(builder: PhaseBuilder, design: UncertainFilter, plant: Plant, signal: ca.SX) -> ca.SX:
     """Cov(w): R E[delta] and E[(gamma - p11)^2] E[(C x)(C x)'] on the rows that can fail."""
     g, p11, rows = design.gamma(), design.persistence(), design.faults.rows
     R = design.noise(plant)
-    excess = script.let("signal_variance_share", g * (1 - p11) + p11 * (p11 - g))
+    excess = builder.define("signal_variance_share", g * (1 - p11) + p11 * (p11 - g))
     for i in rows:
         for j in rows:
             if j <= i and not (is_zero(excess) or is_zero(signal[i, j])):
                 R[i, j] = R[j, i] = R[i, j] + excess * signal[i, j]
-    return ca.tril2symm(script.name_entries("noise", sparse(ca.tril(R))))
+    return ca.tril2symm(builder.name_entries("noise", sparse(ca.tril(R))))
 
 
 def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca.SX:
@@ -271,8 +271,8 @@ def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca
 
 def _predict(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
-    script = Script(symbols)
-    plant = bound(script, design.plant, "ABQ")
+    builder = PhaseBuilder(symbols)
+    plant = bound(builder, design.plant, "ABQ")
     inputs = certain(symbols["u"])
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, inputs, filtered)
@@ -290,6 +290,6 @@ def _predict(design: UncertainFilter) -> Phase:
         moved += pack(common + common.T + forced @ forced.T)
         assign["predicted_state_mean"] = mean + forced
     assign["predicted_state_second_moment"] = moved
-    with script.titled("prediction of the next sample"):
-        script.put(assign, [finite(state, covariance), finite(state, moved)])
-    return script.phase()
+    with builder.titled("prediction of the next sample"):
+        builder.assign(assign, [finite(state, covariance), finite(state, moved)])
+    return builder.phase()

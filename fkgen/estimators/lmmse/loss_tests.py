@@ -16,7 +16,7 @@ from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.models.weights import LOG_ZERO
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Outcome, Port, Status
 from fkgen.symbolic.linalg import column, diagonal, total
 from fkgen.symbolic.ports import carried, shown
@@ -85,14 +85,14 @@ def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
 class LossTest:
     """Writes the blocks of a test; the options of the spec are detector and thresholds."""
 
-    def __init__(self, script: Script, spec: Spec) -> None:
-        self.script, self.spec, self.options = script, spec, spec.filter.options
+    def __init__(self, builder: PhaseBuilder, spec: Spec) -> None:
+        self.builder, self.spec, self.options = builder, spec, spec.filter.options
 
     def verdict(self, found: Conditioned, measurement: Measurement, noise: ca.SX) -> Verdict:
         """Judge a sample from its innovation, as ``measurement`` and the noise alone explain it."""
         results: dict[str, ca.SX] = {}
         count = self._rows()
-        with self.script.titled(f"test for a loss: {self.options.detector}"):
+        with self.builder.titled(f"test for a loss: {self.options.detector}"):
             match self.options.detector:
                 case "nis":
                     statistic, threshold = found.nis, self._quantile(count)
@@ -124,13 +124,13 @@ class LossTest:
         Conditions count where a row is present.
         """
         if isinstance(first, float):
-            symbol = self.script.local(name, 1, initial=first)
+            symbol = self.builder.local(name, 1, initial=first)
         else:
-            symbol = self.script.local(name, first.numel())
-            self.script.put({name: first})
+            symbol = self.builder.local(name, first.numel())
+            self.builder.assign({name: first})
         for positive, value in cases:
-            with self.script.when(None, positive):
-                self.script.put({name: value})
+            with self.builder.if_present(None, positive):
+                self.builder.assign({name: value})
         return symbol
 
     def _locked(self, rejections: ca.SX) -> ca.SX:
@@ -140,10 +140,10 @@ class LossTest:
 
     def _rows(self) -> ca.SX:
         """How many rows are present."""
-        count = self.script.local("rows_present", 1, initial=0.0)
+        count = self.builder.local("rows_present", 1, initial=0.0)
         for i in range(self.spec.model.ny):
-            with self.script.when(i):
-                self.script.put({"rows_present": count + 1})
+            with self.builder.if_present(i):
+                self.builder.assign({"rows_present": count + 1})
         return count
 
     def _quantile(self, count: ca.SX) -> ca.SX:
@@ -157,16 +157,16 @@ class LossTest:
 
     def _energy(self, found: Conditioned) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
         """Mean square over the window, what it is expected to be, and the window moved on."""
-        script = self.script
-        energy, expected = (script.local(name, 1, initial=0.0) for name in ("energy", "expected"))
+        builder = self.builder
+        energy, expected = (builder.local(name, 1, initial=0.0) for name in ("energy", "expected"))
         for i, variance in enumerate(diagonal(found.innovation_covariance, self.spec.model.ny)):
             square = found.innovation[i] * found.innovation[i]
-            with script.when(i):
-                script.put({"energy": energy + square, "expected": expected + variance})
+            with builder.if_present(i):
+                builder.assign({"energy": energy + square, "expected": expected + variance})
         threshold, window = self.options.kappa * expected, self.options.window
         if window == 1:
             return energy, threshold, {}
-        past, count = script.symbol("energy_window"), script.symbol("energy_count")
+        past, count = builder.symbol("energy_window"), builder.symbol("energy_count")
         # Places that are not filled yet hold 0.
         mean = (energy + total([past[i] for i in range(window - 1)])) / (count + 1)
         older = [past[i] for i in range(window - 2)]
@@ -185,13 +185,13 @@ class LossTest:
         none = ca.SX(measurement.C.shape[0], 1)
         alone = replace(measurement, C=none, offset=none, R=noise, rank_tolerance=None)
         nothing = (ca.SX(1, 1), ca.SX(1, 1))
-        lost = condition(self.script, nothing, alone, tag="_lost", form="short")
+        lost = condition(self.builder, nothing, alone, tag="_lost", form="short")
         prior = math.log1p(-rate) - math.log(rate)
         return prior + lost.log_likelihood - found.log_likelihood
 
     def _count(self, excess: ca.SX) -> ca.SX:
         """Rejections in a row; a sample without a row changes nothing."""
-        before = self.script.symbol("consecutive_rejections")
+        before = self.builder.symbol("consecutive_rejections")
         cases = [(None, ca.SX(0)), (excess, before + 1)]
         if self.options.reinitialise:  # the run before ended when the filter started again
             cases.append((ca.fmin(self._locked(before), excess), ca.SX(1)))

@@ -24,7 +24,7 @@ from fkgen.estimators.lmmse.kalman import constant, innovation_results
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.probability import stationary_law
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.linalg import pack, sparse, unpack
 from fkgen.symbolic.recursion import Phase, Recursion
 
@@ -74,9 +74,9 @@ def _limit(P: Array, steps: Sequence[NDArray[np.floating]], added: list[Array]) 
 
 def stationary_of(z: AugmentedState) -> Stationary:
     """Solve for the stationary error covariance and its gain."""
-    script, u, N = Script({}), ca.SX(z.base.nu, 1), z.modes
+    builder, u, N = PhaseBuilder({}), ca.SX(z.base.nu, 1), z.modes
     now = stationary_moments(z)
-    moved = jump.moved_moments(script, z, z.plants, now, u)
+    moved = jump.moved_moments(builder, z, z.plants, now, u)
     W = _number(jump.augmented_noise(z, moved, jump.plant_noise(z, z.plants, now.law)))
     F = _number(jump.mixing(z)[0] @ jump.steps(z, z.plants, u)[0])
     L = z.rate * _number(jump.measured(z, z.plants, u)[0])
@@ -140,7 +140,7 @@ def stationary_filter(spec: Spec, source: str) -> Recursion:
 
 
 def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary) -> Phase:
-    script, prior = Script(symbols), symbols["augmented_state"]
+    builder, prior = PhaseBuilder(symbols), symbols["augmented_state"]
     L, _ = jump.measured(z, z.plants, symbols["u"])
     nothing = (ca.SX(1, 1), ca.SX(1, 1))
     measurement = measurement_of(
@@ -150,11 +150,11 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary
         offset=sparse(z.rate * L) @ prior,
         R=constant(at_rest.innovation),
     )
-    found = condition(script, nothing, measurement, form="short")
-    corrected = script.let("corrected", prior + constant(at_rest.gain) @ found.innovation)
-    demand_finite(script, corrected)
+    found = condition(builder, nothing, measurement, form="short")
+    corrected = builder.define("corrected", prior + constant(at_rest.gain) @ found.innovation)
+    demand_finite(builder, corrected)
     (state,), results = jump.kept(
-        script,
+        builder,
         z,
         (found, measurement, constant(at_rest.noise)),
         corrected=(corrected,),
@@ -167,9 +167,9 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary
         "filtered_covariance": _own(z, at_rest.filtered),
         **jump.unchanged(z, symbols),
     }
-    with script.titled("results of the update"):
-        script.put(results)
-    return script.phase()
+    with builder.titled("results of the update"):
+        builder.assign(results)
+    return builder.phase()
 
 
 def _own(z: AugmentedState, matrix: Array) -> ca.SX:
@@ -183,17 +183,17 @@ def _means(z: AugmentedState, symbols: dict[str, ca.SX], of: str) -> tuple[list[
 
 
 def _predict(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary) -> Phase:
-    script = Script(symbols)
-    with script.titled("every mode's step"):
+    builder = PhaseBuilder(symbols)
+    with builder.titled("every mode's step"):
         G, known = jump.steps(z, z.plants, symbols["u"])
-        moved = script.let("moved_state", G @ symbols["augmented_filtered_state"] + known)
+        moved = builder.define("moved_state", G @ symbols["augmented_filtered_state"] + known)
     results: dict[str, ca.SX] = {}
     if not z.settled:
         results["predicted_mode_law"] = jump.next_law(z, symbols["mode_law"])
     if z.restarts:
         means = jump.moved_means(z, z.plants, *_means(z, symbols, ""))
         results["predicted_mode_first_moment"] = ca.vertcat(*means)
-    with script.titled("mixing by the chain, and prediction of the next sample"):
+    with builder.titled("mixing by the chain, and prediction of the next sample"):
         M, known = jump.mixing(z)
         state = M @ moved + known
         covariance = _own(z, at_rest.predicted)
@@ -202,5 +202,5 @@ def _predict(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationar
             "predicted_state": state[z.own],
             "predicted_covariance": covariance,
         }
-        script.put(results, [finite(state[z.own], covariance)])
-    return script.phase()
+        builder.assign(results, [finite(state[z.own], covariance)])
+    return builder.phase()

@@ -30,7 +30,7 @@ from fkgen.estimators.models.merge import Gaussian, combined_innovation, mixture
 from fkgen.estimators.models.weights import log_prior, log_sum_exp, patterns, reweigh
 from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, pack, split_estimates, unpack, weighted_sum
 from fkgen.symbolic.plant import Plant, plant_of
@@ -151,31 +151,31 @@ def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
 
 
 def _update(bank: Bank) -> Phase:
-    script, symbols, spec = Script(bank.symbols), bank.symbols, bank.spec
+    builder, symbols, spec = PhaseBuilder(bank.symbols), bank.symbols, bank.spec
     y, held = symbols["y"], (symbols["mode_probability"], symbols["log_weight"])
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
-        demand_positive(script, packed, bank.plant.nx)
-    bank = replace(bank, plant=bound(script, bank.plant, "CDR"))
+        demand_positive(builder, packed, bank.plant.nx)
+    bank = replace(bank, plant=bound(builder, bank.plant, "CDR"))
     found, posteriors = [], []
     for i, prior in enumerate(priors):
-        with script.titled(f"hypothesis {i}"):
+        with builder.titled(f"hypothesis {i}"):
             conditioned, posterior = correct(
-                script, bank.plant, bank.actuation(i), prior, y=y, form=bank.form, tag=f"_h{i}"
+                builder, bank.plant, bank.actuation(i), prior, y=y, form=bank.form, tag=f"_h{i}"
             )
-        demand_finite(script, posterior.state)
+        demand_finite(builder, posterior.state)
         found.append(conditioned)
         posteriors.append(posterior)
-    with script.titled("weights of the hypotheses"):
-        logs = [_log_likelihood(script, bank, i, priors[i], each) for i, each in enumerate(found)]
-        weights = reweigh(script, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
-    with script.titled("combination"):
+    with builder.titled("weights of the hypotheses"):
+        logs = [_log_likelihood(builder, bank, i, priors[i], each) for i, each in enumerate(found)]
+        weights = reweigh(builder, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
+    with builder.titled("combination"):
         C, D = bank.plant.C, bank.plant.D
         predicted = [
-            script.let(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean)
+            builder.define(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean)
             for i, (mean, _) in enumerate(priors)
         ]
-        results = combined_innovation(script, held[0], predicted, found)
+        results = combined_innovation(builder, held[0], predicted, found)
         w = weights.probability
         parts = [(each.state, each.covariance) for each in posteriors]
         state = weighted_sum(w, [mean for mean, _ in parts])
@@ -192,45 +192,47 @@ def _update(bank: Bank) -> Phase:
             "mode_deviation_cross": ca.vertcat(*(by_rows(p.cross_covariance) for p in posteriors)),
             **weights.ports(),
         }
-        script.put({name: value for name, value in results.items() if value.numel()})
-    return script.phase()
+        builder.assign({name: value for name, value in results.items() if value.numel()})
+    return builder.phase()
 
 
 def _log_likelihood(
-    script: Script, bank: Bank, i: int, prior: Gaussian, found: Conditioned
+    builder: PhaseBuilder, bank: Bank, i: int, prior: Gaussian, found: Conditioned
 ) -> ca.SX:
     """Gaussian (15), or the mixture over gamma[k]: sum_g P(g) N(y; C x + D g u, S0)."""
     if not bank.mixture or not bank.random[i]:
-        return script.let(f"log_likelihood_h{i}", found.log_likelihood)
+        return builder.define(f"log_likelihood_h{i}", found.log_likelihood)
     plant, through = bank.plant, bank.plant.D @ bank.actuation(i).through
     rates = _random_rates(bank.spec.filter.options.hypotheses[i])
     healthless = found.innovation + through @ ca.SX(rates)
     S = congruence(plant.C, unpack(prior[1], plant.nx)) + pack(plant.R)
-    S = script.let(f"share_variance_h{i}", S)
-    whitened = whiten(script, S, ca.horzcat(healthless, through), f"_h{i}")
+    S = builder.define(f"share_variance_h{i}", S)
+    whitened = whiten(builder, S, ca.horzcat(healthless, through), f"_h{i}")
     terms = [
-        script.let(
+        builder.define(
             f"log_pattern_h{i}_{at}",
             log_chance - 0.5 * whitened.quadratic(ca.SX([1.0, *(-float(w) for w in works)])),
         )
         for at, (works, log_chance) in enumerate(patterns(rates))
     ]
-    return script.let(f"log_likelihood_h{i}", log_sum_exp(terms) - 0.5 * whitened.log_determinant)
+    return builder.define(
+        f"log_likelihood_h{i}", log_sum_exp(terms) - 0.5 * whitened.log_determinant
+    )
 
 
 def _predict(bank: Bank) -> Phase:
-    script = Script(bank.symbols)
-    plant = bound(script, bank.plant, "ABQ")
+    builder = PhaseBuilder(bank.symbols)
+    plant = bound(builder, bank.plant, "ABQ")
     moved = [propagate(plant, bank.actuation(i), bank.filtered(i)) for i in range(len(bank.random))]
-    with script.titled("prediction of every hypothesis"):
-        states = script.let("moved_state", ca.vertcat(*(state for state, _, _ in moved)))
-        covariances = script.let("moved_covariance", ca.vertcat(*(P for _, P, _ in moved)))
+    with builder.titled("prediction of every hypothesis"):
+        states = builder.define("moved_state", ca.vertcat(*(state for state, _, _ in moved)))
+        covariances = builder.define("moved_covariance", ca.vertcat(*(P for _, P, _ in moved)))
     parts = split_estimates(states, covariances, plant.nx)
     w = bank.symbols["mode_probability"]
-    with script.titled("combined prediction"):
-        state = script.let("combined_state", weighted_sum(w, [mean for mean, _ in parts]))
+    with builder.titled("combined prediction"):
+        state = builder.define("combined_state", weighted_sum(w, [mean for mean, _ in parts]))
         covariance = mixture_covariance(w, parts, state)
-        script.put(
+        builder.assign(
             {
                 "mode_state": states,
                 "mode_covariance": covariances,
@@ -239,4 +241,4 @@ def _predict(bank: Bank) -> Phase:
             },
             [finite(*each) for each in ((state, covariance), *parts)],
         )
-    return script.phase()
+    return builder.phase()

@@ -9,7 +9,7 @@ import casadi as ca
 from fkgen.estimators.gaussian.decorrelation import whiten
 from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.models.weights import TINY
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.linalg import column, is_zero, outer_lower, spread, total, weighted_sum
 
 #: Shares of a column that agree to so many decimals are the same.
@@ -26,7 +26,7 @@ def mixture_covariance(weights: ca.SX, parts: Sequence[Gaussian], mean: ca.SX) -
 
 
 def combined_innovation(
-    script: Script, held: ca.SX, predicted: list[ca.SX], found: list[Conditioned]
+    builder: PhaseBuilder, held: ca.SX, predicted: list[ca.SX], found: list[Conditioned]
 ) -> dict[str, ca.SX]:
     """Innovation of a mixture of predictions of y, its covariance, its NIS over the rows present.
 
@@ -34,9 +34,9 @@ def combined_innovation(
     """
     mean = weighted_sum(held, predicted)
     S = weighted_sum(held, [each.innovation_covariance for each in found])
-    S = script.let("combined_variance", S + spread(*_distinct(held, predicted), mean))
-    nu = script.let("combined_innovation", weighted_sum(held, [f.innovation for f in found]))
-    whitened = None if len(found) == 1 else whiten(script, S, nu, "_combined")
+    S = builder.define("combined_variance", S + spread(*_distinct(held, predicted), mean))
+    nu = builder.define("combined_innovation", weighted_sum(held, [f.innovation for f in found]))
+    whitened = None if len(found) == 1 else whiten(builder, S, nu, "_combined")
     nis = found[0].nis if whitened is None else whitened.quadratic(ca.SX(1))
     return {"innovation": nu, "innovation_covariance": S, "nis": nis}
 
@@ -61,8 +61,10 @@ class Mixer:
     is nothing beside a weight that counts.
     """
 
-    def __init__(self, script: Script, name: str, parts: list[Gaussian], scalar: str) -> None:
-        self.script, self.name, self.parts, self.tiny = script, name, parts, TINY[scalar]
+    def __init__(
+        self, builder: PhaseBuilder, name: str, parts: list[Gaussian], scalar: str
+    ) -> None:
+        self.builder, self.name, self.parts, self.tiny = builder, name, parts, TINY[scalar]
         self._products: dict[range, ca.SX] = {}
         self._known: dict[tuple[object, ...], Gaussian] = {}
 
@@ -97,27 +99,29 @@ class Mixer:
         spread = self._spread(which, x, z, label)
         mean, covariance = share[0] * x + share[1] * z, share[0] * P + share[1] * Q
         self._known[key] = (
-            self.script.let(f"{label}_mean", mean),
-            self.script.let(f"{label}_covariance", covariance + spread(share[0] * share[1])),
+            self.builder.define(f"{label}_mean", mean),
+            self.builder.define(f"{label}_covariance", covariance + spread(share[0] * share[1])),
         )
         return self._known[key]
 
     def _share(self, masses: list[ca.SX], label: str, which: range) -> ca.SX:
         """Weights of the two halves within their sum, which is one for the whole."""
         if len(which) < len(self.parts):
-            inverse = self.script.let(f"{label}_inverse", 1 / (masses[0] + masses[1] + self.tiny))
+            inverse = self.builder.define(
+                f"{label}_inverse", 1 / (masses[0] + masses[1] + self.tiny)
+            )
             masses = [mass * inverse for mass in masses]
-        return self.script.let(f"{label}_share", column(masses))
+        return self.builder.define(f"{label}_share", column(masses))
 
     def _spread(self, which: range, x: ca.SX, z: ca.SX, label: str) -> Callable[[ca.SX], ca.SX]:
         """Product of the difference of two means with itself, times a factor; shared for leaves."""
         if len(which) > 2:
-            difference = self.script.let(f"{label}_apart", x - z)
+            difference = self.builder.define(f"{label}_apart", x - z)
             return lambda factor: outer_lower(factor * difference, difference)
         if which not in self._products:
             name = f"{self.name}_apart_{which[0]}_{which[-1]}"
-            difference = self.script.let(name, x - z)
-            product = self.script.let(f"{name}_squared", outer_lower(difference, difference))
+            difference = self.builder.define(name, x - z)
+            product = self.builder.define(f"{name}_squared", outer_lower(difference, difference))
             self._products[which] = product
         return lambda factor: factor * self._products[which]
 

@@ -44,7 +44,7 @@ from fkgen.estimators.models.weights import (
 )
 from fkgen.problem import Spec
 from fkgen.problem.probability import visited
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import column, split_estimates, split_packed, total, weighted_sum
 from fkgen.symbolic.plant import Plant, mode_plants
@@ -66,7 +66,7 @@ RICCATIS = {"moment_matched": 0, "weighted": 0, "paper": 2, "paper_nominal": 1}
 JUMPING = "the mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k)"
 
 #: From probabilities and corrections of the modes to the ports that keep an estimate.
-Combination = Callable[[Script, ca.SX, list[Conditioned]], dict[str, ca.SX]]
+Combination = Callable[[PhaseBuilder, ca.SX, list[Conditioned]], dict[str, ca.SX]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,9 +205,9 @@ class Switching:
             notes=notes,
         )
 
-    def bound(self, script: Script, letters: str) -> Modes:
+    def bound(self, builder: PhaseBuilder, letters: str) -> Modes:
         """The modes for one phase: computed entries of these matrices are named."""
-        return Modes.of(self.spec, bound_all(script, self.plants, letters))
+        return Modes.of(self.spec, bound_all(builder, self.plants, letters))
 
     def filtered(self) -> list[Gaussian]:
         """What imm keeps of every mode after y[k]."""
@@ -216,37 +216,39 @@ class Switching:
 
     def update(self, priors: Sequence[Gaussian], combined: Combination) -> Phase:
         """A correction of its prior under each mode, then Bayes' rule (8)."""
-        script, symbols = Script(self.symbols), self.symbols
+        builder, symbols = PhaseBuilder(self.symbols), self.symbols
         for packed in {id(packed): packed for _, packed in priors}.values():
-            demand_positive(script, packed, self.spec.model.nx)
-        modes = self.bound(script, "CDR")
-        each = [self.corrected(script, modes, j, prior) for j, prior in enumerate(priors)]
+            demand_positive(builder, packed, self.spec.model.nx)
+        modes = self.bound(builder, "CDR")
+        each = [self.corrected(builder, modes, j, prior) for j, prior in enumerate(priors)]
         held = (symbols["predicted_mode_probability"], symbols["predicted_log_weight"])
-        with script.titled("probabilities of the modes"):
+        with builder.titled("probabilities of the modes"):
             logs = [one.log_likelihood for one in each]
-            weights = reweigh(script, held, logs, 0.0, self.spec.code.scalar)
-        with script.titled("innovation of the mixture"):
+            weights = reweigh(builder, held, logs, 0.0, self.spec.code.scalar)
+        with builder.titled("innovation of the mixture"):
             predicted = []
             for j, (prior, variants) in enumerate(zip(priors, modes.variants, strict=True)):
                 plant = variants[0].plant
                 y = plant.C @ prior[0] + plant.D @ symbols["u"]
-                predicted.append(script.let(f"predicted_y_m{j}", y))
-            results = combined_innovation(script, held[0], predicted, each)
-        with script.titled("combination"):
-            script.put(results | weights.ports() | combined(script, weights.probability, each))
-        return script.phase()
+                predicted.append(builder.define(f"predicted_y_m{j}", y))
+            results = combined_innovation(builder, held[0], predicted, each)
+        with builder.titled("combination"):
+            builder.assign(results | weights.ports() | combined(builder, weights.probability, each))
+        return builder.phase()
 
-    def corrected(self, script: Script, modes: Modes, mode: int, prior: Gaussian) -> Conditioned:
+    def corrected(
+        self, builder: PhaseBuilder, modes: Modes, mode: int, prior: Gaussian
+    ) -> Conditioned:
         """What a mode makes of y[k]: the mixture of its variants."""
         variants, u, y = modes.variants[mode], self.symbols["u"], self.symbols["y"]
         each = []
         for at, variant in enumerate(variants):
             tag = f"_m{mode}_{at}" if at else f"_m{mode}"
-            with script.titled(f"mode {mode}: {variant.title}"):
+            with builder.titled(f"mode {mode}: {variant.title}"):
                 found, _ = correct(
-                    script, variant.plant, certain(u), prior, y=y, form=self.form, tag=tag
+                    builder, variant.plant, certain(u), prior, y=y, form=self.form, tag=tag
                 )
-                density = script.let(f"log_density{tag}", found.log_likelihood)
+                density = builder.define(f"log_density{tag}", found.log_likelihood)
             each.append(replace(found, log_likelihood=density))
         if len(each) == 1:
             return each[0]
@@ -254,18 +256,18 @@ class Switching:
             one.log_likelihood + math.log(variant.share)
             for one, variant in zip(each, variants, strict=True)
         ]
-        total = script.let(f"log_mixture_m{mode}", log_sum_exp(joint))
+        total = builder.define(f"log_mixture_m{mode}", log_sum_exp(joint))
         shares = ca.SX([variant.share for variant in variants])
         S = weighted_sum(shares, [one.innovation_covariance for one in each])
         whole = replace(each[0], log_likelihood=total, innovation_covariance=S)
         if not modes.entangled:
             return whole
-        weights = script.let(f"variant_weight_m{mode}", ca.exp(ca.vertcat(*joint) - total))
+        weights = builder.define(f"variant_weight_m{mode}", ca.exp(ca.vertcat(*joint) - total))
         parts = [(one.mean, one.covariance) for one in each]
         mean = weighted_sum(weights, [one.mean for one in each])
-        state = script.let(f"merged_state_m{mode}", mean)
+        state = builder.define(f"merged_state_m{mode}", mean)
         covariance = mixture_covariance(weights, parts, state)
-        covariance = script.let(f"merged_covariance_m{mode}", covariance)
+        covariance = builder.define(f"merged_covariance_m{mode}", covariance)
         return replace(whole, mean=state, covariance=covariance)
 
 
@@ -279,11 +281,13 @@ def one_step_optimal(spec: Spec) -> Recursion:
     filtering = Switching.of(spec, _riccati_ports(spec, beside))
     symbols = filtering.symbols
 
-    def combined(script: Script, weights: ca.SX, each: list[Conditioned]) -> dict[str, ca.SX]:
+    def combined(
+        builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
+    ) -> dict[str, ca.SX]:
         parts = [(one.mean, one.covariance) for one in each]
         covariances = [packed for _, packed in parts]
-        state = script.let("combined_state", weighted_sum(weights, [mean for mean, _ in parts]))
-        demand_finite(script, state)
+        state = builder.define("combined_state", weighted_sum(weights, [mean for mean, _ in parts]))
+        demand_finite(builder, state)
         covariance = weighted_sum(weights, covariances)
         if option == "moment_matched":
             covariance = mixture_covariance(weights, parts, state)
@@ -313,11 +317,11 @@ def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
 
 
 def _one_prediction(filtering: Switching, beside: int) -> Phase:
-    script, symbols, spec = Script(filtering.symbols), filtering.symbols, filtering.spec
-    plant = bound(script, filtering.plants[0], "ABQ")
+    builder, symbols, spec = PhaseBuilder(filtering.symbols), filtering.symbols, filtering.spec
+    plant = bound(builder, filtering.plants[0], "ABQ")
     now = (symbols["mode_probability"], symbols["log_weight"])
-    with script.titled("law of the next mode"):
-        law = advance(script, filtering.modes.kernel, now, spec.code.scalar, mixing=False)
+    with builder.titled("law of the next mode"):
+        law = advance(builder, filtering.modes.kernel, now, spec.code.scalar, mixing=False)
     packed = [symbols["filtered_covariance"]]
     if beside:
         packed += split_packed(symbols["riccati_filtered_covariance"], spec.model.nx)
@@ -332,9 +336,9 @@ def _one_prediction(filtering: Switching, beside: int) -> Phase:
     }
     if beside:
         results["riccati_covariance"] = ca.vertcat(*(each for _, each in moved[1:]))
-    with script.titled("prediction of the next sample"):
-        script.put(results, [finite(state, each) for _, each in moved])
-    return script.phase()
+    with builder.titled("prediction of the next sample"):
+        builder.assign(results, [finite(state, each) for _, each in moved])
+    return builder.phase()
 
 
 # ------------------------------------------------------------------------------------------ imm
@@ -345,10 +349,12 @@ def interacting_models(spec: Spec) -> Recursion:
     means = "x(k+1|k), mixed, under each mode", "x(k|k) under each mode"
     filtering = Switching.of(spec, mode_estimate_ports(spec, spec.filter.options.modes, means))
 
-    def combined(script: Script, weights: ca.SX, each: list[Conditioned]) -> dict[str, ca.SX]:
+    def combined(
+        builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
+    ) -> dict[str, ca.SX]:
         parts = [(one.mean, one.covariance) for one in each]
-        state, covariance = Mixer(script, "combined", parts, spec.code.scalar).under(weights)
-        demand_finite(script, state)
+        state, covariance = Mixer(builder, "combined", parts, spec.code.scalar).under(weights)
+        demand_finite(builder, state)
         return {
             "filtered_state": state,
             "filtered_covariance": covariance,
@@ -367,17 +373,17 @@ def interacting_models(spec: Spec) -> Recursion:
 
 
 def _predictions(filtering: Switching) -> Phase:
-    script, symbols, spec = Script(filtering.symbols), filtering.symbols, filtering.spec
-    modes = filtering.bound(script, "ABcQ")
-    with script.titled("law of the next mode, and mixing weights"):
+    builder, symbols, spec = PhaseBuilder(filtering.symbols), filtering.symbols, filtering.spec
+    modes = filtering.bound(builder, "ABcQ")
+    with builder.titled("law of the next mode, and mixing weights"):
         now = (symbols["mode_probability"], symbols["log_weight"])
-        law = advance(script, modes.kernel, now, spec.code.scalar, mixing=True)
-    with script.titled("mixing and prediction of every mode"):
-        moved, which = _moved(script, filtering, modes, law)
-    with script.titled("combined prediction"):
+        law = advance(builder, modes.kernel, now, spec.code.scalar, mixing=True)
+    with builder.titled("mixing and prediction of every mode"):
+        moved, which = _moved(builder, filtering, modes, law)
+    with builder.titled("combined prediction"):
         motions = modes.motions
-        combined = _combined(script, filtering, motions, (moved, which), law.probability)
-        script.put(
+        combined = _combined(builder, filtering, motions, (moved, which), law.probability)
+        builder.assign(
             {
                 "predicted_mode_probability": law.probability,
                 "predicted_log_weight": law.logarithm,
@@ -388,18 +394,18 @@ def _predictions(filtering: Switching) -> Phase:
             },
             [finite(total(x for x, _ in moved), total(P for _, P in moved))],
         )
-    return script.phase()
+    return builder.phase()
 
 
 def _moved(
-    script: Script, filtering: Switching, modes: Modes, law: Prediction
+    builder: PhaseBuilder, filtering: Switching, modes: Modes, law: Prediction
 ) -> tuple[list[Gaussian], list[int]]:
     """Estimates mixed by (17), (18), then moved as the mode does, and which is that of each mode.
 
     What is the same is computed once.
     """
     symbols, motions = filtering.symbols, modes.motions
-    mixer = Mixer(script, "mixed", filtering.filtered(), filtering.spec.code.scalar)
+    mixer = Mixer(builder, "mixed", filtering.filtered(), filtering.spec.code.scalar)
     mixed: dict[int, Gaussian] = {}
     known: dict[tuple[int, int], int] = {}
     moved: list[Gaussian] = []
@@ -413,14 +419,14 @@ def _moved(
         at = known.setdefault((group, id(plant)), len(moved))
         if at == len(moved):
             state, packed, _ = propagate(plant, certain(symbols["u"]), Posterior(*mixed[group]))
-            state = script.let(f"moved_state_{at}", state)
-            moved.append((state, script.let(f"moved_covariance_{at}", packed)))
+            state = builder.define(f"moved_state_{at}", state)
+            moved.append((state, builder.define(f"moved_covariance_{at}", packed)))
         which.append(at)
     return moved, which
 
 
 def _combined(
-    script: Script,
+    builder: PhaseBuilder,
     filtering: Switching,
     motions: tuple[Plant, ...],
     moved: tuple[list[Gaussian], list[int]],
@@ -435,4 +441,4 @@ def _combined(
     masses = [ca.SX(0) for _ in moved[0]]
     for j, at in enumerate(moved[1]):
         masses[at] += probability[j]
-    return Mixer(script, "predicted", moved[0], filtering.spec.code.scalar).under(column(masses))
+    return Mixer(builder, "predicted", moved[0], filtering.spec.code.scalar).under(column(masses))

@@ -16,7 +16,7 @@ from functools import reduce
 import casadi as ca
 import numpy as np
 
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column, total
 
@@ -72,7 +72,7 @@ def log_sum_exp(values: list[ca.SX]) -> ca.SX:
 
 
 def reweigh(
-    script: Script,
+    builder: PhaseBuilder,
     held: tuple[ca.SX, ca.SX],
     log_likelihoods: list[ca.SX],
     floor: float,
@@ -87,34 +87,36 @@ def reweigh(
     if n == 1:
         return Weights(*held, log_likelihoods[0])
     result = Weights(
-        script.local("weight", n),
-        script.local("log_weight_now", n),
-        script.local("log_evidence", 1, initial=0.0),
+        builder.local("weight", n),
+        builder.local("log_weight_now", n),
+        builder.local("log_evidence", 1, initial=0.0),
     )
-    script.put({"weight": held[0], "log_weight_now": held[1]})
-    with script.when(None):
+    builder.assign({"weight": held[0], "log_weight_now": held[1]})
+    with builder.if_present(None):
         names = "log_joint", "log_largest", "share_of_largest", "share_total"
-        joint, top, share, total = _relative(script, names, held[1] + column(log_likelihoods), 0.0)
-        script.demand(Kind.POSITIVE, [top - 0.5 * LOG_ZERO[scalar]], Status.RESULT_NOT_FINITE)
-        script.demand(Kind.FINITE, [total], Status.RESULT_NOT_FINITE)
-        inverse = script.let("share_total_inverse", 1 / total, initial=0.0)
-        log_total = script.let("log_share_total", ca.log(total), initial=0.0)
+        joint, top, share, total = _relative(builder, names, held[1] + column(log_likelihoods), 0.0)
+        builder.demand(Kind.POSITIVE, [top - 0.5 * LOG_ZERO[scalar]], Status.RESULT_NOT_FINITE)
+        builder.demand(Kind.FINITE, [total], Status.RESULT_NOT_FINITE)
+        inverse = builder.define("share_total_inverse", 1 / total, initial=0.0)
+        log_total = builder.define("log_share_total", ca.log(total), initial=0.0)
         weight, logarithm = share * inverse, ca.fmax((joint - top) - log_total, LOG_ZERO[scalar])
         if floor > 0.0:
-            weight = script.let("floored", floor + (1.0 - n * floor) * weight, initial=0.0)
+            weight = builder.define("floored", floor + (1.0 - n * floor) * weight, initial=0.0)
             logarithm = ca.log(weight)
-        script.put({"weight": weight, "log_weight_now": logarithm, "log_evidence": top + log_total})
+        builder.assign(
+            {"weight": weight, "log_weight_now": logarithm, "log_evidence": top + log_total}
+        )
     return result
 
 
 def _relative(
-    script: Script, names: Sequence[str], logs: ca.SX, initial: float | None = None
+    builder: PhaseBuilder, names: Sequence[str], logs: ca.SX, initial: float | None = None
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     """Logarithms, the largest of them, exponentials relative to it, and the sum of these."""
-    named = script.let(names[0], logs, initial)
-    top = script.let(names[1], reduce(ca.fmax, ca.vertsplit(named)), initial)
-    share = script.let(names[2], ca.exp(named - top), initial)
-    return named, top, share, script.let(names[3], ca.sum1(share), initial)
+    named = builder.define(names[0], logs, initial)
+    top = builder.define(names[1], reduce(ca.fmax, ca.vertsplit(named)), initial)
+    share = builder.define(names[2], ca.exp(named - top), initial)
+    return named, top, share, builder.define(names[3], ca.sum1(share), initial)
 
 
 def log_prior(prior: Sequence[float], scalar: str) -> tuple[float, ...]:
@@ -131,7 +133,7 @@ def patterns(rates: list[float]) -> list[tuple[tuple[int, ...], float]]:
 
 
 def advance(
-    script: Script, kernel: Kernel, now: tuple[ca.SX, ca.SX], scalar: str, *, mixing: bool
+    builder: PhaseBuilder, kernel: Kernel, now: tuple[ca.SX, ca.SX], scalar: str, *, mixing: bool
 ) -> Prediction:
     """One step of the chain from ``now`` = (probability, logarithm)."""
     columns = list(zip(*kernel, strict=True))
@@ -142,7 +144,7 @@ def advance(
     probability, logarithm = ([ca.SX(zero)] * len(columns) for zero in (0.0, LOG_ZERO[scalar]))
     group, weights = [0] * len(columns), []
     for at, (head, members) in enumerate(groups.items()):
-        whole, log, before = _column(script, columns[head], now, str(at), mixing=mixing)
+        whole, log, before = _column(builder, columns[head], now, str(at), mixing=mixing)
         weights.append(before)
         for j in members:
             ratio, group[j] = sum(columns[j]) / sum(columns[head]), at
@@ -167,7 +169,12 @@ def _is_full(entries: tuple[float, ...]) -> bool:
 
 
 def _column(
-    script: Script, entries: tuple[float, ...], now: tuple[ca.SX, ca.SX], tag: str, *, mixing: bool
+    builder: PhaseBuilder,
+    entries: tuple[float, ...],
+    now: tuple[ca.SX, ca.SX],
+    tag: str,
+    *,
+    mixing: bool,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """c_j, log c_j and mu_(i|j) for one target."""
     probability, logarithm = now
@@ -175,7 +182,7 @@ def _column(
         return ca.SX(entries[0]), ca.SX(math.log(entries[0])), probability
     source = [i for i, entry in enumerate(entries) if entry > 0.0]
     products = [probability[i] * entries[i] for i in source]
-    whole = script.let(f"mode_prediction_{tag}", total(products))
+    whole = builder.define(f"mode_prediction_{tag}", total(products))
     if len(source) == 1:
         only = source[0]
         weights = ca.SX.eye(len(entries))[:, only]
@@ -183,15 +190,15 @@ def _column(
     if _is_full(entries):
         if not mixing:
             return whole, ca.log(whole), probability
-        inverse = script.let(f"mode_prediction_inverse_{tag}", 1 / whole)
+        inverse = builder.define(f"mode_prediction_inverse_{tag}", 1 / whole)
         shares = column([product * inverse for product in products])
-        return whole, ca.log(whole), script.let(f"mixing_{tag}", shares)
+        return whole, ca.log(whole), builder.define(f"mixing_{tag}", shares)
     names = [
         f"{what}_{tag}"
         for what in ("log_path", "log_path_largest", "path_share", "path_share_total")
     ]
     joint = column([logarithm[i] + math.log(entries[i]) for i in source])
-    _, top, share, summed = _relative(script, names, joint)
+    _, top, share, summed = _relative(builder, names, joint)
     weights = ca.SX(len(entries), 1)
-    weights[source] = share * script.let(f"path_share_inverse_{tag}", 1 / summed)
+    weights[source] = share * builder.define(f"path_share_inverse_{tag}", 1 / summed)
     return whole, top + ca.log(summed), weights

@@ -34,7 +34,7 @@ from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.windows import window
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import column, congruence, diagonal, pack, split_packed, unpack
 from fkgen.symbolic.ports import estimate_ports, prior_of
@@ -86,27 +86,27 @@ def _filters(design: window.Design, prefix: str = "") -> list[tuple[Groups, ca.S
 
 def _update(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
-    script = Script(symbols)
+    builder = PhaseBuilder(symbols)
     state, packed = symbols["predicted_state"], symbols["predicted_covariance"]
     priors = _filters(design, "predicted_")
     for covariance in (packed, *(P for _, _, P in priors)):
-        demand_positive(script, covariance, n)
-    plant, whole, innovation = window.observed(script, design)
-    host = _host(design, script, whole, innovation)
+        demand_positive(builder, covariance, n)
+    plant, whole, innovation = window.observed(builder, design)
+    host = _host(design, builder, whole, innovation)
     correction = ca.SX.zeros(n) if host is None else host.mean
-    filtered = script.let("host_state", state + correction)
+    filtered = builder.define("host_state", state + correction)
     deviations, covariances = [], []
     for at, (subset, d, P) in enumerate(priors):
         tag = f"_compression{at}" if at else "_compression"
         part = _part(whole, innovation, _rows(design.soft, subset), "compression filter")
-        with script.titled(f"filter with group {', '.join(map(str, subset))}"):
-            found = condition(script, (d, unpack(P, n)), part, tag=tag, form=design.form)
-            deviations.append(script.let(f"deviation{tag}", found.mean - correction))
+        with builder.titled(f"filter with group {', '.join(map(str, subset))}"):
+            found = condition(builder, (d, unpack(P, n)), part, tag=tag, form=design.form)
+            deviations.append(builder.define(f"deviation{tag}", found.mean - correction))
         covariances.append(found.covariance)
-    demand_finite(script, ca.vertcat(filtered, *deviations))
-    counted = window.collect(script, symbols, design.soft)
-    with script.titled("results of the update"):
-        script.put(
+    demand_finite(builder, ca.vertcat(filtered, *deviations))
+    counted = window.collect(builder, symbols, design.soft)
+    with builder.titled("results of the update"):
+        builder.assign(
             {
                 "filtered_state": filtered,
                 "filtered_covariance": packed if host is None else host.covariance,
@@ -116,11 +116,11 @@ def _update(design: window.Design) -> Phase:
                 **counted,
             }
         )
-    return script.phase()
+    return builder.phase()
 
 
 def _host(
-    design: window.Design, script: Script, whole: Measurement, innovation: list[ca.SX]
+    design: window.Design, builder: PhaseBuilder, whole: Measurement, innovation: list[ca.SX]
 ) -> Conditioned | None:
     """The host conditioned on its rows (29), as a correction of its prediction."""
     rows, n = design.soft.host, design.plant.nx
@@ -128,7 +128,7 @@ def _host(
         return None
     prior = (ca.SX.zeros(n), unpack(design.symbols["predicted_covariance"], n))
     part, known = _part(whole, innovation, rows, "host"), [innovation[i] for i in rows]
-    return condition(script, prior, part, tag="_host", form=design.form, innovation=known)
+    return condition(builder, prior, part, tag="_host", form=design.form, innovation=known)
 
 
 def _part(
@@ -146,13 +146,13 @@ def _part(
 
 def _closing(design: window.Design) -> Phase:
     """The test (50), (51) of every group, and the update of the host by what it accepts (25)."""
-    n, script, filters = design.plant.nx, Script(design.symbols), _filters(design)
-    tests = [_test(design, script, group) for group in range(len(design.soft.groups))]
+    n, builder, filters = design.plant.nx, PhaseBuilder(design.symbols), _filters(design)
+    tests = [_test(design, builder, group) for group in range(len(design.soft.groups))]
     verdicts = []
     for group, test in enumerate(tests):
         excess = partial(operator.sub, test.value, test.looked_up)
-        with script.titled(f"verdict on group {group}"):
-            flags = window.verdict_on(script, design, group, f"_{group}", excess)
+        with builder.titled(f"verdict on group {group}"):
+            flags = window.verdict_on(builder, design, group, f"_{group}", excess)
         verdicts.append((*flags, test.value, test.rank))
     takeovers = []
     for subset, d, P in filters:
@@ -168,37 +168,37 @@ def _closing(design: window.Design) -> Phase:
             "compression_covariance": ca.vertcat(*[covariance] * len(filters)),
         }
 
-    return window.closed(script, design, verdicts, takeovers, restarted=restarted)
+    return window.closed(builder, design, verdicts, takeovers, restarted=restarted)
 
 
-def _test(design: window.Design, script: Script, group: int) -> QuadraticForm:
+def _test(design: window.Design, builder: PhaseBuilder, group: int) -> QuadraticForm:
     """The statistic d' (P - P*)^+ d of a group, if it holds a measurement."""
     n, host = design.plant.nx, design.symbols["filtered_covariance"]
     _, d, P = _filters(design)[group]
     names = f"difference_{group}", f"shift_{group}", f"scale_{group}"
     for name, size in zip(names, (host.numel(), n, n), strict=True):
-        script.local(name, size, initial=0.0)
-    with script.titled(f"test of group {group}"):
-        with script.where(design.symbols["collecting"][group] - 0.5):
+        builder.local(name, size, initial=0.0)
+    with builder.titled(f"test of group {group}"):
+        with builder.if_positive(design.symbols["collecting"][group] - 0.5):
             variances = column(diagonal(host, n))
-            script.put(dict(zip(names, (host - P, d, variances), strict=True)))
+            builder.assign(dict(zip(names, (host - P, d, variances), strict=True)))
         table = thresholds(design.soft.false_alarm, n)
-        return quadratic_form(script, names, n, DIRECTION[design.spec.code.scalar], table)
+        return quadratic_form(builder, names, n, DIRECTION[design.spec.code.scalar], table)
 
 
 def _predict(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
-    script = Script(symbols)
-    plant = bound(script, design.plant, "ABQ")
+    builder = PhaseBuilder(symbols)
+    plant = bound(builder, design.plant, "ABQ")
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, certain(symbols["u"]), filtered)
     filters = _filters(design)
     deviations = [plant.A @ d for _, d, _ in filters]
     covariances = [congruence(plant.A, unpack(P, n)) + pack(plant.Q) for _, _, P in filters]
-    counted = window.count_down(script, symbols, design.soft)
+    counted = window.count_down(builder, symbols, design.soft)
     guards = [finite(state, covariance), *map(finite, deviations, covariances)]
-    with script.titled("prediction of the next sample"):
-        script.put(
+    with builder.titled("prediction of the next sample"):
+        builder.assign(
             {
                 "predicted_state": state,
                 "predicted_covariance": covariance,
@@ -208,4 +208,4 @@ def _predict(design: window.Design) -> Phase:
             },
             guards,
         )
-    return script.phase()
+    return builder.phase()

@@ -31,7 +31,7 @@ from fkgen.estimators.lmmse.kalman import by_rows, constant, from_rows
 from fkgen.estimators.windows import window
 from fkgen.faults.partial_state import measured_states, similarity, typical_deviation
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.linalg import congruence, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant
@@ -144,20 +144,20 @@ def _compressed_ports(n: int, m: int) -> tuple[Port, ...]:
 
 def update(given: PartialDesign) -> Phase:
     """Write the update of sample k: (29), (44) or its replacement, (45), (46)."""
-    script, symbols, found = Script(given.symbols), given.symbols, None
+    builder, symbols, found = PhaseBuilder(given.symbols), given.symbols, None
     state, covariance = symbols["predicted_state"], symbols["predicted_covariance"]
-    demand_positive(script, covariance, given.plant.nx)
-    plant, y, innovation = window.observed(script, given)
-    compressed = _carried(script, given)
+    demand_positive(builder, covariance, given.plant.nx)
+    plant, y, innovation = window.observed(builder, given)
+    compressed = _carried(builder, given)
     if given.soft.host:
-        found, compressed = _by_host(script, given, y, (innovation, compressed))
+        found, compressed = _by_host(builder, given, y, (innovation, compressed))
         state, covariance = found.mean, found.covariance
     after = replace(y, offset=y.offset + plant.C @ state).only(given.rows)
-    compressed = _compress(script, given, plant, (after, covariance, compressed))
-    demand_finite(script, ca.vertcat(state, compressed.measurement))
-    counted = window.collect(script, symbols, given.soft)
-    with script.titled("results of the update"):
-        script.put(
+    compressed = _compress(builder, given, plant, (after, covariance, compressed))
+    demand_finite(builder, ca.vertcat(state, compressed.measurement))
+    counted = window.collect(builder, symbols, given.soft)
+    with builder.titled("results of the update"):
+        builder.assign(
             {
                 "filtered_state": state,
                 "filtered_covariance": covariance,
@@ -166,20 +166,23 @@ def update(given: PartialDesign) -> Phase:
                 **counted,
             }
         )
-    return script.phase()
+    return builder.phase()
 
 
-def _carried(script: Script, given: PartialDesign) -> Compressed:
+def _carried(builder: PhaseBuilder, given: PartialDesign) -> Compressed:
     """Z before this sample; zeros if there is none."""
-    carried, assign = _locals(script, "carried_", given.compressed("predicted_"))
+    carried, assign = _locals(builder, "carried_", given.compressed("predicted_"))
     title = "the compressed measurement, if there is one"
-    with script.titled(title), script.where(given.active):
-        script.put(assign)
+    with builder.titled(title), builder.if_positive(given.active):
+        builder.assign(assign)
     return carried
 
 
 def _by_host(
-    script: Script, given: PartialDesign, y: Measurement, known: tuple[list[ca.SX], Compressed]
+    builder: PhaseBuilder,
+    given: PartialDesign,
+    y: Measurement,
+    known: tuple[list[ca.SX], Compressed],
 ) -> tuple[Conditioned, Compressed]:
     """(29) for the host and (44), or its optimal replacement, for Z.
 
@@ -190,7 +193,7 @@ def _by_host(
     state, packed = given.symbols["predicted_state"], given.symbols["predicted_covariance"]
     n, m, rows = given.plant.nx, len(given.rows), given.soft.host
     found = condition(
-        script,
+        builder,
         (ca.vertcat(state, ca.SX.zeros(m)), carried.joint(packed)),
         replace(y, C=ca.horzcat(y.C, ca.SX(len(y.rows), m))).only(rows),
         form=given.form,
@@ -202,16 +205,16 @@ def _by_host(
         learnt = learnt + found.mean[n:]
     else:
         noise = carried.noise
-    with script.titled("maintenance of the compressed measurement"):
-        maintained = script.local("maintained", m, 0.0)
-        with script.where(given.active):
-            script.put({"maintained": carried.measurement - learnt})
+    with builder.titled("maintenance of the compressed measurement"):
+        maintained = builder.local("maintained", m, 0.0)
+        with builder.if_positive(given.active):
+            builder.assign({"maintained": carried.measurement - learnt})
     host = replace(found, mean=found.mean[:n], covariance=covariance)
     return host, Compressed(maintained, noise, cross)
 
 
 def _compress(
-    script: Script,
+    builder: PhaseBuilder,
     given: PartialDesign,
     plant: Plant,
     known: tuple[Measurement, ca.SX, Compressed],
@@ -219,15 +222,15 @@ def _compress(
     """(46), row by row: V is corrected as if nothing were known of it but R."""
     measurement, covariance, carried = known
     partial, m = partial_state(given.spec, plant), len(given.rows)
-    with script.titled("whether a compressed measurement begins"):
-        some, every = _beginnings(script, given)
+    with builder.titled("whether a compressed measurement begins"):
+        some, every = _beginnings(builder, given)
     if m > 1:
-        carried, assign = _locals(script, "begun_", carried)
-        script.put(assign)
-        with script.where(some):
-            script.put(_silent(partial, covariance).ports("begun_"))
+        carried, assign = _locals(builder, "begun_", carried)
+        builder.assign(assign)
+        with builder.if_positive(some):
+            builder.assign(_silent(partial, covariance).ports("begun_"))
     found = condition(
-        script,
+        builder,
         (carried.measurement, unpack(carried.noise, m)),
         replace(measurement, C=partial.phi, rank_tolerance=None),
         tag="_compressed",
@@ -238,22 +241,22 @@ def _compress(
         raise InternalError("a condition with gain, without one")
     cross = carried.cross - found.gain @ (partial.phi @ carried.cross)
     folded = Compressed(found.mean, found.covariance, cross)
-    compressed, assign = _locals(script, "new_", folded)
-    with script.titled("a compressed measurement begins"):
-        script.put(assign)
-        with script.where(every):
-            script.put(_first(script, partial, measurement).ports("new_"))
+    compressed, assign = _locals(builder, "new_", folded)
+    with builder.titled("a compressed measurement begins"):
+        builder.assign(assign)
+        with builder.if_positive(every):
+            builder.assign(_first(builder, partial, measurement).ports("new_"))
     return compressed
 
 
-def _beginnings(script: Script, given: PartialDesign) -> tuple[ca.SX, ca.SX]:
+def _beginnings(builder: PhaseBuilder, given: PartialDesign) -> tuple[ca.SX, ca.SX]:
     """1 where there was no Z and now some rows of the group are there; the same for all of them."""
-    fresh = script.let("fresh", 1 - given.active)
-    some, every = script.local("begins", 1, 0.0), fresh
+    fresh = builder.define("fresh", 1 - given.active)
+    some, every = builder.local("begins", 1, 0.0), fresh
     for at, row in enumerate(given.rows):
-        flag = script.local(f"begins_{at}", 1, 0.0)
-        with script.when(row):
-            script.put({"begins": fresh, f"begins_{at}": every})
+        flag = builder.local(f"begins_{at}", 1, 0.0)
+        with builder.if_present(row):
+            builder.assign({"begins": fresh, f"begins_{at}": every})
         every = flag
     return some, every
 
@@ -265,10 +268,10 @@ def _silent(partial: PartialState, covariance: ca.SX) -> Compressed:
     return Compressed(zero, congruence(partial.T1, P), -partial.T1 @ P)
 
 
-def _first(script: Script, partial: PartialState, measurement: Measurement) -> Compressed:
+def _first(builder: PhaseBuilder, partial: PartialState, measurement: Measurement) -> Compressed:
     """(42): all rows of a group, scaled by phi; refused where that is singular."""
     determinant = ca.det(partial.phi)
-    script.demand(Kind.POSITIVE, [determinant * determinant], Status.RESULT_NOT_FINITE)
+    builder.demand(Kind.POSITIVE, [determinant * determinant], Status.RESULT_NOT_FINITE)
     back = sparse(ca.inv(partial.phi))
     return Compressed(
         back @ (measurement.y - measurement.offset),
@@ -277,37 +280,39 @@ def _first(script: Script, partial: PartialState, measurement: Measurement) -> C
     )
 
 
-def _locals(script: Script, prefix: str, values: Compressed) -> tuple[Compressed, dict[str, ca.SX]]:
+def _locals(
+    builder: PhaseBuilder, prefix: str, values: Compressed
+) -> tuple[Compressed, dict[str, ca.SX]]:
     """Variables of this shape, zero to begin with, and what to assign them."""
     m = values.cross.shape[0]
     assign = values.ports(prefix)
     measurement, noise, cross = (
-        script.local(name, value.numel(), 0.0) for name, value in assign.items()
+        builder.local(name, value.numel(), 0.0) for name, value in assign.items()
     )
     return Compressed(measurement, noise, from_rows(cross, m)), assign
 
 
 def closing(given: PartialDesign) -> Phase:
     """The test (50), (51) and the host update (47); Z is discarded whatever comes of it."""
-    script, n, m = Script(given.symbols), given.plant.nx, len(given.rows)
-    taken, rank = _taken_over(script, given)
+    builder, n, m = PhaseBuilder(given.symbols), given.plant.nx, len(given.rows)
+    taken, rank = _taken_over(builder, given)
 
     def excess() -> ca.SX:
-        threshold = script.local("threshold", 1, 0.0)
+        threshold = builder.local("threshold", 1, 0.0)
         for below, value in enumerate(thresholds(given.soft.false_alarm, m)):
-            with script.where(rank - (below + 0.5)):
-                script.put({"threshold": ca.SX(value)})
+            with builder.if_positive(rank - (below + 0.5)):
+                builder.assign({"threshold": ca.SX(value)})
         return taken.nis - threshold
 
-    with script.titled("verdict"):
-        accepted, rejected = window.verdict_on(script, given, 0, "", excess)
+    with builder.titled("verdict"):
+        accepted, rejected = window.verdict_on(builder, given, 0, "", excess)
     title, collecting = "the host takes over", given.symbols["collecting"]
     takeover = window.Takeover(title, accepted, taken.mean[:n], parts(taken.covariance, n, m)[0])
     verdict = accepted, rejected, taken.nis * collecting, rank * collecting
-    return window.closed(script, given, [verdict], [takeover], title=title)
+    return window.closed(builder, given, [verdict], [takeover], title=title)
 
 
-def _taken_over(script: Script, given: PartialDesign) -> tuple[SequentialUpdate, ca.SX]:
+def _taken_over(builder: PhaseBuilder, given: PartialDesign) -> tuple[SequentialUpdate, ca.SX]:
     """(e, V) given that T1 e + V is Z, (47), and how many rows of Z say something.
 
     Rows of a group of which only others have begun say nothing, up to rounding of T1 P T1' + R.
@@ -318,7 +323,7 @@ def _taken_over(script: Script, given: PartialDesign) -> tuple[SequentialUpdate,
     prior, none = pack(carried.joint(covariance)), ca.SX.zeros(n + m)
     measures = ca.horzcat(T1, ca.SX.eye(m))
     taken = SequentialUpdate(
-        script=script,
+        builder=builder,
         rows=[
             Row(sparse(measures[i, :].T), carried.measurement[i], ca.SX(0), ca.SX(m, 1))
             for i in range(m)
@@ -326,25 +331,25 @@ def _taken_over(script: Script, given: PartialDesign) -> tuple[SequentialUpdate,
         at=(),
         tag=tag,
         form=given.form,
-        variance=script.let("size", congruence(T1, unpack(covariance, n)) + carried.noise),
+        variance=builder.define("size", congruence(T1, unpack(covariance, n)) + carried.noise),
         rank_tolerance=DIRECTION[scalar],
         prior=none,
         covariance=prior,
         gain=None,
         pivots_per_log=PIVOTS_PER_LOG[scalar],
     )
-    rank = script.local("rank", 1, 0.0)
+    rank = builder.local("rank", 1, 0.0)
     for i, row in enumerate(given.rows):
-        with script.titled(f"row {i} of the compressed measurement, {given.plant.rows[row]}"):
+        with builder.titled(f"row {i} of the compressed measurement, {given.plant.rows[row]}"):
             taken.update_row(i)
-            with script.where(script.symbol(f"inverse{tag}_{i}")):
-                script.put({"rank": rank + 1})
+            with builder.if_positive(builder.symbol(f"inverse{tag}_{i}")):
+                builder.assign({"rank": rank + 1})
     return taken, rank
 
 
 def _predict(given: PartialDesign) -> Phase:
-    script, symbols = Script(given.symbols), given.symbols
-    plant, n, m = bound(script, given.plant, "ABQ"), given.plant.nx, len(given.rows)
+    builder, symbols = PhaseBuilder(given.symbols), given.symbols
+    plant, n, m = bound(builder, given.plant, "ABQ"), given.plant.nx, len(given.rows)
     carried, partial, T1 = given.compressed(), given.partial, given.partial.T1
     # Of (e, V): V+ = F11 V - F12 e^2 - G1 w, eq. (D2).
     moved, noise = T1 @ plant.A, T1 @ plant.Q
@@ -354,10 +359,10 @@ def _predict(given: PartialDesign) -> Phase:
     joint = carried.joint(symbols["filtered_covariance"])
     later = congruence(sparse(ca.blockcat(step)), joint) + pack(Q)
     covariance, cross, noise = parts(later, n, m)
-    counted = window.count_down(script, symbols, given.soft)
+    counted = window.count_down(builder, symbols, given.soft)
     after = Compressed(partial.advance(plant) @ carried.measurement, noise, cross)
-    with script.titled("prediction of the next sample"):
-        script.put(
+    with builder.titled("prediction of the next sample"):
+        builder.assign(
             {
                 "predicted_state": state,
                 "predicted_covariance": covariance,
@@ -366,4 +371,4 @@ def _predict(given: PartialDesign) -> Phase:
             },
             [finite(state, covariance), finite(after.measurement, after.noise)],
         )
-    return script.phase()
+    return builder.phase()

@@ -18,7 +18,7 @@ from fkgen.estimators.gaussian.estimate import bound, finite, measurement_of, up
 from fkgen.estimators.gaussian.sequential import Conditioned, innovations
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
-from fkgen.symbolic.builder import Script
+from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Outcome, Port, Status
 from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, unpack
 from fkgen.symbolic.plant import Plant, plant_of
@@ -113,12 +113,12 @@ def window_ports(spec: Spec) -> tuple[Port, ...]:
     )
 
 
-def observed(script: Script, design: Design) -> tuple[Plant, Measurement, list[ca.SX]]:
+def observed(builder: PhaseBuilder, design: Design) -> tuple[Plant, Measurement, list[ca.SX]]:
     """The plant with named entries, y as it measures it, and the innovation of the host."""
-    plant, symbols = bound(script, design.plant, "CDR"), design.symbols
+    plant, symbols = bound(builder, design.plant, "CDR"), design.symbols
     offset = plant.D @ symbols["u"]
     y = measurement_of(plant, y=symbols["y"], C=plant.C, offset=offset, R=plant.R)
-    return plant, y, innovations(script, symbols["predicted_state"], y, "")
+    return plant, y, innovations(builder, symbols["predicted_state"], y, "")
 
 
 def innovation_of_host(
@@ -134,17 +134,17 @@ def innovation_of_host(
     }
 
 
-def collect(script: Script, symbols: dict[str, ca.SX], soft: SoftFaults) -> dict[str, ca.SX]:
+def collect(builder: PhaseBuilder, symbols: dict[str, ca.SX], soft: SoftFaults) -> dict[str, ca.SX]:
     """Note which groups have a measurement; what the update says of window and test."""
-    with script.titled("which compression filters hold a measurement"):
+    with builder.titled("which compression filters hold a measurement"):
         flags = []
         for at, group in enumerate(soft.groups):
             name = f"collecting_{at}"
-            flags.append(script.local(name, 1))
-            script.put({name: symbols["predicted_collecting"][at]})
+            flags.append(builder.local(name, 1))
+            builder.assign({name: symbols["predicted_collecting"][at]})
             for row in group:
-                with script.when(row):
-                    script.put({name: ca.SX(1)})
+                with builder.if_present(row):
+                    builder.assign({name: ca.SX(1)})
     none = ca.SX.zeros(len(soft.groups))
     result = {
         COUNTDOWN: symbols[f"predicted_{COUNTDOWN}"],
@@ -156,27 +156,29 @@ def collect(script: Script, symbols: dict[str, ca.SX], soft: SoftFaults) -> dict
     return result
 
 
-def count_down(script: Script, symbols: dict[str, ca.SX], soft: SoftFaults) -> dict[str, ca.SX]:
+def count_down(
+    builder: PhaseBuilder, symbols: dict[str, ca.SX], soft: SoftFaults
+) -> dict[str, ca.SX]:
     """What the prediction says of the window: one sample fewer, or a new one."""
-    with script.titled("samples left in the window"):
-        left = script.local("left", 1)
-        script.put({"left": symbols[COUNTDOWN] - 1})
-        with script.where(0.5 - symbols[COUNTDOWN]):
-            script.put({"left": ca.SX(soft.window - 1)})
+    with builder.titled("samples left in the window"):
+        left = builder.local("left", 1)
+        builder.assign({"left": symbols[COUNTDOWN] - 1})
+        with builder.if_positive(0.5 - symbols[COUNTDOWN]):
+            builder.assign({"left": ca.SX(soft.window - 1)})
     carried = [name for name in ("collecting", "rejections") if name in symbols]
     return {f"predicted_{COUNTDOWN}": left} | {f"predicted_{n}": symbols[n] for n in carried}
 
 
 def verdict_on(
-    script: Script, design: Design, group: int, tag: str, excess: Callable[[], ca.SX]
+    builder: PhaseBuilder, design: Design, group: int, tag: str, excess: Callable[[], ca.SX]
 ) -> tuple[ca.SX, ca.SX]:
     """(accepted, rejected) as 0 or 1: neither of them if there was no measurement."""
     names = f"accepted{tag}", f"rejected{tag}"
-    accepted, rejected = (script.local(name, 1) for name in names)
-    script.put({names[0]: design.symbols["collecting"][group], names[1]: ca.SX(0)})
+    accepted, rejected = (builder.local(name, 1) for name in names)
+    builder.assign({names[0]: design.symbols["collecting"][group], names[1]: ca.SX(0)})
     if design.spec.filter.options.test:
-        with script.where(excess()):
-            script.put({names[0]: ca.SX(0), names[1]: ca.SX(1)})
+        with builder.if_positive(excess()):
+            builder.assign({names[0]: ca.SX(0), names[1]: ca.SX(1)})
     return accepted, rejected
 
 
@@ -191,7 +193,7 @@ class Takeover:
 
 
 def closed(
-    script: Script,
+    builder: PhaseBuilder,
     design: Design,
     verdicts: Sequence[Verdict],
     takeovers: Sequence[Takeover],
@@ -206,19 +208,19 @@ def closed(
     symbols, count = design.symbols, len(verdicts)
     accepted, rejected, statistic, dof = zip(*verdicts, strict=True)
     host = {f"closed_{of}": symbols[f"filtered_{of}"] for of in ("state", "covariance")}
-    state, covariance = (script.local(name, value.numel()) for name, value in host.items())
-    with script.titled(title):
-        script.put(host)
+    state, covariance = (builder.local(name, value.numel()) for name, value in host.items())
+    with builder.titled(title):
+        builder.assign(host)
     for each in takeovers:
         moved = symbols["filtered_state"] + each.shift, each.covariance
-        with script.titled(each.title), script.where(each.agreed):
-            script.put(dict(zip(host, moved, strict=True)))
+        with builder.titled(each.title), builder.if_positive(each.agreed):
+            builder.assign(dict(zip(host, moved, strict=True)))
     limit = design.spec.filter.options.reacquire
     counted = {}
     if limit is not None:
-        counted = _reacquired(script, limit, (accepted, rejected), takeovers[-1].shift)
-    with script.titled("results of the window"):
-        script.put(
+        counted = _reacquired(builder, limit, (accepted, rejected), takeovers[-1].shift)
+    with builder.titled("results of the window"):
+        builder.assign(
             {
                 "filtered_state": state,
                 "filtered_covariance": covariance,
@@ -231,11 +233,11 @@ def closed(
             },
             [finite(state, covariance)],
         )
-    return script.phase(unless=COUNTDOWN)
+    return builder.phase(unless=COUNTDOWN)
 
 
 def _reacquired(
-    script: Script, limit: int, verdicts: Sequence[Sequence[ca.SX]], d: ca.SX
+    builder: PhaseBuilder, limit: int, verdicts: Sequence[Sequence[ca.SX]], d: ca.SX
 ) -> dict[str, ca.SX]:
     """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
 
@@ -243,14 +245,14 @@ def _reacquired(
     something passes: the vaguer the host, the more of its error is in d.
     """
     accepted, rejected = verdicts
-    with script.titled("rejections in a row"):
-        count = script.local("rejections_now", 1)
-        script.put({"rejections_now": script.symbol("rejections")})
-        with script.where(sum(rejected, start=ca.SX(-0.5))):
-            script.put({"rejections_now": count + 1})
-        with script.where(sum(accepted, start=ca.SX(-0.5))):
-            script.put({"rejections_now": ca.SX(0)})
-        with script.where(count - (limit - 0.5)):
+    with builder.titled("rejections in a row"):
+        count = builder.local("rejections_now", 1)
+        builder.assign({"rejections_now": builder.symbol("rejections")})
+        with builder.if_positive(sum(rejected, start=ca.SX(-0.5))):
+            builder.assign({"rejections_now": count + 1})
+        with builder.if_positive(sum(accepted, start=ca.SX(-0.5))):
+            builder.assign({"rejections_now": ca.SX(0)})
+        with builder.if_positive(count - (limit - 0.5)):
             name = "closed_covariance"
-            script.put({name: script.symbol(name) + outer_lower(d, d)})
+            builder.assign({name: builder.symbol(name) + outer_lower(d, d)})
     return {"rejections": count}
