@@ -56,9 +56,8 @@ def fault_effect(
     if as_json:
         click.echo(found.to_json())
     else:
-        head, rows = found.table()
-        print_table(head, rows, **dict.fromkeys(head[1:], "right"))
-        for line in found.sentences():
+        print_table(found.head, found.rows, **dict.fromkeys(found.head[1:], "right"))
+        for line in found.sentences:
             click.echo(line)
     for note in found.notes:
         click.echo(f"note: {note}", err=True)
@@ -81,9 +80,9 @@ def detectability(spec: str, *, as_json: bool, **options: Any) -> None:
     if as_json:
         click.echo(found.to_json())
         return
-    head, rows = found.table()
-    print_table(head, rows, **dict.fromkeys(head[2:], "right"))
-    click.echo(found.sentence())
+    print_table(found.head, found.rows, **dict.fromkeys(found.head[2:], "right"))
+    for line in found.sentences:
+        click.echo(line)
 
 
 @click.command()

@@ -183,7 +183,7 @@ def test_a_float_filter_is_answered_in_double():
 
 
 MISTAKES = {
-    "an actuator fault with the sign of a wrong readback": ("_SIGN", {"plant": -1.0}),
+    "an actuator fault with the sign of a wrong readback": ("SIGN", {"plant": -1.0}),
     "lost commands as variances, not deviations": ("square_root", lambda N: N),
     "lost commands forgotten": ("square_root", lambda N: 0.0 * N),
     "lost commands of one input in the other": ("square_root", lambda N: N[:, ::-1] ** 0.5),
