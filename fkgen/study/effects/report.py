@@ -21,12 +21,12 @@ from fkgen.study.effects.fault_effect import fault_effect
 from fkgen.study.effects.profiles import drift, pulse, ramp, step
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.table import constants_or_record, profile_of
+from fkgen.study.reports import plots
 from fkgen.study.reports.jsonable import Answer
-from fkgen.study.reports.plots import BAND, BLUE, GREY, LARGEST, ORANGE, axis_label, finish, save
+from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE
 
 Array = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 9.0, 1.9
 _KINDS = {
     "exact": "exact: the same in every run, whatever the noise is",
     "mean": "the mean over lost commands, which decide how much of the fault arrives",
@@ -75,7 +75,7 @@ def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool) -
     )
     over = effect.settled(options.fraction)  # refuses a share that is none, before it draws
     if plot is not None:
-        save(draw(spec, effect, over, options.false_alarm), plot, force=force)
+        plots.save(draw(spec, effect, over, options.false_alarm), plot, force=force)
         notes.append(f"{plot}: written")
     head = ("state", "unit", "largest error", "at sample", "in sd", "at the end", "over at")
     rows = [_row(each, effect, i, int(over[i])) for i, each in enumerate(spec.model.states)]
@@ -162,59 +162,47 @@ def _profile(
     return shapes[options.shape](steps, options.start, size)
 
 
+@plots.styled
 def draw(spec: Spec, effect: FaultEffect, over: NDArray[np.int64], false_alarm: float) -> Figure:
     """One panel per state, then the power of the NIS test (or the change of the NIS)."""
-    states = spec.model.states[:LARGEST]
-    panels = len(states) + 1
-    figure = Figure(figsize=(_WIDTH, _HEIGHT * panels), layout="constrained")
-    axes = figure.subplots(panels, 1, sharex=True)
-    for i, signal in enumerate(states):
-        _draw_state(axes[i], effect, i, int(over[i]))
-        axes[i].set_ylabel(axis_label(signal), fontsize=9)
-    how = {"paired": f"mean of {effect.runs} pairs", "mean": "mean over lost commands"}
-    text = f"{spec.name}: {spec.filter.family}, error that the fault makes"
-    axes[0].set_title(f"{text}, {how.get(effect.kind, effect.kind)}", loc="left", fontsize=10)
-    axes[0].legend(frameon=False, ncols=3, fontsize=8, loc="upper right")
-    _draw_visibility(axes[-1], effect, false_alarm)
-    finish(figure, "sample")
-    return figure
+    states = range(len(spec.model.states[: plots.LARGEST]))
+    draws = [partial(_draw_state, spec=spec, effect=effect, i=i, over=int(over[i])) for i in states]
+    draws.append(partial(_draw_visibility, effect=effect, false_alarm=false_alarm))
+    return plots.panels([plots.HEIGHT] * len(draws), draws, "sample")
 
 
-def _draw_state(axis: Axes, effect: FaultEffect, i: int, over: int) -> None:
+def _draw_state(axis: Axes, spec: Spec, effect: FaultEffect, i: int, over: int) -> None:
     """Error within one standard deviation of the estimate (and of the mean), and where it ends."""
     error, sd = effect.error_deviation[:, i], effect.state_sd[:, i]
-    time = np.arange(len(error))
+    time, spread = np.arange(len(error)), 2.0 * effect.standard_error[:, i]
     axis.fill_between(time, -sd, sd, color=BLUE, alpha=BAND, lw=0, label=r"$\pm\sigma$ of x(k|k)")
-    spread = 2.0 * effect.standard_error[:, i]
     if spread.any():
         axis.fill_between(time, error - spread, error + spread, color=ORANGE, alpha=0.3, lw=0)
     axis.plot(time, error, color=BLUE, lw=1.4, label="error by the fault")
     axis.axhline(0.0, color="black", lw=0.6)
     if 0 < over < len(error):
         axis.axvline(over, color=ORANGE, lw=1.0, ls="--", label="over")
-        axis.annotate(
-            f"{over}",
-            (over, 0.04),
-            xycoords=("data", "axes fraction"),
-            xytext=(3, 0),
-            textcoords="offset points",
-            fontsize=8,
-            color=ORANGE,
-        )
+        where = ("data", "axes fraction"), "offset points"
+        axis.annotate(f"{over}", (over, 0.04), (3, 0), *where, fontsize=8, color=ORANGE)
     reach = 1.15 * max(float(np.abs(error).max()), min(float(np.median(sd)), 1e3)) or 1.0
     axis.set_ylim(-reach, reach)
+    axis.set_ylabel(plots.label_of(spec.model.states[i]))
+    if i == 0:
+        how = {"paired": f"mean of {effect.runs} pairs", "mean": "mean over lost commands"}
+        text = f"{spec.name}: {spec.filter.family}, error that the fault makes"
+        axis.set_title(f"{text}, {how.get(effect.kind, effect.kind)}", fontsize=10)
+        axis.legend(ncols=3, loc="upper right")
 
 
 def _draw_visibility(axis: Axes, effect: FaultEffect, false_alarm: float) -> None:
-    time = np.arange(len(effect.noncentrality))
+    seen = effect.power(false_alarm) if effect.gaussian else effect.noncentrality
+    axis.plot(seen, color=BLUE, lw=1.4)
     if not effect.gaussian:
-        axis.plot(time, effect.noncentrality, color=BLUE, lw=1.4)
         axis.axhline(0.0, color="black", lw=0.6)
-        axis.set_ylabel("change of NIS", fontsize=9)
+        axis.set_ylabel("change of NIS")
         return
-    axis.plot(time, effect.power(false_alarm), color=BLUE, lw=1.4)
     axis.axhline(false_alarm, color=GREY, lw=0.8, ls=":")
     axis.set_ylim(-0.03, 1.03)
-    axis.set_ylabel("power of NIS", fontsize=9)
+    axis.set_ylabel("power of NIS")
     text = f"probability that the NIS of the sample exceeds its bound; false alarms {false_alarm:g}"
-    axis.set_title(text, loc="left", fontsize=8, color=GREY)
+    axis.set_title(text, color=GREY)
