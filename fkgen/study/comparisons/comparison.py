@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fkgen.console import progressing
+from fkgen.console import Advance, progressing
 from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.pipeline import build
 from fkgen.problem import Spec
+from fkgen.problem.numbers import probability
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.study.comparisons.candidates import (
     Candidate,
@@ -23,7 +25,7 @@ from fkgen.study.comparisons.candidates import (
     genie_of,
 )
 from fkgen.study.comparisons.footprint import footprint
-from fkgen.study.comparisons.ranking import Comparison, Entry, Experiment, ranked
+from fkgen.study.comparisons.ranking import Comparison, ranked
 from fkgen.study.comparisons.scores import Scores, score
 from fkgen.trials.simulation import counted, simulate
 
@@ -71,83 +73,71 @@ def compare(
         If a family does not fit the faults, a number is out of range, or the plant overflows.
     """
     given = (specs,) if isinstance(specs, Spec) else tuple(specs)
-    left_out: tuple[str, ...] = ()
     ready = counted("steps", steps) // 4 if skip is None else counted("skip", skip, least=0)
-    size = Experiment(runs, steps, seed, ready, false_alarm)
-    experiment = replace(size, u=u, params=params, sensor=sensor, input=input, present=present)
+    counted("runs", runs, least=2)
+    counted("steps", steps)
+    if ready >= steps:
+        expected = f"from 0 to {steps - 1}: some of the {steps} samples have to count"
+        raise DataError("skip", given=str(ready), expected=expected)
+    probability("false_alarm", false_alarm)
+    left_out: tuple[str, ...] = ()
     if families is None and len(given) == 1:
         families, left_out = default_families(given[0])
-    found = _compared(given, families or (), experiment, progress=progress)
-    return replace(found, notes=(*found.notes, *left_out))
-
-
-def _compared(
-    specs: tuple[Spec, ...], families: Sequence[str], experiment: Experiment, *, progress: bool
-) -> Comparison:
-    if not specs:
+    if not given:
         raise DataError("specs", given="none", expected="at least one spec")
-    truth, compiled = specs[0], []
-    everyone = (genie_of(truth), *candidates_of(specs, families))
+    everyone = (genie_of(given[0]), *candidates_of(given, families or ()))
+    compiled = []
     with progressing("build", len(everyone), shown=progress) as advance:
         for each in everyone:
             compiled.append(build(each.spec))
             advance(1)
         with ThreadPoolExecutor() as pool:
             costs = list(pool.map(footprint, compiled))
-    scores = _scored(truth, everyone, compiled, experiment, progress=progress)
-    entries = [
-        Entry(each.label, each.spec.filter.family, result, cost)
-        for each, result, cost in zip(everyone, scores, costs, strict=True)
-    ]
-    found = ranked(truth, entries, experiment)
+    signals = {"u": u, "params": params, "sensor": sensor, "input": input, "present": present}
+    size = {"runs": runs, "steps": steps, "skip": ready, "seed": seed}
+    with progressing("simulate and filter", runs * len(everyone), shown=progress) as advance:
+        pairs = list(zip(everyone, compiled, strict=True))
+        results = _scored(given[0], pairs, false_alarm, signals, advance, **size)
+    found = ranked(given[0], everyone, results, costs, false_alarm, **size)
     caveats = (
         f"{each.label}: {finding.message}"
         for each in everyone[1:]
         for finding in family(each.spec.filter.family).caveats(each.spec)
     )
-    return replace(found, notes=(*found.notes, *caveats))
+    return replace(found, notes=(*found.notes, *caveats, *left_out))
 
 
 def _scored(
     truth: Spec,
-    everyone: Sequence[Candidate],
-    compiled: Sequence[CompiledFilter],
-    experiment: Experiment,
+    filters: Sequence[tuple[Candidate, CompiledFilter]],
+    false_alarm: float,
+    signals: Mapping[str, Any],
+    advance: Advance,
     *,
-    progress: bool,
+    runs: int,
+    steps: int,
+    skip: int,
+    seed: int,
 ) -> list[Scores]:
     """Simulate and filter in chunks: only scores are kept; the first candidate is the genie."""
     from scipy.special import gammainccinv  # noqa: PLC0415 - scipy.stats would take a second
 
-    runs, steps = experiment.runs, experiment.steps
     rows = np.arange(1, truth.model.ny + 1)
     # What the NIS of 0, 1, ... rows exceeds with the probability of a false alarm.
-    limits = np.array([np.inf, *(2.0 * gammainccinv(0.5 * rows, experiment.false_alarm))])
-    parts: list[list[Scores]] = [[] for _ in everyone]
-    with progressing("simulate and filter", runs * len(everyone), shown=progress) as advance:
-        for start in range(0, runs, size := max(1, CHUNK // steps)):
-            stop = min(start + size, runs)
-            drawn = simulate(
-                truth,
-                stop - start,
-                steps,
-                experiment.seed,
-                _part(experiment.u, start, stop),
-                params=experiment.params,
-                sensor=_part(experiment.sensor, start, stop),
-                input=_part(experiment.input, start, stop),
-                present=_part(experiment.present, start, stop),
-                first=start,
-            )
-            for at, each in enumerate(everyone):
-                given = filter_inputs(drawn, each.spec, genie=at == 0)
-                part = score(compiled[at], given, drawn, skip=experiment.skip, limits=limits)
-                parts[at].append(part)
-                advance(stop - start)
-    return [Scores.joined(each) for each in parts]
+    limits = np.array([np.inf, *(2.0 * gammainccinv(0.5 * rows, false_alarm))])
+    parts: list[list[Scores]] = [[] for _ in filters]
+    for start in range(0, runs, size := max(1, CHUNK // steps)):
+        count = min(size, runs - start)
+        given = {name: _part(each, start, start + count) for name, each in signals.items()}
+        drawn = simulate(truth, count, steps, seed, first=start, **given)
+        for found, (each, compiled) in zip(parts, filters, strict=True):
+            told = filter_inputs(drawn, each.spec, genie=found is parts[0])
+            found.append(score(compiled, told, drawn, skip=skip, limits=limits))
+            advance(count)
+    return [Scores(*map(np.concatenate, zip(*each, strict=True))) for each in parts]
 
 
-def _part(signal: ArrayLike | None, start: int, stop: int) -> ArrayLike | None:
+def _part(signal: Any, start: int, stop: int) -> Any:
     """The trials of a chunk, if a signal has one record for each."""
-    array = None if signal is None else np.asarray(signal)
-    return array[start:stop] if array is not None and array.ndim == 3 else signal
+    array = np.asarray(signal)
+    return array[start:stop] if array.ndim == 3 else signal

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from fkgen.runtime.record import dtype_of
 #: Operations that a call of exp, log, sqrt or their kin is counted as: what its C does.
 CALL = 25
 
-_WAIT = 600
 _CORTEX = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 
 
@@ -52,34 +51,29 @@ def footprint(compiled: CompiledFilter) -> Footprint:
 
 
 def _flash(compiled: CompiledFilter) -> dict[str, int]:
-    host, cross = find_compiler().command, shutil.which("arm-none-eabi-gcc")
-    fast = "-O2" if compiled.layout.flops <= LARGE else "-O1"
-    attempts = {"host -Os": ((*host, "-Os"), "size"), f"host {fast}": ((*host, fast), "size")}
-    if cross is not None:
-        attempts["Cortex-M4F -Os"] = ((cross, *_CORTEX, "-Os"), "arm-none-eabi-size")
+    host, fast = find_compiler().command, "-O2" if compiled.layout.flops <= LARGE else "-O1"
+    attempts = {
+        "host -Os": ("size", *host, "-Os"),
+        f"host {fast}": ("size", *host, fast),
+        "Cortex-M4F -Os": ("arm-none-eabi-size", "arm-none-eabi-gcc", *_CORTEX, "-Os"),
+    }
     code = compiled.folder / f"{compiled.name}.c"
-    measured = {name: _text_bytes(code, *how) for name, how in attempts.items()}
+    measured = {name: _text_bytes(code, *tools) for name, tools in attempts.items()}
     return {name: size for name, size in measured.items() if size is not None}
 
 
-def _text_bytes(code: Path, command: tuple[str, ...], size: str) -> int | None:
+def _text_bytes(code: Path, size: str, *compiler: str) -> int | None:
     """Code and constants of one object file; None if a tool is missing or refuses."""
-    tool = shutil.which(size)
-    if tool is None:
-        return None
-    with tempfile.TemporaryDirectory(prefix="fkgen-") as folder:
-        target = Path(folder) / "filter.o"
-        flags = ["-std=c99", "-ffp-contract=off", "-c", str(code), "-o", str(target)]
-        try:
-            _run([*command, *flags])
-            lines = _run([tool, str(target)]).splitlines()
-            return int(lines[1].split()[0])
-        except (OSError, subprocess.SubprocessError, IndexError, ValueError):
-            return None
+    missing_or_refused = (OSError, subprocess.SubprocessError, IndexError, ValueError)
+    with tempfile.TemporaryDirectory(prefix="fkgen-") as folder, suppress(*missing_or_refused):
+        target = f"{folder}/filter.o"
+        _run(*compiler, "-std=c99", "-ffp-contract=off", "-c", str(code), "-o", target)
+        return int(_run(size, target).splitlines()[1].split()[0])
+    return None
 
 
-def _run(command: list[str]) -> str:
+def _run(*command: str) -> str:
     done = subprocess.run(  # noqa: S603 - a compiler that was looked for, and its output
-        command, capture_output=True, text=True, timeout=_WAIT, check=True
+        command, capture_output=True, text=True, timeout=600, check=True
     )
     return done.stdout

@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.problem import Spec
-from fkgen.problem.numbers import probability
-from fkgen.study.comparisons.candidates import GENIE, fault_section
+from fkgen.study.comparisons.candidates import GENIE, Candidate, fault_section
 from fkgen.study.comparisons.footprint import Footprint
 from fkgen.study.comparisons.scores import (
-    UNKNOWN,
+    Detection,
     Estimate,
     Scores,
     error_of,
@@ -28,7 +27,6 @@ from fkgen.study.comparisons.scores import (
     ratio,
 )
 from fkgen.study.reports.jsonable import finite_or_none
-from fkgen.trials.simulation import counted
 
 Array = NDArray[np.float64]
 
@@ -47,31 +45,6 @@ _GENIE_IS = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Experiment:
-    """Size and circumstances of a comparison: M trials of T samples, checked."""
-
-    runs: int
-    steps: int
-    seed: int
-    skip: int  # samples at the start of a trial that do not count
-    false_alarm: float  # of the NIS test, for filters that declare nothing themselves
-    u: ArrayLike | None = None  # this and the following: as for `simulate`
-    params: Mapping[str, ArrayLike] | None = None
-    sensor: ArrayLike | None = None
-    input: ArrayLike | None = None
-    present: ArrayLike | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that cannot be."""
-        counted("runs", self.runs, least=2)
-        counted("steps", self.steps)
-        if not 0 <= self.skip < self.steps:
-            expected = f"from 0 to {self.steps - 1}: some of the {self.steps} samples have to count"
-            raise DataError("skip", given=str(self.skip), expected=expected)
-        probability("false_alarm", self.false_alarm)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Score:
     """What counts for the choice: error over that of the genie, influence of each trial, costs."""
 
@@ -86,6 +59,11 @@ class Score:
         costs = self.footprint
         return costs.cost, min(costs.flash.values(), default=0), costs.state
 
+    @property
+    def relative(self) -> Estimate:
+        """Its error over that of the genie."""
+        return Estimate(self.value, error_of(self.influence))
+
     def gap(self, better: Score) -> Estimate:
         """The paired difference to another one."""
         return Estimate(self.value - better.value, error_of(self.influence - better.influence))
@@ -98,21 +76,13 @@ class Score:
             gap.value <= doubt and gap.value + doubt <= MARGIN * other.value
         )
 
-    def undecided_against(self, other: Score) -> bool:
-        """Whether its larger error may be chance, and may as well be much larger."""
-        gap = self.gap(other)
-        return 0.0 < gap.value <= TIE * gap.error and not self.not_worse_than(other)
-
 
 def beaten(one: Score, everyone: Sequence[Score]) -> bool:
     """Whether a cheaper filter is not worse, or one of the same price is better."""
+    rivals = [other for other in everyone if other is not one and other.not_worse_than(one)]
     return any(
-        other.not_worse_than(one)
-        and (
-            other.price < one.price or (other.price == one.price and not one.not_worse_than(other))
-        )
-        for other in everyone
-        if other is not one
+        other.price < one.price or (other.price == one.price and not one.not_worse_than(other))
+        for other in rivals
     )
 
 
@@ -121,8 +91,7 @@ def recommended(everyone: Sequence[Score], nees: dict[str, Estimate]) -> tuple[s
     best = everyone[0]
     ties = [one for one in everyone if one.not_worse_than(best)]
     chosen = min(ties, key=lambda one: one.price)
-    size = Estimate(chosen.value, error_of(chosen.influence))
-    about = f"its mean squared error, {size} times that of the genie,"
+    about = f"its mean squared error, {chosen.relative} times that of the genie,"
     if len(everyone) == 1:
         why = f"{about} has nothing to be compared with"
     elif chosen is not best:
@@ -135,25 +104,15 @@ def recommended(everyone: Sequence[Score], nees: dict[str, Estimate]) -> tuple[s
         names = " and ".join(one.label for one in ties if one is not best)
         why = f"{about} is the smallest, and {names}, which may be as good, costs no less"
     else:
-        second = everyone[1]
-        why = f"{about} is the smallest, {second.gap(best)} below that of {second.label}"
-        if second.undecided_against(best):
+        second, gap = everyone[1], everyone[1].gap(best)
+        why = f"{about} is the smallest, {gap} below that of {second.label}"
+        if 0.0 < gap.value <= TIE * gap.error:  # may be chance, and may as well be much larger
             why += ", which more trials would have to decide"
     own = nees[chosen.label]
     if abs(own.value - 1.0) > max(HONEST, TIE * own.error):
         word = "too small" if own.value > 1.0 else "too large"
         why += f"; the covariance that it states is {word} (NEES {own})"
     return chosen.label, f"Take {chosen.label}: {why}."
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Entry:
-    """A filter with everything that was measured of it."""
-
-    label: str
-    family: str
-    scores: Scores
-    footprint: Footprint
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +164,7 @@ class Comparison:
     rows: tuple[Row, ...]
     recommended: str
     recommendation: str
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     def row(self, label: str) -> Row:
         """The row of a filter; KeyError if there is none."""
@@ -216,78 +175,86 @@ class Comparison:
         return json.dumps(finite_or_none(asdict(self)), indent=2)
 
 
-def ranked(truth: Spec, entries: Sequence[Entry], experiment: Experiment) -> Comparison:
-    """Compare entries, of which the first is the genie-aided filter."""
-    genie, *scores = (_score(entry, entries[0]) for entry in entries)
-    of_label = {entry.label: entry for entry in entries[1:]}
-    lost = [one.label for one in scores if not np.isfinite(one.value)]
-    scores = sorted((s for s in scores if s.label not in lost), key=lambda one: one.value)
-    if not scores:
+def ranked(
+    truth: Spec,
+    everyone: Sequence[Candidate],
+    results: Sequence[Scores],
+    costs: Sequence[Footprint],
+    false_alarm: float,
+    **size: int,
+) -> Comparison:
+    """Compare filters, of which the first is the genie-aided one; ``size`` as in a `Comparison`."""
+    of_label = {
+        each.label: (each.spec.filter.family, scores)
+        for each, scores in zip(everyone, results, strict=True)
+    }
+    genie, *others = (
+        _score(each.label, cost, scores.squared, results[0].squared)
+        for each, scores, cost in zip(everyone, results, costs, strict=True)
+    )
+    lost = [each for each in others if not np.isfinite(each.value)]
+    standing = sorted((s for s in others if s not in lost), key=lambda score: score.value)
+    if not standing:
         given = "errors that are zero for the genie, or beyond all numbers for every filter"
         expected = "a plant with noise, and a horizon over which a filter follows it"
         raise DataError("comparison", given=given, expected=expected)
-    states = [signal.name for signal in truth.model.states]
-    nees = {one.label: mean(of_label[one.label].scores.nees) for one in scores}
-    chosen, sentence = recommended(scores, nees)
-    rows = [_row(s, of_label[s.label], states, pareto=not beaten(s, scores)) for s in scores]
+    rows = [_row(truth, s, *of_label[s.label], pareto=not beaten(s, standing)) for s in standing]
+    chosen, sentence = recommended(standing, {row.label: row.nees for row in rows})
+    left_out = (f"{each.label} lost the state: left out" for each in lost)
     return Comparison(
         name=truth.name,
-        runs=experiment.runs,
-        steps=experiment.steps,
-        skip=experiment.skip,
-        seed=experiment.seed,
-        genie=_row(genie, entries[0], states, pareto=False),
+        **size,
+        genie=_row(truth, genie, *of_label[genie.label], pareto=False),
         rows=tuple(rows),
         recommended=chosen,
         recommendation=sentence,
-        notes=_notes(truth, experiment, rows)
-        + tuple(f"{each} lost the state: left out" for each in lost),
+        notes=(*_notes(truth, size, false_alarm, rows), *left_out),
     )
 
 
-def _score(entry: Entry, genie: Entry) -> Score:
-    """MSE over that of the genie: the mean over states, and the influence of every trial."""
-    squared, best = entry.scores.squared, genie.scores.squared
+def _score(label: str, footprint: Footprint, squared: Array, best: Array) -> Score:
+    """MSE (M, n) over that of the genie: the mean over states, and the influence of every trial."""
     with np.errstate(invalid="ignore", over="ignore"):
         parts = [influence_of(a, b) for a, b in zip(squared.T, best.T, strict=True)]
     known = [part for part in parts if np.isfinite(part[0])]
     if not known:
-        return Score(entry.label, entry.footprint, float("nan"), np.full(len(squared), np.nan))
+        return Score(label, footprint, float("nan"), np.full(len(squared), np.nan))
     values, influences = zip(*known, strict=True)
-    influence = np.asarray(np.mean(influences, axis=0))
-    return Score(entry.label, entry.footprint, float(np.mean(values)), influence)
+    return Score(label, footprint, float(np.mean(values)), np.asarray(np.mean(influences, axis=0)))
 
 
-def _row(score: Score, entry: Entry, states: Sequence[str], *, pareto: bool) -> Row:
-    scores, found = entry.scores, entry.scores.found
+def _row(truth: Spec, score: Score, family: str, scores: Scores, *, pareto: bool) -> Row:
     rmse = {}
-    for i, state in enumerate(states):
-        squared = mean(scores.squared[:, i])
+    for signal, each in zip(truth.model.states, scores.squared.T, strict=True):
+        squared = mean(each)
         root = float(np.sqrt(squared.value))
-        rmse[state] = Estimate(root, squared.error / (2.0 * root) if root > 0.0 else 0.0)
-    declares = entry.label != GENIE and np.isfinite(found.healthy).all()
+        rmse[signal.name] = Estimate(root, squared.error / (2.0 * root) if root > 0.0 else 0.0)
+    declared = np.full_like(scores.detection, np.nan) if score.label == GENIE else scores.detection
+    found = Detection(*declared.T)
     return Row(
-        label=entry.label,
-        family=entry.family,
-        relative=Estimate(score.value, error_of(score.influence)),
+        label=score.label,
+        family=family,
+        relative=score.relative,
         rmse=rmse,
         nees=mean(scores.nees),
         nis=mean(scores.nis),
-        detected=ratio(found.found, found.onsets) if declares else UNKNOWN,
-        delay=ratio(found.waited, found.found) if declares else UNKNOWN,
-        false_alarms=ratio(found.alarms, found.healthy) if declares else UNKNOWN,
-        footprint=entry.footprint,
+        detected=ratio(found.found, found.onsets),
+        delay=ratio(found.waited, found.found),
+        false_alarms=ratio(found.alarms, found.healthy),
+        footprint=score.footprint,
         refused=int(scores.refused.sum()),
         pareto=pareto,
     )
 
 
-def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[str, ...]:
+def _notes(
+    truth: Spec, size: Mapping[str, int], false_alarm: float, rows: Sequence[Row]
+) -> list[str]:
     faults = fault_section(truth)
     no_faults = "is the Kalman filter of the plant, told of no soft fault but free of them"
-    paired = f"+- one standard error over {experiment.runs} trials, the same for every filter"
-    counted_ones = f"samples {experiment.skip} to {experiment.steps - 1} count"
-    notes = [f"genie {_GENIE_IS.get(faults, no_faults)}", f"{paired}; {counted_ones}"]
+    paired = f"+- one standard error over {size['runs']} trials, the same for every filter"
+    counting = f"samples {size['skip']} to {size['steps'] - 1} count"
+    notes = [f"genie {_GENIE_IS.get(faults, no_faults)}", f"{paired}; {counting}"]
     without = [row.family for row in rows if not family(row.family).accepts]
     if without and faults:
         taken = "the same plant with its faults left out; it takes every y and u for good"
@@ -295,9 +262,9 @@ def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[st
     if any(np.isfinite(row.false_alarms.value) for row in rows):
         notes.append(
             "faults are declared where the mode without fault has a probability below one half; "
-            f"without modes, by a test of the NIS at {experiment.false_alarm:g}"
+            f"without modes, by a test of the NIS at {false_alarm:g}"
         )
     refused = [f"{row.label} {row.refused}" for row in rows if row.refused]
     if refused:
         notes.append(f"samples that filters refused: {', '.join(refused)}")
-    return tuple(notes)
+    return notes

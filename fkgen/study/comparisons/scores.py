@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,7 @@ _ROUNDED = 512.0
 _DECIDED = 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Detection:
+class Detection(NamedTuple):
     """Counts per trial, (M,) each."""
 
     healthy: Array  # samples without fault
@@ -38,8 +38,7 @@ class Detection:
     waited: Array  # samples between onset and declaration, summed over those found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scores:
+class Scores(NamedTuple):
     """One filter over M trials."""
 
     squared: Array  # (M, n), mean squared error of every state
@@ -47,17 +46,6 @@ class Scores:
     nis: Array  # (M,), the same of the innovation
     refused: Array  # (M,), samples that the filter refused
     detection: Array  # (M, 5), the fields of a `Detection`; NaN where it declares nothing
-
-    @classmethod
-    def joined(cls, parts: list[Scores]) -> Scores:
-        """The scores of all trials from those of some after the others."""
-        of_each = [[getattr(part, field.name) for part in parts] for field in fields(cls)]
-        return cls(*(np.concatenate(each) for each in of_each))
-
-    @property
-    def found(self) -> Detection:
-        """Counts of declarations."""
-        return Detection(*self.detection.T)
 
 
 def score(
@@ -84,7 +72,8 @@ def score(
     faults = _faulty(simulation)
     alarms = _declared(run, limits[rows], 1 if jump is None else len(jump.modes))
     if faults is not None and alarms is not None:
-        counts = np.stack(astuple(detection(faults, alarms, skip, _tested(run))), axis=1)
+        tested = _positive(run, "test_dof")  # a filter with windows decides at their ends
+        counts = np.stack(detection(faults, alarms, skip, tested), axis=1)
     refused = run.refused.sum(axis=1).astype(np.float64)
     return Scores((error**2).mean(axis=1), nees, nis, refused, counts)
 
@@ -147,41 +136,34 @@ def _declared(run: Run, limits: Array, healthy: int) -> Flags | None:
 
     ``limits`` (M, T) are those of the NIS; the first ``healthy`` modes are those without fault.
     """
-    if "fault_declared" in run.ports:
-        return _of_any_group(run, "fault_declared")
-    if "mode_probability" in run.ports:
+    verdict = _positive(run, "fault_declared")
+    if verdict is None and "mode_probability" in run.ports:
         return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < _DECIDED)
-    return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
+    return np.asarray(run["nis"] > limits) if verdict is None and "nis" in run.ports else verdict
 
 
-def _tested(run: Run) -> Flags | None:
-    """(M, T): samples at which a filter decides, if that is not every sample."""
-    return _of_any_group(run, "test_dof") if "test_dof" in run.ports else None
+def _positive(run: Run, name: str) -> Flags | None:
+    """(M, T): whether a port is positive, for any group of rows; None if there is no such port."""
+    if name not in run.ports:
+        return None
+    return np.asarray((run[name] > 0.0).reshape(*run.status.shape, -1).any(axis=2))
 
 
-def _of_any_group(run: Run, name: str) -> Flags:
-    """Whether a port, which has one number or one per group of rows, is positive."""
-    positive = run[name] > 0.0
-    return np.asarray(positive if positive.ndim == 2 else positive.any(axis=2))
-
-
-def detection(
-    faults: Flags, declarations: Flags, skip: int, decided: Flags | None = None
-) -> Detection:
+def detection(faults: Flags, alarms: Flags, skip: int, decided: Flags | None = None) -> Detection:
     """Count what was declared rightly and wrongly, from sample ``skip`` on; flags are (M, T).
 
     Of the samples without fault those count at which something is ``decided``; all by default.
     """
-    faults, declarations = faults[:, skip:], declarations[:, skip:]
+    faults, alarms = faults[:, skip:], alarms[:, skip:]
     at = np.arange(faults.shape[1])
-    next_declared, end = _next(declarations), _next(~faults)
+    next_declared, end = _next(alarms), _next(~faults)
     onset = faults.copy()
     onset[:, 0] = False  # it may have set in before
     onset[:, 1:] &= ~faults[:, :-1]
     found = onset & (next_declared < end)
     wait = np.where(found, next_declared - at, 0)
     healthy = ~faults if decided is None else ~faults & decided[:, skip:]
-    counts = (healthy, healthy & declarations, onset, found, wait)
+    counts = (healthy, healthy & alarms, onset, found, wait)
     return Detection(*(each.sum(axis=1).astype(np.float64) for each in counts))
 
 
