@@ -40,78 +40,36 @@ if TYPE_CHECKING:
 
 #: Where the lazily loaded names live.
 _HOMES = {
-    "Spec": "fkgen.problem",
-    "load": "fkgen.problem",
-    "validate": "fkgen.pipeline",
-    "generate": "fkgen.pipeline",
-    "compile": "fkgen.pipeline",
-    "build": "fkgen.pipeline",
-    "check": "fkgen.study.diagnostics.check",
-    "Report": "fkgen.study.diagnostics.check",
-    "Finding": "fkgen.study.diagnostics.check",
-    "simulate": "fkgen.trials.simulation",
-    "Simulation": "fkgen.trials.simulation",
-    "compare": "fkgen.study.comparisons.comparison",
-    "Comparison": "fkgen.study.comparisons.ranking",
-    "fault_effect": "fkgen.study.effects.fault_effect",
-    "FaultEffect": "fkgen.study.effects.effect",
-    "detectability": "fkgen.study.effects.detectability",
-    "Detectability": "fkgen.study.effects.detectability",
-    "Claim": "fkgen.symbolic.validated",
-    "Validated": "fkgen.symbolic.validated",
-    "Source": "fkgen.backend.source",
-    "CompiledFilter": "fkgen.runtime.compiled",
-    "Run": "fkgen.runtime.results",
-    "Snapshot": "fkgen.runtime.results",
+    "fkgen.problem": ("Spec", "load"),
+    "fkgen.pipeline": ("validate", "generate", "compile", "build"),
+    "fkgen.study.diagnostics.check": ("check", "Report", "Finding"),
+    "fkgen.trials.simulation": ("simulate", "Simulation"),
+    "fkgen.study.comparisons.comparison": ("compare",),
+    "fkgen.study.comparisons.ranking": ("Comparison",),
+    "fkgen.study.effects.fault_effect": ("fault_effect",),
+    "fkgen.study.effects.effect": ("FaultEffect",),
+    "fkgen.study.effects.detectability": ("detectability", "Detectability"),
+    "fkgen.symbolic.validated": ("Claim", "Validated"),
+    "fkgen.backend.source": ("Source",),
+    "fkgen.runtime.compiled": ("CompiledFilter",),
+    "fkgen.runtime.results": ("Run", "Snapshot"),
 }
 
-#: Modules that are public as they are.
-_MODULES = {"profiles": "fkgen.profiles"}
-
-__all__ = [
-    "Claim",
-    "Comparison",
-    "CompiledFilter",
-    "CompilerError",
-    "DataError",
-    "Detectability",
-    "FaultEffect",
-    "Finding",
-    "FkgenError",
-    "InternalError",
-    "OutputError",
-    "Report",
-    "Run",
-    "Simulation",
-    "Snapshot",
-    "Source",
-    "Spec",
-    "SpecError",
-    "StepRefused",
-    "UserError",
-    "Validated",
-    "ValidationError",
-    "__version__",
-    "build",
-    "check",
-    "compare",
-    "compile",
-    "detectability",
-    "fault_effect",
-    "generate",
-    "load",
-    "profiles",
-    "simulate",
-    "validate",
-]
+__all__ = ["Claim", "Comparison", "CompiledFilter", "Detectability", "FaultEffect", "Finding"]
+__all__ += ["Report", "Run", "Simulation", "Snapshot", "Source", "Spec", "Validated"]
+__all__ += ["CompilerError", "DataError", "FkgenError", "InternalError", "OutputError"]
+__all__ += ["SpecError", "StepRefused", "UserError", "ValidationError", "__version__"]
+__all__ += ["build", "check", "compare", "compile", "detectability", "fault_effect", "generate"]
+__all__ += ["load", "profiles", "simulate", "validate"]
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first used."""
-    if name in _MODULES:
-        value: Any = import_module(_MODULES[name])
-    elif name in _HOMES:
-        value = getattr(import_module(_HOMES[name]), name)
+    home = next((home for home, names in _HOMES.items() if name in names), None)
+    if name == "profiles":
+        value: Any = import_module("fkgen.profiles")
+    elif home is not None:
+        value = getattr(import_module(home), name)
     else:
         raise AttributeError(f"module 'fkgen' has no attribute {name!r}")
     globals()[name] = value

@@ -40,11 +40,10 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[Any]], **justify: A
 @contextmanager
 def progressing(title: str, total: int, *, shown: bool) -> Iterator[Advance]:
     """A function to call with the number of pieces done since; only a terminal shows the bar."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    console = Console(stderr=True)
-    if not (shown and (console.is_terminal or console.is_jupyter)):
+    screen = console(err=True)
+    if not (shown and (screen.is_terminal or screen.is_jupyter)):
         yield lambda _: None
         return
     columns = (
@@ -53,6 +52,6 @@ def progressing(title: str, total: int, *, shown: bool) -> Iterator[Advance]:
         TextColumn("{task.completed:.0f}/{task.total:.0f}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=screen, transient=True) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done: bar.advance(task, done)

@@ -10,14 +10,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fkgen.runtime import cache
-from fkgen.runtime.compiler import find_compiler
-from fkgen.runtime.library import compile_source as compile
-from fkgen.runtime.library import load, make
+from fkgen.runtime.compiled import CompiledFilter
+from fkgen.runtime.compiler import compile_source as compile
+from fkgen.runtime.compiler import find_compiler, make
 
 if TYPE_CHECKING:
     from fkgen.backend.source import Source
     from fkgen.problem import Spec
-    from fkgen.runtime.compiled import CompiledFilter
     from fkgen.symbolic.validated import Validated
 
 __all__ = ["build", "compile", "generate", "validate"]
@@ -55,4 +54,4 @@ def build(spec: Spec) -> CompiledFilter:
         return compile(generate(validate(spec)))
     compiler = find_compiler()
     key = cache.key_of(cache.own_digest(), spec.canonical(), compiler.identity)
-    return load(cache.find(key) or make(key, generate(validate(spec)), compiler))
+    return CompiledFilter(cache.find(key) or make(key, generate(validate(spec)), compiler))

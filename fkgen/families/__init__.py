@@ -101,7 +101,7 @@ def read_faults(
     found: Family, table: object, place: Place, defaults: Mapping[str, float], model: Model
 ) -> Faults:
     """The faults that a family is about: of the sections that it accepts, the one that is there."""
-    given = Section(table, place, known=KINDS)
+    given = Section(table, place, known=tuple(KINDS))
     for kind in given.table:
         if kind not in found.accepts:
             able = ", ".join(name for name in NAMES if kind in family(name).accepts)
@@ -122,5 +122,6 @@ def read_faults(
             f"{' or '.join(found.accepts)} faults for the family {found.name}",
         )
     kind = (present or list(found.accepts))[0]
-    where, read = place.entry(kind), found.accepts[kind]
-    return Faults(**{kind: read(given.table.get(kind, {}), where, defaults, model, found.name)})
+    entries, where = given.table.get(kind, {}), place.entry(kind)
+    section = Section(entries, where, known=KINDS[kind], defaults=defaults)
+    return Faults(**{kind: found.accepts[kind](section, model, found.name)})

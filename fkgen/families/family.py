@@ -10,15 +10,15 @@ from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
-from fkgen.problem.table.place import Place
+from fkgen.problem.table.section import Section
 
 if TYPE_CHECKING:  # reading a spec loads none of what proves and builds its filter
     from fkgen.oracle.claims.claim import ClosedForm
     from fkgen.oracle.theorems.identity import Identity
     from fkgen.symbolic.recursion import Recursion
 
-#: ``reader(table, place, defaults, model, family)`` reads one section of ``faults``.
-FaultReader = Callable[[object, Place, Mapping[str, float], Model, str], Any]
+#: ``reader(section, model, family)`` reads one section of ``faults``.
+FaultReader = Callable[[Section, Model, str], Any]
 
 #: A spec as nested plain dicts.
 Table = dict[str, Any]

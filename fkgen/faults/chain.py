@@ -1,7 +1,7 @@
 """A plant whose matrices follow a Markov chain: what every fault is but a soft one.
 
-Costa, Fragoso & Marques 2005 call it a Markov jump linear system. Every fault section writes its
-chain once; estimators, trials and comparisons read it. The oracles translate specs on their own.
+Costa, Fragoso & Marques 2005 call it a Markov jump linear system. Faults of sensors and jumps
+write their chain once; estimators and trials read it. The oracles translate specs on their own.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.problem.probability import Distribution, period, stationary_law, visited
-from fkgen.problem.text.matrix import Matrix
+from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
+from fkgen.problem.text.matrix import Matrix, plain, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
 LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
@@ -51,16 +51,16 @@ class Mode:
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        letters = [letter for letter in "ABCDQR" if self.B.shape[1] or letter not in "BD"]
-        table: dict[str, object] = {letter: getattr(self, letter).plain() for letter in letters}
-        return table | {"c": [row[0] for row in self.c.plain()]}
+        table = plain_fields(self) | {"c": [plain(row[0]) for row in self.c.rows]}
+        absent = ("title",) if self.B.shape[1] else ("title", "B", "D")
+        return {key: entry for key, entry in table.items() if key not in absent}
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
     """On which samples are lost: Pr(j at k+1 | i at k) and the law of sample 0, (lost, arrived)."""
 
-    transition: tuple[Distribution, ...]
+    transition: Transition
     initial: Distribution
 
     @classmethod
@@ -68,7 +68,7 @@ class Channel:
         """The channel in its stationary law; in that after a loss if there are several."""
         P = np.asarray(transition, float)
         law = stationary_law(P)
-        return cls(_rows(P), tuple((P[0] if law is None else law).tolist()))
+        return cls(tuple(map(tuple, P.tolist())), tuple((P[0] if law is None else law).tolist()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Lumping:
 
     groups: Groups
     shares: tuple[tuple[float, ...], ...]  # Pr(mode | its group), taken for a constant
-    transition: tuple[Distribution, ...]
+    transition: Transition
     initial: Distribution
     unequal_successors: float  # how far the next group depends on more than this group
     unequal_shares: float  # how far the shares are no constants
@@ -93,7 +93,7 @@ class ModeChain:
     """Modes and the chain that they follow; modes with equal matrices share the objects."""
 
     modes: tuple[Mode, ...]
-    transition: tuple[Distribution, ...]  # Pr(j at k+1 | i at k)
+    transition: Transition  # Pr(j at k+1 | i at k)
     initial: Distribution  # of sample 0
 
     def times(self, channel: Channel) -> ModeChain:
@@ -101,7 +101,7 @@ class ModeChain:
         arrived_first = np.array(channel.transition)[::-1, ::-1]
         return ModeChain(
             (*self.modes, *(mode.silent for mode in self.modes)),
-            _rows(np.kron(arrived_first, self.transition)),
+            tuple(map(tuple, np.kron(arrived_first, self.transition).tolist())),
             tuple(np.kron(channel.initial[::-1], self.initial).tolist()),
         )
 
@@ -155,10 +155,6 @@ def _shares(laws: Sequence[Array], members: list[int]) -> tuple[float, ...]:
             first = [float(each / whole) for each in law[members[:-1]]]
             return (*first, 1.0 - sum(first))
     return (1.0, *(0.0 for _ in members[1:]))
-
-
-def _rows(matrix: Array) -> tuple[Distribution, ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
 
 
 def mean_square_radius(transition: Sequence[Sequence[float]], dynamics: Sequence[Array]) -> float:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from fkgen.errors import InternalError
+from fkgen.faults import jump, sensor
 from fkgen.faults.actuator import ActuatorFaults
 from fkgen.faults.chain import ModeChain
 from fkgen.faults.jump import JumpFaults
 from fkgen.faults.sensor import SensorFaults
 from fkgen.faults.soft import SoftFaults
 from fkgen.problem.model import Model
+from fkgen.problem.text.matrix import plain_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,16 +27,20 @@ class Faults:
 
     def chain(self, model: Model) -> ModeChain:
         """The modes of the plant under faults that are no soft ones, and their chain."""
-        found = self.sensor or self.jump or self.actuator
+        found = self.sensor or self.jump
         if found is None:
-            raise InternalError("no chain of modes without faults, or for soft ones")
+            raise InternalError("no chain of modes without faults of sensors or jumps")
         return found.chain(model)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        sections = {kind: getattr(self, kind) for kind in KINDS}
-        return {kind: faults.plain() for kind, faults in sections.items() if faults is not None}
+        return plain_fields(self)
 
 
-#: The sections of ``faults``.
-KINDS = tuple(each.name for each in fields(Faults))
+#: The sections of ``faults``, and their keys.
+KINDS = {
+    "actuator": ("success_rate", "dependence", "covariance"),
+    "sensor": sensor.KEYS,
+    "jump": jump.KEYS,
+    "soft": ("host", "window", "false_alarm", "groups"),
+}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -11,20 +10,23 @@ import numpy as np
 from fkgen.faults.chain import Lumping, Mode, ModeChain, lump
 from fkgen.problem.model import Model
 from fkgen.problem.probability import (
+    Array,
     Distribution,
+    Transition,
     as_distribution,
-    as_probability,
-    as_transition,
+    read_initial,
+    read_transition,
     stationary_law,
     visited,
 )
-from fkgen.problem.signals import Signal, read_rows
-from fkgen.problem.table.place import Place, show
-from fkgen.problem.table.section import Section, as_number
-from fkgen.problem.text.expression import ZERO, Expression, Name, Number, operation
+from fkgen.problem.signals import read_rows
+from fkgen.problem.table.place import show
+from fkgen.problem.table.section import Section
+from fkgen.problem.text.expression import ONE, ZERO, Expression, Name, Number, operation
 from fkgen.problem.text.matrix import Matrix
 
 Problem = Literal[1, 2, 3, 4, "moments"]
+Law = Literal["modes", "moments", "optional"]  # What a family has to be told of it
 
 #: What each problem of the paper states about (gamma, delta).
 LAW_KEYS: dict[Problem, tuple[str, ...]] = {
@@ -34,7 +36,8 @@ LAW_KEYS: dict[Problem, tuple[str, ...]] = {
     4: ("kernel",),
     "moments": ("gamma_rate", "gamma_persistence", "delta_nominal_rate"),
 }
-_ALL_LAW_KEYS = tuple(dict.fromkeys(key for keys in LAW_KEYS.values() for key in keys))
+_EVERY_KEY = ("initial", *dict.fromkeys(key for keys in LAW_KEYS.values() for key in keys))
+KEYS = ("noise_factor", "rows", "problem", *_EVERY_KEY)
 _RATES = {
     "gamma_rate": "Pr(gamma = 1)",
     "gamma_persistence": "Pr(gamma = 1, given that it was 1 in an earlier sample)",
@@ -42,8 +45,8 @@ _RATES = {
 }
 _MODES = "(1,1) (1,C) (0,1) (0,C) as (gamma, delta)"
 LARGEST_FACTOR = 1e12
+#: Slack of inequalities between probabilities that a user computed.
 ROUNDED = 1e-12
-"""Slack of inequalities between probabilities that a user computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +68,7 @@ class SensorFaults:
 
     noise_factor: float  # C: the noise covariance of the rows is R delta, delta in {1, C}
     rows: tuple[int, ...]  # of y that can fail, ascending
-    kernel: tuple[Distribution, ...] = ()  # Pr(mode at k+1 is j | mode at k is i)
+    kernel: Transition = ()  # Pr(mode at k+1 is j | mode at k is i)
     initial: Distribution = ()  # at sample 0
     moments: Moments | None = None
 
@@ -76,10 +79,8 @@ class SensorFaults:
 
     def chain(self, model: Model) -> ModeChain:
         """The four conditions as modes of the plant; they all move alike."""
-        noisy = f"noise x {self.noise_factor:g}"
-        titles = [
-            f"{signal}, {noise}" for signal in ("signal", "no signal") for noise in ("R", noisy)
-        ]
+        noises = ("R", f"noise x {self.noise_factor:g}")
+        titles = [f"{signal}, {noise}" for signal in ("signal", "no signal") for noise in noises]
         modes = tuple(
             replace(self.sensed(model, Number(gamma), Number(delta)), title=title)
             for (gamma, delta), title in zip(self.conditions, titles, strict=True)
@@ -100,27 +101,14 @@ class SensorFaults:
         Noise that is correlated with that of a healthy row stays so: its deviation grows with the
         square root of delta.
         """
-        scale = (Number(1.0), operation("sqrt", delta), delta)
-
-        def signal(matrix: Matrix) -> Matrix:
-            return Matrix(
-                tuple(
-                    tuple(operation("*", gamma, entry) for entry in row) if i in self.rows else row
-                    for i, row in enumerate(matrix.rows)
-                )
-            )
-
-        R = Matrix(
-            tuple(
-                tuple(
-                    operation("*", entry, scale[(i in self.rows) + (j in self.rows)])
-                    for j, entry in enumerate(row)
-                )
-                for i, row in enumerate(model.R.rows)
-            )
+        scale = (ONE, operation("sqrt", delta), delta)
+        fails = [i in self.rows for i in range(model.ny)]
+        C, D = (
+            matrix.mapped(lambda i, _, entry: operation("*", gamma if fails[i] else ONE, entry))
+            for matrix in (model.C, model.D)
         )
+        R = model.R.mapped(lambda i, j, entry: operation("*", entry, scale[fails[i] + fails[j]]))
         still = Matrix.zeros(model.nx, 1)
-        C, D = signal(model.C), signal(model.D)
         return Mode(A=model.A, B=model.B, C=C, D=D, Q=model.Q, R=R, c=still)
 
     def entangles(self, R: Matrix) -> bool:
@@ -144,57 +132,31 @@ class SensorFaults:
 
 
 def read_sensor_faults(
-    table: object,
-    place: Place,
-    _: Mapping[str, float],
-    model: Model,
-    family: str,
-    *,
-    law: Literal["modes", "moments", "optional"] = "modes",
+    section: Section, model: Model, family: str, *, law: Law = "modes"
 ) -> SensorFaults:
     """The sensor faults that a table describes; moments, or no law, will do for some families."""
-    known = ("noise_factor", "rows", "problem", "initial", *_ALL_LAW_KEYS)
-    section = Section(table, place, known=known)
-    factor = _noise_factor(section)
-    rows = _rows(section, model.outputs)
+    expected = f"a positive number up to {LARGEST_FACTOR:g}: noise variance of a fault over R"
+    factor = section.number("noise_factor", expected, lambda C: 0.0 < C <= LARGEST_FACTOR, 1.0)
+    rows = tuple(range(model.ny))
+    if "rows" in section:
+        hint = "leave the key out if all rows can fail"
+        rows = read_rows(section, "rows", model.outputs, empty=hint)
     if law == "optional" and "problem" not in section:
-        for key in ("initial", *_ALL_LAW_KEYS):
+        for key in _EVERY_KEY:
             if key in section:
-                raise place.entry("problem").error(
-                    f"nothing (the key is missing) beside {key}", "the problem that it belongs to"
-                )
+                given = f"nothing (the key is missing) beside {key}"
+                raise section.error("problem", given, "the problem that it belongs to")
         return SensorFaults(factor, rows)
     problem = _problem(section, family, law)
-    reader = _Law(section, problem, nominal=factor == 1.0)
+    nominal = 1.0 if factor == 1.0 else None  # nothing need be said of delta
     if problem == "moments":
-        return SensorFaults(factor, rows, moments=reader.moments())
-    kernel, default = reader.chain()
-    return SensorFaults(factor, rows, kernel, reader.initial(default))
+        return SensorFaults(factor, rows, moments=_moments(section, nominal))
+    kernel, stationary = _chain(section, problem, nominal)
+    initial = read_initial(section, stationary, 4, f"ordered {_MODES}")
+    return SensorFaults(factor, rows, kernel, initial)
 
 
-def _noise_factor(section: Section) -> float:
-    place = section.place.entry("noise_factor")
-    expected = f"a positive number up to {LARGEST_FACTOR:g}: noise variance of a fault over R"
-    factor = as_number(section.table.get("noise_factor", 1.0), place, expected)
-    if not 0.0 < factor <= LARGEST_FACTOR:
-        raise place.error(show(factor), expected)
-    return factor
-
-
-def _rows(section: Section, outputs: Sequence[Signal]) -> tuple[int, ...]:
-    if "rows" not in section:
-        return tuple(range(len(outputs)))
-    place = section.place.entry("rows")
-    names = [signal.name for signal in outputs]
-    expected = f"a list of rows of y, out of 0..{len(names) - 1} ({', '.join(names)})"
-    rows = read_rows(section.table["rows"], place, expected, names)
-    if not rows:
-        raise place.error("an empty list", f"{expected}; leave the key out if all rows can fail")
-    return rows
-
-
-def _problem(section: Section, family: str, law: str) -> Problem:
-    place = section.place.entry("problem")
+def _problem(section: Section, family: str, law: Law) -> Problem:
     expected = (
         "1 (gamma_rate, delta_nominal_rate), 2 (joint), 3 (gamma_chain, delta_chain), 4 (kernel)"
         ' or "moments" (gamma_rate, gamma_persistence, delta_nominal_rate)'
@@ -202,96 +164,65 @@ def _problem(section: Section, family: str, law: str) -> Problem:
     given = section.require("problem", expected)
     found = next((p for p in LAW_KEYS if p == given and not isinstance(given, bool)), None)
     if found is None:
-        raise place.error(show(given), expected)
+        raise section.error("problem", show(given), expected)
     if found == "moments" and law != "moments":
         others = "problem 1, 2, 3 or 4" + (", or no law at all" if law == "optional" else "")
-        raise place.error(
+        raise section.error(
+            "problem",
             f'"moments" for the family {family}',
             f"{others}: only linear_optimal works with moments",
         )
     allowed = LAW_KEYS[found] if found == "moments" else (*LAW_KEYS[found], "initial")
-    for key in ("initial", *_ALL_LAW_KEYS):
+    for key in _EVERY_KEY:
         if key in section and key not in allowed:
-            raise section.place.entry(key).error(
-                f"{key} with problem {show(found)}", f"{', '.join(allowed)} for this problem"
-            )
+            expected = f"{', '.join(allowed)} for this problem"
+            raise section.error(key, f"{key} with problem {show(found)}", expected)
     return found
 
 
-class _Law:
-    """Reads the law of (gamma, delta); with a noise factor of 1 nothing need be said of delta."""
-
-    def __init__(self, section: Section, problem: Problem, *, nominal: bool) -> None:
-        self.section, self.problem, self.nominal = section, problem, nominal
-
-    def chain(self) -> tuple[tuple[Distribution, ...], Distribution | None]:
-        """Kernel of the four modes and its stationary law, if there is just one."""
-        match self.problem:
-            case 1:
-                g, d = self.rate("gamma_rate"), self.delta_rate()
-                joint: Distribution = tuple(s * n for s in (g, 1.0 - g) for n in (d, 1.0 - d))
-                return (joint,) * 4, joint
-            case 2:
-                given = self.section.require("joint", f"4 probabilities, ordered {_MODES}")
-                place = self.section.place.entry("joint")
-                joint = as_distribution(given, place, 4, f"ordered {_MODES}")
-                return (joint,) * 4, joint
-            case 3:
-                return self.product()
-        given = self.section.require("kernel", f"a 4 x 4 matrix, modes ordered {_MODES}")
-        kernel = as_transition(given, self.section.place.entry("kernel"), _MODES, 4)
-        law = stationary_law(kernel)
-        return kernel, None if law is None else tuple(law.tolist())
-
-    def product(self) -> tuple[tuple[Distribution, ...], Distribution | None]:
-        """Problem 3: independent chains; gamma comes as (0, 1), modes begin with gamma = 1."""
-        gamma = np.array(self.two_states("gamma_chain", "(0, 1)"))
-        always_nominal = np.array([[1.0, 0.0], [1.0, 0.0]])
-        stated = "delta_chain" in self.section or not self.nominal
-        delta = np.array(self.two_states("delta_chain", "(1, C)")) if stated else always_nominal
-        kernel = np.kron(gamma[::-1, ::-1], delta)
-        laws = stationary_law(gamma), stationary_law(delta)
-        rows = tuple(tuple(row) for row in kernel.tolist())
-        if laws[0] is None or laws[1] is None:
-            return rows, None
-        return rows, tuple(np.kron(laws[0][::-1], laws[1]).tolist())
-
-    def two_states(self, key: str, order: str) -> tuple[Distribution, ...]:
-        given = self.section.require(key, f"a 2 x 2 matrix, states ordered {order}")
-        return as_transition(given, self.section.place.entry(key), order, 2)
-
-    def initial(self, default: Distribution | None) -> Distribution:
-        place = self.section.place.entry("initial")
+def _chain(
+    section: Section, problem: Problem, nominal: float | None
+) -> tuple[Transition, Array | None]:
+    """Kernel of the four modes and its stationary law, if there is just one."""
+    if problem == 4:
+        section.require("kernel", f"a 4 x 4 matrix, modes ordered {_MODES}")
+        kernel = read_transition(section, "kernel", _MODES, 4)
+        return kernel, stationary_law(kernel)
+    if problem == 3:  # independent chains; gamma comes as (0, 1), modes begin with gamma = 1
+        gamma = np.array(read_transition(section, "gamma_chain", "(0, 1)", 2))
+        delta: Transition = ((1.0, 0.0), (1.0, 0.0))
+        if "delta_chain" in section or nominal is None:
+            delta = read_transition(section, "delta_chain", "(1, C)", 2)
+        first, second = stationary_law(gamma), stationary_law(delta)
+        kernel = tuple(map(tuple, np.kron(gamma[::-1, ::-1], delta).tolist()))
+        if first is None or second is None:
+            return kernel, None
+        return kernel, np.asarray(np.kron(first[::-1], second), float)
+    if problem == 2:
         what = f"ordered {_MODES}"
-        if "initial" in self.section:
-            return as_distribution(self.section.table["initial"], place, 4, what)
-        if default is None:
-            raise place.error(
-                "nothing (the key is missing), and several stationary laws",
-                f"4 probabilities, {what}: where the chain starts decides where it stays",
-            )
-        return default
+        given = section.require("joint", f"4 probabilities, {what}")
+        joint = as_distribution(given, section.place.entry("joint"), 4, what)
+    else:
+        g, d = _rate(section, "gamma_rate"), _rate(section, "delta_nominal_rate", nominal)
+        joint = tuple(s * n for s in (g, 1.0 - g) for n in (d, 1.0 - d))
+    return (joint,) * 4, np.array(joint)
 
-    def moments(self) -> Moments:
-        """E[gamma], p11 and E[delta], which must belong to some process."""
-        g, p = self.rate("gamma_rate"), self.rate("gamma_persistence")
-        place = self.section.place.entry("gamma_persistence")
-        if g > 0.0 and p < g - ROUNDED:
-            raise place.error(
-                show(p),
-                f"at least gamma_rate = {g:g}: were samples less often 1 together, the mean of "
-                "many would have a negative variance; a chain that alternates needs problem 3 or 4",
-            )
-        return Moments(g, p, self.delta_rate())
 
-    def delta_rate(self) -> float:
-        if self.nominal and "delta_nominal_rate" not in self.section:
-            return 1.0
-        return self.rate("delta_nominal_rate")
+def _moments(section: Section, nominal: float | None) -> Moments:
+    """E[gamma], p11 and E[delta], which must belong to some process."""
+    g, p = _rate(section, "gamma_rate"), _rate(section, "gamma_persistence")
+    if g > 0.0 and p < g - ROUNDED:
+        raise section.error(
+            "gamma_persistence",
+            show(p),
+            f"at least gamma_rate = {g:g}: were samples less often 1 together, the mean of "
+            "many would have a negative variance; a chain that alternates needs problem 3 or 4",
+        )
+    return Moments(g, p, _rate(section, "delta_nominal_rate", nominal))
 
-    def rate(self, key: str) -> float:
-        given = self.section.require(key, f"a probability in [0, 1]: {_RATES[key]}")
-        return as_probability(given, self.section.place.entry(key))
+
+def _rate(section: Section, key: str, default: float | None = None) -> float:
+    return section.probability(key, f": {_RATES[key]}", default)
 
 
 #: Largest difference of conditional probabilities that are meant to be the same.

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal, Self
 
-from fkgen.problem.covariance import nearby
+from fkgen.problem.covariance import values_nearby
 from fkgen.problem.filter import Options
 from fkgen.problem.model import Model
-from fkgen.problem.signals import Signal, read_rows
-from fkgen.problem.table.place import Place, show
-from fkgen.problem.table.section import Section, as_list, as_number
+from fkgen.problem.signals import Signal, as_rows, read_rows
+from fkgen.problem.table.place import Place
+from fkgen.problem.table.section import Section, as_list
 
-#: Longest window: a float counts samples exactly up to 2^24.
+#: Longest window, and most rejections in a row: a float counts exactly up to 2^24.
 LONGEST_WINDOW = 10_000_000
 
 #: Most groups: every set of accepted groups needs a filter of its own.
 MOST_GROUPS = 4
 
 Rows = tuple[int, ...]
+Wanted = Literal["some", "any", "optional"]  # Whether the host needs rows, or the key
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,52 +41,30 @@ class SoftFaults:
         """The rows of all groups, ascending."""
         return tuple(sorted(row for group in self.groups for row in group))
 
-    def plain(self) -> dict[str, object]:
-        """Return the table a spec file would hold."""
-        return {
-            "host": list(self.host),
-            "window": self.window,
-            "false_alarm": self.false_alarm,
-            "groups": [list(group) for group in self.groups],
-        }
-
 
 def read_soft_faults(
-    table: object,
-    place: Place,
-    defaults: Mapping[str, float],
-    model: Model,
-    _: str,
-    *,
-    host: Literal["some", "any", "optional"] = "any",
-    single: bool = False,
+    section: Section, model: Model, _: str, *, host: Wanted = "any", single: bool = False
 ) -> SoftFaults:
-    """The soft faults that a table describes.
-
-    ``host``: whether the host needs rows, or the key; ``single``: there is one group at most.
-    """
-    section = Section(table, place, known=("host", "window", "false_alarm", "groups"))
+    """The soft faults that a table describes; ``single``: there is one group at most."""
     rows = _host(section, host, model.outputs)
     groups = _groups(section, rows, model.outputs, most=1 if single else MOST_GROUPS)
-    faults = SoftFaults(rows, groups, _window(section), _false_alarm(section))
-    _check_noise(faults, model, place, defaults)
+    expected = f"a whole number of samples, 1 to {LONGEST_WINDOW}, between updates of the host"
+    window = section.whole("window", expected, LONGEST_WINDOW)
+    expected = "a probability between 0 and 1, both excluded"
+    alarm = section.number("false_alarm", expected, lambda number: 0.0 < number < 1.0, 0.05)
+    faults = SoftFaults(rows, groups, window, alarm)
+    _check_noise(faults, model, section)
     return faults
 
 
-def _host(section: Section, wanted: str, outputs: Sequence[Signal]) -> Rows:
-    place = section.place.entry("host")
-    names = [signal.name for signal in outputs]
-    choice = f"0..{len(names) - 1} ({', '.join(names)})"
-    expected = f"a list of rows of y, out of {choice}, that drift never"
+def _host(section: Section, wanted: Wanted, outputs: Sequence[Signal]) -> Rows:
     if wanted == "optional" and "host" not in section:
         return ()
-    rows = read_rows(section.require("host", expected), place, expected, names)
-    if not rows and wanted == "some":
-        raise place.error(
-            "an empty list", f"{expected}; a host that only propagates is compression_full"
-        )
+    hint = "a host that only propagates is compression_full" if wanted == "some" else ""
+    rows = read_rows(section, "host", outputs, ", that drift never", hint)
     if len(rows) == len(outputs):
-        raise place.error("every row of y", "at least one row left for the compression filter")
+        expected = "at least one row left for the compression filter"
+        raise section.error("host", "every row of y", expected)
     return rows
 
 
@@ -109,8 +89,15 @@ def _groups(
     taken = dict.fromkeys(host, "a row of the host")
     groups = []
     for i, entry in enumerate(entries):
-        groups.append(_group(entry, place.item(i), taken, outputs))
-        taken |= dict.fromkeys(groups[-1], "in another group too")
+        group = as_rows(entry, place.item(i), "a list of rows of y", outputs)
+        if not group:
+            raise place.item(i).error("an empty group", "at least one row of y")
+        for row in group:
+            if row in taken:
+                expected = "every row once, in host or in a group"
+                raise place.item(i).error(f"row {row}, {taken[row]}", expected)
+        groups.append(group)
+        taken |= dict.fromkeys(group, "in another group too")
     for row in others:
         if row not in taken:
             raise place.error(
@@ -119,61 +106,18 @@ def _groups(
     return tuple(groups)
 
 
-def _group(
-    entry: object, place: Place, taken: Mapping[int, str], outputs: Sequence[Signal]
-) -> Rows:
-    names = [signal.name for signal in outputs]
-    group = read_rows(entry, place, "a list of rows of y", names)
-    if not group:
-        raise place.error("an empty group", "at least one row of y")
-    for row in group:
-        if row in taken:
-            raise place.error(f"row {row}, {taken[row]}", "every row once, in host or in a group")
-    return group
-
-
-def _window(section: Section) -> int:
-    place = section.place.entry("window")
-    expected = f"a whole number of samples, 1 to {LONGEST_WINDOW}, between updates of the host"
-    number = as_number(section.require("window", expected), place, expected)
-    if number != int(number) or not 1 <= number <= LONGEST_WINDOW:
-        raise place.error(show(number), expected)
-    return int(number)
-
-
-def _false_alarm(section: Section) -> float:
-    place = section.place.entry("false_alarm")
-    expected = "a probability between 0 and 1, both excluded"
-    number = as_number(section.table.get("false_alarm", 0.05), place, expected)
-    if not 0.0 < number < 1.0:
-        raise place.error(show(number), expected)
-    return number
-
-
-def _check_noise(
-    faults: SoftFaults, model: Model, place: Place, defaults: Mapping[str, float]
-) -> None:
+def _check_noise(faults: SoftFaults, model: Model, section: Section) -> None:
     """Refuse noise that two groups share: Lee & Lee, (27), have a block-diagonal r."""
     label = dict.fromkeys(faults.host, -1)
     label |= {row: at for at, group in enumerate(faults.groups) for row in group}
-    where = Place(place.file).entry("model").entry("R")
-    for point in [defaults] if model.R.is_constant else nearby(defaults):
-        try:
-            R = model.R.values(point)
-        except ArithmeticError:  # outside the domain of an entry: this point says nothing
-            continue
-        for i in range(model.ny):
-            for j in range(i):
-                if label[i] != label[j] and R[i, j] != 0.0:
-                    raise where.error(
-                        f"entry [{i}][{j}] = {float(R[i, j]):.6g} for rows of different filters",
-                        "0: noise that host and compression filter (or two groups) share would be"
-                        " counted twice; put such rows into one group",
-                    )
-
-
-#: A float counts exactly up to 2^24.
-MOST_REJECTIONS = 10_000_000
+    for _, R in values_nearby(model.R, section.defaults):
+        for i, j in combinations(range(model.ny), 2):
+            if label[i] != label[j] and R[j, i] != 0.0:
+                raise Place(section.place.file, "model.R").error(
+                    f"entry [{j}][{i}] = {float(R[j, i]):.6g} for rows of different filters",
+                    "0: noise that host and compression filter (or two groups) share would be"
+                    " counted twice; put such rows into one group",
+                )
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,9 +135,8 @@ class CompressionOptions(Options):
         if "reacquire" not in section:
             return cls(test)
         what = "rejections in a row (leave it out for never)"
-        limit = section.count("reacquire", 1, MOST_REJECTIONS, what)
+        limit = section.count("reacquire", 1, LONGEST_WINDOW, what)
         if not test:
-            raise section.place.entry("reacquire").error(
-                "reacquire with test = false", "a test: without it nothing is rejected"
-            )
+            given = "reacquire with test = false"
+            raise section.error("reacquire", given, "a test: without it nothing is rejected")
         return cls(test, limit)

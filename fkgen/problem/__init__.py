@@ -16,20 +16,5 @@ from fkgen.problem.text.expression import (
 )
 from fkgen.problem.text.matrix import Matrix
 
-__all__ = [
-    "Code",
-    "Expression",
-    "Filter",
-    "Matrix",
-    "Model",
-    "Name",
-    "Number",
-    "Operation",
-    "Parameter",
-    "Signal",
-    "Spec",
-    "evaluate",
-    "load",
-    "names",
-    "parse",
-]
+__all__ = ["Code", "Expression", "Filter", "Matrix", "Model", "Name", "Number", "Operation"]
+__all__ += ["Parameter", "Signal", "Spec", "evaluate", "load", "names", "parse"]

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
 Scalar = Literal["double", "float"]
 Update = Literal["auto", "short", "joseph"]
-
 Copies = Literal["static", "shared"]
-
-_SCALARS: tuple[Scalar, ...] = ("double", "float")
-_UPDATES: tuple[Update, ...] = ("auto", "short", "joseph")
-_COPIES: tuple[Copies, ...] = ("static", "shared")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +34,7 @@ def read_code(table: object, place: Place) -> Code:
     """Return the options that a table states; an empty mapping gives the defaults."""
     section = Section(table, place, known=("scalar", "update", "elementary"))
     return Code(
-        scalar=section.choice("scalar", _SCALARS, "double"),
-        update=section.choice("update", _UPDATES, "auto"),
-        elementary=section.choice("elementary", _COPIES, "static"),
+        scalar=section.choice("scalar", get_args(Scalar), "double"),
+        update=section.choice("update", get_args(Update), "auto"),
+        elementary=section.choice("elementary", get_args(Copies), "static"),
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from typing import Any, Literal, Self
 
 from fkgen.problem.model import Model
 from fkgen.problem.table.section import Section
+from fkgen.problem.text.matrix import plain_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +49,7 @@ class Options:
 
     def plain(self) -> dict[str, object]:
         """The keys that a spec file would hold; None is left out."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {key: _listed(value) for key, value in values.items() if value is not None}
-
-
-def _listed(value: object) -> object:
-    return [_listed(entry) for entry in value] if isinstance(value, tuple) else value
+        return plain_fields(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from fkgen.problem.covariance import checked_covariance
 from fkgen.problem.signals import Signal, read_signals
-from fkgen.problem.table.matrix import Role, check_matrix, read_entry, read_matrix
-from fkgen.problem.table.place import Place, show
-from fkgen.problem.table.section import Section, as_list, as_number
-from fkgen.problem.text.foreign import plain_list, state_space
-from fkgen.problem.text.matrix import Matrix, congruence
+from fkgen.problem.table.place import Place
+from fkgen.problem.table.section import Section, check_finite
+from fkgen.problem.text.expression import is_large
+from fkgen.problem.text.foreign import state_space
+from fkgen.problem.text.matrix import Matrix, congruence, plain, plain_fields
 
 _KEYS = (
     *("A", "B", "C", "D", "Q", "R", "F", "V", "G", "W", "x0", "P0"),
@@ -63,164 +63,109 @@ class Model:
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        table: dict[str, object] = {
-            key: getattr(self, key).plain()
-            for key in ("A", "B", "C", "D", "Q", "R", "P0")
-            if self.nu or key not in {"B", "D"}
-        }
-        table["x0"] = [row[0] for row in self.x0.plain()]
-        if self.sample_time is not None:
-            table["sample_time"] = self.sample_time
-        for key in ("states", "inputs", "outputs"):
-            signals: tuple[Signal, ...] = getattr(self, key)
-            table[key] = [{"name": signal.name, "unit": signal.unit} for signal in signals]
-        return table
+        table = plain_fields(self) | {"x0": [plain(row[0]) for row in self.x0.rows]}
+        absent = () if self.nu else ("B", "D")
+        return {key: entry for key, entry in table.items() if key not in absent}
 
 
 def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Model:
-    """Return the model that a table describes."""
-    section = Section(table, place, known=_KEYS)
+    """Return the model that a table describes; its matrices fix its dimensions one by one."""
+    section = Section(table, place, known=_KEYS, defaults=defaults)
     sample_time = _expand_system(section)
-    return _Reader(section, defaults).model(sample_time)
+    A = section.matrix("A", (None, None), "A maps the state to itself")
+    n = A.shape[0]
+    if A.shape[1] != n:
+        expected = f"shape ({n}, {n}): A maps the state to itself"
+        raise section.error("A", f"shape {A.shape}", expected)
+    C = section.matrix("C", (None, n), "C maps the state to the measurement")
+    p = C.shape[0]
+    B = Matrix.zeros(n, 0)
+    if "B" in section:
+        B = section.matrix("B", (n, None), "B maps the input to the state")
+    q = B.shape[1]
+    D = Matrix.zeros(p, q)
+    if "D" in section:
+        if "B" not in section:
+            raise section.error("D", "D without B", "no D where there is no input")
+        D = section.matrix("D", (p, q), "D maps the input to the measurement")
+    because = "P0 is the covariance of the error of x0"
+    return Model(
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        Q=_noise(section, ("Q", "F", "V"), n, "state"),
+        R=_noise(section, ("R", "G", "W"), p, "measurement"),
+        x0=_constant(section, "x0", section.column("x0", n, "numbers")),
+        P0=_constant(section, "P0", section.covariance("P0", n, because)),
+        sample_time=sample_time,
+        states=read_signals(section, "states", "x", n),
+        inputs=read_signals(section, "inputs", "u", q),
+        outputs=read_signals(section, "outputs", "y", p),
+    )
 
 
-class _Reader:
-    """Reads the matrices of one model in the order in which they fix its dimensions."""
-
-    def __init__(self, section: Section, defaults: Mapping[str, float]) -> None:
-        self.section, self.defaults = section, defaults
-
-    def model(self, sample_time: float | None) -> Model:
-        A = self.dynamics()
-        n = A.shape[0]
-        C = self.matrix("C", Role(None, n, "C maps the state to the measurement"))
-        p = C.shape[0]
-        B = Matrix.zeros(n, 0)
-        if "B" in self.section:
-            B = self.matrix("B", Role(n, None, "B maps the input to the state"))
-        D, q = self.feedthrough(p, B.shape[1]), B.shape[1]
-        return Model(
-            A=A,
-            B=B,
-            C=C,
-            D=D,
-            Q=self.noise(("Q", "F", "V"), n, "state"),
-            R=self.noise(("R", "G", "W"), p, "measurement"),
-            x0=self.start(n),
-            P0=self.start_covariance(n),
-            sample_time=sample_time,
-            states=read_signals(self.section, "states", "x", n),
-            inputs=read_signals(self.section, "inputs", "u", q),
-            outputs=read_signals(self.section, "outputs", "y", p),
-        )
-
-    def matrix(self, key: str, role: Role) -> Matrix:
-        given = self.section.require(key, f"a matrix of shape {role.shape}: {role.because}")
-        return read_matrix(given, self.section.place.entry(key), role, self.defaults)
-
-    def dynamics(self) -> Matrix:
-        A = self.matrix("A", Role(None, None, "A maps the state to itself"))
-        rows, columns = A.shape
-        if rows != columns:
-            raise self.section.place.entry("A").error(
-                f"shape {A.shape}", f"shape ({rows}, {rows}): A maps the state to itself"
-            )
-        return A
-
-    def feedthrough(self, p: int, q: int) -> Matrix:
-        if "D" not in self.section:
-            return Matrix.zeros(p, q)
-        if "B" not in self.section:
-            raise self.section.place.entry("D").error("D without B", "no D where there is no input")
-        return self.matrix("D", Role(p, q, "D maps the input to the measurement"))
-
-    def covariance(self, key: str, size: int, because: str) -> Matrix:
-        matrix = self.matrix(key, Role(size, size, because))
-        return checked_covariance(matrix, self.section.place.entry(key), self.defaults)
-
-    def noise(self, keys: tuple[str, str, str], size: int, target: str) -> Matrix:
-        whole, factor, inner = keys
-        because = f"{whole} is the covariance of the noise in the {target}"
-        alternative = f"{whole} = {factor} {inner} {factor}'"
-        for key in (factor, inner):
-            if key in self.section and whole in self.section:
-                raise self.section.place.entry(key).error(
-                    f"{key} beside {whole}",
-                    f"either {whole}, or {factor} and {inner} ({alternative})",
-                )
-        if inner in self.section and factor not in self.section:
-            raise self.section.place.entry(factor).error(
-                f"nothing (the key is missing) beside {inner}", f"{factor}, since {alternative}"
-            )
-        if factor not in self.section:
-            expected = f"a ({size}, {size}) covariance, or {factor} and {inner} ({alternative})"
-            self.section.require(whole, expected)
-            return self.covariance(whole, size, because)
-        role = Role(size, None, f"{factor} maps a noise to the {target}")
-        return self.factored(factor, inner, role)
-
-    def factored(self, factor: str, inner: str, role: Role) -> Matrix:
-        left = self.matrix(factor, role)
-        m = left.shape[1]
-        middle = Matrix.of(np.eye(m)) if m else Matrix(())
-        if inner in self.section:
-            middle = self.covariance(inner, m, f"{inner} is the covariance of what {factor} maps")
-        place = self.section.place.entry(factor)
-        try:
-            result = congruence(left, middle)
-        except ArithmeticError as fault:
-            raise place.error("a noise factor", f"a finite covariance, but {fault}") from None
-        check_matrix(result, place, self.defaults)
-        return result
-
-    def start(self, n: int) -> Matrix:
-        place = self.section.place.entry("x0")
-        expected = f"a list of {n} numbers: the state has {n} components"
-        entries = as_list(self.section.require("x0", expected), place, expected)
-        if len(entries) != n:
-            raise place.error(f"{len(entries)} entries", expected)
-        rows = (
-            (read_entry(component(entry, place.item(i)), place.item(i), self.defaults),)
-            for i, entry in enumerate(entries)
-        )
-        return self.constant(Matrix(tuple(rows)), place)
-
-    def start_covariance(self, n: int) -> Matrix:
-        because = "P0 is the covariance of the error of x0"
-        matrix = self.matrix("P0", Role(n, n, because))
-        place = self.section.place.entry("P0")
-        return checked_covariance(self.constant(matrix, place), place, self.defaults)
-
-    def constant(self, matrix: Matrix, place: Place) -> Matrix:
-        if not matrix.is_constant:
-            used = ", ".join(sorted(matrix.names))
-            raise place.error(
-                f"an entry that depends on {used}", "constants: the start of the filter is fixed"
-            )
-        return matrix
+def _noise(section: Section, keys: tuple[str, str, str], count: int, target: str) -> Matrix:
+    whole, factor, inner = keys
+    alternative = f"{whole} = {factor} {inner} {factor}'"
+    for key in (factor, inner):
+        if key in section and whole in section:
+            expected = f"either {whole}, or {factor} and {inner} ({alternative})"
+            raise section.error(key, f"{key} beside {whole}", expected)
+    if factor in section:
+        return _factored(section, factor, inner, (count, target))
+    if inner in section:
+        given = f"nothing (the key is missing) beside {inner}"
+        raise section.error(factor, given, f"{factor}, since {alternative}")
+    section.require(
+        whole, f"a ({count}, {count}) covariance, or {factor} and {inner} ({alternative})"
+    )
+    return section.covariance(
+        whole, count, f"{whole} is the covariance of the noise in the {target}"
+    )
 
 
-def component(entry: object, place: Place) -> object:
-    """Return an entry of x0 or c, out of its row if a column matrix of another library has rows."""
-    plain = plain_list(entry, place)
-    return plain[0] if isinstance(plain, list) and len(plain) == 1 else entry
+def _factored(section: Section, factor: str, inner: str, mapped: tuple[int, str]) -> Matrix:
+    """Return F V F', where V is the identity unless it is there."""
+    left = section.matrix(factor, (mapped[0], None), f"{factor} maps a noise to the {mapped[1]}")
+    m = left.shape[1]
+    middle = Matrix.of(np.eye(m)) if m else Matrix(())
+    if inner in section:
+        middle = section.covariance(inner, m, f"{inner} is the covariance of what {factor} maps")
+    try:
+        result = congruence(left, middle)
+    except ArithmeticError as fault:
+        given, expected = "a noise factor", f"a finite covariance, but {fault}"
+        raise section.error(factor, given, expected) from None
+    for expression in itertools.chain(*result.rows):
+        if is_large(expression):
+            given = "a product with very large expressions"
+            raise section.error(factor, given, "the product itself")
+        check_finite(expression, section.place.entry(factor), section.defaults)
+    return result
+
+
+def _constant(section: Section, key: str, matrix: Matrix) -> Matrix:
+    if not matrix.is_constant:
+        given = f"an entry that depends on {', '.join(sorted(matrix.names))}"
+        raise section.error(key, given, "constants: the start of the filter is fixed")
+    return matrix
 
 
 def _expand_system(section: Section) -> float | None:
     """Replace ``system`` by its matrices and return the sample time."""
-    place = section.place.entry("sample_time")
     stated = None
     if "sample_time" in section:
-        stated = as_number(section.table["sample_time"], place, "a positive number of seconds")
-        if stated <= 0:
-            raise place.error(show(stated), "a positive number of seconds")
+        expected = "a positive number of seconds"
+        stated = section.number("sample_time", expected, lambda number: number > 0.0)
     if "system" not in section:
         return stated
     for key in ("A", "B", "C", "D"):
         if key in section:
-            raise section.place.entry(key).error(f"{key} beside system", f"either system or {key}")
+            raise section.error(key, f"{key} beside system", f"either system or {key}")
     matrices, own = state_space(section.table.pop("system"), section.place.entry("system"))
     if stated is not None and own is not None and stated != own:
-        raise place.error(f"{stated!r}", f"{own!r}, the sample time of system")
+        expected = f"{own!r}, the sample time of system"
+        raise section.error("sample_time", f"{stated!r}", expected)
     section.table.update(matrices)
     return stated if own is None else own

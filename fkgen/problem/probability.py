@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.table.place import Place, show
-from fkgen.problem.table.section import as_list, as_number
+from fkgen.problem.table.section import Section, as_list, as_number
 
 Distribution = tuple[float, ...]
+Transition = tuple[Distribution, ...]  # Pr(j at k+1 | i at k)
+Array = NDArray[np.float64]
 
 #: Largest distance of a sum from one that is taken for what a user rounded when typing.
 SUM_TOLERANCE = 1e-9
@@ -32,10 +34,7 @@ def as_probability(value: object, place: Place) -> float:
 
 def as_distribution(value: object, place: Place, count: int, what: str) -> Distribution:
     """Return ``count`` probabilities that sum to one."""
-    expected = f"a list of {count} probabilities, {what}"
-    entries = as_list(value, place, expected)
-    if len(entries) != count:
-        raise place.error(f"{len(entries)} entries", expected)
+    entries = as_list(value, place, f"a list of {count} probabilities, {what}", count)
     found = tuple(as_probability(entry, place.item(i)) for i, entry in enumerate(entries))
     total = sum(found)
     if abs(total - 1.0) > SUM_TOLERANCE:
@@ -43,17 +42,27 @@ def as_distribution(value: object, place: Place, count: int, what: str) -> Distr
     return found if abs(total - 1.0) <= ROUNDING else tuple(each / total for each in found)
 
 
-def as_transition(value: object, place: Place, order: str, count: int) -> tuple[Distribution, ...]:
+def read_transition(section: Section, key: str, order: str, count: int) -> Transition:
     """Return a (count, count) transition matrix: row i is the law of the next state after i."""
+    place = section.place.entry(key)
     expected = f"a {count} x {count} matrix, states ordered {order}, rows that sum to 1"
-    rows = as_list(value, place, expected)
-    if len(rows) != count:
-        raise place.error(f"{len(rows)} rows", expected)
+    rows = as_list(section.require(key, expected), place, expected, count, "rows")
     what = f"the law of the next state, ordered {order}"
     return tuple(as_distribution(row, place.item(i), count, what) for i, row in enumerate(rows))
 
 
-Array = NDArray[np.float64]
+def read_initial(section: Section, stationary: Array | None, count: int, what: str) -> Distribution:
+    """Return the law of the first state: the stationary one if it is not said, and there is one."""
+    if "initial" in section:
+        place = section.place.entry("initial")
+        return as_distribution(section.table["initial"], place, count, what)
+    if stationary is None:
+        raise section.error(
+            "initial",
+            "nothing (the key is missing), and several stationary laws",
+            f"{count} probabilities, {what}: where the chain starts decides where it stays",
+        )
+    return tuple(stationary.tolist())
 
 
 def stationary_law(transition: ArrayLike) -> Array | None:
@@ -67,7 +76,14 @@ def stationary_law(transition: ArrayLike) -> Array | None:
     if not reach[np.ix_(recurrent, recurrent)].all():
         return None
     law = np.zeros(len(P))
-    law[recurrent] = _irreducible_law(P[np.ix_(recurrent, recurrent)])
+    P = P[np.ix_(recurrent, recurrent)]
+    for last in range(len(P) - 1, 0, -1):
+        P[:last, last] /= P[last, :last].sum()
+        P[:last, :last] += np.outer(P[:last, last], P[last, :last])
+    found = np.ones(len(P))
+    for i in range(1, len(P)):
+        found[i] = found[:i] @ P[:i, i]
+    law[recurrent] = found / found.sum()
     return law
 
 
@@ -98,15 +114,3 @@ def _reaches(P: Array) -> NDArray[np.bool_]:
     for middle in range(len(P)):
         reach |= np.outer(reach[:, middle], reach[middle])
     return reach
-
-
-def _irreducible_law(transition: Array) -> Array:
-    P = transition.copy()
-    n = len(P)
-    for last in range(n - 1, 0, -1):
-        P[:last, last] /= P[last, :last].sum()
-        P[:last, :last] += np.outer(P[:last, last], P[last, :last])
-    law = np.ones(n)
-    for i in range(1, n):
-        law[i] = law[:i] @ P[:i, i]
-    return np.asarray(law / law.sum())

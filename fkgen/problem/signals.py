@@ -1,12 +1,93 @@
-"""Names and units of states, inputs and outputs."""
+"""Names that become C identifiers, and units: of states, inputs and outputs above all."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from fkgen.problem.table.place import Place, show, suggestion
-from fkgen.problem.table.section import Section, as_list, as_number, as_text
-from fkgen.problem.text.naming import check_distinct, read_name
+from fkgen.problem.table.place import Place, describe, show, suggestion
+from fkgen.problem.table.section import Section, as_list, as_number
+from fkgen.problem.text.expression import FUNCTIONS
+
+MAX_LENGTH = 40
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+Refused = tuple[tuple[frozenset[str], str], ...]  # sets of names, and what is expected instead
+
+_C = """
+auto break case char const continue default do double else enum extern float for goto if inline int
+long register restrict return short signed sizeof static struct switch typedef union unsigned void
+volatile while alignas alignof constexpr nullptr static_assert thread_local typeof typeof_unqual
+"""
+_CPP = """
+and and_eq asm bitand bitor bool catch char8_t char16_t char32_t class compl concept consteval
+constinit const_cast co_await co_return co_yield decltype delete dynamic_cast explicit export false
+final friend import module mutable namespace new noexcept not not_eq operator or or_eq override
+private protected public reinterpret_cast requires static_cast template this throw true try typeid
+typename using virtual wchar_t xor xor_eq
+"""
+_MACROS = "NULL EOF NAN INFINITY complex imaginary errno assert offsetof linux unix i386 main std"
+_TYPES = """
+int8 int16 int32 int64 uint8 uint16 uint32 uint64 intptr uintptr intmax uintmax int_least8
+int_least16 int_least32 int_least64 uint_least8 uint_least16 uint_least32 uint_least64 int_fast8
+int_fast16 int_fast32 int_fast64 uint_fast8 uint_fast16 uint_fast32 uint_fast64 size ssize ptrdiff
+max_align wchar wint wctype wctrans mbstate char8 char16 char32 float double time clock div ldiv
+lldiv imaxdiv fpos fenv fexcept sig_atomic cnd mtx thrd tss nullptr errno rsize off pid uid gid
+mode dev ino nlink key id blkcnt blksize clockid timer useconds suseconds sigset pthread sem
+"""
+_HEADERS = """
+assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign
+stdarg stdatomic stdbool stdckdint stdbit stddef stdint stdio stdlib stdnoreturn string strings
+tgmath threads time uchar unistd wchar wctype
+"""
+
+_RESERVED = frozenset([*_MACROS.split(), *(f"{stem}_t" for stem in _TYPES.split())])
+_REFUSED = (
+    (frozenset((_C + _CPP).split()), "a name that is not a keyword of C or C++"),
+    (_RESERVED, "a name that C and its library do not reserve"),
+)
+#: What the name of the filter cannot be: it is the prefix of its files, types and functions.
+PREFIX = (
+    (
+        frozenset((_TYPES + _HEADERS).split()),
+        "another name: '{0}.h' or '{0}_t' belongs to the C library",
+    ),
+)
+#: What the name of a parameter cannot be: it is a name in expressions too.
+PARAMETER = (
+    (frozenset("I"), "a name that is not a macro of <complex.h>"),
+    (frozenset(FUNCTIONS), "a name that is not a function of the expression language"),
+)
+
+
+def read_name(value: object, place: Place, refused: Refused = ()) -> str:
+    """Return a text that is safe as a C and C++ identifier, and not refused for another reason."""
+    expected = f"a C identifier: letters, digits and _, at most {MAX_LENGTH} characters"
+    if not isinstance(value, str):
+        raise place.error(describe(value), expected)
+    if not _IDENTIFIER.fullmatch(value):
+        raise place.error(show(value), expected)
+    if len(value) > MAX_LENGTH:
+        raise place.error(f"{show(value)} with {len(value)} characters", expected)
+    if value.startswith("_") or value.endswith("_") or "__" in value:
+        raise place.error(show(value), "a name without leading, trailing or double underscores")
+    for words, allowed in (*_REFUSED, *refused):
+        if value in words:
+            raise place.error(show(value), allowed.format(value))
+    return str(value)
+
+
+def check_distinct(names: Iterable[str], place: Place, what: str) -> None:
+    """Refuse names that are equal, or equal but for case: C macros write them in capitals."""
+    seen: dict[str, str] = {}
+    for name in names:
+        first = seen.get(name.lower())
+        if first is not None:
+            given = f"'{name}' twice" if first == name else f"'{first}' and '{name}'"
+            raise place.error(given, f"{what} with distinct names (capitals do not distinguish)")
+        seen[name.lower()] = name
+
 
 MAX_UNIT = 40
 
@@ -36,34 +117,48 @@ def read_signals(section: Section, key: str, letter: str, count: int) -> tuple[S
 def _signal(entry: object, place: Place) -> Signal:
     section = Section(entry, place, known=("name", "unit"))
     name = read_name(section.require("name", "a C identifier"), place.entry("name"))
-    unit_place = place.entry("unit")
-    unit = as_text(section.table.get("unit", ""), unit_place, "a text, such as 'rad/s'")
+    unit = section.table.get("unit", "")
+    if not isinstance(unit, str):
+        raise section.error("unit", describe(unit), "a text, such as 'rad/s'")
     forbidden = any(part in unit for part in ("*/", "/*", "\\", "??"))
     if forbidden or len(unit) > MAX_UNIT or not unit.isprintable():
-        raise unit_place.error(
-            show(unit), f"at most {MAX_UNIT} printable characters that can stand in a C comment"
-        )
-    return Signal(name, unit)
+        expected = f"at most {MAX_UNIT} printable characters that can stand in a C comment"
+        raise section.error("unit", show(unit), expected)
+    return Signal(name, str(unit))
 
 
-def read_row(entry: object, place: Place, names: list[str]) -> int:
-    """Return the index of a row of y that is given by number or by name."""
+def read_rows(
+    section: Section, key: str, outputs: Sequence[Signal], which: str = "", empty: str = ""
+) -> tuple[int, ...]:
+    """Return rows of y under a key that must be there; ``empty``: what to do if there are none."""
+    names = ", ".join(signal.name for signal in outputs)
+    expected = f"a list of rows of y, out of 0..{len(outputs) - 1} ({names}){which}"
+    rows = as_rows(section.require(key, expected), section.place.entry(key), expected, outputs)
+    if not rows and empty:
+        raise section.error(key, "an empty list", f"{expected}; {empty}")
+    return rows
+
+
+def as_rows(
+    entries: object, place: Place, expected: str, outputs: Sequence[Signal]
+) -> tuple[int, ...]:
+    """Return indices of rows of y, ascending, each given once, by number or by name."""
+    rows: list[int] = []
+    for i, entry in enumerate(as_list(entries, place, expected)):
+        row = _row(entry, place.item(i), [signal.name for signal in outputs])
+        if row in rows:
+            raise place.item(i).error(f"row {row} a second time", "every row once")
+        rows.append(row)
+    return tuple(sorted(rows))
+
+
+def _row(entry: object, place: Place, names: list[str]) -> int:
     expected = f"a row of y, 0..{len(names) - 1}, or its name ({', '.join(names)})"
     if isinstance(entry, str):
         if entry not in names:
             raise place.error(show(entry), expected + suggestion(entry, names))
         return names.index(entry)
     number = as_number(entry, place, expected)
-    if number != int(number) or not 0 <= number < len(names):
+    if number not in range(len(names)):
         raise place.error(show(entry), expected)
     return int(number)
-
-
-def read_rows(entries: object, place: Place, expected: str, names: list[str]) -> tuple[int, ...]:
-    """Return the indices of rows of y, ascending, each of which is named once."""
-    given = as_list(entries, place, expected)
-    rows = [read_row(entry, place.item(i), names) for i, entry in enumerate(given)]
-    for i, row in enumerate(rows):
-        if row in rows[:i]:
-            raise place.item(i).error(f"row {row} a second time", "every row once")
-    return tuple(sorted(rows))

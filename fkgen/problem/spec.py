@@ -5,21 +5,24 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from fkgen.problem.code import Code, read_code
 from fkgen.problem.filter import Filter, Parameter, registry
-from fkgen.problem.magnitude import check_magnitudes
 from fkgen.problem.model import Model, read_model
+from fkgen.problem.signals import PARAMETER, PREFIX, check_distinct, read_name
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section, as_number, as_table
-from fkgen.problem.text.naming import check_distinct, read_parameter_name, read_prefix
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
     from fkgen.faults import Faults, Mode
+
+#: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
+LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 
 _KEYS = ("name", "model", "parameters", "faults", "filter", "code")
 
@@ -75,7 +78,9 @@ class Spec:
             If anything in it is missing, unknown, of the wrong type or shape, or impossible.
         """
         place = Place(file)
-        whole = _whole(table, place)
+        if not as_table(table, place, "a table (a dict) with a spec in it"):
+            raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
+        whole = Section(table, place, known=_KEYS)
         given_name = whole.require("name", "a C identifier")
         given_filter = whole.require("filter", "a table with the family of the filter")
         families = registry()
@@ -87,7 +92,7 @@ class Spec:
         given_faults, where = whole.table.get("faults", {}), place.entry("faults")
         faults = families.read_faults(family, given_faults, where, defaults, model)
         spec = cls(
-            name=read_prefix(given_name, place.entry("name")),
+            name=read_name(given_name, place.entry("name"), PREFIX),
             model=model,
             parameters=parameters,
             faults=faults,
@@ -95,9 +100,9 @@ class Spec:
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             file=file,
         )
-        check_magnitudes(model, place.entry("model"), defaults, spec.code.scalar)
-        for plant, at in spec.placed_plants if faults.jump is not None else ():
-            check_magnitudes(plant, at, defaults, spec.code.scalar)
+        _check_magnitudes(model, place.entry("model"), spec)
+        for plant, at in spec.placed_plants:
+            _check_magnitudes(plant, at, spec)
         family.check_spec(spec)
         return spec
 
@@ -107,20 +112,17 @@ class Spec:
         return {parameter.name: parameter.default for parameter in self.parameters}
 
     @property
-    def plants(self) -> tuple[Model | Mode, ...]:
-        """The model, or every mode in place of it where the plant jumps."""
-        return (self.model,) if self.faults.jump is None else self.faults.jump.modes
+    def placed_plants(self) -> tuple[tuple[Model | Mode, Place], ...]:
+        """The model, or every mode in place of it where the plant jumps, and where it is stated."""
+        if self.faults.jump is None:
+            return ((self.model, Place(self.file, "model")),)
+        place = Place(self.file, "faults.jump.modes")
+        return tuple((mode, place.item(i)) for i, mode in enumerate(self.faults.jump.modes))
 
     @property
-    def placed_plants(self) -> Iterator[tuple[Model | Mode, Place]]:
-        """The same, each with the place where the spec states it."""
-        place = Place(self.file)
-        if self.faults.jump is None:
-            yield self.model, place.entry("model")
-            return
-        modes = place.entry("faults").entry("jump").entry("modes")
-        for i, mode in enumerate(self.faults.jump.modes):
-            yield mode, modes.item(i)
+    def plants(self) -> tuple[Model | Mode, ...]:
+        """The same without places."""
+        return tuple(plant for plant, _ in self.placed_plants)
 
     @property
     def first_rates(self) -> tuple[float, ...] | None:
@@ -152,11 +154,22 @@ class Spec:
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
-def _whole(table: object, place: Place) -> Section:
-    """Return the top level of a spec, which must not be empty."""
-    if not as_table(table, place, "a table (a dict) with a spec in it"):
-        raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
-    return Section(table, place, known=_KEYS)
+def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
+    """Refuse entries beyond `LIMITS`; parameters have their default values."""
+    scalar = spec.code.scalar
+    smallest, largest = LIMITS[scalar]
+    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c"):
+        values = getattr(plant, name).values(spec.defaults) if hasattr(plant, name) else ()
+        for at, value in np.ndenumerate(values):
+            expected = ""
+            if abs(value) > largest:
+                expected = f"at most {largest:g} in magnitude"
+            elif name in {"Q", "R", "P0"} and at[0] == at[1] and 0.0 < value < smallest:
+                expected = f"0 or at least {smallest:g}"
+            if expected:
+                indices = at[:1] if name in {"x0", "c"} else at
+                where = place.entry(name).item(*indices)
+                raise where.error(f"{value:g}", f"{expected} with scalar {scalar!r}")
 
 
 def _read_parameters(whole: Section, place: Place, family: Any) -> tuple[Parameter, ...]:
@@ -165,7 +178,7 @@ def _read_parameters(whole: Section, place: Place, family: Any) -> tuple[Paramet
     entries = as_table(table, place, "a table of default values, such as tau = 0.05")
     parameters = tuple(
         Parameter(
-            read_parameter_name(name, place.entry(name)),
+            read_name(name, place.entry(name), PARAMETER),
             as_number(value, place.entry(name), "a finite number, the default"),
         )
         for name, value in entries.items()
@@ -199,9 +212,8 @@ def load(path: str | os.PathLike[str]) -> Spec:
     try:
         text = Path(path).read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise place.error(
-            f"bytes that are not UTF-8 at offset {fault.start}", "a UTF-8 text"
-        ) from None
+        given = f"bytes that are not UTF-8 at offset {fault.start}"
+        raise place.error(given, "a UTF-8 text") from None
     except OSError as fault:
         reason = (fault.strerror or type(fault).__name__).lower()
         raise place.error(f"a path that cannot be read ({reason})", "a readable file") from None
@@ -213,8 +225,7 @@ def load(path: str | os.PathLike[str]) -> Spec:
         raise place.error("arrays or tables nested too deeply", "a spec in TOML") from None
     except ValueError as fault:
         last = text.count("\n") + 1
-        reason = " ".join(str(fault).split()).replace(
-            "at end of document", f"at line {last}, the end of the document"
-        )
+        end = f"at line {last}, the end of the document"
+        reason = " ".join(str(fault).split()).replace("at end of document", end)
         raise place.error(f"invalid TOML: {reason}", "a spec in TOML") from None
     return Spec.from_dict(table, file=file)

@@ -19,7 +19,7 @@ from fkgen.problem import Code, Number, Operation, Spec
 from fkgen.problem.text.expression import Expression
 from fkgen.proof.experiment import distance, natural_deviation
 from fkgen.proof.validate import validate
-from fkgen.runtime.library import compile_source
+from fkgen.runtime.compiler import compile_source
 from fkgen.runtime.results import Run
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.interpreter import Interpreter

@@ -64,22 +64,25 @@ def store(key: str, fill: Callable[[Path], None]) -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target.parent)
         partial = Path(tempfile.mkdtemp(prefix=".building-", dir=target.parent))
-    except OSError as error:
-        raise _unwritable(error) from None
-    try:
-        fill(partial)
         try:
-            partial.rename(target)
-        except OSError:
-            if find(key) is not None:  # somebody else finished the same build first
-                return target
+            fill(partial)
+            _move(partial, target)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        expected = "a folder that can be written; set FKGEN_CACHE to another one"
+        given = (error.strerror or str(error)).lower()
+        raise OutputError(str(folder()), given=given, expected=expected) from None
+    return target
+
+
+def _move(partial: Path, target: Path) -> None:
+    try:
+        partial.rename(target)
+    except OSError:
+        if find(target.name) is None:  # else somebody finished the same build first
             shutil.rmtree(target, ignore_errors=True)
             partial.rename(target)
-    except OSError as error:
-        raise _unwritable(error) from None
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return target
 
 
 def _sweep(parent: Path) -> None:
@@ -88,12 +91,3 @@ def _sweep(parent: Path) -> None:
         with contextlib.suppress(OSError):
             if time.time() - left.stat().st_mtime > ABANDONED:
                 shutil.rmtree(left, ignore_errors=True)
-
-
-def _unwritable(error: OSError) -> OutputError:
-    reason = (error.strerror or str(error)).lower()
-    return OutputError(
-        str(folder()),
-        given=reason,
-        expected="a folder that can be written; set FKGEN_CACHE to another one",
-    )

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import Advance
 from fkgen.errors import DataError, InternalError, StepRefused
-from fkgen.runtime import record
+from fkgen.runtime import cache, record
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
-from fkgen.symbolic.interface import Port, Status
+from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.floating]
 
@@ -38,12 +38,13 @@ class CompiledFilter:
         Where the generated files lie beside the library.
     """
 
-    def __init__(self, layout: Layout, library: Path) -> None:
-        self.layout, self.folder = layout, library.parent
+    def __init__(self, entry: Path) -> None:
+        layout = Layout.from_json((entry / cache.LAYOUT).read_text(encoding="utf-8"))
+        self.layout, self.folder = layout, entry
         self.name, self.family, self.scalar = layout.name, layout.family, layout.scalar
         self.ports = tuple(port.name for port in layout.ports)
         self.claims = layout.claims
-        self._library = ctypes.CDLL(str(library))
+        self._library = ctypes.CDLL(str(entry / cache.LIBRARY))
         self._record = self._library[f"{layout.name}_record"]
         self._record.argtypes = [ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 6]
         self._record.restype = None
@@ -52,9 +53,20 @@ class CompiledFilter:
         self._type = layout.structure()
         if self._library[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
             raise InternalError(f"{layout.name}: the C instance has another size than its layout")
-        self._dtype = record.dtype_of(layout)
+        self._dtype = layout.dtype
         self._instance = self._type()
-        self._prepare_step()
+        # Buffers and pointers that stay where they are, so that a step costs one call.
+        self._y = np.zeros(len(layout.outputs), self._dtype)
+        self._u = np.zeros(len(layout.inputs), self._dtype)
+        self._parameters = [np.zeros(1, self._dtype) for _ in layout.parameters]
+        self._status = np.zeros(1, np.int32)
+        nothing = Run({}, self._status)
+        data = (self._y[np.newaxis], self._u[np.newaxis])
+        self._alive = self._arguments(self._instance, data, self._parameters, nothing)
+        self._step_arguments = tuple(
+            ctypes.addressof(each) if isinstance(each, ctypes.Array) else each
+            for each in self._alive
+        )
         self.reset()
 
     def run(
@@ -89,12 +101,10 @@ class CompiledFilter:
         """
         measured = record.signal("y", y, len(self.layout.outputs), self._dtype)
         driven = record.inputs(self.layout, u, len(measured))
-        given = record.parameters(self.layout, params, len(measured))
-        ports = self._kept(keep)
-        values = {port.name: np.empty((len(measured), *port.shape), self._dtype) for port in ports}
-        status = np.empty(len(measured), np.int32)
-        self._filter(measured, driven, given, values, status)
-        return Run(values, status)
+        given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
+        found = self._room((len(measured),), keep)
+        self._filter((measured, driven), given, found)
+        return found
 
     def run_batch(
         self,
@@ -126,22 +136,21 @@ class CompiledFilter:
         """
         records, driven = record.batch(self.layout, y, u)
         shape = records.shape[:2]
-        given = record.parameters(self.layout, params, shape[1], records=shape[0])
-        ports = self._kept(keep)
-        values = {port.name: np.empty((*shape, *port.shape), self._dtype) for port in ports}
-        status = np.empty(shape, np.int32)
+        given = record.values_of(
+            self.layout.parameters, params, shape[1], self._dtype, records=shape[0]
+        )
+        found = self._room(shape, keep)
 
         def work(start: int, stop: int) -> None:
             for m in range(start, stop):
                 each = driven[m] if driven is not None and driven.ndim == 3 else driven
                 ready = record.inputs(self.layout, each, shape[1])
                 told = [p[m] if p.ndim == 2 else p for p in given]
-                self._filter(
-                    records[m], ready, told, {n: v[m] for n, v in values.items()}, status[m]
-                )
+                part = Run({name: found[name][m] for name in found}, found.status[m])
+                self._filter((records[m], ready), told, part)
 
         in_blocks(work, shape[0], max(1, BLOCK // max(1, shape[1])), advance)
-        return Run(values, status)
+        return found
 
     def step(
         self,
@@ -206,55 +215,36 @@ class CompiledFilter:
         wide = f"{len(self.layout.states)} states, {len(self.layout.outputs)} measurements"
         return f"<CompiledFilter {self.name}: {self.family}, {wide}, {self.scalar}>"
 
-    def _kept(self, keep: Sequence[str] | None) -> list[Port]:
-        names = record.kept(self.layout, keep)
-        return [port for port in self.layout.ports if port.name in names]
+    def _room(self, shape: tuple[int, ...], keep: Sequence[str] | None) -> Run:
+        ports = record.kept(self.layout, keep)
+        values = {port.name: np.empty((*shape, *port.shape), self._dtype) for port in ports}
+        return Run(values, np.empty(shape, np.int32))
 
-    def _filter(
-        self,
-        y: Array,
-        u: Array,
-        parameters: list[Array],
-        values: Mapping[str, Array],
-        status: NDArray[np.int32],
-    ) -> None:
+    def _filter(self, data: tuple[Array, Array], parameters: list[Array], found: Run) -> None:
+        """Filter y and u from the prior."""
         instance = self._type()
         self._init(ctypes.addressof(instance))
-        pointers = (ctypes.c_void_p * max(1, len(parameters)))(*[p.ctypes.data for p in parameters])
-        strides = np.array([int(p.size > 1) for p in parameters] or [0], np.int64)
-        out = [values[p.name].ctypes.data if p.name in values else None for p in self.layout.ports]
-        places = (ctypes.c_void_p * len(out))(*out)
-        self._record(
-            ctypes.addressof(instance),
-            len(y),
-            pointers,
-            strides.ctypes.data,
-            u.ctypes.data,
-            y.ctypes.data,
-            places,
-            status.ctypes.data,
-        )
+        self._record(*self._arguments(instance, data, parameters, found))
 
-    def _prepare_step(self) -> None:
-        """Buffers and pointers that stay where they are, so that a step costs one call."""
-        self._y = np.zeros(len(self.layout.outputs), self._dtype)
-        self._u = np.zeros(len(self.layout.inputs), self._dtype)
-        self._parameters = {n: np.zeros(1, self._dtype) for n, _ in self.layout.parameters}
-        self._varied = False
-        self._status = (ctypes.c_int32 * 1)()
-        pointers: Any = ctypes.c_void_p * max(1, len(self._parameters))
-        self._pointers = pointers(*[p.ctypes.data for p in self._parameters.values()])
-        self._strides = (ctypes.c_int64 * max(1, len(self._parameters)))()
-        self._nothing = (ctypes.c_void_p * len(self.layout.ports))()
-        self._step_arguments = (
-            ctypes.addressof(self._instance),
-            1,
-            ctypes.addressof(self._pointers),
-            ctypes.addressof(self._strides),
-            self._u.ctypes.data,
-            self._y.ctypes.data,
-            ctypes.addressof(self._nothing),
-            ctypes.addressof(self._status),
+    def _arguments(
+        self,
+        instance: ctypes.Structure,
+        data: tuple[Array, Array],
+        parameters: list[Array],
+        found: Run,
+    ) -> tuple[Any, ...]:
+        """What C takes: arrays of pointers, and addresses in arrays that have to live on."""
+        count = max(1, len(parameters))
+        out = [found[p.name].ctypes.data if p.name in found else None for p in self.layout.ports]
+        return (
+            ctypes.addressof(instance),
+            len(data[0]),
+            (ctypes.c_void_p * count)(*[values.ctypes.data for values in parameters]),
+            (ctypes.c_int64 * count)(*[values.size > 1 for values in parameters]),
+            data[1].ctypes.data,
+            data[0].ctypes.data,
+            (ctypes.c_void_p * len(out))(*out),
+            found.status.ctypes.data,
         )
 
     def _place(self, what: str, value: ArrayLike | None, place: Array) -> None:
@@ -272,6 +262,6 @@ class CompiledFilter:
     def _place_parameters(self, given: Mapping[str, float]) -> None:
         """Parameters of this sample; those not given take their defaults."""
         self._varied = bool(given)
-        values = record.parameters(self.layout, given, 1)
-        for place, value in zip(self._parameters.values(), values, strict=True):
+        values = record.values_of(self.layout.parameters, given, 1, self._dtype)
+        for place, value in zip(self._parameters, values, strict=True):
             place[:] = value

@@ -1,4 +1,4 @@
-"""Find a C compiler and make a shared library with it."""
+"""Find a C compiler, and make shared libraries and entries of the cache with it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,15 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fkgen.errors import CompilerError
+from fkgen.runtime import cache
+from fkgen.runtime.compiled import CompiledFilter
+from fkgen.runtime.layout import layout_of
+
+if TYPE_CHECKING:
+    from fkgen.backend.source import Source
 
 #: Operations per step beyond which -O2 takes longer to compile than anyone waits.
 LARGE = 8000
@@ -40,10 +47,8 @@ def find_compiler() -> Compiler:
             if found is None:
                 raise CompilerError(f"{variable} is {words[0]!r}, which is not on the PATH")
             return _compiler(found, (found, *words[1:]))
-    for name in ("cc", "gcc", "clang"):
-        found = shutil.which(name)
-        if found is not None:
-            return _compiler(found, (found,))
+    for found in filter(None, map(shutil.which, ("cc", "gcc", "clang"))):
+        return _compiler(found, (found,))
     zig = importlib.util.find_spec("ziglang")
     if zig is not None and zig.origin is not None:
         return _compiler(zig.origin, (sys.executable, "-m", "ziglang", "cc"))
@@ -76,3 +81,34 @@ def compile_shared(compiler: Compiler, source: Path, library: Path, *, flops: in
             done.stderr.strip() or f"exit status {done.returncode}"
         ]
         raise CompilerError(f"{compiler.command[0]} refused {source.name}: {lines[0]}")
+
+
+def make(key: str, source: Source, compiler: Compiler) -> Path:
+    """Compile generated code into the cache; the folder of the finished entry."""
+    program = source.program
+
+    def fill(folder: Path) -> None:
+        for name, text in source.files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        record = folder / f"{program.name}_record.c"
+        record.write_text(source.record, encoding="utf-8")
+        compile_shared(compiler, record, folder / cache.LIBRARY, flops=program.flops)
+        layout = layout_of(program, source.claims)
+        (folder / cache.LAYOUT).write_text(layout.to_json(), encoding="utf-8")
+
+    return cache.store(key, fill)
+
+
+def compile_source(source: Source) -> CompiledFilter:
+    """Compile generated code into a filter that runs from Python; cached by content.
+
+    Raises
+    ------
+    CompilerError
+        If there is no C compiler or it refuses the code.
+    OutputError
+        If the cache folder cannot be written.
+    """
+    compiler = find_compiler()
+    key = cache.key_of(source.record, *source.files.values(), compiler.identity)
+    return CompiledFilter(cache.find(key) or make(key, source, compiler))

@@ -7,6 +7,8 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from fkgen.backend.ir import CProgram
 from fkgen.symbolic.interface import Port, Role
 
@@ -27,23 +29,19 @@ class Layout:
     claims: tuple[str, ...]  # What was proved before the code was generated
 
     @property
-    def real(self) -> type[ctypes.c_double | ctypes.c_float]:
-        """The ctypes scalar."""
-        return ctypes.c_double if self.scalar == "double" else ctypes.c_float
+    def dtype(self) -> type[np.floating]:
+        """The NumPy scalar."""
+        return np.float64 if self.scalar == "double" else np.float32
 
     def structure(self) -> type[ctypes.Structure]:
         """The C instance as a ctypes structure."""
-        fields = [
-            (port.name, self.real * port.size if port.shape else self.real) for port in self.ports
-        ]
+        real: Any = ctypes.c_double if self.scalar == "double" else ctypes.c_float
+        fields = [(port.name, real * port.size if port.shape else real) for port in self.ports]
         return type(f"{self.name}_t", (ctypes.Structure,), {"_fields_": fields})
 
     def to_json(self) -> str:
         """Text from which `from_json` makes an equal layout."""
-        facts = asdict(self)
-        for port in facts["ports"]:
-            port["role"] = port["role"].value
-        return json.dumps(facts, indent=1)
+        return json.dumps(asdict(self), indent=1, default=lambda role: role.value)
 
     @classmethod
     def from_json(cls, text: str) -> Layout:
@@ -60,15 +58,8 @@ class Layout:
 
 def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
     """The layout of a program."""
-    return Layout(
-        name=program.name,
-        family=program.family,
-        scalar=program.scalar,
-        states=tuple(signal.name for signal in program.states),
-        inputs=tuple(signal.name for signal in program.inputs),
-        outputs=tuple(signal.name for signal in program.outputs),
-        parameters=program.parameters,
-        ports=program.ports,
-        flops=program.flops,
-        claims=claims,
-    )
+    same = ("name", "family", "scalar", "parameters", "ports", "flops")
+    facts: dict[str, Any] = {key: getattr(program, key) for key in same}
+    for key in ("states", "inputs", "outputs"):
+        facts[key] = tuple(signal.name for signal in getattr(program, key))
+    return Layout(claims=claims, **facts)

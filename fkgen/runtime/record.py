@@ -1,23 +1,21 @@
-"""Check a record before it goes to C: shapes, types, parameter names."""
+"""Check what a user gives at run time: records before they go to C, parameters, numbers."""
 
 from __future__ import annotations
 
 import contextlib
 import difflib
+import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
 from fkgen.runtime.layout import Layout
+from fkgen.symbolic.interface import Port
 
 Array = NDArray[np.floating]
-
-
-def dtype_of(layout: Layout) -> type[np.floating]:
-    """The NumPy scalar of a filter."""
-    return np.float64 if layout.scalar == "double" else np.float32
 
 
 def numbers(what: str, value: ArrayLike, dtype: type[np.floating]) -> Array:
@@ -44,17 +42,15 @@ def signal(what: str, value: ArrayLike, width: int, dtype: type[np.floating]) ->
 
 def inputs(layout: Layout, u: ArrayLike | None, samples: int) -> Array:
     """The inputs of a record, (T, q)."""
-    q, dtype = len(layout.inputs), dtype_of(layout)
-    names = ", ".join(layout.inputs)
-    if u is None:
-        if q:
-            raise DataError("u", given="nothing", expected=f"shape (T, {q}): {names}")
-        return np.zeros((samples, 0), dtype)
+    q = len(layout.inputs)
+    if u is None and q:
+        names = ", ".join(layout.inputs)
+        raise DataError("u", given="nothing", expected=f"shape (T, {q}): {names}")
     if not q:
-        if np.size(u):
+        if u is not None and np.size(u):
             raise DataError("u", given="inputs", expected="none: the model has no B")
-        return np.zeros((samples, 0), dtype)
-    array = signal("u", u, q, dtype)
+        return np.zeros((samples, 0), layout.dtype)
+    array = signal("u", np.asarray(u), q, layout.dtype)
     if len(array) != samples:
         raise DataError("u", given=f"{len(array)} samples", expected=f"{samples}, as many as y has")
     return array
@@ -62,7 +58,7 @@ def inputs(layout: Layout, u: ArrayLike | None, samples: int) -> Array:
 
 def batch(layout: Layout, y: ArrayLike, u: ArrayLike | None) -> tuple[Array, Array | None]:
     """Measurements (M, T, p), and inputs (M, T, q) or (T, q) as they were given."""
-    dtype, p = dtype_of(layout), len(layout.outputs)
+    dtype, p = layout.dtype, len(layout.outputs)
     records = numbers("y", y, dtype)
     if records.ndim != 3 or records.shape[2] != p:
         raise DataError("y", given=f"shape {records.shape}", expected=f"shape (M, T, {p})")
@@ -73,17 +69,6 @@ def batch(layout: Layout, y: ArrayLike, u: ArrayLike | None) -> tuple[Array, Arr
     return records, driven
 
 
-def parameters(
-    layout: Layout,
-    given: Mapping[str, ArrayLike] | None,
-    samples: int,
-    *,
-    records: int | None = None,
-) -> list[Array]:
-    """One array per parameter: (1,), (samples,) or, for several records, (records, samples)."""
-    return values_of(layout.parameters, given, samples, dtype_of(layout), records=records)
-
-
 def values_of(
     named: Sequence[tuple[str, float]],
     given: Mapping[str, ArrayLike] | None,
@@ -92,7 +77,7 @@ def values_of(
     *,
     records: int | None = None,
 ) -> list[Array]:
-    """The same for any parameters with defaults."""
+    """One array per parameter: (1,), (samples,) or, for several records, (records, samples)."""
     values = dict(given or {})
     known = [name for name, _ in named]
     for name in values:
@@ -118,16 +103,14 @@ def values_of(
     return result
 
 
-def kept(layout: Layout, keep: Sequence[str] | None) -> frozenset[str]:
-    """Names of the ports to store; all of them by default."""
+def kept(layout: Layout, keep: Sequence[str] | None) -> list[Port]:
+    """The ports to store; all of them by default."""
     known = [port.name for port in layout.ports]
-    if keep is None:
-        return frozenset(known)
-    names = [keep] if isinstance(keep, str) else list(keep)
+    names = known if keep is None else [keep] if isinstance(keep, str) else list(keep)
     for name in names:
         if name not in known and name != "status":
             raise DataError("keep", given=repr(name), expected=choice(name, known))
-    return frozenset(names)
+    return [port for port in layout.ports if port.name in names]
 
 
 def choice(name: str, known: Sequence[str]) -> str:
@@ -136,3 +119,22 @@ def choice(name: str, known: Sequence[str]) -> str:
     if not known:
         return "nothing: the filter has none"
     return f"{close[0]!r}" if close else f"one of: {', '.join(known)}"
+
+
+def probability(name: str, value: Any) -> float:
+    """A probability strictly between 0 and 1."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0.0 < number < 1.0:
+        raise DataError(name, given=repr(value), expected="a probability in (0, 1), such as 0.001")
+    return number
+
+
+def whole(name: str, value: Any, *, least: int, expected: str, most: float = math.inf) -> int:
+    """A whole number within bounds."""
+    number = not isinstance(value, bool) and isinstance(value, int | np.integer)
+    if not number or not least <= value <= most:
+        raise DataError(name, given=repr(value), expected=expected)
+    return int(value)

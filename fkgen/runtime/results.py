@@ -72,7 +72,7 @@ class Snapshot:
         self._layout, self._bytes, self.status = layout, data, status
 
     def __getitem__(self, name: str) -> Array:
-        dtype = np.dtype(record.dtype_of(self._layout))
+        dtype = np.dtype(self._layout.dtype)
         offset = 0
         for port in self._layout.ports:
             if port.name == name:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -14,13 +13,11 @@ from fkgen.estimators.gaussian.actuation import rates_of
 from fkgen.faults import ActuatorFaults, JumpFaults, Moments, SensorFaults
 from fkgen.faults.actuator import pattern_law
 from fkgen.problem import Spec
+from fkgen.problem.probability import Distribution
 from fkgen.problem.table.place import Place
 from fkgen.symbolic.plant import Plant, lift
 
-#: Joint probabilities of expressions may fall below zero by their rounding.
-_ROUNDED = 1e-9
-#: Codes of conditions and hypotheses fit a byte.
-_COUNTED = 255
+_COUNTED = 255  # codes of conditions and hypotheses fit a byte
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,37 +43,21 @@ class Conditions:
     plants: int = 0  # N: the first N indicators say which plant moves; 0 if there is one
     rows: tuple[int, ...] = ()  # of y: signal times the next indicator, noise times the one after
 
-    def driven(self, u: ca.SX, coin: ca.SX) -> ca.SX:
-        """What reaches the plant of the inputs."""
-        return coin * u if self.coins else u
-
-    def sensors(self, outputs: int, indicator: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Signal and noise deviation of every row of y, over those of the model."""
-        signal, deviation = ca.SX.ones(outputs), ca.SX.ones(outputs)
-        for row in self.rows:
-            signal[row], deviation[row] = indicator[self.plants], indicator[self.plants + 1]
-        return signal, deviation
-
-    def moving(self, values: Sequence[ca.SX], indicator: ca.SX) -> ca.SX:
-        """A matrix of the plant that moves, from those of all of them."""
-        if len(values) == 1 or all(values[0] is value for value in values):
-            return values[0]
-        return ca.SX(sum(indicator[i] * value for i, value in enumerate(values)))
-
 
 def conditions_of(spec: Spec) -> Conditions:
     """What is random in the plant of a spec, which has to say how its faults come about."""
-    found = Conditions()
-    if spec.faults.actuator is not None:
-        found = _of_actuators(spec, spec.faults.actuator)
-    elif spec.faults.sensor is not None:
-        found = _of_sensors(spec, spec.faults.sensor)
-    elif spec.faults.jump is not None:
-        found = _of_jumps(spec, spec.faults.jump)
+    faults, found = spec.faults, Conditions()
+    if faults.actuator is not None:
+        found = _of_actuators(spec, faults.actuator)
+    elif faults.sensor is not None:
+        found = _of_sensors(spec, faults.sensor)
+    elif faults.jump is not None:
+        found = _of_jumps(spec, faults.jump)
     for key, count in (("hypotheses", len(found.prior)), ("modes", len(found.initial))):
         if count > _COUNTED:
-            place = Place(spec.file).entry(key)
-            raise place.error(f"{count} to draw from", f"at most {_COUNTED} for a simulation")
+            raise Place(spec.file, key).error(
+                f"{count} to draw from", f"at most {_COUNTED} for a simulation"
+            )
     return found
 
 
@@ -101,43 +82,39 @@ def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
     if channel is not None:
         chain = chain.times(channel)
         order = np.column_stack([order + count, order]).ravel()
-    lost = order >= count
+    states, at = np.eye(count)[order % count], order < count
     return Conditions(
         initial=tuple(np.array(chain.initial)[order].tolist()),
         kernel=tuple(map(tuple, np.array(chain.transition)[np.ix_(order, order)].tolist())),
-        indicators=tuple(
-            (*(float(i == at % count) for i in range(count)), 1.0 - at // count, 1.0)
-            for at in order.tolist()
-        ),
+        indicators=tuple(map(tuple, np.column_stack([states, at, at >= 0]).tolist())),
         modes=tuple((order % count).tolist()),
-        lost=tuple(lost.astype(int).tolist()) if channel is not None else (),
+        lost=() if channel is None else tuple((order >= count).astype(int).tolist()),
         plants=count,
         rows=tuple(range(spec.model.ny)),
     )
 
 
 def _of_sensors(spec: Spec, faults: SensorFaults) -> Conditions:
+    initial, kernel = faults.initial, faults.kernel
+    modes: tuple[int, ...] = (0, 1, 2, 3)
+    if not kernel:
+        if faults.moments is None:
+            place = Place(spec.file, "faults.sensor.problem")
+            expected = "problem 1, 2, 3 or 4: the law that faults are drawn from"
+            raise place.error("nothing (the key is missing)", expected)
+        initial, kernel = _law_of_moments(faults.moments)
+        modes = (*modes, 2, 3)
     numbers = [(gamma, math.sqrt(delta)) for gamma, delta in faults.conditions]
-    if faults.kernel:
-        return Conditions(
-            initial=faults.initial,
-            kernel=faults.kernel,
-            indicators=tuple(numbers),
-            modes=(0, 1, 2, 3),
-            rows=faults.rows,
-        )
-    if faults.moments is None:
-        place = Place(spec.file).entry("faults").entry("sensor").entry("problem")
-        raise place.error(
-            "nothing (the key is missing)",
-            "problem 1, 2, 3 or 4: the law that faults are drawn from",
-        )
-    return _of_moments(faults.moments, faults.rows, numbers)
+    return Conditions(
+        initial=initial,
+        kernel=kernel,
+        indicators=tuple(numbers[mode] for mode in modes),
+        modes=modes,
+        rows=faults.rows,
+    )
 
 
-def _of_moments(
-    moments: Moments, rows: tuple[int, ...], numbers: list[tuple[float, float]]
-) -> Conditions:
+def _law_of_moments(moments: Moments) -> tuple[Distribution, tuple[Distribution, ...]]:
     """A process with E[gamma], p11 and E[delta] as stated: it is not the only one.
 
     With probability E[gamma] / p11 the sensor works, with rate p11 and independently from sample to
@@ -148,14 +125,7 @@ def _of_moments(
     working = (p * d, p * (1.0 - d), (1.0 - p) * d, (1.0 - p) * (1.0 - d))
     dead = (d, 1.0 - d)
     kernel = ((*working, 0.0, 0.0),) * 4 + ((0.0,) * 4 + dead,) * 2
-    initial = (*(works * value for value in working), *((1.0 - works) * value for value in dead))
-    return Conditions(
-        initial=initial,
-        kernel=kernel,
-        indicators=(*numbers, *numbers[2:]),
-        modes=(0, 1, 2, 3, 2, 3),
-        rows=rows,
-    )
+    return (*(works * each for each in working), *((1.0 - works) * each for each in dead)), kernel
 
 
 def probabilities_of(
@@ -176,25 +146,16 @@ def probabilities_of(
 
 def _joint(spec: Spec, rates: list[ca.SX], covariance: ca.SX) -> list[ca.SX]:
     """Probabilities of the patterns of correlated inputs, (1, 1, ..) first."""
-    place = Place(spec.file).entry("faults").entry("actuator").entry("covariance")
+    place = Place(spec.file, "faults.actuator.covariance")
     if len(rates) == 2:
         both = covariance[0, 1] + rates[0] * rates[1]
         return [both, rates[0] - both, rates[1] - both]
     if not (covariance.is_constant() and all(rate.is_constant() for rate in rates)):
-        raise place.error(
-            f"parameters in the joint law of {len(rates)} inputs",
-            "numbers: the law of more than two inputs is found before the code is generated",
-        )
+        given = f"parameters in the joint law of {len(rates)} inputs"
+        expected = "numbers: the law of more than two inputs is found before the code is generated"
+        raise place.error(given, expected)
     law = pattern_law([float(rate) for rate in rates], ca.DM(covariance).full())
     if law is None:
-        raise place.error(
-            "a covariance that no joint law has",
-            f"pairwise covariances of {len(rates)} inputs that work or fail",
-        )
+        expected = f"pairwise covariances of {len(rates)} inputs that work or fail"
+        raise place.error("a covariance that no joint law has", expected)
     return [ca.SX(value) for value in law[:-1]]
-
-
-def demanded(probabilities: list[ca.SX]) -> list[ca.SX]:
-    """What must not be negative for a draw: every pattern, the last one too."""
-    rest = 1 - sum(probabilities[1:], start=probabilities[0])
-    return [value + _ROUNDED for value in (*probabilities, rest)]

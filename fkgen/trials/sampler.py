@@ -5,23 +5,22 @@ from __future__ import annotations
 import ctypes
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.errors import DataError
+from fkgen.problem import Spec
 from fkgen.runtime import cache
-from fkgen.runtime.compiler import Compiler, compile_shared, find_compiler
+from fkgen.runtime.compiler import compile_shared, find_compiler
 from fkgen.symbolic.interface import Status
-
-if TYPE_CHECKING:
-    from fkgen.problem import Spec
-    from fkgen.trials.lowering import SamplerSource
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
+
+_WRITTEN = ("state", "measurement", "condition", "coin", "hypothesis")  # what C fills
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,31 +35,9 @@ class Trials:
     modes: Codes  # (K,), the mode of each condition
     lost: Codes  # (K,), whether the sample is lost in it
 
-    @property
-    def written(self) -> tuple[Array, Array, Codes, Codes, Codes]:
-        """What C fills."""
-        return self.state, self.measurement, self.condition, self.coin, self.hypothesis
-
     def part(self, start: int, stop: int) -> Trials:
         """Trials ``start`` to ``stop - 1``, in the same memory."""
-        part = slice(start, stop)
-        return Trials(
-            self.state[part],
-            self.measurement[part],
-            self.condition[part],
-            self.coin[part],
-            self.hypothesis[part],
-            self.modes,
-            self.lost,
-        )
-
-
-class Overflow(Exception):
-    """C stopped: a parameter is out of range, or numbers grew beyond all bounds."""
-
-    def __init__(self, status: int, trial: int, sample: int) -> None:
-        self.status, self.trial, self.sample = Status(status), trial, sample
-        super().__init__(f"trial {trial}, sample {sample}: {self.status.meaning}")
+        return replace(self, **{name: getattr(self, name)[start:stop] for name in _WRITTEN})
 
 
 class CompiledSampler:
@@ -68,28 +45,26 @@ class CompiledSampler:
 
     def __init__(self, entry: Path) -> None:
         facts = json.loads((entry / cache.LAYOUT).read_text(encoding="utf-8"))
-        self.name: str = facts["name"]
-        self.parameters: tuple[str, ...] = tuple(facts["parameters"])
-        self.nx, self.nu, self.ny = facts["sizes"]
+        self._nx, self._nu, self._ny = facts["sizes"]
         self._coins, self._hypotheses = facts["coins"], facts["hypotheses"]
         self._modes, self._lost = (np.array(facts[key], np.uint8) for key in ("modes", "lost"))
-        library = ctypes.CDLL(str(entry / cache.LIBRARY))
-        self._sample = library[f"{self.name}_sample"]
+        library, name = ctypes.CDLL(str(entry / cache.LIBRARY)), facts["name"]
+        self._sample = library[f"{name}_sample"]
         integers = [ctypes.c_uint64, ctypes.c_uint32, ctypes.c_int64, ctypes.c_int64]
         pointer = ctypes.c_void_p
         self._sample.argtypes = [*integers, *[pointer] * 3, ctypes.c_int64, *[pointer] * 6]
-        self._block = library[f"{self.name}_block"]
+        self._block = library[f"{name}_block"]
         self._block.argtypes = [pointer] * 3
         self._block.restype = None
-        self._quantile = library[f"{self.name}_quantile"]
+        self._quantile = library[f"{name}_quantile"]
         self._quantile.argtypes, self._quantile.restype = [ctypes.c_double], ctypes.c_double
 
     def empty(self, runs: int, steps: int) -> Trials:
         """Room for trials."""
         chain = (runs, steps) if self._modes.size else (0, 0)
         return Trials(
-            np.empty((runs, steps, self.nx)),
-            np.empty((runs, steps, self.ny)),
+            np.empty((runs, steps, self._nx)),
+            np.empty((runs, steps, self._ny)),
             np.empty(chain, np.uint8),
             np.empty((runs, steps, self._coins), np.uint8),
             np.empty(runs if self._hypotheses else 0, np.uint8),
@@ -100,7 +75,7 @@ class CompiledSampler:
     def draw(
         self, seed: int, first: int, u: Array, parameters: Sequence[Array], room: Trials
     ) -> None:
-        """Draw trials ``first``, ``first + 1``, ... into ``room``; Overflow if C refuses a sample.
+        """Draw trials ``first``, ``first + 1``, ... into ``room``; DataError if C refuses a sample.
 
         ``u`` is (T, q) or (M, T, q), each parameter one number or T, all of it contiguous.
         """
@@ -116,12 +91,20 @@ class CompiledSampler:
             pointers,
             strides.ctypes.data,
             u.ctypes.data,
-            steps * self.nu if u.ndim == 3 else 0,
-            *[array.ctypes.data for array in room.written],
+            steps * self._nu if u.ndim == 3 else 0,
+            *[getattr(room, name).ctypes.data for name in _WRITTEN],
             ctypes.byref(where),
         )
         if status < 0:
-            raise Overflow(status, first + where.value // steps, where.value % steps)
+            trial, sample = divmod(where.value, steps)
+            at = f"at sample {sample} of trial {first + trial}"
+            if status == Status.PARAMETER_OUT_OF_RANGE.value:
+                given = f"a variance below 0, or a rate outside [0, 1], {at}"
+                law = "values with which Q and R are covariances and rates are probabilities"
+                raise DataError("params", given=given, expected=law)
+            given = f"{steps}, and numbers that overflow {at}"
+            stable = "fewer steps: the plant is not stable, and its state grows without bounds"
+            raise DataError("steps", given=given, expected=stable)
 
     def block(self, counter: Sequence[int], key: Sequence[int]) -> tuple[int, ...]:
         """Four words of the generator, for tests."""
@@ -134,27 +117,18 @@ class CompiledSampler:
         return float(self._quantile(probability))
 
 
-def make_sampler(key: str, source: SamplerSource, compiler: Compiler) -> Path:
-    """Compile a sampler into the cache; the folder of the finished entry."""
+def sampler(spec: Spec) -> CompiledSampler:
+    """Write the plant and the faults of a spec as C that draws trials, compile and load it."""
+    compiler = find_compiler()
 
     def fill(folder: Path) -> None:
-        text = folder / f"{source.name}_sampler.c"
+        from fkgen.trials.sampling import render_sampler  # noqa: PLC0415 - CasADi
+
+        source = render_sampler(spec)
+        text = folder / f"{spec.name}_sampler.c"
         text.write_text(source.text, encoding="utf-8")
         compile_shared(compiler, text, folder / cache.LIBRARY, flops=source.operations)
         (folder / cache.LAYOUT).write_text(source.facts, encoding="utf-8")
 
-    return cache.store(key, fill)
-
-
-def sampler(spec: Spec) -> CompiledSampler:
-    """Write the plant and the faults of a spec as C that draws trials, compile and load it."""
-    compiler = find_compiler()
     key = cache.key_of("sampler", cache.own_digest(), spec.canonical(), compiler.identity)
-    return CompiledSampler(cache.find(key) or make_sampler(key, _source_of(spec), compiler))
-
-
-def _source_of(spec: Spec) -> SamplerSource:
-    from fkgen.trials.lowering import render_sampler  # noqa: PLC0415 - CasADi
-    from fkgen.trials.sampling import sampling_of  # noqa: PLC0415 - CasADi
-
-    return render_sampler(sampling_of(spec))
+    return CompiledSampler(cache.find(key) or cache.store(key, fill))

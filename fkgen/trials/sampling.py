@@ -1,39 +1,203 @@
-"""The plant as it happens: drawn faults and noise in, measurements and the next state out.
+"""The plant as it happens, as C for Python only: drawn faults and noise in, y[k] and x[k+1] out.
 
-The counterpart of a recursion: what a family estimates is generated here. Faults are drawn in two
-ways. *Coins* fall anew in every sample: actuators that work, packets that arrive. One *chain* of
-conditions is Markov: sensor conditions, modes of the plant. Both reach the plant as numbers, so
-that a sample is straight-line code.
+The counterpart of a recursion: what a family estimates is generated here, always in double.
+*Coins* (actuators that work) fall anew in every sample, one *chain* of conditions (of sensors,
+packets, modes of the plant) is Markov. Both are numbers, so that a sample is straight-line code.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
+from fkgen.backend.functions import elementary_context
+from fkgen.backend.ir import Element, Operate, Operator, Phase, Space, operands, walk
+from fkgen.backend.lower import lower_phase
+from fkgen.backend.printer import StatementPrinter, tests_finiteness
+from fkgen.backend.render import filled
 from fkgen.problem import Spec
+from fkgen.symbolic import recursion
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Port, Role, Status
 from fkgen.symbolic.linalg import column, is_zero, sparse
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import PARAMETER
-from fkgen.symbolic.recursion import Phase
-from fkgen.trials.conditions import Conditions, conditions_of, demanded, probabilities_of
+from fkgen.trials import random_numbers
+from fkgen.trials.conditions import Conditions, conditions_of, probabilities_of
+from fkgen.version import __version__
 
-#: A pivot below this share of its diagonal entry is the rounding of a zero.
-NEGLIGIBLE = 1e-14
-#: Keeps the quotient of two zeros at zero.
-_TINY = 1e-300
+#: What a phase reads besides parameters; none of it is kept by the sampler.
+_INPUTS = ("x", "u", "w", "v", "coin", "indicator", "hypothesis")
+#: What phases write.
+_WRITTEN = {
+    "state": "x[k]",
+    "measurement": "y[k]",
+    "threshold": "probabilities at which coins fall, summed up",
+}
+_NORMAL = {Operator.LOG, Operator.SQRT}  # what normal numbers need
+_NEGLIGIBLE = 1e-14  # a pivot below this share of its diagonal entry is the rounding of a zero
+_TINY = 1e-300  # keeps the quotient of two zeros at zero
+_ROUNDED = 1e-9  # joint probabilities of expressions may fall below zero by their rounding
+
+
+class SamplerSource(NamedTuple):
+    """Generated C of one sampler, and the facts (JSON) that Python needs to call it."""
+
+    text: str
+    facts: str
+    operations: int
+
+
+def render_sampler(spec: Spec) -> SamplerSource:
+    """Write, lower and print the phases of a spec that says how its faults come about."""
+    conditions, sizes = conditions_of(spec), (spec.model.nx, spec.model.nu, spec.model.ny)
+    c = StatementPrinter(spec.name, "double", spec.model.ny)
+    ports, written = _phases(spec, conditions)
+    lowered = {words: lower_phase(ports, phase, _INPUTS) for words, phase in written.items()}
+    nodes = (node for phase in lowered.values() for node in walk(phase.body))
+    operations = [node.operator for node in nodes if isinstance(node, Operate)]
+    functions = {operator for operator in operations if operator.is_function}
+    context = elementary_context(c, frozenset(functions | _NORMAL)) | {
+        "parameters": [(p.name, p.default) for p in spec.stated_parameters],
+        "ports": ports,
+        "version": __version__,
+        "tests_finiteness": tests_finiteness(tuple(lowered.values())),
+        **dict(zip("nqp", sizes, strict=True)),
+        "conditions": conditions,
+        "initial": _cumulative(conditions.initial),
+        "kernel": [_cumulative(row) for row in conditions.kernel],
+        "prior": _cumulative(conditions.prior),
+        "phases": [
+            {"verb": verb, "comment": comment, "program": phase, "body": c.block(phase.body)}
+            | {"reads": _read(phase)}
+            for (verb, comment), phase in lowered.items()
+        ],
+        "statuses": (Status.OK, Status.PARAMETER_OUT_OF_RANGE, Status.RESULT_NOT_FINITE),
+        "numbers": random_numbers,
+    }
+    facts = {
+        "name": spec.name,
+        "sizes": sizes,
+        "coins": conditions.coins,
+        "modes": conditions.modes,
+        "lost": conditions.lost,
+        "hypotheses": len(conditions.prior),
+    }
+    return SamplerSource(filled("sampler.c.j2", context), json.dumps(facts), len(operations))
+
+
+def _read(phase: Phase) -> tuple[str, ...]:
+    """Names of the arguments that a phase reads."""
+    every = (operand for node in walk(phase.body) for operand in operands(node))
+    read = {e.name for e in every if isinstance(e, Element) and e.space is Space.INPUT}
+    return tuple(name for name in _INPUTS if name in read)
+
+
+def _cumulative(law: tuple[float, ...]) -> list[float]:
+    """Sums up to each entry but the last: whatever has no probability gets none by rounding."""
+    if not law:
+        return []
+    sums = np.cumsum(law)
+    sums[np.flatnonzero(law)[-1] :] = 1.0
+    return [float(value) for value in sums[:-1]]
+
+
+def _phases(
+    spec: Spec, conditions: Conditions
+) -> tuple[tuple[Port, ...], dict[tuple[str, str], recursion.Phase]]:
+    """What phases write; and the phases by verb and comment, in the order in which they run."""
+    jump = spec.faults.jump
+    plants = (plant_of(spec),) if jump is None else mode_plants(spec, jump.modes)
+    symbols = _symbols(spec, plants[0], conditions)
+    ports = tuple(
+        Port(name=name, shape=(symbols[name].numel(),), role=Role.STATE, meaning=meaning)
+        for name, meaning in _WRITTEN.items()
+        if symbols[name].numel()
+    )
+    return ports, {
+        ("start", "x[0]"): _start(spec, symbols),
+        ("law", "probabilities of coins, summed up"): _law(spec, plants[0], conditions, symbols),
+        ("measure", "y[k]"): _sample(plants, conditions, symbols, "measurement"),
+        ("move", "x[k+1]"): _sample(plants, conditions, symbols, "state"),
+    }
+
+
+def _symbols(spec: Spec, plant: Plant, conditions: Conditions) -> dict[str, ca.SX]:
+    n, p = plant.nx, plant.ny
+    numbers = len(conditions.indicators[0]) if conditions.indicators else 0
+    sizes = (n, plant.nu, n, p, conditions.coins, numbers, len(conditions.prior))
+    written = (n, p, sum(len(draw.patterns) - 1 for draw in conditions.draws))
+    names = zip((*_INPUTS, *_WRITTEN), (*sizes, *written), strict=True)
+    symbols = {name: ca.SX.sym(name, size) for name, size in names}
+    named = {item.name for item in spec.stated_parameters}
+    return symbols | {PARAMETER + k: s for k, s in plant.parameters.items() if k in named}
+
+
+def _start(spec: Spec, symbols: Mapping[str, ca.SX]) -> recursion.Phase:
+    """x[0] = x0 + root(P0) w."""
+    script = Script(symbols)
+    x0, root = ca.SX(spec.model.x0.values()), lower_root(ca.SX(spec.model.P0.values()))
+    script.put({"state": x0 + root @ symbols["w"]})
+    return script.phase()
+
+
+def _law(
+    spec: Spec, plant: Plant, conditions: Conditions, symbols: Mapping[str, ca.SX]
+) -> recursion.Phase:
+    """The probabilities of the Bernoulli variables, of which none may be negative."""
+    script = Script(symbols)
+    thresholds: list[ca.SX] = []
+    for patterns in probabilities_of(spec, plant, conditions, symbols["hypothesis"]):
+        sums = list(accumulate(patterns))
+        every = [value + _ROUNDED for value in (*patterns, 1 - sums[-1])]
+        script.demand(Kind.NONNEGATIVE, every, Status.PARAMETER_OUT_OF_RANGE)
+        thresholds += sums
+    if thresholds:
+        script.put({"threshold": column(thresholds)})
+    return script.phase()
+
+
+def _sample(
+    plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX], port: str
+) -> recursion.Phase:
+    """y[k] = s (C x + D u) + d root(R) v, or x[k+1] = A x + B u + root(Q) w + c."""
+    script, indicator = Script(symbols), symbols["indicator"]
+    letters, noise = ("CDR", "v") if port == "measurement" else ("ABQ", "w")
+    M, N, covariances = ([getattr(plant, letter) for plant in plants] for letter in letters)
+    for covariance in covariances:
+        variances = ca.vertsplit(sparse(ca.diag(covariance)))
+        script.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+    roots = {id(covariance): lower_root(covariance) for covariance in covariances}
+    root = _moving([roots[id(covariance)] for covariance in covariances], indicator)
+    u = symbols["coin"] * symbols["u"] if conditions.coins else symbols["u"]
+    value = _moving(M, indicator) @ symbols["x"] + _moving(N, indicator) @ u
+    added = root @ symbols[noise]
+    if port == "measurement":
+        signal, deviation = ca.SX.ones(plants[0].ny), ca.SX.ones(plants[0].ny)
+        for row in conditions.rows:
+            signal[row], deviation[row] = ca.vertsplit(indicator[conditions.plants :][:2])
+        value = signal * value + deviation * added
+    else:
+        value = value + added + _moving([plant.c for plant in plants], indicator)
+    script.put({port: value})
+    script.demand(Kind.FINITE, ca.vertsplit(symbols[port]), Status.RESULT_NOT_FINITE)
+    return script.phase()
+
+
+def _moving(values: Sequence[ca.SX], indicator: ca.SX) -> ca.SX:
+    """A matrix of the plant that moves, from those of all of them."""
+    if all(values[0] is value for value in values):
+        return values[0]
+    return ca.SX(sum(indicator[i] * value for i, value in enumerate(values)))
 
 
 def lower_root(covariance: ca.SX) -> ca.SX:
-    """Lower triangular L with L L' = covariance, for semidefinite matrices too.
-
-    The column of a pivot that is zero, or rounding beside its diagonal entry, is zero. Expressions
-    need no branch for that.
-    """
+    """Lower triangular L with L L' = covariance; columns of pivots that are (rounded) 0 are 0."""
     n = covariance.shape[0]
     left, root = ca.SX(covariance), ca.SX(n, n)
     for j in range(n):
@@ -53,150 +217,7 @@ def lower_root(covariance: ca.SX) -> ca.SX:
 def _pivot(left: ca.SX, whole: ca.SX) -> ca.SX:
     """What is left of a diagonal entry, or zero if that is rounding."""
     if left.is_constant() and whole.is_constant():
-        return left if float(left) > NEGLIGIBLE * float(whole) else ca.SX(0)
+        return left if float(left) > _NEGLIGIBLE * float(whole) else ca.SX(0)
     if ca.is_equal(left, whole):
         return left
-    return ca.fmax(left - NEGLIGIBLE * whole, 0)
-
-
-#: What a phase reads besides parameters; none of it is kept by the sampler.
-INPUTS = ("x", "u", "w", "v", "coin", "indicator", "hypothesis")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sampling:
-    """One plant with its faults, ready to be lowered."""
-
-    spec: Spec
-    conditions: Conditions
-    ports: tuple[Port, ...]  # ``state``, ``measurement`` and ``threshold``: what phases write
-    start: Phase  # x[0] = x0 + root(P0) w
-    law: Phase  # the probabilities of the Bernoulli variables
-    measure: Phase  # y[k] from x[k], u[k], v[k] and the faults
-    move: Phase  # x[k+1] from the same and w[k]
-
-
-def sampling_of(spec: Spec) -> Sampling:
-    """Write the phases of a spec, which must not leave open how its faults come about."""
-    jump = spec.faults.jump
-    plants = (plant_of(spec),) if jump is None else mode_plants(spec, jump.modes)
-    plant = plants[0]
-    conditions = conditions_of(spec)
-    symbols = _symbols(spec, plant, conditions)
-    thresholds, law = _law(spec, plant, conditions, symbols)
-    return Sampling(
-        spec=spec,
-        conditions=conditions,
-        ports=_ports(spec, thresholds),
-        start=_start(spec, symbols),
-        law=law,
-        measure=_measure(plants, conditions, symbols),
-        move=_move(plants, conditions, symbols),
-    )
-
-
-def _ports(spec: Spec, thresholds: int) -> tuple[Port, ...]:
-    sizes = {
-        "state": (spec.model.nx, "x[k]"),
-        "measurement": (spec.model.ny, "y[k]"),
-        "threshold": (thresholds, "probabilities at which coins fall, summed up"),
-    }
-    return tuple(
-        Port(name=name, shape=(size,), role=Role.STATE, meaning=meaning)
-        for name, (size, meaning) in sizes.items()
-        if size
-    )
-
-
-def _symbols(spec: Spec, plant: Plant, conditions: Conditions) -> dict[str, ca.SX]:
-    n, p, q = plant.nx, plant.ny, plant.nu
-    sizes = {
-        "x": n,
-        "u": q,
-        "w": n,
-        "v": p,
-        "coin": conditions.coins,
-        "indicator": len(conditions.indicators[0]) if conditions.indicators else 0,
-        "hypothesis": len(conditions.prior),
-        "state": n,
-        "measurement": p,
-        "threshold": sum(len(draw.patterns) - 1 for draw in conditions.draws),
-    }
-    symbols = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-    named = {item.name for item in spec.stated_parameters}
-    return symbols | {PARAMETER + k: s for k, s in plant.parameters.items() if k in named}
-
-
-def _start(spec: Spec, symbols: Mapping[str, ca.SX]) -> Phase:
-    script = Script(symbols)
-    x0, root = ca.SX(spec.model.x0.values()), lower_root(ca.SX(spec.model.P0.values()))
-    script.put({"state": x0 + root @ symbols["w"]})
-    return script.phase()
-
-
-def _law(
-    spec: Spec, plant: Plant, conditions: Conditions, symbols: Mapping[str, ca.SX]
-) -> tuple[int, Phase]:
-    script = Script(symbols)
-    thresholds: list[ca.SX] = []
-    for patterns in probabilities_of(spec, plant, conditions, symbols["hypothesis"]):
-        script.demand(Kind.NONNEGATIVE, demanded(patterns), Status.PARAMETER_OUT_OF_RANGE)
-        total = ca.SX(0)
-        for probability in patterns:
-            total = total + probability
-            thresholds.append(total)
-    if thresholds:
-        script.put({"threshold": column(thresholds)})
-    return len(thresholds), script.phase()
-
-
-def _measure(
-    plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX]
-) -> Phase:
-    script, indicator = Script(symbols), symbols["indicator"]
-    u = conditions.driven(symbols["u"], symbols["coin"])
-    signal, deviation = conditions.sensors(plants[0].ny, indicator)
-    for plant in plants:
-        _demand_variances(script, plant.R)
-    C = conditions.moving([plant.C for plant in plants], indicator)
-    D = conditions.moving([plant.D for plant in plants], indicator)
-    root = conditions.moving(_roots([plant.R for plant in plants]), indicator)
-    y = signal * (C @ symbols["x"] + D @ u) + deviation * (root @ symbols["v"])
-    script.put({"measurement": y})
-    script.demand(Kind.FINITE, _entries(symbols["measurement"]), Status.RESULT_NOT_FINITE)
-    return script.phase()
-
-
-def _move(
-    plants: tuple[Plant, ...],
-    conditions: Conditions,
-    symbols: Mapping[str, ca.SX],
-) -> Phase:
-    script, indicator = Script(symbols), symbols["indicator"]
-    u = conditions.driven(symbols["u"], symbols["coin"])
-    for plant in plants:
-        _demand_variances(script, plant.Q)
-    A = conditions.moving([plant.A for plant in plants], indicator)
-    B = conditions.moving([plant.B for plant in plants], indicator)
-    root = conditions.moving(_roots([plant.Q for plant in plants]), indicator)
-    x = A @ symbols["x"] + B @ u + root @ symbols["w"]
-    script.put({"state": x + conditions.moving([plant.c for plant in plants], indicator)})
-    script.demand(Kind.FINITE, _entries(symbols["state"]), Status.RESULT_NOT_FINITE)
-    return script.phase()
-
-
-def _roots(covariances: list[ca.SX]) -> list[ca.SX]:
-    """One root for each; what is the same matrix has the same root."""
-    if all(covariance is covariances[0] for covariance in covariances):
-        return [lower_root(covariances[0])]
-    return [lower_root(covariance) for covariance in covariances]
-
-
-def _demand_variances(script: Script, covariance: ca.SX) -> None:
-    """Refuse parameters with which a variance is negative."""
-    diagonal = sparse(ca.diag(covariance))
-    script.demand(Kind.NONNEGATIVE, _entries(diagonal), Status.PARAMETER_OUT_OF_RANGE)
-
-
-def _entries(column_of: ca.SX) -> list[ca.SX]:
-    return [column_of[i] for i in range(column_of.numel())]
+    return ca.fmax(left - _NEGLIGIBLE * whole, 0)

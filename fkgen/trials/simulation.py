@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.console import Advance, progressing
+from fkgen.console import progressing
 from fkgen.errors import DataError
 from fkgen.problem import Spec
-from fkgen.problem.numbers import whole
 from fkgen.runtime import record
 from fkgen.runtime.blocks import in_blocks
-from fkgen.symbolic.interface import Status
-from fkgen.trials.sampler import Overflow, Trials, sampler
+from fkgen.runtime.record import whole
+from fkgen.trials.sampler import Trials, sampler
 
 Array = NDArray[np.float64]
 
-#: Samples that one thread draws at a stretch.
-BLOCK = 50_000
+BLOCK = 50_000  # samples that one thread draws at a stretch
 LARGEST_SEED, LARGEST_TRIAL = 2**64, 2**32
 LARGEST_STEPS = 2**31
 
@@ -37,7 +35,6 @@ class Request:
     first: int
 
     def __post_init__(self) -> None:
-        """Refuse numbers of trials, samples and seeds that cannot be."""
         counted("runs", self.runs)
         counted("steps", self.steps, LARGEST_STEPS)
         counted("seed", self.seed, LARGEST_SEED, least=0)
@@ -68,9 +65,9 @@ class Simulation:
     request: Request
     y: Array
     u: Array
-    driving: Array = field(repr=False)
-    params: Mapping[str, Array] = field(repr=False)
-    trials: Trials = field(repr=False)
+    driving: Array
+    params: Mapping[str, Array]
+    trials: Trials
 
     @property
     def spec(self) -> Spec:
@@ -93,16 +90,17 @@ class Simulation:
         """Whether it works: (M, T, q) per input, or (M, T) for the sensor; None without faults."""
         if self.spec.faults.actuator is not None:
             return self.trials.coin.astype(np.float64)
-        if self.mode is None or self.spec.faults.sensor is None:
-            return None
-        return np.array(self.spec.faults.sensor.conditions)[:, 0][self.mode]
+        return self._condition(0)
 
     @cached_property
     def delta(self) -> Array | None:
         """(M, T): noise variance over R of the rows that can fail, 1 or C, for sensor faults."""
+        return self._condition(1)
+
+    def _condition(self, part: int) -> Array | None:
         if self.mode is None or self.spec.faults.sensor is None:
             return None
-        return np.array(self.spec.faults.sensor.conditions)[:, 1][self.mode]
+        return np.array(self.spec.faults.sensor.conditions)[:, part][self.mode]
 
     @cached_property
     def arrival(self) -> NDArray[np.bool_] | None:
@@ -160,14 +158,14 @@ def simulate(
     SpecError, DataError
         If faults have no law, a number or shape does not fit, or an unstable plant overflows.
     """
-    request = Request(spec, runs, steps, seed, first)
-    told = inputs_of(spec, u, request.runs, request.steps)
-    driving = added("input", told, input, (request.runs, request.steps, spec.model.nu))
-    given = _parameters(spec, params, request.steps)
-    with progressing("simulate", request.runs, shown=progress) as advance:
-        trials = _drawn(request, driving, tuple(given.values()), advance)
+    request, told = Request(spec, runs, steps, seed, first), _inputs(spec, u, runs, steps)
+    driving = _added("input", told, input, (runs, steps, spec.model.nu))
+    named = {item.name: item.default for item in spec.stated_parameters}
+    values = record.values_of(tuple(named.items()), params, steps, np.float64)
+    given = {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
+    trials = _drawn(request, driving, tuple(given.values()), shown=progress)
     measured = _measured(spec, trials, present)
-    y = added("sensor", measured, sensor, measured.shape)
+    y = _added("sensor", measured, sensor, measured.shape)
     trials = replace(trials, measurement=measured)
     return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
 
@@ -178,43 +176,44 @@ def counted(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int
     return whole(what, value, least=least, most=beyond - 1, expected=expected)
 
 
-def inputs_of(spec: Spec, u: ArrayLike | None, runs: int, steps: int) -> Array:
+def _inputs(spec: Spec, u: ArrayLike | None, runs: int, steps: int) -> Array:
     """Inputs of shape (T, q) or (M, T, q), finite."""
     q = spec.model.nu
-    names = ", ".join(signal.name for signal in spec.model.inputs)
     if u is None:
         if q:
+            names = ", ".join(signal.name for signal in spec.model.inputs)
             expected = f"a number, or shape ({steps}, {q}): {names}"
             raise DataError("u", given="nothing", expected=expected)
         return np.zeros((steps, 0))
     if not q:
         raise DataError("u", given="inputs", expected="none: the model has no B")
-    array = np.asarray(record.numbers("u", u, np.float64))
+    array = record.numbers("u", u, np.float64)
     if (array.ndim < 2 and array.size == 1) or (array.ndim == 1 and array.size == q > 1):
-        array = np.array(np.broadcast_to(array, (steps, q)))
-    if array.ndim == 1 and q == 1:
+        array = np.broadcast_to(array, (steps, q))
+    expected = f"a number, shape ({q},), ({steps}, {q}) or ({runs}, {steps}, {q})"
+    return _profile("u", array, (runs, steps, q), expected, "finite numbers")
+
+
+def _profile(
+    what: str, values: ArrayLike, shape: tuple[int, ...], expected: str, finite: str
+) -> Array:
+    """Finite numbers of shape (T, w) or (M, T, w), where (T,) is one column."""
+    array = record.numbers(what, values, np.float64)
+    if array.ndim == 1 and shape[2] == 1:
         array = array[:, np.newaxis]
-    if array.shape not in ((steps, q), (runs, steps, q)):
-        expected = f"a number, shape ({q},), ({steps}, {q}) or ({runs}, {steps}, {q})"
-        raise DataError("u", given=f"shape {array.shape}", expected=expected)
+    if array.shape not in (shape[1:], shape):
+        raise DataError(what, given=f"shape {array.shape}", expected=expected)
     if not np.isfinite(array).all():
-        raise DataError("u", given="NaN or an infinity", expected="finite numbers")
-    return np.ascontiguousarray(array)
+        raise DataError(what, given="NaN or an infinity", expected=finite)
+    return np.ascontiguousarray(array, np.float64)
 
 
-def added(what: str, signal: Array, profile: ArrayLike | None, shape: tuple[int, ...]) -> Array:
+def _added(what: str, signal: Array, profile: ArrayLike | None, shape: tuple[int, ...]) -> Array:
     """A signal with a fault on top of it."""
     if profile is None:
         return signal
-    extra = record.numbers(what, profile, np.float64)
-    if extra.ndim == 1 and shape[2] == 1:
-        extra = extra[:, np.newaxis]
-    if extra.shape not in (shape[1:], shape):
-        given, expected = f"shape {extra.shape}", f"shape {shape[1:]} or {shape}"
-        raise DataError(what, given=given, expected=expected)
-    if not np.isfinite(extra).all():
-        raise DataError(what, given="NaN or an infinity", expected="finite numbers; 0 is no fault")
-    return np.ascontiguousarray(signal + extra, np.float64)
+    shapes, finite = f"shape {shape[1:]} or {shape}", "finite numbers; 0 is no fault"
+    return signal + _profile(what, profile, shape, shapes, finite)
 
 
 def _measured(spec: Spec, trials: Trials, present: ArrayLike | None) -> Array:
@@ -232,40 +231,15 @@ def _measured(spec: Spec, trials: Trials, present: ArrayLike | None) -> Array:
     return np.where(mask, y, np.nan)
 
 
-def _parameters(spec: Spec, given: Mapping[str, ArrayLike] | None, steps: int) -> dict[str, Array]:
-    """Every parameter that the file states, as one number or T."""
-    named = tuple((item.name, item.default) for item in spec.stated_parameters)
-    arrays = record.values_of(named, given, steps, np.float64)
-    return {name: np.asarray(array) for (name, _), array in zip(named, arrays, strict=True)}
-
-
-def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], advance: Advance) -> Trials:
+def _drawn(request: Request, u: Array, parameters: tuple[Array, ...], *, shown: bool) -> Trials:
     compiled = sampler(request.spec)
     room = compiled.empty(request.runs, request.steps)
 
     def work(start: int, stop: int) -> None:
-        block = room.part(start, stop)
         inputs = u if u.ndim == 2 else u[start:stop]
-        compiled.draw(request.seed, request.first + start, inputs, parameters, block)
+        first = request.first + start
+        compiled.draw(request.seed, first, inputs, parameters, room.part(start, stop))
 
-    try:
+    with progressing("simulate", request.runs, shown=shown) as advance:
         in_blocks(work, request.runs, max(1, BLOCK // request.steps), advance)
-    except Overflow as stopped:
-        raise _explained(stopped, request.steps) from None
     return room
-
-
-def _explained(stopped: Overflow, steps: int) -> DataError:
-    """What to do about a sample that C refused."""
-    at = f"at sample {stopped.sample} of trial {stopped.trial}"
-    if stopped.status is Status.PARAMETER_OUT_OF_RANGE:
-        return DataError(
-            "params",
-            given=f"a variance below 0, or a rate outside [0, 1], {at}",
-            expected="values with which Q and R are covariances and rates are probabilities",
-        )
-    return DataError(
-        "steps",
-        given=f"{steps}, and numbers that overflow {at}",
-        expected="fewer steps: the plant is not stable, and its state grows without bounds",
-    )

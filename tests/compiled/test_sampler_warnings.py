@@ -10,8 +10,7 @@ import pytest
 from sensor_specs import SCALAR
 from toolchain import BITS, C_COMPILERS, FLAGS, each
 
-from fkgen.trials.lowering import render_sampler
-from fkgen.trials.sampling import sampling_of
+from fkgen.trials.sampling import render_sampler
 
 MOMENTS = {"problem": "moments", "gamma_rate": 0.6, "gamma_persistence": 0.8}
 SPECS = {
@@ -27,7 +26,7 @@ SPECS = {
 @pytest.mark.parametrize("compiler", each(C_COMPILERS))
 @pytest.mark.parametrize("name", SPECS)
 def test_a_sampler_compiles_without_a_warning(name, compiler, tmp_path):
-    source = render_sampler(sampling_of(SPECS[name]))
+    source = render_sampler(SPECS[name])
     text = tmp_path / "sampler.c"
     text.write_text(source.text)
     flags = ["-std=c99", *FLAGS, BITS, "-O1"]  # without -Wmissing-prototypes: it has no header

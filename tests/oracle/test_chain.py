@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from jump_plants import GILBERT, random_table, spec_of
@@ -9,11 +11,13 @@ from plants import assert_agree, motor, random_model, record, run
 from sensor_specs import PROBLEMS, sensed, shaken, varying
 
 from fkgen.faults import JumpFaults
-from fkgen.faults.chain import ModeChain
+from fkgen.faults.actuator import pattern_law
+from fkgen.faults.chain import Mode, ModeChain
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.plants.jump import JumpSystem
 from fkgen.oracle.plants.sensor import SensorLaw, sensed_modes
 from fkgen.oracle.textbook.jump import composite
+from fkgen.problem import Matrix, evaluate
 
 T = 3
 
@@ -62,6 +66,31 @@ def test_losses_are_the_modes_without_a_signal_of_the_oracle(losses):
     assert_same(chain, composite(JumpSystem.from_spec(plant, T)), [{}] * T)
 
 
+def patterns_of(plant) -> ModeChain:
+    """The patterns of inputs that work (1) or fail (0), as modes that are drawn anew."""
+    model, faults = plant.model, plant.faults.actuator
+    rates = [evaluate(rate, plant.defaults) for rate in faults.success_rate]
+    rates *= 1 if len(rates) == model.nu else model.nu
+    covariance = np.diag([rate * (1.0 - rate) for rate in rates])
+    if faults.covariance is not None:
+        covariance = faults.covariance.values()
+    patterns, law = list(product((1.0, 0.0), repeat=model.nu)), pattern_law(rates, covariance)
+    if faults.dependence == "common":
+        patterns, law = [patterns[0], patterns[-1]], np.array([rates[0], 1.0 - rates[0]])
+    elif faults.covariance is None:
+        law = np.prod(np.where(np.array(patterns) > 0.0, rates, 1.0 - np.array(rates)), axis=1)
+    modes = tuple(
+        Mode(
+            **{letter: getattr(model, letter) for letter in "ACQR"},
+            B=Matrix.of(model.B.values() * pattern),
+            D=Matrix.of(model.D.values() * pattern),
+            c=Matrix.zeros(model.nx, 1),
+        )
+        for pattern in patterns
+    )
+    return ModeChain(modes, (tuple(law.tolist()),) * len(modes), tuple(law.tolist()))
+
+
 ACTUATORS = {
     "common": {"dependence": "common", "success_rate": 0.7},
     "independent": {"dependence": "independent", "success_rate": [0.7, 0.4]},
@@ -73,7 +102,7 @@ ACTUATORS = {
 def test_patterns_of_inputs_have_the_moments_of_the_oracle(dependence):
     model = random_model(75, 2, 2, 2, direct=True)
     plant = motor(model=model, actuator=ACTUATORS[dependence])
-    chain = plant.faults.chain(plant.model)
+    chain = patterns_of(plant)
     system, law = LinearSystem.from_spec(plant, 1), np.array(chain.initial)
     full = np.vstack([plant.model.B.values(), plant.model.D.values()])
     seen = [np.vstack([mode.B.values(), mode.D.values()]) / full for mode in chain.modes]
@@ -90,7 +119,7 @@ def test_actuators_that_fail_are_a_plant_that_jumps(dependence):
     """mkf is the LMMSE filter over the patterns of its inputs: two programs, one estimate."""
     model = random_model(76, 2, 2, 2, direct=True, correlated=True)
     plant = motor(model=model, actuator=ACTUATORS[dependence])
-    chain = plant.faults.chain(plant.model)
+    chain = patterns_of(plant)
     jumping = JumpFaults(chain.transition, chain.initial, chain.modes).plain()
     other = plant.to_dict() | {"faults": {"jump": jumping}, "filter": {"family": "mjls_lmmse"}}
     y, u = record(plant, 40, missing=0.2)

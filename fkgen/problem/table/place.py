@@ -10,13 +10,7 @@ from fkgen.errors import SpecError
 
 WHOLE = "spec"
 _SHOWN = 60
-_WORDS: dict[type, str] = {
-    dict: "the table",
-    list: "the list",
-    tuple: "the list",
-    str: "the text",
-    bool: "the boolean",
-}
+_NAMES = {dict: "table", list: "list", tuple: "list", str: "text", bool: "boolean"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,19 +39,14 @@ def show(value: object) -> str:
     try:
         text = repr(value) if isinstance(value, str) else " ".join(repr(value).split())
     except (ValueError, RecursionError):  # more digits, or more nesting, than Python prints
-        return f"{article(type(value).__name__)} too long to print"
+        noun = type(value).__name__
+        return f"{'an' if noun[:1].lower() in 'aeiou' else 'a'} {noun} too long to print"
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def describe(value: object) -> str:
     """Return a value with its type in front, for errors about types."""
-    word = _WORDS.get(type(value), f"the {type(value).__name__}")
-    return f"{word} {show(value)}"
-
-
-def article(noun: str) -> str:
-    """Return ``noun`` with its indefinite article."""
-    return f"{'an' if noun[:1].lower() in 'aeiou' else 'a'} {noun}"
+    return f"the {_NAMES.get(type(value), type(value).__name__)} {show(value)}"
 
 
 def suggestion(given: str, choices: Iterable[str]) -> str:

@@ -12,21 +12,15 @@ import operator as python_operator
 import re
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
+from itertools import accumulate
 
 from fkgen.problem.table.place import Place, show, suggestion
 
-FUNCTIONS: dict[str, int] = {
-    "exp": 1,
-    "log": 1,
-    "sqrt": 1,
-    "sin": 1,
-    "cos": 1,
-    "tan": 1,
-    "atan2": 2,
-    "abs": 1,
-}
-"""The functions of the expression language and the number of their arguments."""
+#: The functions of the expression language and the number of their arguments.
+FUNCTIONS = {"exp": 1, "log": 1, "sqrt": 1, "sin": 1, "cos": 1, "tan": 1, "atan2": 2, "abs": 1}
 
 MAX_DEPTH = 100
 MAX_NODES = 2000
@@ -70,14 +64,7 @@ _COMPUTE: dict[str, Callable[..., float]] = {
     "/": python_operator.truediv,
     "**": math.pow,
     "neg": python_operator.neg,
-    "exp": math.exp,
-    "log": math.log,
-    "sqrt": math.sqrt,
-    "sin": math.sin,
-    "cos": math.cos,
-    "tan": math.tan,
-    "atan2": math.atan2,
-    "abs": abs,
+    **{name: getattr(math, name, abs) for name in FUNCTIONS},
 }
 
 
@@ -116,10 +103,8 @@ def _balanced(operator: str, operands: Sequence[Expression], neutral: Expression
     if len(operands) < 2:
         return operands[0] if operands else neutral
     middle = (len(operands) + 1) // 2
-    left, right = operands[:middle], operands[middle:]
-    return operation(
-        operator, _balanced(operator, left, neutral), _balanced(operator, right, neutral)
-    )
+    halves = (_balanced(operator, half, neutral) for half in (operands[:middle], operands[middle:]))
+    return operation(operator, *halves)
 
 
 def evaluate(expression: Expression, values: Mapping[str, float]) -> float:
@@ -135,8 +120,7 @@ def evaluate(expression: Expression, values: Mapping[str, float]) -> float:
 
 def _compute(operator: str, values: Sequence[float]) -> float:
     if operator == "/" and values[1] == 0.0:
-        message = f"division by zero in {_written(operator, values)}"
-        raise ArithmeticError(message)
+        raise ArithmeticError(f"division by zero in {_written(operator, values)}")
     try:
         result = _COMPUTE[operator](*values)
     except OverflowError:
@@ -145,8 +129,7 @@ def _compute(operator: str, values: Sequence[float]) -> float:
         result = math.nan
     if not math.isfinite(result):
         fault = "is not a real number" if math.isnan(result) else "is too large"
-        message = f"{_written(operator, values)} {fault}"
-        raise ArithmeticError(message)
+        raise ArithmeticError(f"{_written(operator, values)} {fault}")
     return result
 
 
@@ -158,38 +141,31 @@ def _written(operator: str, values: Sequence[float]) -> str:
 
 def names(expression: Expression) -> frozenset[str]:
     """Return the parameters an expression depends on."""
-    match expression:
-        case Number():
-            return frozenset()
-        case Name(identifier):
-            return frozenset({identifier})
-        case Operation(_, arguments):
-            return frozenset().union(*(names(argument) for argument in arguments))
+    if isinstance(expression, Operation):
+        return frozenset().union(*map(names, expression.arguments))
+    return frozenset({expression.identifier} if isinstance(expression, Name) else ())
 
 
 def depth(expression: Expression) -> int:
     """Return the height of the tree; 1 for a leaf."""
-    if isinstance(expression, Operation):
-        return 1 + max(depth(argument) for argument in expression.arguments)
-    return 1
+    arguments = expression.arguments if isinstance(expression, Operation) else ()
+    return 1 + max(map(depth, arguments), default=0)
 
 
 def size(expression: Expression) -> int:
     """Return the number of nodes of the tree."""
-    if isinstance(expression, Operation):
-        return 1 + sum(size(argument) for argument in expression.arguments)
-    return 1
+    arguments = expression.arguments if isinstance(expression, Operation) else ()
+    return 1 + sum(map(size, arguments))
+
+
+def is_large(expression: Expression) -> bool:
+    """Whether a computed expression is too large to be written."""
+    return size(expression) > MAX_NODES or depth(expression) > MAX_DEPTH
 
 
 MAX_TEXT = 10_000
 _ALLOWED = re.compile(r"[A-Za-z0-9_.,+\-*/() ]")
-_BINARY: dict[type[ast.operator], str] = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
-    ast.Pow: "**",
-}
+_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 _LANGUAGE = f"numbers, parameters, + - * / ** ( ) and {' '.join(FUNCTIONS)}"
 _WORDS: dict[type[ast.AST], str] = {
     ast.Attribute: "an attribute access",
@@ -207,121 +183,99 @@ _WORDS: dict[type[ast.AST], str] = {
 }
 
 
+class Unfit(Exception):
+    """What is expected of an expression in place of what it is."""
+
+
+_NOT_SO_DEEP = f"at most {MAX_DEPTH} levels of nesting"
+
+
 def parse(
     text: str, *, place: Place | None = None, parameters: Collection[str] | None = None
 ) -> Expression:
     """Parse an expression."""
     where = Place("<text>", "expression") if place is None else place
-    return _Parser(text, where, parameters).run()
+    try:
+        return _converted(_tree(text), 1, parameters)
+    except Unfit as fault:
+        expected = str(fault)
+    except ArithmeticError as fault:
+        expected = f"a finite real value, but {fault}"
+    raise where.error(show(text), expected)
 
 
-class _Parser:
-    """Takes one text from `ast` to a tree."""
+def _tree(text: str) -> ast.expr:
+    line = " ".join(text.split())
+    if len(text) > MAX_TEXT:
+        raise Unfit(f"at most {MAX_TEXT} characters, not {len(text)}")
+    if not line:
+        raise Unfit("an expression, not an empty text")
+    if strange := _ALLOWED.sub("", line):
+        raise Unfit(f"an expression of {_LANGUAGE}, without {strange[0]!r}")
+    if max(accumulate((each == "(") - (each == ")") for each in line)) > MAX_DEPTH:
+        raise Unfit(_NOT_SO_DEEP)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # "1or 2" is a warning to Python, a mistake to us
+            return ast.parse(line, mode="eval").body
+    except (SyntaxError, ValueError, Warning):
+        raise Unfit(f"an expression of {_LANGUAGE}") from None
+    except (RecursionError, MemoryError):
+        raise Unfit(_NOT_SO_DEEP) from None
 
-    def __init__(self, text: str, place: Place, parameters: Collection[str] | None) -> None:
-        self.text, self.place, self.parameters = text, place, parameters
 
-    def run(self) -> Expression:
-        self.check_text()
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # "1or 2" is a warning to Python, a mistake to us
-                root = ast.parse(" ".join(self.text.split()), mode="eval").body
-        except (SyntaxError, ValueError, Warning):
-            raise self.error(f"an expression of {_LANGUAGE}") from None
-        except (RecursionError, MemoryError):
-            raise self.too_deep() from None
-        return self.convert(root, 1)
+def _converted(node: ast.expr, level: int, parameters: Collection[str] | None) -> Expression:
+    if level > MAX_DEPTH:
+        raise Unfit(_NOT_SO_DEEP)
+    convert = partial(_converted, level=level + 1, parameters=parameters)
+    match node:
+        case ast.Constant(value):
+            return _constant(value)
+        case ast.Name(identifier):
+            return _name(identifier, parameters)
+        case ast.UnaryOp(ast.UAdd(), operand):
+            return convert(operand)
+        case ast.UnaryOp(ast.USub(), operand):
+            return operation("neg", convert(operand))
+        case ast.BinOp(left, kind, right) if type(kind) in _BINARY:
+            return operation(_BINARY[type(kind)], convert(left), convert(right))
+        case ast.Call(ast.Name(function), arguments, []):
+            _check_call(function, len(arguments))
+            return operation(function, *map(convert, arguments))
+    culprit: ast.AST = node.op if isinstance(node, ast.BinOp | ast.UnaryOp) else node
+    if isinstance(node, ast.Call) and node.keywords:
+        culprit = node.keywords[0]
+    word = _WORDS.get(type(culprit), f"Python's {type(culprit).__name__}")
+    raise Unfit(f"an expression of {_LANGUAGE}, without {word}")
 
-    def check_text(self) -> None:
-        if len(self.text) > MAX_TEXT:
-            raise self.error(f"at most {MAX_TEXT} characters, not {len(self.text)}")
-        line = " ".join(self.text.split())
-        if not line:
-            raise self.error("an expression, not an empty text")
-        if strange := _ALLOWED.sub("", line):
-            raise self.error(f"an expression of {_LANGUAGE}, without {strange[0]!r}")
-        level = deepest = 0
-        for character in line:
-            level += (character == "(") - (character == ")")
-            deepest = max(deepest, level)
-        if deepest > MAX_DEPTH:
-            raise self.too_deep()
 
-    def convert(self, node: ast.expr, level: int) -> Expression:
-        if level > MAX_DEPTH:
-            raise self.too_deep()
-        match node:
-            case ast.Constant(value):
-                return self.constant(value)
-            case ast.Name(identifier):
-                return self.name(identifier)
-            case ast.UnaryOp(ast.UAdd(), operand):
-                return self.convert(operand, level + 1)
-            case ast.UnaryOp(ast.USub(), operand):
-                return self.operate("neg", self.convert(operand, level + 1))
-            case ast.BinOp(left, kind, right) if type(kind) in _BINARY:
-                pair = self.convert(left, level + 1), self.convert(right, level + 1)
-                return self.operate(_BINARY[type(kind)], *pair)
-            case ast.Call(ast.Name(function), arguments, []):
-                return self.call(function, arguments, level)
-            case _:
-                raise self.not_allowed(node)
+def _constant(value: object) -> Expression:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise Unfit(f"an expression of {_LANGUAGE}, without the constant {show(value)}")
+    with suppress(OverflowError):
+        if math.isfinite(number := float(value)):
+            return Number(number)
+    raise Unfit("numbers that fit a double")
 
-    def constant(self, value: object) -> Expression:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(f"an expression of {_LANGUAGE}, without the constant {show(value)}")
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
-            raise self.error("numbers that fit a double")
-        return Number(number)
 
-    def name(self, identifier: str) -> Expression:
-        if self.parameters is None or identifier in self.parameters:
-            return Name(identifier)
-        if identifier in FUNCTIONS:
-            raise self.error(f"arguments in parentheses after the function '{identifier}'")
-        if not self.parameters:
-            raise self.error(f"no name '{identifier}': the spec has no [parameters]")
-        known = ", ".join(self.parameters)
-        hint = suggestion(identifier, self.parameters)
-        raise self.error(f"only parameters ({known}), not the name '{identifier}'{hint}")
+def _name(identifier: str, parameters: Collection[str] | None) -> Expression:
+    if parameters is None or identifier in parameters:
+        return Name(identifier)
+    if identifier in FUNCTIONS:
+        raise Unfit(f"arguments in parentheses after the function '{identifier}'")
+    if not parameters:
+        raise Unfit(f"no name '{identifier}': the spec has no [parameters]")
+    hint = suggestion(identifier, parameters)
+    raise Unfit(f"only parameters ({', '.join(parameters)}), not the name '{identifier}'{hint}")
 
-    def call(self, function: str, arguments: list[ast.expr], level: int) -> Expression:
-        if function not in FUNCTIONS:
-            hint = suggestion(function, FUNCTIONS)
-            known = ", ".join(FUNCTIONS)
-            raise self.error(f"one of the functions {known}, not '{function}'{hint}")
-        if len(arguments) != FUNCTIONS[function]:
-            count = FUNCTIONS[function]
-            raise self.error(
-                f"{count} argument{'s' * (count > 1)} of '{function}', not {len(arguments)}"
-            )
-        return self.operate(
-            function, *(self.convert(argument, level + 1) for argument in arguments)
-        )
 
-    def operate(self, operator: str, *arguments: Expression) -> Expression:
-        try:
-            return operation(operator, *arguments)
-        except ArithmeticError as fault:
-            raise self.error(f"a finite real value, but {fault}") from None
-
-    def not_allowed(self, node: ast.expr) -> Exception:
-        kind: ast.AST = node.op if isinstance(node, ast.BinOp | ast.UnaryOp) else node
-        if isinstance(node, ast.Call) and node.keywords:
-            kind = node.keywords[0]
-        word = _WORDS.get(type(kind), f"Python's {type(kind).__name__}")
-        return self.error(f"an expression of {_LANGUAGE}, without {word}")
-
-    def too_deep(self) -> Exception:
-        return self.error(f"at most {MAX_DEPTH} levels of nesting")
-
-    def error(self, expected: str) -> Exception:
-        return self.place.error(show(self.text), expected)
+def _check_call(function: str, given: int) -> None:
+    if function not in FUNCTIONS:
+        hint = suggestion(function, FUNCTIONS)
+        raise Unfit(f"one of the functions {', '.join(FUNCTIONS)}, not '{function}'{hint}")
+    count = FUNCTIONS[function]
+    if given != count:
+        raise Unfit(f"{count} argument{'s' * (count > 1)} of '{function}', not {given}")
 
 
 _STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3, "**": 4}

@@ -6,91 +6,206 @@ type, so none of those libraries is imported unless the user has handed one of i
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
+from importlib import import_module
 from numbers import Real
 from typing import Any
 
 from fkgen.problem.table.place import Place, describe, show
-from fkgen.problem.text.expression import Name, Number, Operation
-from fkgen.problem.text.from_casadi import casadi_rows
-from fkgen.problem.text.from_sympy import sympy_expression, sympy_rows
+from fkgen.problem.text.expression import (
+    FUNCTIONS,
+    MAX_DEPTH,
+    MAX_NODES,
+    ONE,
+    ZERO,
+    Expression,
+    Name,
+    Number,
+    Operation,
+    Unfit,
+    is_large,
+    operation,
+    product,
+    total,
+)
 from fkgen.problem.text.matrix import Matrix
-
-_LIBRARIES = ("numpy", "sympy", "casadi", "control")
 
 
 def library(value: object) -> str:
     """Return which of the known libraries a value comes from, or an empty text."""
     for base in type(value).__mro__:
         root = (base.__module__ or "").partition(".")[0]
-        if root in _LIBRARIES:
+        if root in {"numpy", "sympy", "casadi", "control"}:
             return root
     return ""
 
 
-def plain_list(value: object, place: Place) -> object:
-    """Return a list for anything list-like (a copy), else the value itself.
-
-    A matrix becomes a list of rows; the elements are numbers, texts or expressions.
-    """
+def plain_list(value: Any, place: Place) -> object:
+    """Return a list for anything list-like (a copy), rows for a matrix, else the value itself."""
     if isinstance(value, Matrix):
         return [list(row) for row in value.rows]
     if isinstance(value, list | tuple):
         return list(value)
     match library(value):
-        case "numpy":
-            return _numpy_list(value)
-        case "sympy":
-            return sympy_rows(value, place)
+        case "numpy" | "sympy" if hasattr(value, "tolist"):
+            return value.tolist()
         case "casadi":
-            return casadi_rows(value, place)
+            return _casadi_rows(value, place)
         case "control":
             raise place.error(describe(value), "a matrix; a StateSpace goes under 'model.system'")
         case _:
             return value
 
 
-def plain_entry(value: object, place: Place) -> object:
+def plain_entry(value: Any, place: Place) -> object:
     """Return a plain number, a text or an expression for one scalar, else the value itself."""
     if isinstance(value, str | bool | int | float | Number | Name | Operation):
         return value
     match library(value):
-        case "numpy":
-            return _numpy_list(value)
-        case "sympy":
-            return sympy_expression(value, place)
+        case "numpy" if hasattr(value, "tolist"):
+            return value.tolist()
+        case "sympy" if not hasattr(value, "tolist"):
+            entry: object = _sympy_entry(value, place)
         case "casadi":
-            rows = casadi_rows(value, place)
-            single = len(rows) == 1 and len(rows[0]) == 1
-            return _unwrapped(rows[0][0]) if single else rows
+            rows = _casadi_rows(value, place)
+            entry = rows[0][0] if len(rows) == 1 and len(rows[0]) == 1 else rows
         case _:
             return value
-
-
-def _unwrapped(entry: object) -> object:
     return entry.value if isinstance(entry, Number) else entry
 
 
-def _numpy_list(value: Any) -> object:
-    plain: object = value.tolist() if hasattr(value, "tolist") else value
-    return plain
+def _sympy_entry(value: Any, place: Place) -> Expression:
+    try:
+        return _SympyScalar().converted(value)
+    except Unfit as fault:
+        expected = str(fault)
+    except ArithmeticError as fault:
+        expected = f"a finite real value, but {fault}"
+    except RecursionError:
+        expected = "an expression that is nested less deeply"
+    raise place.error(show(value), expected)
+
+
+class _SympyScalar:
+    """Converts one SymPy expression, node by node."""
+
+    def __init__(self) -> None:
+        self.sympy: Any = import_module("sympy")
+        self.left = MAX_NODES
+
+    def converted(self, node: Any) -> Expression:
+        sympy = self.sympy
+        self.left -= 1
+        if self.left < 0:
+            raise Unfit(f"an expression of at most {MAX_NODES} terms and factors")
+        if isinstance(node, sympy.Symbol):
+            return Name(str(node.name))
+        if isinstance(node, sympy.Rational | sympy.Float) or node in {sympy.pi, sympy.E}:
+            with suppress(OverflowError):
+                if math.isfinite(number := float(node)):
+                    return Number(number)
+            raise Unfit("numbers that fit a double")
+        if isinstance(node, sympy.Add):
+            return total([self.converted(term) for term in node.args])
+        if isinstance(node, sympy.Mul) or self.divides(node):
+            return self.quotient(sympy.Mul.make_args(node))
+        name, arguments = self.operation(node)
+        return operation(name, *map(self.converted, arguments))
+
+    def quotient(self, factors: tuple[Any, ...]) -> Expression:
+        below = [self.converted(1 / each) for each in factors if self.divides(each)]
+        above = [self.converted(each) for each in factors if each != -1 and not self.divides(each)]
+        result = operation("/", product(above), product(below)) if below else product(above)
+        return operation("neg", result) if -1 in factors else result
+
+    def operation(self, node: Any) -> tuple[str, tuple[Any, ...]]:
+        kind = type(node).__name__
+        name = "abs" if kind == "Abs" else kind
+        if isinstance(node, self.sympy.Pow):
+            root = node.exp == self.sympy.Rational(1, 2)
+            return ("sqrt", node.args[:1]) if root else ("**", node.args)
+        if name in FUNCTIONS and isinstance(node, self.sympy.Function):
+            return name, node.args
+        raise Unfit(
+            "numbers, symbols, + - * / **, exp, log, sqrt, sin, cos, tan, atan2, Abs, pi and E,"
+            f" without {kind}"
+        )
+
+    def divides(self, node: Any) -> bool:
+        return bool(isinstance(node, self.sympy.Pow) and node.exp.is_Rational and node.exp < 0)
+
+
+_CASADI = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/", "NEG": "neg", "POW": "**"}
+_CASADI |= {"CONSTPOW": "**", "FABS": "abs"} | {name.upper(): name for name in FUNCTIONS}
+
+
+def _casadi_rows(value: Any, place: Place) -> list[list[Any]]:
+    """Return the rows of a CasADi SX (expressions, by its instructions) or DM matrix (numbers)."""
+    casadi = import_module("casadi")
+    if isinstance(value, casadi.DM):
+        numbers: list[list[Any]] = value.full().tolist()
+        return numbers
+    if not isinstance(value, casadi.SX):
+        raise place.error(describe(value), "a CasADi SX or DM matrix")
+    kinds = {getattr(casadi, key): key[3:] for key in dir(casadi) if key.startswith("OP_")}
+    symbols = casadi.symvar(value)
+    function = casadi.Function("entries", symbols, [casadi.densify(value)])
+    entries: list[list[Any]] = [[ZERO] * value.shape[1] for _ in range(value.shape[0])]
+    work: dict[int, Expression] = {}
+    for k in range(function.n_instructions()):
+        kind = kinds[function.instruction_id(k)]
+        inputs, outputs = function.instruction_input(k), function.instruction_output(k)
+        if kind == "INPUT":
+            work[outputs[0]] = Name(str(symbols[inputs[0]].name()))
+        elif kind == "CONST":
+            constant = function.instruction_constant(k)
+            if not math.isfinite(constant):
+                raise place.error(f"an entry {constant}", "finite numbers")
+            work[outputs[0]] = Number(constant)
+        elif kind == "OUTPUT":
+            column, row = divmod(outputs[1], value.shape[0])
+            entries[row][column] = work[inputs[0]]
+        else:
+            work[outputs[0]] = _casadi_result(kind, [work[index] for index in inputs], place)
+    return entries
+
+
+def _casadi_result(kind: str, arguments: list[Expression], place: Place) -> Expression:
+    special = {
+        "SQ": ("**", [arguments[0], Number(2.0)]),
+        "TWICE": ("*", [Number(2.0), arguments[0]]),
+        "INV": ("/", [ONE, arguments[0]]),
+    }
+    operator, operands = special.get(kind, (_CASADI.get(kind), arguments))
+    if operator is None:
+        supported = "only + - * / **, exp, log, sqrt, sin, cos, tan, atan2 and fabs"
+        raise place.error(f"a CasADi matrix that uses {kind.lower()}", supported)
+    try:
+        result = operation(operator, *operands)
+    except ArithmeticError as fault:
+        raise place.error("a CasADi matrix", f"finite real values, but {fault}") from None
+    if is_large(result):
+        raise place.error(
+            "a CasADi matrix",
+            f"entries of at most {MAX_NODES} operations when written out, "
+            f"nested at most {MAX_DEPTH} deep",
+        )
+    return result
 
 
 def state_space(system: object, place: Place) -> tuple[dict[str, object], float | None]:
     """Take a discrete-time python-control ``StateSpace`` apart."""
-    if library(system) != "control" or not all(
-        hasattr(system, key) for key in ("A", "B", "C", "D")
-    ):
-        hint = "; convert it with control.ss" if library(system) == "control" else ""
+    known = library(system) == "control"
+    if not known or not all(hasattr(system, key) for key in ("A", "B", "C", "D")):
+        hint = "; convert it with control.ss" if known else ""
         raise place.error(describe(system), f"a control.StateSpace{hint}")
     dt: object = getattr(system, "dt", None)
-    if dt is True:
-        sample_time = None
-    elif isinstance(dt, Real) and float(dt) > 0:
-        sample_time = float(dt)
-    else:
+    if dt is not True and not (isinstance(dt, Real) and float(dt) > 0):
         kind = "a model without a time base" if dt is None else "a continuous-time model"
         raise place.error(
             f"{kind} (dt = {show(dt)})",
             "a discrete-time model; discretise it with control.sample_system, or state its dt",
         )
-    return {key: getattr(system, key) for key in ("A", "B", "C", "D")}, sample_time
+    matrices = {key: getattr(system, key) for key in ("A", "B", "C", "D")}
+    return matrices, None if dt is True else float(dt)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.problem.text.expression import (
     ZERO,
     Expression,
+    Name,
     Number,
+    Operation,
     evaluate,
     names,
     product,
@@ -57,26 +60,49 @@ class Matrix:
         """Whether it depends on no parameter."""
         return all(isinstance(entry, Number) for row in self.rows for entry in row)
 
+    def mapped(self, change: Callable[[int, int, Expression], Expression]) -> Matrix:
+        """Return the matrix of ``change(i, j, entry)``."""
+        return Matrix(
+            tuple(
+                tuple(change(i, j, entry) for j, entry in enumerate(row))
+                for i, row in enumerate(self.rows)
+            )
+        )
+
     def values(self, parameters: Mapping[str, float] = NO_PARAMETERS) -> NDArray[np.float64]:
         """Return the values for given parameters."""
-        result = np.empty(self.shape)
-        for i, row in enumerate(self.rows):
-            for j, entry in enumerate(row):
-                result[i, j] = evaluate(entry, parameters)
-        return result
+        rows = [[evaluate(entry, parameters) for entry in row] for row in self.rows]
+        return np.array(rows, float).reshape(self.shape)
 
-    def plain(self) -> list[list[float | str]]:
+    def plain(self) -> Any:
         """Return the entries as a spec file writes them: numbers, and texts for expressions."""
-        return [
-            [entry.value if isinstance(entry, Number) else to_text(entry) for entry in row]
-            for row in self.rows
-        ]
+        return plain(self.rows)
+
+
+def plain(value: object) -> object:
+    """Return a value as a spec file writes it: numbers, texts, lists and tables."""
+    match value:
+        case Number(number):
+            return number
+        case Name() | Operation():
+            return to_text(value)
+        case tuple():
+            return [plain(entry) for entry in value]
+        case _ if hasattr(value, "plain"):
+            return value.plain()
+        case _:
+            return plain_fields(value) if is_dataclass(value) else value
+
+
+def plain_fields(value: Any) -> dict[str, object]:
+    """Return the fields of a dataclass as the table of a spec file; None is left out."""
+    table = {each.name: plain(getattr(value, each.name)) for each in fields(value)}
+    return {key: entry for key, entry in table.items() if entry is not None}
 
 
 def mirrored(matrix: Matrix) -> Matrix:
     """Return the symmetric matrix with the lower triangle of this one."""
-    count = range(len(matrix.rows))
-    return Matrix(tuple(tuple(matrix.rows[max(i, j)][min(i, j)] for j in count) for i in count))
+    return matrix.mapped(lambda i, j, entry: matrix.rows[j][i] if i < j else entry)
 
 
 def congruence(left: Matrix, middle: Matrix) -> Matrix:
@@ -92,5 +118,5 @@ def congruence(left: Matrix, middle: Matrix) -> Matrix:
         return total([term for term in terms if term != ZERO])
 
     size = range(len(left.rows))
-    lower = {(i, j): entry(i, j) for i in size for j in range(i + 1)}
-    return Matrix(tuple(tuple(lower[max(i, j), min(i, j)] for j in size) for i in size))
+    lower = (tuple(entry(i, j) if j <= i else ZERO for j in size) for i in size)
+    return mirrored(Matrix(tuple(lower)))

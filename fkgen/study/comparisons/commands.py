@@ -15,8 +15,8 @@ from fkgen.errors import DataError
 from fkgen.problem import Signal, Spec
 from fkgen.study.comparisons.comparison import compare
 from fkgen.study.comparisons.ranking import Comparison
-from fkgen.study.records.columns import csv_text
 from fkgen.study.records.files import refuse_targets
+from fkgen.study.records.filtering import csv_text
 from fkgen.study.records.table import constants_or_record, profile_of
 from fkgen.trials.simulation import Simulation, simulate
 

@@ -15,8 +15,8 @@ from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.pipeline import build
 from fkgen.problem import Spec
-from fkgen.problem.numbers import probability
 from fkgen.runtime.compiled import CompiledFilter
+from fkgen.runtime.record import probability
 from fkgen.study.comparisons.candidates import (
     Candidate,
     candidates_of,

@@ -14,7 +14,6 @@ import numpy as np
 from fkgen.backend.source import MANIFEST
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.compiler import LARGE, find_compiler
-from fkgen.runtime.record import dtype_of
 
 #: Operations that a call of exp, log, sqrt or their kin is counted as: what its C does.
 CALL = 25
@@ -45,7 +44,7 @@ def footprint(compiled: CompiledFilter) -> Footprint:
     return Footprint(
         operations=compiled.layout.flops,
         calls=sum(manifest["calls"].values()),
-        state=scalars * np.dtype(dtype_of(compiled.layout)).itemsize,
+        state=scalars * np.dtype(compiled.layout.dtype).itemsize,
         flash=_flash(compiled),
     )
 

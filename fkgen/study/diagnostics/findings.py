@@ -1,76 +1,153 @@
-"""What a check says: findings and values."""
+"""What a check can say: the texts of all findings."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, field
+import re
+from typing import cast
 
-from fkgen.problem.finding import Finding, Severity
-from fkgen.study.reports.jsonable import finite_or_none
+from fkgen.problem.finding import Severity
 
-_ORDER: tuple[Severity, ...] = ("error", "warning", "note")
+#: "severity code: message -> remedy"; what follows a dot tells findings of one code apart.
+_TEXTS = """
+note unstable_plant: the plant is unstable: |eigenvalue| {value:.6g}, so left alone an error doubles
+    in {doubling:.3g} samples -> right if the real plant is so
+warning unobservable: unobservable: rank {rank} of {n}; the measurements say nothing about {names},
+    whose error only dies away on its own -> measure it, or leave it out of the model
+error undetectable: not detectable: rank {rank} of {n}; the measurements say nothing about {names},
+    and its error does not die away (|eigenvalue| {radius:.6g})
+    -> measure it, or leave it out of the model
+warning not_stabilisable: no process noise reaches {names}, which does not die away either: its
+    gain tends to 0 and the filter ends up ignoring its measurements
+    -> give it some process noise, unless it is a constant to be learnt once
+warning no_stationary_filter: the filter does not come to rest: the Riccati equation has no
+    stabilising solution -> see what is said about detectability and process noise
+note time_constant: an error of the estimate decays with a time constant of {value:.3g}
+    samples{seconds}
+warning time_constant.slow: an error of the estimate decays with a time constant of {value:.3g}
+    samples{seconds} -> more process noise makes it quicker
+note stationary_sd: standard deviation of the filtered state at rest, {which}: {deviations}
+warning silent_output: {name} says nothing: its row of C is zero -> leave it out, or mend C
+warning idle_state: nothing drives {name}: its rows of A, B and Q are zero, so it is 0 after one
+    step -> leave it out, or mend A
+note error_decay: {decays}
+note error_decay_unknown: the gains of {family} depend on the measurements or on the law of their
+    faults: no condition on its products of gains is known; the figures are those of the Kalman
+    filter without faults
+note error_decay_unproved: {reason}: then it is only certain that the effect, measured by P(k|k),
+    never grows once the fault is over (condition e); that every rho(M[k]) < 1 would prove nothing
+    more -> see fault-effect, over parameters and inputs that occur
+
+note unseen_bias: a lasting bias of {name} cannot be seen: the estimate takes all of it in, and only
+    its first samples show in the innovation (from {least} on, GLR of one sample)
+    -> a second sensor of the same, if that matters
+note unseen_biases: lasting biases of {names} together ({how}) cannot be seen: the estimate takes
+    them in -> a sensor that does not share their cause, if they can share one
+warning unseen_input: a fault of the input {name} cannot be seen: it reaches no measurement, but it
+    may reach the state -> measure something that it drives
+
+warning innovation_rank: the innovation covariance has rank {value} of {rows}{where}: some rows of y
+    follow exactly from the others, and are left out by a decision on rank
+    -> give every measurement some noise, at least that of its last digit
+warning noise_free_output: {names} without noise: taken as exact, whatever happens
+    -> a quantised signal has the variance step**2 / 12
+warning noise_free_output.combined: R is singular: {value} combination(s) of the measurements
+    without noise -> a quantised signal has the variance step**2 / 12
+note conditioning: prior to noise variance is {shown}; the {form} form of the covariance update is
+    used{loss}
+warning conditioning.lost: prior to noise variance is {value:.2g}: the short form of the covariance
+    update loses that many digits, and {scalar} has no more
+    -> code.update = "auto" or "joseph", or a smaller P0
+error conditioning.severe: prior to noise variance is {value:.2g}: the short form of the covariance
+    update loses that many digits, and {scalar} has no more
+    -> code.update = "auto" or "joseph", or a smaller P0
+warning rounding: process noise of {names} is lost in {scalar}: Q is below the rounding of P
+    -> {remedy}more process noise
+error float_range: {letter} holds {value:.3g}, which float cannot
+    -> other units, or scalar = "double"
+note float_suitable: {bound}
+note float_rounding: {bound}
+    -> for float: states of a smaller range, such as offsets from a reference
+warning float_rounding.used: {bound}
+    -> scalar = "double", or states of a smaller range, such as offsets from a reference
+
+note certain_rate: success rate {value:g}: nothing is random; the filter is a Kalman filter {with_}
+    that input
+note certain_rate.hypothesis: hypothesis {rates} is certain: a plain Kalman filter for that input
+note no_feedthrough: D = 0: y[k] does not show the fault of sample k, which acts as process noise
+    B N B'
+note no_feedthrough.bank: D = 0: mixture and Gaussian likelihood are the same
+warning same_hypotheses: hypotheses {names} are the same: their probabilities never part -> drop one
+note mirrored_hypotheses: hypotheses {names} have the same covariances: only the mean, rate times u,
+    tells them apart
+warning dead_hypothesis: hypothesis {rates} has prior 0 and no floor: it never comes into play
+    -> a prior above 0, or a weight_floor
+error unidentifiable: the inputs never reach y: no measurement tells one hypothesis from another
+    -> measure something that the inputs drive
+note needs_input: while u = 0 the probabilities do not move: identification needs inputs
+warning gaussian_likelihood: {value} independent inputs, at most {most} for the mixture likelihood:
+    the Gaussian is used, which is overconfident at first
+    -> say likelihood = "gaussian" if that is meant
+warning slow_identification: D = 0: the rate shows only through the state, so the hypotheses part
+    slowly; that they never do, as the paper has it, is not so -> measure the input behind the fault
+note no_weight_floor: weight_floor = 0, as in the paper: a probability that has gone does not
+    return, so a change of the rate is not followed -> the default 1e-6 follows changes
+warning high_weight_floor: the floors under {count} hypotheses add up to {value:.3g}: the
+    probabilities cannot settle -> a weight_floor near 1e-6
+warning noise_factor: noise_factor = {value:g} is below 1: the fault delta = C makes the sensor
+    better -> state R of the better condition, and a factor above 1
+note impossible_mode: the modes {names} never come: their probability is exactly zero
+    -> another initial, or a kernel that leads there, if they can happen
+note no_memory: the rows of the kernel are equal: imm gives what one_step gives, at more cost
+    -> family = "one_step" is cheaper
+warning unstable_linear: the plant is not stable (radius {value:.4g}) and E[gamma] = {rate:.4g} is
+    below 1: a lost signal counts as noise of the size of the state, which grows, and the error of a
+    linear filter with it -> family = "imm" or "one_step"
+warning compression_loss: the variance of {name} after the first window is {value:.0%} above that of
+    dfcf, which loses nothing (all rows at every sample)
+    -> {remedy}family = "dfcf", or a shorter window
+
+note not_ergodic: the chain goes round in {value:g} steps: its law has no limit
+note not_ergodic.reducible: the chain has several stationary laws: where it starts decides where it
+    stays
+note impossible_mode.jump: the mode{plural} {names} never come{singular}
+    -> another initial, or a transition that leads there, if it can happen
+note not_mean_square_stable: not mean-square stable: radius {value:.6g}, the second moments of the
+    state grow without bound
+warning not_mean_square_stable.noise: not mean-square stable: radius {value:.6g}, the second moments
+    of the state grow without bound, and where it is unknown what was lost they act as noise
+    -> a detector, or arrival = 'known'
+warning nearly_unstable: nearly not mean-square stable: radius {value:.6g}, the second moments of
+    the state take {samples:.3g} samples to settle by a factor e -> more damping
+note invisible_losses: about {value:.1%} of losses are invisible: the predicted signal is then
+    within {visible:g} noise deviations of zero
+warning invisible_losses.many: about {value:.1%} of losses are invisible: the predicted signal is
+    then within {visible:g} noise deviations of zero
+    -> measure from another zero, or filter without a detector
+note unused_alpha: nothing uses alpha = {value:g}: it is the false alarm rate of nis
+warning energy_rule: the energy rule rejects {value:.1%} of good samples even where nothing was lost
+    (Gaussian rows of one size); with what it rejects the prediction drifts, and more is rejected
+    -> detector = 'llr', which tests both hypotheses
+note one_hypothesis: nis tests one hypothesis: after rejections its gate opens, and a lost sample
+    near zero is taken for a good one -> detector = 'llr', which tests both hypotheses
+
+warning unused_parameter: nothing uses the parameter{plural} {names}
+    -> take out of [parameters], or use in a matrix
+note time_varying: the model changes with its parameters; all figures are for {names}
+warning large_code: one step has {value} operations: as straight-line C that is a large file, slow
+    to compile and slow in the instruction cache
+    -> zeros in A and C cost nothing: look for a basis with more of them
+"""
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
-    """What a check found, worst first.
-
-    Attributes
-    ----------
-    findings : tuple of Finding
-    values : dict of str to float
-        What was computed, at the default parameters: ``spectral_radius``, ``observability_rank``,
-        ``closed_loop_radius``, ``stationary_sd.<state>`` ...
-    """
-
-    findings: tuple[Finding, ...]
-    values: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def sound(self) -> bool:
-        """Whether there is no error."""
-        return not any(finding.severity == "error" for finding in self.findings)
-
-    def to_json(self) -> str:
-        """Findings and values as JSON; a number that is not finite becomes null."""
-        findings = [
-            asdict(f) | {"value": None if f.value is None else float(f.value)}
-            for f in self.findings
-        ]
-        facts = {"sound": self.sound, "findings": findings, "values": self.values}
-        return json.dumps(finite_or_none(facts), indent=2)
+def _catalogue() -> dict[str, tuple[Severity, str, str]]:
+    """Severity, message and remedy by code."""
+    found = {}
+    for entry in re.split(r"\n+(?=\S)", _TEXTS.strip()):
+        head, text = " ".join(entry.split()).split(": ", 1)
+        severity, code = head.split()
+        message, _, remedy = text.partition(" -> ")
+        found[code] = cast("Severity", severity), message, remedy
+    return found
 
 
-@dataclass(slots=True)
-class ReportBuilder:
-    """Takes what each diagnostic finds and computes."""
-
-    findings: list[Finding] = field(default_factory=list)
-    values: dict[str, float] = field(default_factory=dict)
-
-    def note(self, code: str, message: str, value: float | None = None, remedy: str = "") -> None:
-        """Add something that is good to know."""
-        self.findings.append(Finding(code, "note", message, value, remedy))
-
-    def warning(self, code: str, message: str, value: float | None, remedy: str) -> None:
-        """Add something that is probably not what was meant."""
-        self.findings.append(Finding(code, "warning", message, value, remedy))
-
-    def error(self, code: str, message: str, value: float | None, remedy: str) -> None:
-        """Add something that keeps the filter from its work."""
-        self.findings.append(Finding(code, "error", message, value, remedy))
-
-    def rank(self, rank: int, rows: int, where: str = "") -> None:
-        """Warn if the innovation covariance does not have full rank."""
-        if rank < rows:
-            message = (
-                f"the innovation covariance has rank {rank} of {rows}{where}: some rows of y "
-                "follow exactly from the others, and are left out by a decision on rank"
-            )
-            remedy = "give every measurement some noise, at least that of its last digit"
-            self.warning("innovation_rank", message, rank, remedy)
-
-    def report(self) -> Report:
-        """All of it, the worst findings first."""
-        worst_first = sorted(self.findings, key=lambda finding: _ORDER.index(finding.severity))
-        return Report(tuple(worst_first), self.values)
+FINDINGS = _catalogue()

@@ -16,106 +16,85 @@ from fkgen.oracle.textbook.jump import SteadyState, composite, stationary_jumps
 from fkgen.problem import Spec
 from fkgen.problem.probability import period, stationary_law, visited
 from fkgen.study.diagnostics.dynamics import deviations
-from fkgen.study.diagnostics.findings import ReportBuilder
-from fkgen.study.diagnostics.model_numbers import ModelNumbers, listed
-from fkgen.study.diagnostics.visibility import numerical_rank
+from fkgen.study.diagnostics.subject import Subject, listed
 
-#: Radii from here on take a thousand samples to forget where the moments started.
-NEARLY_UNSTABLE = 0.999
-#: Signals closer to zero than this many deviations of the noise cannot be told from a loss.
-VISIBLE = 2.0
-#: Above this share of invisible losses a test is no help.
-MANY = 0.5
-#: Above this rate of false alarms a filter that rejects them loses its track.
-ALARMS = 0.05
+NEARLY_UNSTABLE = 0.999  # radii from here on take a thousand samples to forget the start
+VISIBLE = 2.0  # deviations of the noise: signals closer to zero cannot be told from a loss
+MANY = 0.5  # above this share of invisible losses a test is no help
+ALARMS = 0.05  # above this rate of false alarms a filter that rejects them loses its track
 
 
-def diagnose(model: ModelNumbers, report: ReportBuilder) -> None:
+def diagnose(model: Subject) -> None:
     """All that is special to a jumping plant and its filter."""
     spec, faults = model.spec, model.spec.faults.jump
     if faults is None:
         return
-    A = [mode.A.values(spec.defaults) for mode in faults.modes]
-    radius = mean_square_radius(faults.transition, A)
-    _chain(faults, report)
-    _stability(spec, faults, radius, report)
+    dynamics = [mode.A.values(spec.defaults) for mode in faults.modes]
+    radius = mean_square_radius(faults.transition, dynamics)
+    _chain(model, faults)
+    _stability(model, faults, radius)
     trusting = own = None
     if spec.filter.traits.moments:
         if is_ergodic(faults.transition) and radius < 1.0 - MARGIN:
             trusting, own = (_steady(spec, faults, believing=each) for each in (True, False))
         if trusting is not None and own is not None:
-            _steady_state(spec, trusting, own, report)
-        _innovation(spec, own, report)
+            _steady_state(model, trusting, own)
+        _innovation(model, own)
     rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
     if trusting is not None and faults.has_channel and rate < 1.0:
-        _visibility(spec, trusting, report)
+        _visibility(model, trusting)
     if spec.filter.option("detector", None) is not None:
-        _detector(spec, report)
+        _detector(model)
 
 
-def _chain(faults: JumpFaults, report: ReportBuilder) -> None:
+def _chain(model: Subject, faults: JumpFaults) -> None:
     """Does the distribution of the mode have a limit, and which modes never come."""
     P = faults.transition
     ergodic, law = is_ergodic(P), stationary_law(P)
-    report.values["ergodic"] = float(ergodic)
+    model.values["ergodic"] = float(ergodic)
     if law is None:
-        message = "the chain has several stationary laws: where it starts decides where it stays"
-        report.note("not_ergodic", message, None)
+        model.add("not_ergodic.reducible")
     elif not ergodic:
-        message = f"the chain goes round in {period(P)} steps: its law has no limit"
-        report.note("not_ergodic", message, float(period(P)))
+        model.add("not_ergodic", float(period(P)))
     else:
-        report.values |= {f"stationary_probability.{i}": float(p) for i, p in enumerate(law)}
+        model.put("stationary_probability", range(len(law)), law)
     never = [str(i) for i, seen in enumerate(visited(P, faults.initial)) if not seen]
     if never:
-        plural = "s" * (len(never) > 1)
-        message = f"the mode{plural} {listed(never)} never come{'' if plural else 's'}"
-        remedy = "another initial, or a transition that leads there, if it can happen"
-        report.note("impossible_mode", message, len(never), remedy)
+        endings = {"plural": "s" * (len(never) > 1), "singular": "s" * (len(never) == 1)}
+        model.add("impossible_mode.jump", len(never), names=listed(never), **endings)
 
 
-def _stability(spec: Spec, faults: JumpFaults, radius: float, report: ReportBuilder) -> None:
+def _stability(model: Subject, faults: JumpFaults, radius: float) -> None:
     """Do the second moments of the state have a limit."""
-    report.values["mean_square_radius"] = radius
+    model.values["mean_square_radius"] = radius
     if radius >= 1.0 - MARGIN:
-        message = (
-            f"not mean-square stable: radius {radius:.6g}, the second moments of the state grow"
-            " without bound"
-        )
-        if faults.arrival == "unknown" and _detects_nothing(spec):
-            message += ", and where it is unknown what was lost they act as noise"
-            remedy = "a detector, or arrival = 'known'"
-            report.warning("not_mean_square_stable", message, radius, remedy)
-        else:
-            report.note("not_mean_square_stable", message, radius)
+        noise = faults.arrival == "unknown" and _detects_nothing(model.spec)
+        model.add(f"not_mean_square_stable{'.noise' * noise}", radius)
     elif radius >= NEARLY_UNSTABLE:
-        message = (
-            f"nearly not mean-square stable: radius {radius:.6g}, the second moments of the state"
-            f" take {-1.0 / math.log(radius):.3g} samples to settle by a factor e"
-        )
-        report.warning("nearly_unstable", message, radius, "more damping")
+        model.add("nearly_unstable", radius, samples=-1.0 / math.log(radius))
 
 
 def _detects_nothing(spec: Spec) -> bool:
     return bool(spec.filter.option("detector", "none") == "none")
 
 
-def _steady_state(
-    spec: Spec, trusting: SteadyState, own: SteadyState, report: ReportBuilder
-) -> None:
+def _steady_state(model: Subject, trusting: SteadyState, own: SteadyState) -> None:
     """The steady state at u = 0: error of the filter, and what its innovation is expected."""
-    n = spec.model.nx
+    n = model.spec.model.nx
     E = np.tile(np.eye(n, n + 1), len(own.covariance) // (n + 1))
     J1, J0 = trusting.expected_squares
     parts = np.arange(len(trusting.covariance)) % (n + 1) < n
-    report.values |= {
+    model.values |= {
         "closed_loop_radius": own.closed_loop_radius,
         "J1": J1,
         "J0": J0,
         "stationary_trace": float(np.trace(trusting.covariance[np.ix_(parts, parts)])),
     }
-    covariances = E @ own.covariance @ E.T, E @ own.filtered @ E.T
-    deviations(spec, report, covariances, "no row missing", full=True)
+    predicted, filtered = E @ own.covariance @ E.T, E @ own.filtered @ E.T
+    for i, j in zip(*np.tril_indices(n), strict=True):
+        model.values[f"stationary_covariance[{i}][{j}]"] = float(predicted[i, j])
+        model.values[f"stationary_filtered_covariance[{i}][{j}]"] = float(filtered[i, j])
+    deviations(model, predicted, filtered, "no row missing")
 
 
 def _steady(spec: Spec, faults: JumpFaults, *, believing: bool) -> SteadyState | None:
@@ -128,72 +107,44 @@ def _steady(spec: Spec, faults: JumpFaults, *, believing: bool) -> SteadyState |
     return stationary_jumps(system, 1.0 if rate is None else rate)
 
 
-def _innovation(spec: Spec, steady: SteadyState | None, report: ReportBuilder) -> None:
+def _innovation(model: Subject, steady: SteadyState | None) -> None:
     """Rank of S at the prior and in the steady state."""
-    system = JumpSystem.from_spec(spec, 1)
-    initial, P0 = system.initial, system.P0
-    C = np.einsum("i,iab->ab", initial, system.C[0])
-    spread = np.einsum("i,iab->ab", initial, system.R[0])
-    for weight, own in zip(initial, system.C[0] - C, strict=True):
-        shift = own @ system.x0
-        spread = spread + weight * (own @ P0 @ own.T + np.outer(shift, shift))
-    ranks = {"innovation_rank": numerical_rank(C @ P0 @ C.T + spread)}
+    system = JumpSystem.from_spec(model.spec, 1)
+    C = np.einsum("i,iab->ab", system.initial, system.C[0])
+    own = system.C[0] - C
+    spread = own @ (system.P0 + np.outer(system.x0, system.x0)) @ own.transpose(0, 2, 1)
+    spread = np.einsum("i,iab->ab", system.initial, system.R[0] + spread)
+    found = {"innovation_rank": C @ system.P0 @ C.T + spread}
     if steady is not None:
-        ranks["innovation_rank_stationary"] = numerical_rank(steady.innovation_covariance)
-    report.values |= {name: float(rank) for name, rank in ranks.items()}
-    report.rank(min(ranks.values()), spec.model.ny)
+        found["innovation_rank_stationary"] = steady.innovation_covariance
+    model.ranks(found, {})
 
 
-def _visibility(spec: Spec, steady: SteadyState, report: ReportBuilder) -> None:
+def _visibility(model: Subject, steady: SteadyState) -> None:
     """How many losses find a predicted signal that looks like noise."""
-    split, n = steady.split, spec.model.nx
+    split, n = steady.split, model.spec.model.nx
     # The constant is a part of the state: its second moment with x is the mean of x.
     mean = split.L @ split.now[:, n :: n + 1].sum(axis=1)
     predicted = split.signal - split.L @ steady.covariance @ split.L.T
-    shares = []
-    for i, center in enumerate(mean):
-        noise = math.sqrt(split.R[i, i])
-        spread = math.sqrt(max(predicted[i, i] - center**2, 0.0))
-        if spread > 0.0:
-            low, high = (VISIBLE * s * noise - center for s in (-1.0, 1.0))
-            shares.append(float(ndtr(high / spread) - ndtr(low / spread)))
-        else:
-            shares.append(float(abs(center) < VISIBLE * noise))
-    share = min(shares)
-    report.values["invisible_losses"] = share
-    message = (
-        f"about {share:.1%} of losses are invisible: the predicted signal is then within"
-        f" {VISIBLE:g} noise deviations of zero"
-    )
-    if share <= MANY or _detects_nothing(spec):
-        report.note("invisible_losses", message, share)
-    else:
-        remedy = "measure from another zero, or filter without a detector"
-        report.warning("invisible_losses", message, share, remedy)
+    spread = np.sqrt(np.maximum(np.diag(predicted) - mean**2, np.finfo(float).tiny))
+    noise = VISIBLE * np.sqrt(np.diag(split.R))
+    share = float((ndtr((noise - mean) / spread) - ndtr((-noise - mean) / spread)).min())
+    model.values["invisible_losses"] = share
+    many = share > MANY and not _detects_nothing(model.spec)
+    model.add(f"invisible_losses{'.many' * many}", share, visible=VISIBLE)
 
 
-def _detector(spec: Spec, report: ReportBuilder) -> None:
+def _detector(model: Subject) -> None:
     """What a test does to good samples, and options that it does not use."""
-    options = spec.filter.options
+    options = model.spec.filter.options
     if options.detector != "nis" and options.alpha != DEFAULT_ALPHA:
-        message = f"nothing uses alpha = {options.alpha:g}: it is the false alarm rate of nis"
-        report.note("unused_alpha", message, options.alpha)
-    remedy = "detector = 'llr', which tests both hypotheses"
+        model.add("unused_alpha", options.alpha)
     if options.detector == "energy":
-        freedom = spec.model.ny * options.window
+        freedom = model.spec.model.ny * options.window
         rate = float(chdtrc(freedom, options.kappa * freedom))
-        report.values["false_alarm_rate"] = rate
-        message = (
-            f"the energy rule rejects {rate:.1%} of good samples even where nothing was lost"
-            " (Gaussian rows of one size); with what it rejects the prediction drifts, and more is"
-            " rejected"
-        )
+        model.values["false_alarm_rate"] = rate
         if rate > ALARMS:
-            report.warning("energy_rule", message, rate, remedy)
+            model.add("energy_rule", rate)
     if options.detector == "nis":
-        report.values["false_alarm_rate"] = options.alpha
-        message = (
-            "nis tests one hypothesis: after rejections its gate opens, and a lost sample near"
-            " zero is taken for a good one"
-        )
-        report.note("one_hypothesis", message, options.alpha, remedy)
+        model.values["false_alarm_rate"] = options.alpha
+        model.add("one_hypothesis", options.alpha)

@@ -15,19 +15,12 @@ from numpy.typing import NDArray
 
 from fkgen.oracle.exact.gaussian import square_root
 from fkgen.problem.covariance import is_singular
-from fkgen.study.diagnostics.findings import ReportBuilder
-from fkgen.study.diagnostics.model_numbers import Array, ModelNumbers, SteadyFilter, listed
+from fkgen.study.diagnostics.subject import RANK_TOLERANCE, Array, Subject, correlations, listed
 from fkgen.study.effects.effect import required_noncentrality
 
-#: Singular values below this, relative to the size of the scaled matrices, count as zero: the
-#: matrices are known to about ten digits at best.
-RANK_TOLERANCE = 1e-10
-#: An eigenvalue this near to the unit circle counts as on it; a defective one is known no better.
-ON_THE_CIRCLE = 1e-7
-#: The usual test: one false alarm in a thousand samples, nine of ten faults found.
-FALSE_ALARM, POWER = 1e-3, 0.9
-#: Shares of a subspace, and of a fault in the innovation (in standard deviations), that are none.
-_NOTHING = 1e-6
+ON_THE_CIRCLE = 1e-7  # eigenvalues so near to the unit circle: defective ones are known no better
+FALSE_ALARM, POWER = 1e-3, 0.9  # one false alarm in a thousand samples, nine of ten faults found
+_NOTHING = 1e-6  # shares of a subspace, and of a fault in the innovation (in sd), that are none
 _SWEEPS = 12
 
 
@@ -51,9 +44,8 @@ def unobservable(A: Array, C: Array) -> Hidden:
         if smaller.shape[1] == V.shape[1]:
             break
         V = smaller
-    involved = np.flatnonzero(np.linalg.norm(V, axis=1) > _NOTHING)
-    within = np.linalg.eigvals(V.T @ M @ V).astype(complex) if V.shape[1] else np.zeros(0, complex)
-    return Hidden(V.shape[1], tuple(int(i) for i in involved), within)
+    involved = np.flatnonzero(np.linalg.norm(V, axis=1) > _NOTHING).tolist()
+    return Hidden(V.shape[1], tuple(involved), np.linalg.eigvals(V.T @ M @ V).astype(complex))
 
 
 def unreachable(A: Array, Q: Array) -> Hidden:
@@ -63,19 +55,6 @@ def unreachable(A: Array, Q: Array) -> Hidden:
     kept = values > RANK_TOLERANCE
     root = size[:, np.newaxis] * vectors[:, kept] * np.sqrt(values[kept])
     return unobservable(A.T, root.T)
-
-
-def numerical_rank(covariance: Array) -> int:
-    """Rank of a covariance, decided on correlations: units do not matter."""
-    _, correlation = correlations(covariance)
-    return int(np.count_nonzero(np.linalg.eigvalsh(correlation) > RANK_TOLERANCE))
-
-
-def correlations(covariance: Array) -> tuple[Array, Array]:
-    """Standard deviations and correlations; zero rows where there is no variance."""
-    size = np.sqrt(np.diag(covariance).clip(0.0))
-    outer = np.outer(size, size)
-    return size, np.divide(covariance, outer, out=np.zeros_like(covariance), where=outer > 0.0)
 
 
 def _scaled(A: Array, C: Array) -> Array:
@@ -105,105 +84,80 @@ def _unit_rows(matrix: Array) -> Array:
 
 def _null_space(matrix: Array, basis: Array, size: float) -> Array:
     """The part of a basis on which a matrix vanishes."""
-    if not matrix.shape[0]:
-        return basis
     _, singular, right = np.linalg.svd(matrix)
     rank = int(np.count_nonzero(singular > RANK_TOLERANCE * size))
     return np.asarray(basis @ right[rank:].T)
 
 
-def states(model: ModelNumbers, report: ReportBuilder) -> None:
+def states(model: Subject) -> None:
     """How well n samples alone determine each state, in its unit: infinite if they do not."""
     if is_singular(model.R):
         return
-    n = len(model.A)
     rows = [np.linalg.solve(square_root(model.R), model.C)]
-    for _ in range(n - 1):
+    for _ in model.states[1:]:
         rows.append(rows[-1] @ model.A)
     stacked = np.vstack(rows)
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0.0] = 1.0
     _, singular, right = np.linalg.svd(stacked / scale, full_matrices=False)
     hidden = unobservable(model.A, model.C)
-    kept = singular[: n - hidden.size]
+    kept = singular[: len(model.A) - hidden.size]
     spread = np.linalg.norm(right[: len(kept)].T / kept, axis=1) / scale
-    for i, name in enumerate(model.states):
-        unseen = i in hidden.states
-        report.values[f"observation_sd.{name}"] = math.inf if unseen else float(spread[i])
+    spread[list(hidden.states)] = math.inf
+    model.put("observation_sd", model.states, spread)
 
 
-def sensors(model: ModelNumbers, report: ReportBuilder) -> None:
+def sensors(model: Subject) -> None:
     """The least bias of each row that one sample shows, and what remains of a lasting one."""
     steady = model.steady
     if steady is None or not model.spec.filter.traits.linear:
         return
     inverse = np.linalg.pinv(steady.innovation, hermitian=True)
+    lasting = model.lasting_innovation(steady, np.eye(len(model.C)))
     needed = required_noncentrality(1, FALSE_ALARM, POWER)
-    for i, signal in enumerate(model.spec.model.outputs):
-        bias = np.eye(len(model.C))[i]
-        left = lasting_innovation(model, steady, bias)
-        onset, after = (float(v @ inverse @ v) for v in (bias, left))
-        least = math.sqrt(needed / onset) if onset > 0.0 else math.inf
-        share = math.sqrt(max(after, 0.0) / onset) if onset > 0.0 else 0.0
-        report.values[f"detectable_bias.{signal.name}"] = least
-        report.values[f"visible_share.{signal.name}"] = share
+    onset, after = np.diag(inverse), np.einsum("ji,jk,ki->i", lasting, inverse, lasting)
+    seen, never = onset > 0.0, np.full_like(onset, np.inf)
+    least = np.sqrt(np.divide(needed, onset, out=never, where=seen))
+    shares = np.divide(after.clip(0.0), onset, out=np.zeros_like(onset), where=seen) ** 0.5
+    model.put("detectable_bias", model.outputs, least)
+    model.put("visible_share", model.outputs, shares)
+    for signal, bias, share in zip(model.spec.model.outputs, least, shares.tolist(), strict=True):
         if share < _NOTHING:
-            message = (
-                f"a lasting bias of {signal.name} cannot be seen: the estimate takes all of it in, "
-                f"and only its first samples show in the innovation (from {least:.3g} "
-                f"{signal.unit}".rstrip()
-                + " on, GLR of one sample)"
-            )
-            report.note(
-                "unseen_bias", message, share, "a second sensor of the same, if that matters"
-            )
-    _several_sensors(model, report, steady)
-
-
-def _several_sensors(model: ModelNumbers, report: ReportBuilder, steady: SteadyFilter) -> None:
-    """Biases of several rows at once that the estimate takes in, though it does not those of one.
-
-    The rows are scaled by the standard deviations of their innovations, so units do not count.
-    """
+            shown = f"{bias:.3g} {signal.unit}".rstrip()
+            model.add("unseen_bias", share, name=signal.name, least=shown)
+    # Biases of several rows that the estimate takes in, though it does not those of one.
     size = np.sqrt(np.diag(steady.innovation))
-    rows = [i for i in range(len(size)) if size[i] > 0.0]
-    rows = [i for i in rows if report.values[f"visible_share.{model.outputs[i]}"] >= _NOTHING]
-    if len(rows) < 2:
-        return
-    columns = [lasting_innovation(model, steady, size[i] * np.eye(len(size))[i]) for i in rows]
-    left = np.array(columns).T[size > 0.0] / size[size > 0.0, np.newaxis]
+    rows = np.flatnonzero((size > 0.0) & (shares >= _NOTHING))
+    if len(rows) > 1:
+        _several_sensors(model, lasting[:, rows], size, rows)
+
+
+def _several_sensors(model: Subject, lasting: Array, size: Array, rows: NDArray[np.intp]) -> None:
+    """The rows are scaled by standard deviations of their innovations: units do not count."""
+    left = (lasting * size[rows])[size > 0.0] / size[size > 0.0, np.newaxis]
     _, singular, right = np.linalg.svd(left)
     unseen = right[int(np.count_nonzero(singular > _NOTHING)) :]
-    report.values["unseen_bias_directions"] = float(len(unseen))
+    model.values["unseen_bias_directions"] = float(len(unseen))
     if not len(unseen):
         return
     involved = np.flatnonzero(np.linalg.norm(unseen, axis=0) > _NOTHING)
-    names = listed([model.outputs[rows[j]] for j in involved])
     how = f"{len(unseen)} combinations"
     if len(unseen) == 1:
-        bias = unseen[0][involved] * size[[rows[j] for j in involved]]
+        bias = unseen[0][involved] * size[rows[involved]]
         how = "in the ratio " + " : ".join(f"{b / bias[0]:.3g}" for b in bias)
-    message = (
-        f"lasting biases of {names} together ({how}) cannot be seen: the estimate takes them in"
-    )
-    remedy = "a sensor that does not share their cause, if they can share one"
-    report.note("unseen_biases", message, len(unseen), remedy)
+    names = listed([model.outputs[i] for i in rows[involved]])
+    model.add("unseen_biases", len(unseen), names=names, how=how)
 
 
-def inputs(model: ModelNumbers, report: ReportBuilder) -> None:
+def inputs(model: Subject) -> None:
     """Inputs whose faults never reach y, in no sample."""
-    if not model.spec.filter.traits.linear:
-        return
-    for j, signal in enumerate(model.spec.model.inputs):
-        if not model.D[:, j].any() and not reaches(model, j):
-            message = (
-                f"a fault of the input {signal.name} cannot be seen: it reaches no measurement, "
-                "but it may reach the state"
-            )
-            report.warning("unseen_input", message, j, "measure something that it drives")
+    if model.spec.filter.traits.linear:
+        for j, signal in enumerate(model.spec.model.inputs):
+            if not model.D[:, j].any() and not reaches(model, j):
+                model.add("unseen_input", j, name=signal.name)
 
 
-def reaches(model: ModelNumbers, j: int) -> bool:
+def reaches(model: Subject, j: int) -> bool:
     """Whether an input reaches y through the state: a Markov parameter C A^k B is not zero."""
     reached = np.abs(model.B[:, j])
     for _ in range(len(model.A)):
@@ -211,13 +165,3 @@ def reaches(model: ModelNumbers, j: int) -> bool:
             return True
         reached = np.abs(model.A) @ reached
     return False
-
-
-def lasting_innovation(model: ModelNumbers, steady: SteadyFilter, bias: Array) -> Array:
-    """The innovation of a bias of y that lasts for ever: (I - C (I - A + K C)^-1 K) b.
-
-    Song & Hu 2019, (12) for i -> infinity, in terms of the gain K of x(k+1|k).
-    """
-    F = model.A - steady.gain @ model.C
-    state = np.linalg.solve(np.eye(len(F)) - F, steady.gain @ bias)
-    return np.asarray(bias - model.C @ state)

@@ -18,10 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.errors import DataError
 from fkgen.families import NAMES, family
 from fkgen.problem import Matrix, Signal, Spec
-from fkgen.problem.numbers import probability, whole
-from fkgen.runtime.record import choice, numbers
-from fkgen.study.diagnostics.model_numbers import ModelNumbers
-from fkgen.study.diagnostics.visibility import lasting_innovation
+from fkgen.runtime.record import choice, numbers, probability, whole
+from fkgen.study.diagnostics.subject import Subject
 from fkgen.study.effects.effect import required_noncentrality
 from fkgen.study.effects.fault_effect import fault_effect
 from fkgen.study.effects.profiles import step
@@ -131,7 +129,7 @@ def _information(spec: Spec, bias: Array, u: Array) -> tuple[Array, float]:
         expected = f"one of {linear}: the NIS of a filter that is not linear in y, or"
         expected += " whose y is a mixture, is not chi-square; simulate it"
         raise DataError("detectability", given=given, expected=expected)
-    model = ModelNumbers(spec)
+    model = Subject(spec)
     steady = model.steady_at(u)
     if steady is None:
         given = "a filter that does not come to rest"
@@ -142,7 +140,7 @@ def _information(spec: Spec, bias: Array, u: Array) -> tuple[Array, float]:
     if not effect.gaussian:
         expected = "u = 0, or D = 0: with both, y shows which commands are lost and is a mixture"
         raise DataError("u", given=f"{u} under mkf with D", expected=expected)
-    left = lasting_innovation(model, steady, bias[0])
+    left = model.lasting_innovation(steady, bias[0])
     plateau = float(left @ np.linalg.pinv(steady.innovation, hermitian=True) @ left)
     return effect.noncentrality, plateau
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError
-from fkgen.problem.numbers import probability
+from fkgen.runtime.record import probability
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
-from fkgen.problem.numbers import whole
+from fkgen.runtime.record import whole
 from fkgen.study.records.table import read_columns
 
 Array = NDArray[np.float64]

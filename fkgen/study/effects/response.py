@@ -25,8 +25,8 @@ from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.oracle.sampled import draw_record
 from fkgen.pipeline import build
 from fkgen.problem import Filter, Matrix, Name, Number, Parameter, Signal, Spec
-from fkgen.problem.numbers import whole
 from fkgen.runtime.compiled import CompiledFilter
+from fkgen.runtime.record import whole
 from fkgen.runtime.results import Run
 from fkgen.study.effects.effect import FaultEffect
 from fkgen.symbolic.interface import Status

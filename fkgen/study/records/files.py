@@ -5,20 +5,17 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-from collections.abc import Callable
 from pathlib import Path
 
 from fkgen.errors import OutputError
 
-#: Formats of pictures, by the ending of the name.
-PICTURES = (".png", ".pdf", ".svg")
+PICTURES = (".png", ".pdf", ".svg")  # what can be drawn, by the ending of the name
 
 
 def refuse_targets(output: Path | None, plot: Path | None = None, *, force: bool) -> None:
     """Refuse what a command cannot or must not write, before any work is done for it."""
-    for path in (output, plot):
-        if path is not None:
-            refuse_existing(path, force=force, hint=", or --force to replace it")
+    for path in filter(None, (output, plot)):
+        refuse_existing(path, force=force, hint=", or --force to replace it")
     if plot is not None:
         refuse_format(plot)
 
@@ -51,14 +48,18 @@ def write_whole(path: Path, data: bytes, *, force: bool = False) -> None:
     is no regular file (a pipe, a terminal) is written directly.
     """
     refuse_existing(path, force=force)
-    if path.exists() and not path.is_file():
-        _attempt(path, lambda: path.write_bytes(data))
-        return
     target = path.resolve()
     partial = target.with_name(f".fkgen-{secrets.token_hex(6)}.partial")
     try:
-        _attempt(path, lambda: _fill(partial, data))
-        _attempt(path, lambda: _settle(partial, target, force=force))
+        if path.exists() and not path.is_file():
+            path.write_bytes(data)
+            return
+        _fill(partial, data)
+        _settle(partial, target, force=force)
+    except OSError as error:
+        given = (error.strerror or str(error)).lower()
+        expected = "a place that can be written; nothing was left there"
+        raise OutputError(str(path), given=given, expected=expected) from None
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -73,22 +74,13 @@ def _fill(partial: Path, data: bytes) -> None:
 
 def _settle(partial: Path, target: Path, *, force: bool) -> None:
     """Give the finished file its name; a link fails where a file came into being meanwhile."""
-    if force:
-        partial.replace(target)
-        return
-    try:
-        os.link(partial, target)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links
-        refuse_existing(target, force=False)
-        partial.replace(target)
-
-
-def _attempt(path: Path, action: Callable[[], object]) -> None:
-    try:
-        action()
-    except OSError as error:
-        given = (error.strerror or str(error)).lower()
-        expected = "a place that can be written; nothing was left there"
-        raise OutputError(str(path), given=given, expected=expected) from None
+    if not force:
+        try:
+            os.link(partial, target)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            refuse_existing(target, force=False)
+        else:
+            return
+    partial.replace(target)

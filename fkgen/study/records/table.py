@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import os
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,10 +16,8 @@ from fkgen.problem import Spec
 
 Array = NDArray[np.float64]
 
-#: Names of a time column, the first that is there and is no signal of the model.
-TIME_NAMES = ("t", "t_s", "time")
-
-_SHOWN = 40
+TIME_NAMES = ("t", "t_s", "time")  # of a time column: the first that is there and no signal
+_SHOWN = 40  # characters of a field in an error
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,9 +41,9 @@ def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
     wanted = [signal.name for signal in (*spec.model.outputs, *spec.model.inputs)]
     known = [parameter.name for parameter in spec.parameters]
     reader.demand(wanted)
-    time_name = next((n for n in TIME_NAMES if n in reader.place and n not in wanted + known), "")
-    given = [name for name in known if name in reader.place]
-    extra = [n for n in reader.header if n and n not in {*wanted, *known, time_name}]
+    time_name = next((n for n in TIME_NAMES if n in reader.columns and n not in wanted + known), "")
+    given = [name for name in known if name in reader.columns]
+    extra = [n for n in reader.columns if n not in {*wanted, *known, time_name}]
     notes = [f"default of parameter {n}: no such column" for n in known if n not in given]
     notes += [f"ignored: {', '.join(map(repr, extra))}"] if extra else []
     samples = len(reader.lines)
@@ -58,7 +54,7 @@ def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
         file=str(path),
         lines=tuple(reader.lines),
         time_name=time_name,
-        time_text=tuple(t.strip() for t in reader.texts(time_name)) if time_name else (),
+        time_text=reader.columns.get(time_name, ()),
         time=time,
         y=np.stack(y, axis=1),
         u=np.stack(u, axis=1) if u else np.zeros((samples, 0)),
@@ -70,11 +66,11 @@ def read_table(path: str | os.PathLike[str], spec: Spec) -> Table:
 def read_columns(path: str | os.PathLike[str], names: Sequence[str]) -> dict[str, Array]:
     """Columns of finite numbers by name; of them the file has one at least, the others are zero."""
     reader = _Reader(str(path))
-    if not any(name in reader.place for name in names):
-        given = f"none of the columns (there are: {', '.join(reader.place)})"
+    if not any(name in reader.columns for name in names):
+        given = f"none of the columns (there are: {', '.join(reader.columns)})"
         raise reader.error(given, f"at least one of: {', '.join(names)}", line=1)
     zero = np.zeros(len(reader.lines))
-    return {n: reader.finite(n, "a fault") if n in reader.place else zero for n in names}
+    return {n: reader.finite(n, "a fault") if n in reader.columns else zero for n in names}
 
 
 def numbers_of(option: str, text: str, count: int) -> Array | None:
@@ -116,18 +112,28 @@ class _Reader:
 
     def __init__(self, file: str) -> None:
         self.file = file
-        self.lines: list[int] = []
-        rows = self._read()
-        self.place = {name: i for i, name in enumerate(self.header) if name}
-        self._columns: list[Sequence[str]] = list(zip(*rows, strict=True))
+        header, *rows = self._read() or [(1, [])]
+        names = self._header(header[1])
+        rows = [(line, row or [""]) for line, row in rows if row or len(names) == 1]
+        while len(names) == 1 and rows and rows[-1][1] == [""]:  # blank lines at the end
+            rows.pop()
+        for line, row in rows:
+            if len(row) != len(names):
+                expected = f"{len(names)}, as in the header"
+                raise self.error(f"{len(row)} fields", expected, line=line)
+        if not rows:
+            raise self.error("a header and nothing below it", "at least one sample")
+        self.lines = [line for line, _ in rows]
+        texts = zip(*(row for _, row in rows), strict=True)
+        self.columns = {n: column for n, column in zip(names, texts, strict=True) if n}
 
-    def _read(self) -> list[list[str]]:
+    def _read(self) -> list[tuple[int, list[str]]]:
+        """The rows, stripped of blanks, and the lines in which they end."""
         try:
             with Path(self.file).open(encoding="utf-8-sig", newline="") as file:
                 reader = csv.reader(file, strict=True)
-                self.header = self._header(next(reader, []))
                 try:
-                    return self._rows(reader)
+                    return [(reader.line_num, [text.strip() for text in row]) for row in reader]
                 except csv.Error as error:
                     expected, line = "fields separated by commas", reader.line_num
                     raise self.error(str(error), expected, line=line) from None
@@ -137,87 +143,57 @@ class _Reader:
             reason = str(getattr(error, "strerror", None) or error).lower()
             raise self.error(f"a path that cannot be read ({reason})", "a CSV file") from None
 
-    def _header(self, names: list[str]) -> list[str]:
-        header = [name.strip() for name in names]
+    def _header(self, header: list[str]) -> list[str]:
         if not any(header):
             expected = "a header with names of columns, then numbers"
             raise self.error("an empty file", expected, line=1)
         for separator, word in ((";", "semicolons"), ("\t", "tabs")):
             if len(header) == 1 and separator in header[0]:
                 raise self.error(f"a header with {word}", "columns separated by commas", line=1)
-        twice = [name for name, count in Counter(header).items() if name and count > 1]
+        twice = [name for name in header if name and header.count(name) > 1]
         if twice:
             raise self.error(f"two columns {twice[0]!r}", "different names", line=1)
         return header
 
-    def _rows(self, reader: object) -> list[list[str]]:
-        width, rows, lines = len(self.header), [], self.lines
-        for row in reader:  # type: ignore[attr-defined]
-            if len(row) != width:
-                if not row and width > 1:
-                    continue  # a blank line
-                if row:
-                    line = reader.line_num  # type: ignore[attr-defined]
-                    raise self.error(f"{len(row)} fields", f"{width}, as in the header", line=line)
-            rows.append(row or [""])
-            lines.append(reader.line_num)  # type: ignore[attr-defined]
-        while width == 1 and rows and rows[-1] == [""]:  # blank lines at the end
-            rows.pop()
-            lines.pop()
-        if not rows:
-            raise self.error("a header and nothing below it", "at least one sample")
-        return rows
-
     def demand(self, names: Sequence[str]) -> None:
         """Refuse a file that lacks one of these columns."""
-        missing = [name for name in names if name not in self.place]
+        missing = [name for name in names if name not in self.columns]
         if missing:
-            given = f"no column {', '.join(missing)} (there are: {', '.join(self.place)})"
+            given = f"no column {', '.join(missing)} (there are: {', '.join(self.columns)})"
             raise self.error(given, f"a column for each of: {', '.join(names)}", line=1)
-
-    def texts(self, name: str) -> Sequence[str]:
-        """A column as it stands in the file."""
-        return self._columns[self.place[name]]
 
     def measured(self, name: str) -> Array:
         """A column of numbers; NaN where a field is empty or says so."""
-        texts = self.texts(name)
-        with contextlib.suppress(ValueError):  # the usual record, in one go
-            if not any("_" in text for text in texts):
-                return np.array([float(text) if text else np.nan for text in texts])
-        return np.array([self._number(name, k, text.strip()) for k, text in enumerate(texts)])
-
-    def _number(self, name: str, k: int, text: str) -> float:
-        with contextlib.suppress(ValueError):
-            if "_" not in text:
-                return float(text) if text else np.nan
-        shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-        expected = "a number such as -1.5e3, or nothing where the sample is missing"
-        raise self.error(repr(shown), expected, line=self.lines[k], column=name)
+        values = np.full(len(self.lines), np.nan)
+        for k, text in enumerate(self.columns[name]):
+            try:
+                values[k] = float(text.replace("_", "?") or "nan")  # 1_0 is a number in Python only
+            except ValueError:
+                shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+                expected = "a number such as -1.5e3, or nothing where the sample is missing"
+                raise self.error(repr(shown), expected, name, k) from None
+        return values
 
     def finite(self, name: str, role: str) -> Array:
         """A column of which no field may be missing."""
         values = self.measured(name)
-        wrong = np.flatnonzero(~np.isfinite(values))
-        if wrong.size:
-            k = int(wrong[0])
-            given = self.texts(name)[k].strip() or "nothing"
-            expected = f"a finite number: {role} is never missing"
-            raise self.error(given, expected, line=self.lines[k], column=name)
+        for k in np.flatnonzero(~np.isfinite(values)).tolist():
+            given = self.columns[name][k] or "nothing"
+            raise self.error(given, f"a finite number: {role} is never missing", name, k)
         return values
 
     def times(self, name: str) -> Array:
         """The time column: finite, and never running backwards."""
-        values = self.finite(name, "a time")
-        back = np.flatnonzero(np.diff(values) < 0.0)
-        if back.size:
-            k = int(back[0]) + 1
-            given = f"{self.texts(name)[k].strip()} after {self.texts(name)[k - 1].strip()}"
-            expected = "times that do not run backwards"
-            raise self.error(given, expected, line=self.lines[k], column=name)
+        values, texts = self.finite(name, "a time"), self.columns[name]
+        for k in np.flatnonzero(np.diff(values) < 0.0).tolist():
+            given = f"{texts[k + 1]} after {texts[k]}"
+            raise self.error(given, "times that do not run backwards", name, k + 1)
         return values
 
-    def error(self, given: str, expected: str, *, line: int = 0, column: str = "") -> DataError:
-        """The error that names the place."""
-        place = (f", line {line}" if line else "") + (f", column {column}" if column else "")
+    def error(
+        self, given: str, expected: str, column: str = "", sample: int = -1, *, line: int = 0
+    ) -> DataError:
+        """The error that names the place: a line, or a column and a sample."""
+        at = self.lines[sample] if column else line
+        place = (f", line {at}" if at else "") + (f", column {column}" if column else "")
         return DataError(self.file + place, given=given, expected=expected)

@@ -16,7 +16,7 @@ from fkgen.problem import Spec, load
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.compiler import find_compiler
 from fkgen.runtime.results import Run
-from fkgen.study.records.columns import Selection, run_table
+from fkgen.study.records.filtering import Selection, run_table
 from fkgen.study.records.table import Table, read_table
 from fkgen.study.reports.plots import draw, save
 from fkgen.study.reports.starters import resource

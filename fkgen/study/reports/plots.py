@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from fkgen.faults import SoftFaults
 from fkgen.problem import Signal, Spec
 from fkgen.runtime.results import Run
-from fkgen.study.records.columns import deviation
 from fkgen.study.records.files import refuse_format, write_whole
+from fkgen.study.records.filtering import deviation
 from fkgen.study.records.table import Table
 from fkgen.symbolic.interface import VERDICTS
 

@@ -16,8 +16,8 @@ from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.oracle.textbook.fault_effect import gains
 from fkgen.problem import Code
 from fkgen.profiles import pulse
-from fkgen.study.diagnostics.model_numbers import ModelNumbers
-from fkgen.study.diagnostics.rounding import ARITHMETIC, Bounded, usual_range
+from fkgen.study.diagnostics.digits import ARITHMETIC, Bounded, usual_range
+from fkgen.study.diagnostics.subject import Subject
 
 
 def finding(report, code):
@@ -214,7 +214,7 @@ def test_compiled_float_stays_within_the_bound(plant):
         .filtered_state.astype(float)
         for scalar, update in (("float", "auto"), ("double", "joseph"))
     )
-    inside = np.all(np.abs(double) <= usual_range(ModelNumbers(plant)), axis=1)
+    inside = np.all(np.abs(double) <= usual_range(Subject(plant)), axis=1)
     assert inside.mean() > 0.9
     bound = [values[f"float_error_bound.{s.name}"] for s in plant.model.states]
     off = np.abs(single - double)[T // 2 :][inside[T // 2 :]].max(axis=0)

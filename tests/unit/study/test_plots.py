@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fkgen
-from fkgen.study.records.columns import Selection, run_table
+from fkgen.study.records.filtering import Selection, run_table
 from fkgen.study.records.table import Table
 from fkgen.study.reports.plots import draw, rendered
 from fkgen.study.reports.starters import starter

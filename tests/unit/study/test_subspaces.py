@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fkgen.study.diagnostics.visibility import numerical_rank, unobservable, unreachable
+from fkgen.study.diagnostics.subject import numerical_rank
+from fkgen.study.diagnostics.visibility import unobservable, unreachable
 
 CHAIN = np.array([[0.9, 0.0, 0.0], [0.3, 0.8, 0.0], [0.0, 0.2, 0.7]])
 LAST = np.array([[0.0, 0.0, 1.0]])

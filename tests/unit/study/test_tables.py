@@ -7,7 +7,7 @@ import pytest
 
 import fkgen
 from fkgen.errors import DataError
-from fkgen.study.records.columns import columns_of, run_table, select, to_csv
+from fkgen.study.records.filtering import columns_of, run_table, select, to_csv
 from fkgen.study.records.table import read_table
 
 SPEC = fkgen.Spec.from_dict(

@@ -1,0 +1,339 @@
+"""The command ``fkgen``: arguments to pipeline and back to text. No other work is done here.
+
+Exit status: 0 all is well; 1 the model, the filter or the record is not in order; 2 a mistake of
+the user (one line says which); 130 interrupted.
+"""
+
+from __future__ import annotations
+
+# ruff: noqa: PLC0415 - what takes long to import is imported by the commands that need it
+import contextlib
+import errno
+import os
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from fkgen.console import console, print_table
+from fkgen.errors import FkgenError, InternalError
+from fkgen.version import __version__
+
+if TYPE_CHECKING:
+    from fkgen.problem import Spec
+
+_INTERRUPTED = 130
+_STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan"}
+
+
+class _OneLine(click.Group):
+    """A group of commands whose failures are one line on stderr, never a traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+        except KeyboardInterrupt:
+            _fail(ctx, "interrupted", status=_INTERRUPTED)
+        except click.UsageError as error:
+            path = error.ctx.command_path if error.ctx else ctx.command_path
+            text = error.format_message().replace(". Did", "; did").rstrip(".?")
+            _fail(ctx, f"{text[:1].lower()}{text[1:]}; see: {path} --help")
+        except InternalError as error:
+            _fail(ctx, f"{error}; this is a defect of fkgen: please report it with the spec")
+        except FkgenError as error:
+            _fail(ctx, str(error))
+        except OSError as error:
+            _drop_stdout()
+            if error.errno == errno.EPIPE:
+                ctx.exit(1)
+            _fail(ctx, f"output cannot be written: {(error.strerror or str(error)).lower()}")
+        return result
+
+
+def _fail(ctx: click.Context, message: str, *, status: int = 2) -> NoReturn:
+    click.echo(f"error: {' '.join(message.split())}", err=True)
+    ctx.exit(status)
+
+
+def _drop_stdout() -> None:
+    """Whoever read stdout is gone, or its disk is full: what is still buffered goes nowhere."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _loaded(_ctx: click.Context, _parameter: click.Parameter, path: Any) -> Any:
+    """The spec of a path, or those of several."""
+    from fkgen.problem import load
+
+    return load(path) if isinstance(path, str) else tuple(map(load, path))
+
+
+_SPEC = click.argument("spec", callback=_loaded)
+_RECORD = click.option("--record", type=Path, help="CSV file: u, parameters, missing rows.")
+_INPUTS = click.option("--u", "inputs", default="", help="Constant inputs instead: 1.5,0,...")
+_SOFT_FAULTS = click.option("--profile", type=Path, help="CSV file: soft faults of signals.")
+_STEPS = click.option("--steps", type=int, help="Samples; default 200, or those of the files.")
+_SEED = click.option("--seed", default=0, help="Default 0.")
+_CSV = click.option("-o", "--output", type=Path, help="CSV file; default: standard output.")
+_PLOT = click.option("--plot", type=Path, help="Picture to draw, as PNG, PDF or SVG.")
+_FORCE = click.option("--force", is_flag=True, help="Replace files that exist.")
+_JSON = click.option("--json", "as_json", is_flag=True, help="Everything as JSON.")
+
+
+def _tell(found: Any, table: Any, lines: Iterable[str], *, as_json: bool, names: int = 1) -> None:
+    """Print JSON; or a table, numbers to the right of the first columns, and lines below it."""
+    if as_json:
+        click.echo(found.to_json())
+        return
+    head, rows = table
+    print_table(head, rows, **dict.fromkeys(head[names:], "right"))
+    for line in lines:
+        click.echo(line)
+
+
+def _say(kind: str, sentences: Iterable[str]) -> None:
+    for sentence in sentences:
+        click.echo(f"{kind}: {sentence}", err=True)
+
+
+@click.group(cls=_OneLine, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="fkgen", message="%(prog)s %(version)s")
+def main() -> None:
+    """Kalman filters for systems with faults: described once, proved, printed as C99.
+
+    \b
+    fkgen new mkf -o motor.toml      a spec to begin with
+    fkgen check motor.toml           is the model sound?
+    fkgen generate motor.toml        C code
+    fkgen run motor.toml record.csv  filter a record
+    fkgen fault-effect motor.toml    what a fault does to the estimate
+    fkgen compare motor.toml         which family to take
+    """  # noqa: D301 - \b is for click
+
+
+@main.command()
+def families() -> None:
+    """List the families of filters."""
+    from fkgen.families import NAMES, family
+
+    print_table(("family", "what it is for"), ((name, family(name).title) for name in NAMES))
+
+
+@main.command()
+@click.argument("family")
+@click.option("-o", "--output", type=Path, help="File to write; never one that exists.")
+def new(family: str, output: Path | None) -> None:
+    """Write a commented spec of FAMILY to begin with."""
+    from fkgen.study.reports.starters import starter
+
+    _write(starter(family), output, f"fkgen check {output}", force=False, err=False)
+
+
+def _write(text: str, output: Path | None, then: str, *, force: bool, err: bool) -> None:
+    """Write a text to the standard output; or into a file, and say what to do then."""
+    from fkgen.study.records.files import write_whole
+
+    if output is None:
+        click.echo(text, nl=False)
+        return
+    write_whole(output, text.encode("utf-8"), force=force)
+    click.echo(f"{output}: try: {then}", err=err)
+
+
+@main.command()
+@_SPEC
+@_JSON
+def check(spec: Spec, *, as_json: bool) -> None:
+    """Say what is wrong with a model before anyone trusts it."""
+    from fkgen.study.diagnostics.check import check as examine
+
+    report = examine(spec)
+    rows = [
+        (_styled(f.severity, _STYLES[f.severity]), f.code, "; ".join(filter(None, texts)))
+        for f in report.findings
+        for texts in [(f.message, f.remedy)]
+    ]
+    if rows and not as_json:
+        print_table(("severity", "code", "finding"), rows)
+    values = ((name, f"{value:.6g}") for name, value in report.values.items())
+    _tell(report, (("value", "number"), values), (), as_json=as_json)
+    sys.exit(0 if report.sound else 1)
+
+
+def _styled(text: str, style: str) -> Any:
+    from rich.text import Text
+
+    return Text(text, style=style)
+
+
+@main.command()
+@_SPEC
+@click.option("-o", "--output", type=Path, help="Folder; default: the name of the filter, here.")
+def generate(spec: Spec, output: Path | None) -> None:
+    """Prove the filter of SPEC and write it as C."""
+    from fkgen import pipeline
+    from fkgen.backend.render import cost
+
+    design = pipeline.validate(spec)
+    source = pipeline.generate(design)
+    folder = source.write(output or Path(spec.name))
+    for name in sorted(source.files):
+        click.echo(folder / name)
+    click.echo(f"{len(design.claims)} claims hold; one step: {cost(source.program)}")
+
+
+@main.command()
+@_SPEC
+def verify(spec: Spec) -> None:
+    """Confront the filter of SPEC with the literature, and the compiled C with all of it."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from fkgen.proof.verify import steps
+    from fkgen.symbolic.validated import Claim
+
+    claims: list[Claim] = []
+    columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+    with Progress(*columns, console=console(err=True), transient=True) as progress:
+        for step in progress.track(steps(spec), description=""):
+            progress.update(progress.task_ids[0], description=step.title)
+            claims += step.run()
+    holds = {True: _styled("yes", "green"), False: _styled("NO", "bold red")}
+    head = ("claim", "source", "error", "allowed", "holds")
+    rows = (
+        (c.claim, c.source, f"{c.error:.1e}", f"{c.tolerance:.1e}", holds[c.holds]) for c in claims
+    )
+    print_table(head, rows, error="right", allowed="right")
+    failed = sum(not claim.holds for claim in claims)
+    click.echo(f"{len(claims) - failed} of {len(claims)} claims hold")
+    sys.exit(1 if failed else 0)
+
+
+@main.command()
+@_SPEC
+@click.argument("record", type=Path)
+@_CSV
+@_PLOT
+@click.option("--keep", default="", help="Columns instead of the usual ones: port,port,...")
+@_FORCE
+def run(spec: Spec, record: Path, **options: Any) -> None:
+    """Filter RECORD, a CSV file, with the compiled filter of SPEC."""
+    from fkgen.study.records import filtering
+
+    text, notes, problems = filtering.run(spec, record, **options)
+    _say("note", notes)
+    click.echo(text, nl=False)
+    _say("warning", problems)
+    sys.exit(1 if problems else 0)
+
+
+@main.command("fault-effect")
+@_SPEC
+@click.option("--sensor", help="Row of y that is faulty, by name.")
+@click.option("--input", "driven", help="Input that is faulty, by name.")
+@click.option("--shape", default="step", help="pulse, step (default), ramp or drift.")
+@click.option("--amplitude", default=1.0, help="Its size, in the unit of the signal; default 1.")
+@click.option("--start", default=0, help="First faulty sample; default 0.")
+@click.option("--stop", type=int, help="First healthy sample after it; default: it stays.")
+@click.option("--length", default=10, help="Samples in which a ramp rises; default 10.")
+@click.option("--steps", default=100, help="Samples to look at; default 100.")
+@click.option("--profile", type=Path, help="CSV file with the fault instead, by names of signals.")
+@_RECORD
+@_INPUTS
+@click.option("--mode", default="both", help="Who gets a faulty input: both, plant or filter.")
+@click.option("--fraction", default=0.01, help="Share of the peak that counts as over.")
+@click.option("--false-alarm", default=1e-3, help="Of the NIS test; default 0.001.")
+@click.option("--runs", default=256, help="Pairs, where they have to be simulated.")
+@_JSON
+@_PLOT
+@_FORCE
+def fault_effect(
+    spec: Spec, *, as_json: bool, plot: Path | None, force: bool, **options: Any
+) -> None:
+    """Say what a fault of a sensor or an input does to the estimate of SPEC, and for how long."""
+    from fkgen.study.effects.report import Options, report_of
+
+    found = report_of(spec, Options(**options), plot=plot, force=force)
+    _tell(found, (found.head, found.rows), found.sentences, as_json=as_json)
+    _say("note", found.notes)
+
+
+@main.command()
+@_SPEC
+@click.option("--direction", default="", help="Direction of the bias in y instead: 1,-1,...")
+@click.option("--false-alarm", default=1e-3, help="Per test; default 0.001.")
+@click.option("--power", default=0.9, help="Probability to find the bias; default 0.9.")
+@click.option("--window", default="1,10,50,200", help="Samples of the windowed tests.")
+@click.option("--u", "inputs", default="", help="Constant inputs, for mkf: 1.5,0,...")
+@_JSON
+def detectability(spec: Spec, *, as_json: bool, **options: Any) -> None:
+    """Say how large a constant bias of a sensor has to be to be found by the filter of SPEC."""
+    from fkgen.study.effects.detectability import least_biases
+
+    found = least_biases(spec, **options)
+    _tell(found, (found.head, found.rows), found.sentences, as_json=as_json, names=2)
+
+
+@main.command()
+@_SPEC
+@_STEPS
+@_SEED
+@click.option("--trial", default=0, help="Which trial of the seed; default 0.")
+@_RECORD
+@_INPUTS
+@_SOFT_FAULTS
+@_CSV
+@_FORCE
+def simulate(spec: Spec, *, output: Path | None, force: bool, **options: Any) -> None:
+    """Draw one trial of the plant of SPEC, with its faults, as a record for fkgen run."""
+    from fkgen.study.comparisons.commands import drawn
+    from fkgen.study.records.files import refuse_targets
+
+    refuse_targets(output, force=force)
+    text, then = drawn(spec, **options), f"fkgen run {spec.file} {output}"
+    _write(text, output, then, force=force, err=True)
+
+
+@main.command()
+@click.argument("specs", nargs=-1, required=True, callback=_loaded)
+@click.option("--families", default="", help="imm,kf,...; each may be family:key=value.")
+@click.option("--runs", default=2000, help="Trials; default 2000.")
+@_STEPS
+@_SEED
+@click.option("--skip", type=int, help="Samples that do not count; default: the first quarter.")
+@click.option("--false-alarm", default=0.01, help="Of the NIS test; default 0.01.")
+@_RECORD
+@_INPUTS
+@_SOFT_FAULTS
+@_JSON
+@_PLOT
+@_FORCE
+def compare(specs: tuple[Spec, ...], *, as_json: bool, **options: Any) -> None:
+    """Say which filter to take for the plant and the faults of the first of SPECS.
+
+    Several SPECS are filters as they stand; --families adds families for the plant of the first
+    one, and of one spec all that fit are compared.
+    """
+    from fkgen.study.comparisons.commands import compared
+    from fkgen.study.comparisons.report import table_of
+
+    found = compared(specs, **options)
+    lines = [*(f"note: {note}" for note in found.notes), f"\n{found.recommendation}"]
+    _tell(found, table_of(found), lines, as_json=as_json)
+
+
+@main.command()
+@click.option("-o", "--output", type=Path, default=Path("fkgen_demo"), help="Folder to write.")
+def demo(output: Path) -> None:
+    """Generate, compile and run two filters, one of them over a real drive."""
+    from fkgen.study.reports.demo import play
+
+    out = console()
+    for line in play(output):
+        out.print(line, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main(prog_name="fkgen")
