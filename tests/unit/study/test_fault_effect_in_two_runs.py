@@ -183,7 +183,7 @@ def test_a_float_filter_is_answered_in_double():
 
 
 MISTAKES = {
-    "an actuator fault with the sign of a wrong readback": ("SIGN", {"plant": -1.0}),
+    "an actuator fault with the sign of a wrong readback": ("_SIGN", {"plant": -1.0}),
     "lost commands as variances, not deviations": ("square_root", lambda N: N),
     "lost commands forgotten": ("square_root", lambda N: 0.0 * N),
     "lost commands of one input in the other": ("square_root", lambda N: N[:, ::-1] ** 0.5),
@@ -201,7 +201,7 @@ def test_mistakes_show(mistake, monkeypatch):
 
     right = error()
     monkeypatch.setattr(
-        f"fkgen.study.effects.response.{MISTAKES[mistake][0]}", MISTAKES[mistake][1]
+        f"fkgen.study.effects.fault_effect.{MISTAKES[mistake][0]}", MISTAKES[mistake][1]
     )
     assert np.abs(error() - right).max() > 1e-3 * np.abs(right).max()
 
