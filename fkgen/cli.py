@@ -288,7 +288,7 @@ def detectability(spec: Spec, *, as_json: bool, **options: Any) -> None:
 @_FORCE
 def simulate(spec: Spec, *, output: Path | None, force: bool, **options: Any) -> None:
     """Draw one trial of the plant of SPEC, with its faults, as a record for fkgen run."""
-    from fkgen.study.comparisons.commands import drawn
+    from fkgen.study.comparisons.comparison import drawn
     from fkgen.study.records.files import refuse_targets
 
     refuse_targets(output, force=force)
@@ -316,7 +316,7 @@ def compare(specs: tuple[Spec, ...], *, as_json: bool, **options: Any) -> None:
     Several SPECS are filters as they stand; --families adds families for the plant of the first
     one, and of one spec all that fit are compared.
     """
-    from fkgen.study.comparisons.commands import compared
+    from fkgen.study.comparisons.comparison import compared
     from fkgen.study.comparisons.report import table_of
 
     found = compared(specs, **options)

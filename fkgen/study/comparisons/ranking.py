@@ -15,17 +15,9 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.problem import Spec
-from fkgen.study.comparisons.candidates import GENIE, Candidate, fault_section
+from fkgen.study.comparisons.candidates import GENIE, fault_section
 from fkgen.study.comparisons.footprint import Footprint
-from fkgen.study.comparisons.scores import (
-    Detection,
-    Estimate,
-    Scores,
-    error_of,
-    influence_of,
-    mean,
-    ratio,
-)
+from fkgen.study.comparisons.scores import Detection, Scores
 from fkgen.study.reports.jsonable import finite_or_none
 
 Array = NDArray[np.float64]
@@ -42,6 +34,61 @@ _GENIE_IS = {
     "actuator": "is a Kalman filter that is told what reaches the plant",
     "jump": "is a Kalman filter that is told the mode of every sample, and what was lost",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number and its standard error."""
+
+    value: float
+    error: float
+
+    def __str__(self) -> str:
+        """The number with as many digits as its error leaves meaning."""
+        if not np.isfinite(self.value):
+            return "-"
+        if not self.error > 0.0:
+            return f"{self.value:.4g}"
+        digits = int(np.clip(1 - np.floor(np.log10(self.error)), 0, 8))
+        return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
+
+    def root(self) -> Estimate:
+        """The square root, with its error by the delta method."""
+        root = float(np.sqrt(self.value))
+        return Estimate(root, self.error / (2.0 * root) if root > 0.0 else 0.0)
+
+
+def mean(each: Array) -> Estimate:
+    """The mean over trials, of (M,) numbers; NaN where a trial has nothing to say."""
+    known = each[np.isfinite(each)]
+    if not known.size:
+        return Estimate(np.nan, np.nan)
+    return Estimate(float(known.mean()), error_of(known - known.mean()))
+
+
+def ratio(above: Array, below: Array) -> Estimate:
+    """The ratio of two means over the same trials, with its error by the delta method."""
+    value, influence = influence_of(above, below)
+    return Estimate(value, error_of(influence))
+
+
+def influence_of(above: Array, below: Array) -> tuple[float, Array]:
+    """A ratio of means, and how far each trial moves it: (M,), with mean zero.
+
+    Differences of ratios have the differences of these: that is what pairing trials gains.
+    """
+    total = float(below.mean())
+    if not total > 0.0:
+        return float("nan"), np.full(above.shape, np.nan)
+    value = float(above.mean()) / total
+    return value, (above - value * below) / total
+
+
+def error_of(influence: Array) -> float:
+    """Standard error of the mean of numbers with mean zero, one per trial."""
+    if influence.size < 2:
+        return float("nan")
+    return float(np.sqrt((influence**2).sum() / (influence.size - 1) / influence.size))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,38 +224,37 @@ class Comparison:
 
 def ranked(
     truth: Spec,
-    everyone: Sequence[Candidate],
+    filters: Sequence[tuple[str, str]],
     results: Sequence[Scores],
     costs: Sequence[Footprint],
     false_alarm: float,
     **size: int,
 ) -> Comparison:
-    """Compare filters, of which the first is the genie-aided one; ``size`` as in a `Comparison`."""
-    of_label = {
-        each.label: (each.spec.filter.family, scores)
-        for each, scores in zip(everyone, results, strict=True)
-    }
+    """Compare filters of some label and family, the genie-aided one first."""
     genie, *others = (
-        _score(each.label, cost, scores.squared, results[0].squared)
-        for each, scores, cost in zip(everyone, results, costs, strict=True)
+        (_score(label, cost, scores.squared, results[0].squared), family, scores)
+        for (label, family), scores, cost in zip(filters, results, costs, strict=True)
     )
-    lost = [each for each in others if not np.isfinite(each.value)]
-    standing = sorted((s for s in others if s not in lost), key=lambda score: score.value)
-    if not standing:
+    known = [each for each in others if np.isfinite(each[0].value)]
+    known.sort(key=lambda each: each[0].value)
+    standing = [score for score, *_ in known]
+    if not known:
         given = "errors that are zero for the genie, or beyond all numbers for every filter"
         expected = "a plant with noise, and a horizon over which a filter follows it"
         raise DataError("comparison", given=given, expected=expected)
-    rows = [_row(truth, s, *of_label[s.label], pareto=not beaten(s, standing)) for s in standing]
+    rows = [_row(truth, *each, pareto=not beaten(each[0], standing)) for each in known]
     chosen, sentence = recommended(standing, {row.label: row.nees for row in rows})
-    left_out = (f"{each.label} lost the state: left out" for each in lost)
+    lost = [
+        f"{score.label} lost the state: left out" for score, *_ in others if score not in standing
+    ]
     return Comparison(
         name=truth.name,
         **size,
-        genie=_row(truth, genie, *of_label[genie.label], pareto=False),
+        genie=_row(truth, *genie, pareto=False),
         rows=tuple(rows),
         recommended=chosen,
         recommendation=sentence,
-        notes=(*_notes(truth, size, false_alarm, rows), *left_out),
+        notes=(*_notes(truth, size, false_alarm, rows), *lost),
     )
 
 
@@ -224,18 +270,14 @@ def _score(label: str, footprint: Footprint, squared: Array, best: Array) -> Sco
 
 
 def _row(truth: Spec, score: Score, family: str, scores: Scores, *, pareto: bool) -> Row:
-    rmse = {}
-    for signal, each in zip(truth.model.states, scores.squared.T, strict=True):
-        squared = mean(each)
-        root = float(np.sqrt(squared.value))
-        rmse[signal.name] = Estimate(root, squared.error / (2.0 * root) if root > 0.0 else 0.0)
+    states = zip(truth.model.states, scores.squared.T, strict=True)
     declared = np.full_like(scores.detection, np.nan) if score.label == GENIE else scores.detection
     found = Detection(*declared.T)
     return Row(
         label=score.label,
         family=family,
         relative=score.relative,
-        rmse=rmse,
+        rmse={state.name: mean(squared).root() for state, squared in states},
         nees=mean(scores.nees),
         nis=mean(scores.nis),
         detected=ratio(found.found, found.onsets),

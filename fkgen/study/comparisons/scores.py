@@ -1,8 +1,7 @@
-"""What a filter made of trials: errors, consistency, faults noticed; numbers and their means."""
+"""What a filter made of trials: errors, consistency, faults noticed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -49,27 +48,25 @@ class Scores(NamedTuple):
 
 
 def score(
-    compiled: CompiledFilter,
-    given: FilterInputs,
-    simulation: Simulation,
-    *,
-    skip: int,
-    limits: Array,
+    compiled: CompiledFilter, given: FilterInputs, drawn: Simulation, skip: int, false_alarm: float
 ) -> Scores:
     """Run a filter over a simulation and compare it with the truth, from sample ``skip`` on.
 
-    A filter without modes declares a fault where the NIS of 0, 1, ... p rows is above ``limits``.
+    A filter without modes declares a fault by a test of the NIS with this false alarm rate.
     """
+    from scipy.special import gammainccinv  # noqa: PLC0415 - scipy.stats would take a second
+
     kept = [name for name in PORTS if name in compiled.ports]
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
-    error = (simulation.state - run["filtered_state"])[:, skip:].astype(np.float64)
+    error = (drawn.state - run["filtered_state"])[:, skip:].astype(np.float64)
     covariance = run["filtered_covariance"][:, skip:]
     runs, rows = len(error), np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
     nis = _nis(run, rows, skip, host=len(given.tested) < given.y.shape[2])
-    jump = simulation.spec.faults.jump
+    jump = drawn.spec.faults.jump
     counts = np.full((runs, 5), np.nan)
-    faults = _faulty(simulation)
+    faults, few = _faulty(drawn), np.arange(1, given.y.shape[2] + 1)
+    limits = np.array([np.inf, *(2.0 * gammainccinv(0.5 * few, false_alarm))])  # of 0, 1, ... rows
     alarms = _declared(run, limits[rows], 1 if jump is None else len(jump.modes))
     if faults is not None and alarms is not None:
         tested = _positive(run, "test_dof")  # a filter with windows decides at their ends
@@ -172,56 +169,3 @@ def _next(flags: Flags) -> NDArray[np.int64]:
     steps = flags.shape[1]
     index = np.where(flags, np.arange(steps), steps)
     return np.asarray(np.minimum.accumulate(index[:, ::-1], axis=1)[:, ::-1])
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A number and its standard error."""
-
-    value: float
-    error: float
-
-    def __str__(self) -> str:
-        """The number with as many digits as its error leaves meaning."""
-        if not np.isfinite(self.value):
-            return "-"
-        if not self.error > 0.0:
-            return f"{self.value:.4g}"
-        digits = int(np.clip(1 - np.floor(np.log10(self.error)), 0, 8))
-        return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
-
-
-UNKNOWN = Estimate(float("nan"), float("nan"))
-
-
-def mean(each: Array) -> Estimate:
-    """The mean over trials, of (M,) numbers; NaN where a trial has nothing to say."""
-    known = each[np.isfinite(each)]
-    if not known.size:
-        return UNKNOWN
-    return Estimate(float(known.mean()), error_of(known - known.mean()))
-
-
-def ratio(above: Array, below: Array) -> Estimate:
-    """The ratio of two means over the same trials, with its error by the delta method."""
-    value, influence = influence_of(above, below)
-    return Estimate(value, error_of(influence))
-
-
-def influence_of(above: Array, below: Array) -> tuple[float, Array]:
-    """A ratio of means, and how far each trial moves it: (M,), with mean zero.
-
-    Differences of ratios have the differences of these: that is what pairing trials gains.
-    """
-    total = float(below.mean())
-    if not total > 0.0:
-        return float("nan"), np.full(above.shape, np.nan)
-    value = float(above.mean()) / total
-    return value, (above - value * below) / total
-
-
-def error_of(influence: Array) -> float:
-    """Standard error of the mean of numbers with mean zero, one per trial."""
-    if influence.size < 2:
-        return float("nan")
-    return float(np.sqrt((influence**2).sum() / (influence.size - 1) / influence.size))

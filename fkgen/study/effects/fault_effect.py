@@ -121,46 +121,55 @@ def fault_effect(
     DataError
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
     """
-    model, faults, traits = spec.model, spec.faults, spec.filter.traits
+    scenario = _checked(spec, (sensor, input), mode, steps, params=params, u=u, y=y)
+    traits = spec.filter.traits
+    if traits.linear:
+        return _linear_response(scenario)
+    if traits.moments and spec.faults.sensor is not None and not scenario.anomaly.any():
+        return _differenced_response(scenario)
+    return _paired_response(scenario, runs, seed)
+
+
+def _checked(
+    spec: Spec,
+    added: tuple[ArrayLike | None, ArrayLike | None],
+    mode: str,
+    steps: int | None,
+    *,
+    params: Mapping[str, ArrayLike] | None,
+    u: ArrayLike | None,
+    y: ArrayLike | None,
+) -> _Scenario:
+    model, faults = spec.model, spec.faults
     if mode not in _SIGN:
         raise DataError("mode", given=repr(mode), expected=choice(str(mode), list(_SIGN)))
-    if sensor is None and input is None:
+    if added[0] is None and added[1] is None:
         expected = "sensor (T, p) or input (T, q): see fkgen.profiles"
         raise DataError("the fault", given="nothing", expected=expected)
-    if input is not None and not model.nu:
+    if added[1] is not None and not model.nu:
         raise DataError("input", given="a profile", expected="none: the model has no B")
-    T = _length(sensor if input is None else input)
+    try:
+        T = len(np.atleast_1d(np.asarray(added[0] if added[1] is None else added[1])))
+    except ValueError:
+        given = "rows of different lengths"
+        raise DataError("the fault", given=given, expected="a matrix, one row per sample") from None
+    if not T:
+        raise DataError("the fault", given="a profile without samples", expected="at least one")
     if steps is not None and steps != T:
         raise DataError("steps", given=repr(steps), expected=f"{T}, the length of the profile")
     if u is None and model.nu and any((faults.actuator, faults.jump, faults.soft)):
         names, family = ", ".join(each.name for each in model.inputs), spec.filter.family
         expected = f"shape ({T}, {model.nu}): {names}; the gain of {family} depends on u"
         raise DataError("u", given="nothing", expected=expected)
-    scenario = _Scenario(
+    return _Scenario(
         spec=spec,
-        sensor=_record("sensor", sensor, model.outputs, T),
-        anomaly=_record("input", input, model.inputs, T),
+        sensor=_record("sensor", added[0], model.outputs, T),
+        anomaly=_record("input", added[1], model.inputs, T),
         mode=mode,
         u=_record("u", u, model.inputs, T),
         params=_parameters(spec, params or {}, T),
         missing=np.isnan(_record("y", y, model.outputs, T)),
     )
-    if traits.linear:
-        return _linear_response(scenario)
-    if traits.moments and faults.sensor is not None and not scenario.anomaly.any():
-        return _differenced_response(scenario)
-    return _paired_response(scenario, runs, seed)
-
-
-def _length(profile: ArrayLike | None) -> int:
-    try:
-        length = len(np.atleast_1d(np.asarray(profile)))
-    except ValueError:
-        given = "rows of different lengths"
-        raise DataError("the fault", given=given, expected="a matrix, one row per sample") from None
-    if not length:
-        raise DataError("the fault", given="a profile without samples", expected="at least one")
-    return length
 
 
 def _parameters(spec: Spec, params: Mapping[str, ArrayLike], samples: int) -> dict[str, Array]:

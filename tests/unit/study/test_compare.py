@@ -14,8 +14,8 @@ from sensor_specs import SCALAR
 import fkgen
 from fkgen.cli import main
 from fkgen.study.comparisons.footprint import Footprint
-from fkgen.study.comparisons.ranking import Score, beaten, recommended
-from fkgen.study.comparisons.scores import Estimate, detection, mean, normalised, ratio
+from fkgen.study.comparisons.ranking import Estimate, Score, beaten, mean, ratio, recommended
+from fkgen.study.comparisons.scores import detection, normalised
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 EXAMPLE_1 = EXAMPLES / "sensor_faults" / "example1.toml"
