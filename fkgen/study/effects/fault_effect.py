@@ -52,12 +52,12 @@ _PORTS = ("filtered_state", "filtered_covariance", "innovation", "innovation_cov
 class _Scenario:
     """A fault on a record of T samples, checked and completed."""
 
-    spec: Spec
+    spec: Spec  # in double
     sensor: Array  # (T, p), what is added to y
     anomaly: Array  # (T, q), what is added to u
     mode: str  # who gets the anomaly, a key of `_SIGN`
     u: Array  # (T, q), the inputs without it
-    params: Mapping[str, Array]  # run-time parameters, numbers or (T,)
+    params: Mapping[str, Array]  # (T,) each, run-time parameters
     missing: NDArray[np.bool_]  # (T, p), entries of y that are missing
 
     @property
@@ -162,7 +162,7 @@ def _checked(
         expected = f"shape ({T}, {model.nu}): {names}; the gain of {family} depends on u"
         raise DataError("u", given="nothing", expected=expected)
     return _Scenario(
-        spec=spec,
+        spec=replace(spec, code=replace(spec.code, scalar="double")),
         sensor=_record("sensor", added[0], model.outputs, T),
         anomaly=_record("input", added[1], model.inputs, T),
         mode=mode,
@@ -173,19 +173,19 @@ def _checked(
 
 
 def _parameters(spec: Spec, params: Mapping[str, ArrayLike], samples: int) -> dict[str, Array]:
-    """Parameters by name, each a number or one per sample."""
-    known = [parameter.name for parameter in spec.parameters]
-    result = {}
+    """All parameters by name, (T,) each; stated as a number or one per sample."""
+    result = {name: np.full(samples, default) for name, default in spec.defaults.items()}
     for name, value in params.items():
         where = f"params.{name}"
-        if name not in known:
-            raise DataError(where, given="an unknown name", expected=choice(name, known))
-        result[name] = np.asarray(numbers(where, value, np.float64), dtype=float)
-        shape = result[name].shape
-        if shape not in {(), (1,), (samples,)}:
-            raise DataError(where, given=f"shape {shape}", expected=f"a number or ({samples},)")
-        if not np.isfinite(result[name]).all():
+        if name not in result:
+            raise DataError(where, given="an unknown name", expected=choice(name, list(result)))
+        array = numbers(where, value, np.float64)
+        if array.shape not in {(), (1,), (samples,)}:
+            expected = f"a number or ({samples},)"
+            raise DataError(where, given=f"shape {array.shape}", expected=expected)
+        if not np.isfinite(array).all():
             raise DataError(where, given="NaN or an infinity", expected="finite numbers")
+        result[name][:] = array
     return result
 
 
@@ -206,10 +206,21 @@ def _record(name: str, value: ArrayLike | None, signals: Sequence[Signal], sampl
 
 def _linear_response(scenario: _Scenario) -> FaultEffect:
     """The effect on a filter that is linear in y: proved and compiled like every other."""
-    spec, n = scenario.spec, scenario.spec.model.nx
-    companion, params, rate = _companion(scenario)
+    spec, n, lossy = (
+        scenario.spec,
+        scenario.spec.model.nx,
+        scenario.spec.faults.actuator is not None,
+    )
+    # its prior mean is zero, and its first n states are those of the filter
+    companion = replace(spec, model=replace(spec.model, x0=Matrix.zeros(n, 1)))
+    params, anomaly, u = scenario.params, scenario.anomaly, scenario.known_inputs
+    if lossy:
+        system = scenario.system()
+        root = square_root(u[:, :, np.newaxis] * system.fault_covariance * u[:, np.newaxis, :])
+        root = root[:, :, np.abs(root).max(axis=(0, 1), initial=0.0) > 0.0]
+        companion, more = _with_lost_commands(companion, system.B @ root, system.D @ root)
+        params, anomaly = {**params, **more}, system.rate * anomaly  # what arrives on average
     built = build(companion)
-    anomaly = rate * scenario.anomaly
     # The error deviates by what the filter makes of -f in y, and of the part of the anomaly that
     # only the plant (+) or only the filter (-) has got.
     y = np.where(scenario.missing, np.nan, -scenario.sensor)[np.newaxis]
@@ -218,7 +229,6 @@ def _linear_response(scenario: _Scenario) -> FaultEffect:
     plant = np.zeros_like(error)
     if scenario.mode != "filter" and anomaly.any():  # nothing is measured: the plant, left alone
         plant = _run(built, np.full_like(y, np.nan), anomaly, params).filtered_state[0, :, :n]
-    lossy = spec.faults.actuator is not None
     direct = any(entry != Number(0.0) for entry in chain(*spec.model.D.rows))
     return FaultEffect(
         state_deviation=plant - error,
@@ -230,7 +240,7 @@ def _linear_response(scenario: _Scenario) -> FaultEffect:
         kind="mean" if lossy and anomaly.any() else "exact",
         standard_error=np.zeros_like(error),
         # y shows which commands were lost
-        gaussian=not (lossy and direct and scenario.known_inputs.any()),
+        gaussian=not (lossy and direct and u.any()),
     )
 
 
@@ -252,26 +262,6 @@ def _deviation(run: Run) -> Array:
     """Standard deviations (T, n) of the mean variance over all runs."""
     variance = np.diagonal(run.filtered_covariance, axis1=-2, axis2=-1).mean(axis=0)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _in_double(spec: Spec) -> Spec:
-    return replace(spec, code=replace(spec.code, scalar="double"))
-
-
-def _companion(scenario: _Scenario) -> tuple[Spec, Mapping[str, Array], Array]:
-    """The filter for deviations, its parameters, and the share (T, q) of u that arrives on average.
-
-    Its prior mean is zero, it is in double, and its first n states are those of the filter.
-    """
-    spec = scenario.spec
-    still = replace(spec, model=replace(spec.model, x0=Matrix.zeros(spec.model.nx, 1)))
-    if spec.faults.actuator is None:
-        return _in_double(still), scenario.params, np.ones_like(scenario.u)
-    system, u = scenario.system(), scenario.known_inputs
-    root = square_root(u[:, :, np.newaxis] * system.fault_covariance * u[:, np.newaxis, :])
-    root = root[:, :, np.abs(root).max(axis=(0, 1), initial=0.0) > 0.0]
-    wide, params = _with_lost_commands(_in_double(still), system.B @ root, system.D @ root)
-    return wide, {**scenario.params, **params}, system.rate
 
 
 def _with_lost_commands(spec: Spec, driven: Array, sensed: Array) -> tuple[Spec, dict[str, Array]]:
@@ -301,9 +291,8 @@ def _with_lost_commands(spec: Spec, driven: Array, sensed: Array) -> tuple[Spec,
         states=(*model.states, *(Signal(f"{prefix}_{j}") for j in range(r))),
     )
     parameters = (*spec.parameters, *(Parameter(name, _TRIED) for name in params))
-    plain, kalman = Faults(), Filter("kf")
-    wide_spec = replace(spec, model=wide, parameters=parameters, faults=plain, filter=kalman)
-    return wide_spec, params
+    family = Filter("kf")
+    return replace(spec, model=wide, parameters=parameters, faults=Faults(), filter=family), params
 
 
 def _named(prefix: str, values: Array) -> tuple[Matrix, dict[str, Array]]:
@@ -326,15 +315,32 @@ def _blocks(*grid: Sequence[Matrix]) -> Matrix:
 def _paired_response(scenario: _Scenario, runs: int, seed: int) -> FaultEffect:
     """The effect on any filter by simulated pairs; pair m of a seed has its own stream."""
     whole("runs", runs, least=2, expected="a number of pairs, at least 2")
-    system = scenario.system(scenario.spec.first_rates)  # refuses what no record can be drawn from
+    spec, anomaly = scenario.spec, scenario.anomaly
+    system = scenario.system(spec.first_rates)  # refuses what no record can be drawn from
     streams = [np.random.SeedSequence((seed, m)) for m in range(runs)]
-    healthy = np.array([_measured(scenario, scenario.u, each) for each in streams])
+
+    def measured(u: Array) -> Array:  # with the same noise, whatever u is
+        rngs = map(np.random.default_rng, streams)
+        drawn = [draw_record(spec, scenario.params, u, rng)[0] for rng in rngs]
+        return np.where(scenario.missing, np.nan, drawn)
+
+    healthy = measured(scenario.u)
     faulty, plant = healthy, np.zeros((*healthy.shape[:2], system.nx))
-    if scenario.mode != "filter" and scenario.anomaly.any():
-        driven = scenario.u + scenario.anomaly
-        faulty = np.array([_measured(scenario, driven, each) for each in streams])
-        plant = np.array([_moved(scenario, system, each) for each in streams])
+    if scenario.mode != "filter" and anomaly.any():
+        if spec.faults.jump is not None:
+            given = f"an input fault under the family {spec.filter.family}"
+            expected = "faults of sensors: its plant jumps itself"
+            raise DataError("input", given=given, expected=expected)
+        faulty, quiet = measured(scenario.u + anomaly), _silent(system)
+        plant = np.array([simulate(quiet, anomaly, np.random.default_rng(s)) for s in streams])
     return _difference(scenario, healthy, faulty, plant)
+
+
+def _silent(system: LinearSystem) -> LinearSystem:
+    """The plant from rest, without noise, measuring every state; the same commands are lost."""
+    zeros = {name: np.zeros_like(getattr(system, name)) for name in ("Q", "x0", "P0")}
+    zeros |= {"D": np.zeros_like(system.B), "R": np.zeros_like(system.A)}
+    return replace(system, C=np.broadcast_to(np.eye(system.nx), system.A.shape), **zeros)
 
 
 def _differenced_response(scenario: _Scenario) -> FaultEffect:
@@ -343,34 +349,10 @@ def _differenced_response(scenario: _Scenario) -> FaultEffect:
     return _difference(scenario, y, y, np.zeros((*y.shape[:2], scenario.spec.model.nx)))
 
 
-def _measured(scenario: _Scenario, u: Array, stream: np.random.SeedSequence) -> Array:
-    """One record of the plant, (T, p); the same stream gives the same noise, whatever u is."""
-    given: dict[str, ArrayLike] = {**scenario.spec.defaults, **scenario.params}
-    params = {
-        name: np.broadcast_to(np.asarray(value, dtype=float), (len(u),))
-        for name, value in given.items()
-    }
-    y, _ = draw_record(scenario.spec, params, u, np.random.default_rng(stream))
-    return np.where(scenario.missing, np.nan, y)
-
-
-def _moved(scenario: _Scenario, system: LinearSystem, stream: np.random.SeedSequence) -> Array:
-    """What an input anomaly changes in the state, (T, n): the same commands are lost as in y."""
-    if scenario.spec.faults.jump is not None:
-        given = f"an input fault under the family {scenario.spec.filter.family}"
-        raise DataError("input", given=given, expected="faults of sensors: its plant jumps itself")
-    n = system.nx
-    every_state = np.broadcast_to(np.eye(n), system.A.shape)
-    silent = {name: np.zeros_like(getattr(system, name)) for name in ("Q", "x0", "P0")}
-    silent |= {"D": np.zeros_like(system.B), "R": np.zeros_like(system.A)}
-    quiet = replace(system, C=every_state, **silent)
-    return np.asarray(simulate(quiet, scenario.anomaly, np.random.default_rng(stream)))
-
-
 def _difference(scenario: _Scenario, healthy: Array, faulty: Array, plant: Array) -> FaultEffect:
     """The mean over M pairs of records (M, T, p), or what one pair says exactly."""
     spec, runs = scenario.spec, len(healthy)
-    built = build(_in_double(spec))
+    built = build(spec)
     lacking = [name for name in _PORTS if name not in built.ports]
     if lacking:
         expected = f"a family with the ports {', '.join(_PORTS)}"
