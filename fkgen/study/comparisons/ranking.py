@@ -61,9 +61,7 @@ class Estimate:
 def mean(each: Array) -> Estimate:
     """The mean over trials, of (M,) numbers; NaN where a trial has nothing to say."""
     known = each[np.isfinite(each)]
-    if not known.size:
-        return Estimate(np.nan, np.nan)
-    return Estimate(float(known.mean()), error_of(known - known.mean()))
+    return ratio(known, np.ones_like(known)) if known.size else Estimate(np.nan, np.nan)
 
 
 def ratio(above: Array, below: Array) -> Estimate:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -63,25 +63,21 @@ def table_of(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
     """Head, and rows of the quantity and a text per filter; what no filter has is left out."""
     filters = (comparison.genie, *comparison.rows)
     targets = dict.fromkeys(key for row in filters for key in row.footprint.flash)
-    code = [
-        [f"code {target}, bytes", *(row.footprint.flash.get(target, "-") for row in filters)]
-        for target in targets
-    ]
-    rows: list[Sequence[object]] = [
-        ["MSE / that of the genie", *(row.relative for row in filters)],
-        *([f"rmse {name}", *(row.rmse[name] for row in filters)] for name in filters[0].rmse),
-        ["NEES / states", *(row.nees for row in filters)],
-        ["NIS / rows of y", *(row.nis for row in filters)],
-        ["faults found", *(row.detected for row in filters)],
-        ["delay, samples", *(row.delay for row in filters)],
-        ["false alarms", *(row.false_alarms for row in filters)],
-        ["flops of a step", *(row.footprint.operations for row in filters)],
-        ["calls of log, exp, ..", *(row.footprint.calls for row in filters)],
-        ["state, bytes", *(row.footprint.state for row in filters)],
-        *code,
-        ["nothing cheaper is as good", *("yes" if row.pareto else "" for row in filters)],
-    ]
-    texts = [[str(cell) for cell in row] for row in rows]
+    lines: dict[str, Iterable[object]] = {
+        "MSE / that of the genie": (row.relative for row in filters),
+        **{f"rmse {name}": [row.rmse[name] for row in filters] for name in filters[0].rmse},
+        "NEES / states": (row.nees for row in filters),
+        "NIS / rows of y": (row.nis for row in filters),
+        "faults found": (row.detected for row in filters),
+        "delay, samples": (row.delay for row in filters),
+        "false alarms": (row.false_alarms for row in filters),
+        "flops of a step": (row.footprint.operations for row in filters),
+        "calls of log, exp, ..": (row.footprint.calls for row in filters),
+        "state, bytes": (row.footprint.state for row in filters),
+        **{f"code {t}, bytes": [r.footprint.flash.get(t, "-") for r in filters] for t in targets},
+        "nothing cheaper is as good": ("yes" if row.pareto else "" for row in filters),
+    }
+    texts = [[name, *map(str, cells)] for name, cells in lines.items()]
     return ["", *(row.label for row in filters)], [row for row in texts if set(row[1:]) != {"-"}]
 
 

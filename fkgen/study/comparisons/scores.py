@@ -17,10 +17,8 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: Ports that scores need, as far as a filter has them.
-PORTS = (
-    *("filtered_state", "filtered_covariance", "nis"),
-    *("mode_probability", "fault_declared", "test_dof"),
-)
+_VERDICTS = ("mode_probability", "fault_declared", "test_dof")
+PORTS = ("filtered_state", "filtered_covariance", "nis", *_VERDICTS)
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
 _ROUNDED = 512.0
 #: A sensor is declared faulty when it is more probably so than not.
@@ -63,10 +61,10 @@ def score(
     runs, rows = len(error), np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
     nis = _nis(run, rows, skip, host=len(given.tested) < given.y.shape[2])
-    jump = drawn.spec.faults.jump
-    counts = np.full((runs, 5), np.nan)
-    faults, few = _faulty(drawn), np.arange(1, given.y.shape[2] + 1)
-    limits = np.array([np.inf, *(2.0 * gammainccinv(0.5 * few, false_alarm))])  # of 0, 1, ... rows
+    counts, jump = np.full((runs, 5), np.nan), drawn.spec.faults.jump
+    half = 0.5 * np.arange(1, given.y.shape[2] + 1)
+    limits = np.array([np.inf, *(2.0 * gammainccinv(half, false_alarm))])  # of 0, 1, ... rows
+    faults = _faulty(drawn)
     alarms = _declared(run, limits[rows], 1 if jump is None else len(jump.modes))
     if faults is not None and alarms is not None:
         tested = _positive(run, "test_dof")  # a filter with windows decides at their ends
@@ -90,20 +88,17 @@ def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> A
     Directions in which P (M, T, n, n), of this unit round-off, is zero are left out; NaN where none
     is left.
     """
-    n = error.shape[2]
-    left = covariance.astype(np.float64)
-    e = error.copy()
+    left, e = covariance.astype(np.float64), error.copy()
     total, dimensions = np.zeros(e.shape[:2]), np.zeros(e.shape[:2])
-    for j in range(n):
+    for j in range(e.shape[2]):
         pivot = left[..., j, j].copy()
         there = pivot > _ROUNDED * unit * covariance[..., j, j]
         inverse = np.divide(1.0, pivot, out=np.zeros_like(pivot), where=there)
         total += e[..., j] ** 2 * inverse
         dimensions += there
-        for i in range(j + 1, n):
-            share = left[..., i, j] * inverse
-            e[..., i] -= share * e[..., j]
-            left[..., i, j + 1 :] -= share[..., None] * left[..., j, j + 1 :]
+        share, below = left[..., j + 1 :, j] * inverse[..., None], left[..., j, None, j + 1 :]
+        e[..., j + 1 :] -= share * e[..., j, None]
+        left[..., j + 1 :, j + 1 :] -= share[..., None] * below
     return _over(total.sum(axis=1), dimensions.sum(axis=1))
 
 
@@ -133,10 +128,11 @@ def _declared(run: Run, limits: Array, healthy: int) -> Flags | None:
 
     ``limits`` (M, T) are those of the NIS; the first ``healthy`` modes are those without fault.
     """
-    verdict = _positive(run, "fault_declared")
-    if verdict is None and "mode_probability" in run.ports:
+    if "fault_declared" in run.ports:
+        return _positive(run, "fault_declared")
+    if "mode_probability" in run.ports:
         return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < _DECIDED)
-    return np.asarray(run["nis"] > limits) if verdict is None and "nis" in run.ports else verdict
+    return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
 
 
 def _positive(run: Run, name: str) -> Flags | None:
@@ -152,13 +148,10 @@ def detection(faults: Flags, alarms: Flags, skip: int, decided: Flags | None = N
     Of the samples without fault those count at which something is ``decided``; all by default.
     """
     faults, alarms = faults[:, skip:], alarms[:, skip:]
-    at = np.arange(faults.shape[1])
     next_declared, end = _next(alarms), _next(~faults)
-    onset = faults.copy()
-    onset[:, 0] = False  # it may have set in before
-    onset[:, 1:] &= ~faults[:, :-1]
+    onset = faults & np.diff(faults, axis=1, prepend=True)  # the first may have set in before
     found = onset & (next_declared < end)
-    wait = np.where(found, next_declared - at, 0)
+    wait = np.where(found, next_declared - np.arange(faults.shape[1]), 0)
     healthy = ~faults if decided is None else ~faults & decided[:, skip:]
     counts = (healthy, healthy & alarms, onset, found, wait)
     return Detection(*(each.sum(axis=1).astype(np.float64) for each in counts))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -100,10 +101,10 @@ def detectability(
     DataError
         If an argument does not fit, or the filter is not linear or does not come to rest.
     """
-    d, driven = _direction(spec, direction), _inputs(spec, u)
+    d = _direction(spec, direction)
     w = whole("window", window, least=1, expected="a number of samples, at least 1")
     rates = probability("false_alarm", false_alarm), probability("power", power)
-    information, plateau = _information(spec, step(w, 0, d), driven)
+    information, plateau = _information(spec, step(w, 0, d), u)
     total, p = float(information.sum()), spec.model.ny
     tests = {"nis": (p, float(information[0])), "windowed_nis": (p * w, total), "glr": (1, total)}
     least = {}
@@ -121,8 +122,12 @@ def detectability(
     )
 
 
-def _information(spec: Spec, bias: Array, u: Array) -> tuple[Array, float]:
+def _information(spec: Spec, bias: Array, inputs: ArrayLike | None) -> tuple[Array, float]:
     """Noncentrality of every sample of a bias that begins at rest, and what it tends to."""
+    q = spec.model.nu
+    u = np.zeros(q) if inputs is None else numbers("u", inputs, np.float64).astype(float).ravel()
+    if u.shape != (q,) or not np.isfinite(u).all():
+        raise DataError("u", given=str(u), expected=f"{q} finite numbers, one per input")
     if not spec.filter.traits.linear:
         linear = ", ".join(name for name in NAMES if family(name).traits.linear)
         given = f"the family {spec.filter.family}"
@@ -165,17 +170,6 @@ def unit_vector(what: str, name: str, names: Sequence[str]) -> Array:
     return np.asarray(np.eye(len(names))[names.index(name)])
 
 
-def _inputs(spec: Spec, u: ArrayLike | None) -> Array:
-    """Constant inputs, (q,)."""
-    q = spec.model.nu
-    if u is None:
-        return np.zeros(q)
-    driven = np.asarray(numbers("u", u, np.float64), dtype=float).reshape(-1)
-    if driven.shape != (q,) or not np.isfinite(driven).all():
-        raise DataError("u", given=str(driven), expected=f"{q} finite numbers, one per input")
-    return driven
-
-
 def least_biases(
     spec: Spec, *, direction: str, false_alarm: float, power: float, window: str, inputs: str
 ) -> Answer:
@@ -194,21 +188,16 @@ def least_biases(
         d = signal.name if along is None else along
         found = [detectability(spec, d, false_alarm, power, w, u=u) for w in windows]
         first, sums, ratios = found[0], [o.windowed_nis for o in found], [o.glr for o in found]
-        rows.append(
-            (signal.name, signal.unit, *(f"{bias:.4g}" for bias in (first.nis, *sums, *ratios)))
-        )
-        biases.append(
-            {
-                "name": signal.name,
-                "unit": signal.unit,
-                "direction": first.direction,
-                "nis": first.nis,
-                "windowed_nis": sums,
-                "glr": ratios,
-                "onset_noncentrality": float(first.information[0]),
-                "plateau_noncentrality": first.plateau,
-            }
-        )
+        least = (f"{bias:.4g}" for bias in (first.nis, *sums, *ratios))
+        rows.append((signal.name, signal.unit, *least))
+        about: dict[str, Any] = {
+            "name": signal.name,
+            "unit": signal.unit,
+            "direction": first.direction,
+        }
+        about |= {"nis": first.nis, "windowed_nis": sums, "glr": ratios}
+        about["onset_noncentrality"] = float(first.information[0])
+        biases.append(about | {"plateau_noncentrality": first.plateau})
     meaning = (
         f"Least constant bias found with probability {power:g} at {false_alarm:g} false alarms "
         "per test, from its onset on, filter at rest."
