@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,10 +90,9 @@ def _options(texts: Sequence[str]) -> dict[str, object]:
     options: dict[str, object] = {}
     for text in texts:
         key, _, value = text.partition("=")
-        try:
+        options[key] = value
+        with suppress(ValueError):
             options[key] = float(value)
-        except ValueError:
-            options[key] = value
     return options
 
 

@@ -5,7 +5,6 @@ Recommended is the cheapest of the filters that are as good as the best, as far 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
@@ -18,7 +17,7 @@ from fkgen.problem import Spec
 from fkgen.study.comparisons.candidates import GENIE, fault_section
 from fkgen.study.comparisons.footprint import Footprint
 from fkgen.study.comparisons.scores import Detection, Scores
-from fkgen.study.reports.jsonable import finite_or_none
+from fkgen.study.reports.jsonable import json_text
 
 Array = NDArray[np.float64]
 
@@ -217,7 +216,7 @@ class Comparison:
 
     def to_json(self) -> str:
         """Everything as JSON; what has no value is null."""
-        return json.dumps(finite_or_none(asdict(self)), indent=2)
+        return json_text(asdict(self))
 
 
 def ranked(

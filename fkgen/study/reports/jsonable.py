@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,16 +20,11 @@ class Answer:
     indent: int | None = 2  # of the JSON text
 
     def to_json(self) -> str:
-        """The facts; what is not finite becomes null."""
-        return json.dumps(finite_or_none(self.facts), indent=self.indent)
+        """The facts as JSON."""
+        return json_text(self.facts, self.indent)
 
 
-def finite_or_none(value: Any) -> Any:
-    """Numbers, arrays, and nested lists and dicts of them; what is not finite becomes None."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {key: finite_or_none(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite_or_none(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def json_text(facts: Any, indent: int | None = 2) -> str:
+    """Numbers, arrays, and lists and dicts of them; what is not finite becomes null."""
+    text = json.dumps(facts, default=lambda array: array.tolist())
+    return json.dumps(json.loads(text, parse_constant=lambda _: None), indent=indent)
