@@ -27,7 +27,7 @@ from fkgen.study.comparisons.candidates import (
     genie_of,
 )
 from fkgen.study.comparisons.footprint import footprint
-from fkgen.study.comparisons.ranking import Comparison, ranked
+from fkgen.study.comparisons.ranking import Comparison, Entry, ranked
 from fkgen.study.comparisons.scores import Scores, score
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.filtering import csv_text
@@ -123,9 +123,13 @@ def _compared(
                 told = filter_inputs(trials, spec, genie=parts is results[0])
                 parts.append(score(built, told, trials, size["skip"], false_alarm))
                 advance(len(trials.y))
-    whole = [Scores(*map(np.concatenate, zip(*parts, strict=True))) for parts in results]
-    names = [(label, spec.filter.family) for label, spec in everyone]
-    found = ranked(truth, names, whole, costs, false_alarm, **size)
+    entries = [
+        Entry(
+            label, spec.filter.family, cost, Scores(*map(np.concatenate, zip(*each, strict=True)))
+        )
+        for (label, spec), cost, each in zip(everyone, costs, results, strict=True)
+    ]
+    found = ranked(truth, entries, false_alarm, **size)
     caveats = (
         f"{label}: {finding.message}"
         for label, spec in candidates.items()

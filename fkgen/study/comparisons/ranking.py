@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +160,15 @@ def recommended(everyone: Sequence[Score], nees: dict[str, Estimate]) -> tuple[s
     return chosen.label, f"Take {chosen.label}: {why}."
 
 
+class Entry(NamedTuple):
+    """A filter with everything that was measured of it."""
+
+    label: str
+    family: str
+    footprint: Footprint
+    scores: Scores
+
+
 @dataclass(frozen=True, slots=True)
 class Row:
     """One filter in the table."""
@@ -219,31 +229,22 @@ class Comparison:
         return json_text(asdict(self))
 
 
-def ranked(
-    truth: Spec,
-    filters: Sequence[tuple[str, str]],
-    results: Sequence[Scores],
-    costs: Sequence[Footprint],
-    false_alarm: float,
-    **size: int,
-) -> Comparison:
-    """Compare filters of some label and family, the genie-aided one first."""
-    genie, *others = (
-        (_score(label, cost, scores.squared, results[0].squared), family, scores)
-        for (label, family), scores, cost in zip(filters, results, costs, strict=True)
-    )
+def ranked(truth: Spec, entries: Sequence[Entry], false_alarm: float, **size: int) -> Comparison:
+    """Compare filters, of which the first is the genie-aided one."""
+    best = entries[0].scores.squared
+    genie, *others = ((_score(each, best), each) for each in entries)
     known = [each for each in others if np.isfinite(each[0].value)]
     known.sort(key=lambda each: each[0].value)
-    standing = [score for score, *_ in known]
+    standing = [score for score, _ in known]
     if not known:
         given = "errors that are zero for the genie, or beyond all numbers for every filter"
         expected = "a plant with noise, and a horizon over which a filter follows it"
         raise DataError("comparison", given=given, expected=expected)
     rows = [_row(truth, *each, pareto=not beaten(each[0], standing)) for each in known]
     chosen, sentence = recommended(standing, {row.label: row.nees for row in rows})
-    lost = [
-        f"{score.label} lost the state: left out" for score, *_ in others if score not in standing
-    ]
+    lost = (
+        f"{score.label} lost the state: left out" for score, _ in others if score not in standing
+    )
     return Comparison(
         name=truth.name,
         **size,
@@ -255,8 +256,9 @@ def ranked(
     )
 
 
-def _score(label: str, footprint: Footprint, squared: Array, best: Array) -> Score:
+def _score(entry: Entry, best: Array) -> Score:
     """MSE (M, n) over that of the genie: the mean over states, and the influence of every trial."""
+    label, _, footprint, (squared, *_) = entry
     with np.errstate(invalid="ignore", over="ignore"):
         parts = [influence_of(a, b) for a, b in zip(squared.T, best.T, strict=True)]
     known = [part for part in parts if np.isfinite(part[0])]
@@ -266,13 +268,14 @@ def _score(label: str, footprint: Footprint, squared: Array, best: Array) -> Sco
     return Score(label, footprint, float(np.mean(values)), np.asarray(np.mean(influences, axis=0)))
 
 
-def _row(truth: Spec, score: Score, family: str, scores: Scores, *, pareto: bool) -> Row:
+def _row(truth: Spec, score: Score, entry: Entry, *, pareto: bool) -> Row:
+    scores = entry.scores
     states = zip(truth.model.states, scores.squared.T, strict=True)
     declared = np.full_like(scores.detection, np.nan) if score.label == GENIE else scores.detection
     found = Detection(*declared.T)
     return Row(
         label=score.label,
-        family=family,
+        family=entry.family,
         relative=score.relative,
         rmse={state.name: mean(squared).root() for state, squared in states},
         nees=mean(scores.nees),

@@ -37,6 +37,7 @@ from fkgen.study.effects.effect import FaultEffect
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.float64]
+_Records = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, ArrayLike | None]
 
 #: Who gets the anomaly of an input, and its sign in the error of the filter: one that is told
 #: everything, nothing, or too much (a wrong readback).
@@ -121,7 +122,7 @@ def fault_effect(
     DataError
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
     """
-    scenario = _checked(spec, (sensor, input), mode, steps, params=params, u=u, y=y)
+    scenario = _checked(spec, (sensor, input, u, y), params or {}, mode, steps)
     traits = spec.filter.traits
     if traits.linear:
         return _linear_response(scenario)
@@ -131,25 +132,19 @@ def fault_effect(
 
 
 def _checked(
-    spec: Spec,
-    added: tuple[ArrayLike | None, ArrayLike | None],
-    mode: str,
-    steps: int | None,
-    *,
-    params: Mapping[str, ArrayLike] | None,
-    u: ArrayLike | None,
-    y: ArrayLike | None,
+    spec: Spec, records: _Records, params: Mapping[str, ArrayLike], mode: str, steps: int | None
 ) -> _Scenario:
     model, faults = spec.model, spec.faults
+    sensor, anomaly, u, y = records
     if mode not in _SIGN:
         raise DataError("mode", given=repr(mode), expected=choice(str(mode), list(_SIGN)))
-    if added[0] is None and added[1] is None:
+    if sensor is None and anomaly is None:
         expected = "sensor (T, p) or input (T, q): see fkgen.profiles"
         raise DataError("the fault", given="nothing", expected=expected)
-    if added[1] is not None and not model.nu:
+    if anomaly is not None and not model.nu:
         raise DataError("input", given="a profile", expected="none: the model has no B")
     try:
-        T = len(np.atleast_1d(np.asarray(added[0] if added[1] is None else added[1])))
+        T = len(np.atleast_1d(np.asarray(sensor if anomaly is None else anomaly)))
     except ValueError:
         given = "rows of different lengths"
         raise DataError("the fault", given=given, expected="a matrix, one row per sample") from None
@@ -163,11 +158,11 @@ def _checked(
         raise DataError("u", given="nothing", expected=expected)
     return _Scenario(
         spec=replace(spec, code=replace(spec.code, scalar="double")),
-        sensor=_record("sensor", added[0], model.outputs, T),
-        anomaly=_record("input", added[1], model.inputs, T),
+        sensor=_record("sensor", sensor, model.outputs, T),
+        anomaly=_record("input", anomaly, model.inputs, T),
         mode=mode,
         u=_record("u", u, model.inputs, T),
-        params=_parameters(spec, params or {}, T),
+        params=_parameters(spec, params, T),
         missing=np.isnan(_record("y", y, model.outputs, T)),
     )
 
