@@ -31,6 +31,9 @@ NAMES = (
 #: Other names of the literature.
 ALIASES = {"gpb1": "one_step", "mmae": "mme"}
 
+#: What names a family that is not in the list.
+EXPECTED = "module:NAME, a Family in an importable module"
+
 
 @cache
 def family(name: str) -> Family:
@@ -41,7 +44,10 @@ def family(name: str) -> Family:
 def find(given: object, place: Place) -> Family:
     """The family that a spec asks for."""
     if isinstance(given, str) and ":" in given:
-        return _outside(given, place)
+        module, _, value = given.partition(":")
+        if not all(part.isidentifier() for part in (*module.split("."), value)):
+            raise place.error(show(given), EXPECTED)
+        return _value(module, value, place)
     name = ALIASES.get(given, given) if isinstance(given, str) else given
     if not isinstance(name, str) or name not in NAMES:
         hint = suggestion(name, NAMES) if isinstance(name, str) else ""
@@ -49,24 +55,17 @@ def find(given: object, place: Place) -> Family:
     return _value(f"fkgen.families.{name}", "FAMILY", place)
 
 
-def _outside(given: str, place: Place) -> Family:
-    module, _, value = given.partition(":")
-    if not all(part.isidentifier() for part in (*module.split("."), value)):
-        raise place.error(show(given), "module:NAME, a Family in an importable module")
-    return _value(module, value, place)
-
-
 def _value(module: str, name: str, place: Place) -> Family:
     """The value of this name in a module, which has to be a family."""
-    given, expected = show(f"{module}:{name}"), "module:NAME, a Family in an importable module"
+    given = show(f"{module}:{name}")
     try:
         found = getattr(import_module(module), name, None)
     except Exception as fault:
         reason = " ".join(str(fault).split())
-        raise place.error(f"{given}: {type(fault).__name__}, {reason}", expected) from fault
+        raise place.error(f"{given}: {type(fault).__name__}, {reason}", EXPECTED) from fault
     if not isinstance(found, Family):
         what = "has no such name" if found is None else f"is of type {type(found).__name__}"
-        raise place.error(f"{given}, which {what}", expected)
+        raise place.error(f"{given}, which {what}", EXPECTED)
     return found
 
 

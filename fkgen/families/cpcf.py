@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 
-from fkgen.families.family import Family, Proof
+from fkgen.families.family import Family, built_by, proved_by
 from fkgen.faults.partial_state import SAME, measured_states, typical_deviation
 from fkgen.faults.soft import CompressionOptions, read_soft_faults
 from fkgen.problem import Model, Spec
@@ -22,11 +22,7 @@ from fkgen.problem.filter import Traits
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
-if TYPE_CHECKING:
-    from fkgen.symbolic.recursion import Recursion
-
 Maintenance = Literal["optimal", "paper"]
-MAINTENANCE: tuple[Maintenance, ...] = ("optimal", "paper")
 
 _WAY_OUT = "for the family cpcf; the family dfcf takes any rows"
 
@@ -41,7 +37,7 @@ class CpcfOptions(CompressionOptions):
     def read(cls, section: Section, faults: object, model: Model) -> Self:
         """What every compression filter has, and the maintenance."""
         common = CompressionOptions.read(section, faults, model)
-        how = section.choice("maintenance", MAINTENANCE, "optimal")
+        how: Maintenance = section.choice("maintenance", get_args(Maintenance), "optimal")
         return cls(common.test, common.reacquire, how)
 
 
@@ -79,27 +75,20 @@ def check(spec: Spec) -> None:
             )
 
 
-def build(spec: Spec) -> Recursion:
-    """Build host filter and compression filter of a spec."""
-    from fkgen.estimators.windows.partial import partial_compression_filter
-
-    source = "Lee & Lee, Theorem 4, eqs. (28), (29), (37)-(47), (50), (51)"
-    return partial_compression_filter(spec, source=source)
-
-
-def proof() -> Proof:
-    """Errors written out in the primitive noises, and the host alone."""
-    from fkgen.oracle.claims.partial_compression import CONTRADICTED, HOST_ALONE, PRIMITIVE_NOISES
-    from fkgen.oracle.theorems.compression import PARTIAL_IDENTITIES
-
-    return Proof((PRIMITIVE_NOISES, CONTRADICTED, HOST_ALONE), PARTIAL_IDENTITIES)
-
-
 FAMILY = Family(
     name="cpcf",
     title="sensors that drift slowly, at less cost: host filter and partial compression filter",
-    build=build,
-    proof=proof,
+    build=built_by(
+        "windows.partial:partial_compression_filter",
+        source="Lee & Lee, Theorem 4, eqs. (28), (29), (37)-(47), (50), (51)",
+    ),
+    proof=proved_by(
+        "compression",
+        "PRIMITIVE_NOISES",
+        "CONTRADICTED",
+        "HOST_ALONE",
+        theorems="compression:PARTIAL_IDENTITIES",
+    ),
     traits=Traits(windows="partial"),
     options=CpcfOptions,
     accepts={"soft": partial(read_soft_faults, single=True)},

@@ -8,38 +8,25 @@ rejects them.
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
-from fkgen.families.family import Family, Proof
+from fkgen.families.family import Family, built_by, proved_by
 from fkgen.faults.soft import CompressionOptions, read_soft_faults
-from fkgen.problem import Spec
 from fkgen.problem.filter import Traits
-
-if TYPE_CHECKING:
-    from fkgen.symbolic.recursion import Recursion
-
-
-def build(spec: Spec) -> Recursion:
-    """Build host filter and compression filter of a spec."""
-    from fkgen.estimators.windows.compression import compression_filter
-
-    source = "Lee & Lee, Theorem 3, eqs. (28)-(36), (50), (51), as a second Kalman filter"
-    return compression_filter(spec, source)
-
-
-def proof() -> Proof:
-    """The joint distribution of each window, rejected and accepted."""
-    from fkgen.oracle.claims.compression import ACCEPTED, REJECTED, WINDOWS
-    from fkgen.oracle.theorems.compression import COMPRESSION_IDENTITIES
-
-    return Proof((WINDOWS, REJECTED, ACCEPTED), COMPRESSION_IDENTITIES)
-
 
 FAMILY = Family(
     name="dfcf",
     title="sensors that drift slowly: host filter and compression filter",
-    build=build,
-    proof=proof,
+    build=built_by(
+        "windows.compression:compression_filter",
+        source="Lee & Lee, Theorem 3, eqs. (28)-(36), (50), (51), as a second Kalman filter",
+    ),
+    proof=proved_by(
+        "compression",
+        "WINDOWS",
+        "REJECTED",
+        "ACCEPTED",
+        theorems="compression:COMPRESSION_IDENTITIES",
+    ),
     traits=Traits(windows="full"),
     options=CompressionOptions,
     accepts={"soft": partial(read_soft_faults, host="some")},

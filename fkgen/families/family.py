@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from fkgen.problem import Model, Spec
@@ -32,56 +33,56 @@ class Proof:
     theorems: tuple[Identity, ...] = ()  # What SymPy proves once for all models
 
 
-def as_it_is(table: Table, _: Spec) -> Table:
-    """For families that take the faults of the plant as they are stated."""
-    return table
+def built_by(where: str, **options: Any) -> Callable[[Spec], Recursion]:
+    """The function "module:name" of the estimators, imported when it builds."""
+
+    def build(spec: Spec) -> Recursion:
+        recursion: Recursion = _found(f"estimators.{where}")(spec, **options)
+        return recursion
+
+    return build
+
+
+def by_option(key: str, **builders: Callable[[Spec], Recursion]) -> Callable[[Spec], Recursion]:
+    """What builds the filter for the value that an option has."""
+    return lambda spec: builders[getattr(spec.filter.options, key)](spec)
+
+
+def proved_by(claims: str, *names: str, theorems: str = "") -> Callable[[], Proof]:
+    """Closed forms of a module of claims, and theorems "module:NAME", imported when asked for."""
+
+    def proof() -> Proof:
+        closed_forms = tuple(_found(f"oracle.claims.{claims}:{name}") for name in names)
+        return Proof(closed_forms, _found(f"oracle.theorems.{theorems}") if theorems else ())
+
+    return proof
+
+
+def _found(where: str) -> Any:
+    module, _, name = where.partition(":")
+    return getattr(import_module(f"fkgen.{module}"), name)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
-    """A filter family; its module loads nothing heavy before ``build`` or ``proof`` is called.
+    """A filter family; its module loads nothing heavy before ``build`` or ``proof`` is called."""
 
-    Attributes
-    ----------
-    name : str
-        As in ``filter.family``.
-    title : str
-        One line for ``fkgen families``.
-    build : callable
-        ``build(spec) -> Recursion``.
-    proof : callable
-        ``proof() -> Proof``: closed forms and theorems.
-    traits : Traits
-        What other code asks.
-    options : type of Options
-        A frozen dataclass that reads its fields from the section ``filter``.
-    accepts : mapping of str to callable
-        Sections of ``faults`` that it is about, of which a spec has one, and how each is read.
-    optional_faults : bool
-        Whether the first section may be missing.
-    check : callable
-        ``check(spec)`` raises SpecError where the family is not defined.
-    caveats : callable
-        ``caveats(spec)``: where the filter of this spec is less than its name says.
-    adopt : callable
-        ``adopt(table, truth)``: the spec of this family for the plant of another spec, to be
-        compared with it; ``table["faults"]`` is that of the truth.
-    starter : str
-        File among the templates that holds a spec to begin with.
-    """
-
-    name: str
-    title: str
+    name: str  # as in ``filter.family``
+    title: str  # one line for ``fkgen families``
     build: Callable[[Spec], Recursion]
     proof: Callable[[], Proof]
-    traits: Traits = field(default_factory=Traits)
-    options: type[Options] = Options
+    traits: Traits = field(default_factory=Traits)  # what other code asks
+    options: type[Options] = Options  # a frozen dataclass that reads its fields from ``filter``
+    #: Sections of ``faults`` that it is about, of which a spec has one, and how each is read
     accepts: Mapping[str, FaultReader] = field(default_factory=dict)
-    optional_faults: bool = False
-    check: Callable[[Spec], None] = lambda _: None
+    optional_faults: bool = False  # the first section may be missing
+    check: Callable[[Spec], None] = lambda _: None  # raises SpecError where it is not defined
+    #: Where the filter of a spec is less than its name says
     caveats: Callable[[Spec], tuple[Finding, ...]] = lambda _: ()
-    adopt: Callable[[Table, Spec], Table] = as_it_is
-    starter: str = ""
+    #: ``adopt(table, truth)``: the spec of this family for the plant of another spec, to be
+    #: compared with it; ``table["faults"]`` is that of the truth
+    adopt: Callable[[Table, Spec], Table] = lambda table, _: table
+    starter: str = ""  # file among the templates that holds a spec to begin with
 
     @property
     def closed_forms(self) -> tuple[ClosedForm, ...]:

@@ -7,9 +7,9 @@ sample the estimates are mixed by what the chain says about the mode before, eqs
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-from fkgen.families.family import Family, Proof, Table
+from fkgen.families.family import Family, Table, built_by, proved_by
 from fkgen.faults import Faults, JumpFaults
 from fkgen.faults.jump import read_jump_faults
 from fkgen.faults.sensor import read_sensor_faults
@@ -18,9 +18,6 @@ from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
 from fkgen.problem.table.place import show
 from fkgen.problem.table.section import Section, as_number
-
-if TYPE_CHECKING:
-    from fkgen.symbolic.recursion import Recursion
 
 #: Probabilities closer than this are the same.
 EQUAL = 1e-12
@@ -47,20 +44,6 @@ class ImmOptions(Options):
             given = number if faults.jump is None else section.table["modes"]
             raise place.error(show(given), expected)
         return cls(int(number))
-
-
-def build(spec: Spec) -> Recursion:
-    """Build the filter: a correction per mode, Bayes' rule, mixing, a prediction per mode."""
-    from fkgen.estimators.models.interacting import interacting_models
-
-    return interacting_models(spec)
-
-
-def proof() -> Proof:
-    """Interacting matrix filters, and exact Bayes as far as it reaches."""
-    from fkgen.oracle.claims.sensor import ENUMERATION, IMM
-
-    return Proof((IMM, ENUMERATION))
 
 
 def three_modes(spec: Spec) -> tuple[Finding, ...]:
@@ -94,8 +77,8 @@ def without_channel(table: Table, truth: Spec) -> Table:
 FAMILY = Family(
     name="imm",
     title="modes of the sensor or of the plant that last: interacting multiple models",
-    build=build,
-    proof=proof,
+    build=built_by("models.interacting:interacting_models"),
+    proof=proved_by("sensor", "IMM", "ENUMERATION"),
     traits=Traits(models="mixed", densities=True),
     options=ImmOptions,
     accepts={"sensor": read_sensor_faults, "jump": read_jump_faults},

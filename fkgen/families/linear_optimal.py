@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 
-from fkgen.families.family import Family, Proof
+from fkgen.families.family import Family, built_by, by_option, proved_by
 from fkgen.faults import Faults
 from fkgen.faults.sensor import is_white, read_sensor_faults
 from fkgen.problem import Model, Spec
@@ -22,11 +22,7 @@ from fkgen.problem.finding import Finding
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
-if TYPE_CHECKING:
-    from fkgen.symbolic.recursion import Recursion
-
 LinearForm = Literal["lemma2", "augmented"]
-FORMS: tuple[LinearForm, ...] = ("lemma2", "augmented")
 
 #: Samples after which the errors are compared.
 HORIZON = 200
@@ -43,7 +39,7 @@ class LinearOptions(Options):
     @classmethod
     def read(cls, section: Section, _: Faults, __: Model) -> Self:
         """The form, by default that of the paper."""
-        return cls(section.choice("form", FORMS, "lemma2"))
+        return cls(section.choice("form", get_args(LinearForm), "lemma2"))
 
 
 def check(spec: Spec) -> None:
@@ -71,24 +67,6 @@ def check(spec: Spec) -> None:
         raise place.entry("model").entry("x0").error("a start that is not zero", f"zero {because}")
     if spec.model.nu:
         raise place.entry("model").entry("B").error("known inputs", f"none {because}")
-
-
-def build(spec: Spec) -> Recursion:
-    """Build the filter in the form of the spec."""
-    from fkgen.estimators.lmmse.jump import jump_filter
-    from fkgen.estimators.lmmse.lemma2 import uncertain_filter
-
-    if spec.filter.options.form == "augmented":
-        return jump_filter(spec, "Costa 1994; Sigalov & Oshman, sec. V without Lemma 2")
-    return uncertain_filter(spec, "Sigalov & Oshman, sec. V, eqs. (19)-(23), covariance form")
-
-
-def proof() -> Proof:
-    """Eqs. (23) with whole matrices, and the projection on the second moments of all samples."""
-    from fkgen.oracle.claims.sensor import LEMMA_2_FORM, LINEAR_BATCH
-    from fkgen.oracle.theorems.linear_optimal import LINEAR_IDENTITIES
-
-    return Proof((LEMMA_2_FORM, LINEAR_BATCH), LINEAR_IDENTITIES)
 
 
 def lemma_2(spec: Spec) -> tuple[Finding, ...]:
@@ -151,8 +129,19 @@ def _errors(spec: Spec) -> tuple[float | None, float | None]:
 FAMILY = Family(
     name="linear_optimal",
     title="sensors that lose their signal or gain noise: linear optimal filter",
-    build=build,
-    proof=proof,
+    build=by_option(
+        "form",
+        lemma2=built_by(
+            "lmmse.lemma2:uncertain_filter",
+            source="Sigalov & Oshman, sec. V, eqs. (19)-(23), covariance form",
+        ),
+        augmented=built_by(
+            "lmmse.jump:jump_filter", source="Costa 1994; Sigalov & Oshman, sec. V without Lemma 2"
+        ),
+    ),
+    proof=proved_by(
+        "sensor", "LEMMA_2_FORM", "LINEAR_BATCH", theorems="linear_optimal:LINEAR_IDENTITIES"
+    ),
     traits=Traits(moments=True),
     options=LinearOptions,
     accepts={"sensor": partial(read_sensor_faults, law="moments")},

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal, Self, get_args
 
-from fkgen.families.family import Family, Proof, demand_noise
+from fkgen.families.family import Family, built_by, by_option, demand_noise, proved_by
 from fkgen.faults import Faults, JumpFaults
 from fkgen.faults.chain import MARGIN, is_ergodic, mean_square_radius
 from fkgen.faults.jump import read_jump_faults
@@ -19,13 +19,11 @@ from fkgen.problem.filter import Options, Traits
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
-if TYPE_CHECKING:
-    from fkgen.symbolic.recursion import Recursion
-
 Detector = Literal["none", "llr", "nis", "energy"]
 Gain = Literal["time_varying", "stationary"]
-DETECTORS: tuple[Detector, ...] = ("none", "llr", "nis", "energy")
-GAINS: tuple[Gain, ...] = ("time_varying", "stationary")
+DETECTORS: tuple[Detector, ...] = get_args(Detector)
+
+SOURCE = "Costa 1994, sec. III; Costa, Fragoso & Marques 2005, sec. 5.4; Nahi 1969, eq. (13)"
 
 DEFAULT_ALPHA = 0.01
 LONGEST_WINDOW = 100
@@ -74,7 +72,7 @@ class LossOptions(Options):
             window=section.count("window", 1, LONGEST_WINDOW),
             lock_out=section.count("lock_out", 10, 10**6),
             reinitialise=section.flag("reinitialise", default=False),
-            gain=section.choice("gain", GAINS, "time_varying"),
+            gain=section.choice("gain", get_args(Gain), "time_varying"),
         )
 
     def plain(self) -> dict[str, object]:
@@ -142,28 +140,15 @@ def _check_stationary(spec: Spec, faults: JumpFaults) -> None:
         )
 
 
-def build(spec: Spec) -> Recursion:
-    """Build the filter with the gain of the spec."""
-    from fkgen.estimators.lmmse.jump import jump_filter
-    from fkgen.estimators.lmmse.stationary import stationary_filter
-
-    source = "Costa 1994, sec. III; Costa, Fragoso & Marques 2005, sec. 5.4; Nahi 1969, eq. (13)"
-    still = spec.filter.options.gain == "stationary"
-    return stationary_filter(spec, source) if still else jump_filter(spec, source)
-
-
-def proof() -> Proof:
-    """Projections over all paths, and whole matrices over the split state."""
-    from fkgen.oracle.claims.jump import PATHS, TEXTBOOK
-
-    return Proof((PATHS, TEXTBOOK))
-
-
 FAMILY = Family(
     name="mjls_lmmse",
     title="plants that jump between modes, samples that are lost: best linear filter, loss tests",
-    build=build,
-    proof=proof,
+    build=by_option(
+        "gain",
+        time_varying=built_by("lmmse.jump:jump_filter", source=SOURCE),
+        stationary=built_by("lmmse.stationary:stationary_filter", source=SOURCE),
+    ),
+    proof=proved_by("jump", "PATHS", "TEXTBOOK"),
     traits=Traits(moments=True),
     options=LossOptions,
     accepts={"jump": partial(read_jump_faults, arrivals=True)},

@@ -7,32 +7,11 @@ faults.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from fkgen.errors import DataError
-from fkgen.families.family import Family, Proof, Table
+from fkgen.families.family import Family, Table, built_by, proved_by
 from fkgen.faults.actuator import read_actuator_faults
 from fkgen.problem import Spec
 from fkgen.problem.filter import Traits
-
-if TYPE_CHECKING:
-    from fkgen.symbolic.recursion import Recursion
-
-
-def build(spec: Spec) -> Recursion:
-    """Build the modified Kalman filter of a spec."""
-    from fkgen.estimators.lmmse.kalman import linear_filter
-
-    source = "Strandt, Schneider & Yaz, eqs. (4), (9)-(13)"
-    return linear_filter(spec, source=source, with_gain=True)
-
-
-def proof() -> Proof:
-    """The best linear estimate of the whole record, the optimal gain, the Riccati equation."""
-    from fkgen.oracle.claims.gaussian import BATCH, OPTIMAL_GAIN, RICCATI
-    from fkgen.oracle.theorems.mkf import IDENTITIES
-
-    return Proof((BATCH, OPTIMAL_GAIN, RICCATI), IDENTITIES)
 
 
 def with_rate(table: Table, _: Spec) -> Table:
@@ -49,8 +28,12 @@ def with_rate(table: Table, _: Spec) -> Table:
 FAMILY = Family(
     name="mkf",
     title="intermittent actuator faults at a known rate: modified Kalman filter",
-    build=build,
-    proof=proof,
+    build=built_by(
+        "lmmse.kalman:linear_filter",
+        source="Strandt, Schneider & Yaz, eqs. (4), (9)-(13)",
+        with_gain=True,
+    ),
+    proof=proved_by("gaussian", "BATCH", "OPTIMAL_GAIN", "RICCATI", theorems="mkf:IDENTITIES"),
     traits=Traits(linear=True),
     accepts={"actuator": read_actuator_faults},
     adopt=with_rate,

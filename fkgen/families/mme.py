@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal, Self, get_args
 
 from fkgen.errors import DataError
-from fkgen.families.family import Family, Proof, Table
+from fkgen.families.family import Family, Table, built_by, proved_by
 from fkgen.faults import Faults
 from fkgen.faults.actuator import read_actuator_faults
 from fkgen.problem import Model, Spec
@@ -21,11 +21,7 @@ from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_list, as_number
 from fkgen.problem.text.foreign import plain_list
 
-if TYPE_CHECKING:
-    from fkgen.symbolic.recursion import Recursion
-
 Likelihood = Literal["mixture", "gaussian"]
-LIKELIHOODS: tuple[Likelihood, ...] = ("mixture", "gaussian")
 DEFAULT_FLOOR = 1e-6
 
 
@@ -44,12 +40,15 @@ class MmeOptions(Options):
         """Hypotheses, each of one rate where the inputs fail together."""
         common = faults.actuator is None or faults.actuator.dependence == "common"
         hypotheses = _hypotheses(section, 1 if common else model.nu)
-        count = len(hypotheses)
+        count, place = len(hypotheses), section.place.entry("prior")
+        prior = (1.0 / count,) * count
+        if "prior" in section:
+            prior = as_distribution(section.table["prior"], place, count, "one per hypothesis")
         return cls(
             hypotheses,
-            _prior(section, count),
+            prior,
             _floor(section, count),
-            section.choice("likelihood", LIKELIHOODS, "mixture"),
+            section.choice("likelihood", get_args(Likelihood), "mixture"),
         )
 
 
@@ -73,37 +72,13 @@ def _hypothesis(entry: object, place: Place, length: int) -> tuple[float, ...]:
     return tuple(as_probability(rate, place.item(index)) for index, rate in enumerate(rates))
 
 
-def _prior(section: Section, count: int) -> tuple[float, ...]:
-    if "prior" not in section:
-        return (1.0 / count,) * count
-    place = section.place.entry("prior")
-    return as_distribution(section.table["prior"], place, count, "one per hypothesis")
-
-
 def _floor(section: Section, count: int) -> float:
-    if "weight_floor" not in section:
-        return DEFAULT_FLOOR
     place = section.place.entry("weight_floor")
     expected = f"a number in [0, 1/{count}): {count} hypotheses share the probability 1"
-    floor = as_number(section.table["weight_floor"], place, expected)
+    floor = as_number(section.table.get("weight_floor", DEFAULT_FLOOR), place, expected)
     if not 0.0 <= floor < 1.0 / count:
         raise place.error(show(floor), expected)
     return floor
-
-
-def build(spec: Spec) -> Recursion:
-    """Build the bank."""
-    from fkgen.estimators.models.bank import multiple_model_bank
-
-    return multiple_model_bank(spec)
-
-
-def proof() -> Proof:
-    """Matrix filters with plain probabilities, and the joint density of all samples."""
-    from fkgen.oracle.claims.gaussian import MME_BATCH, MME_TEXTBOOK
-    from fkgen.oracle.theorems.mkf import IDENTITIES
-
-    return Proof((MME_TEXTBOOK, MME_BATCH), IDENTITIES)
 
 
 def with_hypotheses(table: Table, _: Spec) -> Table:
@@ -120,8 +95,8 @@ def with_hypotheses(table: Table, _: Spec) -> Table:
 FAMILY = Family(
     name="mme",
     title="unknown actuator fault rate: a bank of modified Kalman filters, one per hypothesis",
-    build=build,
-    proof=proof,
+    build=built_by("models.bank:multiple_model_bank"),
+    proof=proved_by("gaussian", "MME_TEXTBOOK", "MME_BATCH", theorems="mkf:IDENTITIES"),
     traits=Traits(models="bank", densities=True),
     options=MmeOptions,
     accepts={"actuator": partial(read_actuator_faults, rate_known=False)},

@@ -1,5 +1,1 @@
-"""Independent reference mathematics: closed forms that share no code with what they judge.
-
-Joint distributions of whole records, exact enumeration, Riccati equations and symbolic identities
-in NumPy, SciPy, SymPy and python-control; CasADi never appears.
-"""
+"""Independent reference mathematics that shares no code with what it judges, and no CasADi."""

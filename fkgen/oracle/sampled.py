@@ -21,13 +21,13 @@ UNIFORM = np.full((4, 4), 0.25)
 def draw_record(
     spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
 ) -> tuple[Array, dict[str, Array]]:
-    """Draw the measurements of one record.
-
-    Shapes: parameters (T,); u (T, q).
-    """
-    T, faults = len(u), spec.faults.sensor
-    if spec.faults.jump is not None:
-        return _jump_record(spec, parameters, u, rng), {**parameters}
+    """Draw y, NaN for a filter that knows what was lost, and parameters, (T,); u (T, q)."""
+    T, faults, jump = len(u), spec.faults.sensor, spec.faults.jump
+    if jump is not None:
+        record = simulate_jumps(JumpSystem.from_spec(spec, T, parameters), u, rng)
+        if jump.arrival == "known":
+            record.y[~record.arrived] = np.nan
+        return record.y, {**parameters}
     if faults is None:
         system = LinearSystem.from_spec(spec, T, parameters, spec.first_rates)
         return simulate(system, u, rng), {**parameters}
@@ -38,23 +38,10 @@ def draw_record(
     return y, {**parameters, **told}
 
 
-def _jump_record(
-    spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
-) -> Array:
-    """Measurements of a jumping plant; what was lost is NaN for a filter that knows it."""
-    record = simulate_jumps(JumpSystem.from_spec(spec, len(u), parameters), u, rng)
-    if spec.faults.jump is not None and spec.faults.jump.arrival == "known":
-        record.y[~record.arrived] = np.nan
-    return record.y
-
-
 def informed(
     system: LinearSystem, faults: SensorFaults, gamma: Array, delta: Array
 ) -> LinearSystem:
-    """The plant of one who knows gamma and delta of every sample.
-
-    Shapes: gamma, delta (T,).
-    """
+    """The plant of one who knows gamma and delta of every sample, (T,)."""
     rows = list(faults.rows)
     signal, noise = np.ones((2, system.length, system.ny))
     signal[:, rows], noise[:, rows] = gamma[:, None], np.sqrt(delta)[:, None]

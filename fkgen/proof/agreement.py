@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,12 @@ from fkgen.backend.execute import Machine
 from fkgen.backend.ir import CProgram
 from fkgen.backend.lower import generate
 from fkgen.backend.source import Source
+from fkgen.faults.chain import LETTERS
 from fkgen.oracle.claims.claim import Record
-from fkgen.oracle.claims.gaussian import digits_at_stake
 from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Code, Number, Operation, Spec
 from fkgen.problem.text.expression import Expression
-from fkgen.proof.experiment import distance, natural_deviation
-from fkgen.proof.validate import validate
+from fkgen.proof.validate import digits, distance, natural_deviation, validate
 from fkgen.runtime.compiler import compile_source
 from fkgen.runtime.results import Run
 from fkgen.symbolic.interface import Port
@@ -46,19 +45,11 @@ _WEIGHTS = 1e-12
 MISSING = 0.2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """A random record with missing rows, as all who are compared get it."""
-
-    y: NDArray[np.float64]
-    u: NDArray[np.float64]
-    parameters: Mapping[str, NDArray[np.float64]]
-
-
-def trial(spec: Spec) -> Trial:
-    """A record of the model itself; parameters shaken by a percent, sample by sample."""
+def trial(spec: Spec) -> Record:
+    """A record of the model itself with missing rows; parameters shaken by a percent each time."""
     rng = np.random.default_rng(20260101)
-    T = _samples(spec)
+    soft = spec.faults.soft
+    T = SAMPLES + (soft.window if soft is not None and soft.window <= WAITED else 0)
     u = rng.normal(size=(T, spec.model.nu))
     parameters = {
         item.name: item.default * rng.uniform(0.99, 1.01, T) for item in spec.stated_parameters
@@ -67,19 +58,13 @@ def trial(spec: Spec) -> Trial:
     y, told = draw_record(spec, steady, u, rng)
     y[rng.random(y.shape) < MISSING] = np.nan
     y[T // 2] = np.nan
-    return Trial(y, u, {**told, **parameters})
+    return Record(y=y, u=u, parameters={**told, **parameters}, P0=spec.model.P0.values())
 
 
-def _samples(spec: Spec) -> int:
-    soft = spec.faults.soft
-    return SAMPLES + (soft.window if soft is not None and soft.window <= WAITED else 0)
-
-
-def with_machine(source: Source, record: Trial) -> tuple[Claim, ...]:
+def with_machine(source: Source, record: Record) -> tuple[Claim, ...]:
     """Every port of the compiled code against the same statements in NumPy, bit for bit."""
     program = source.program
-    run = compile_source(source).run(record.y, _given(record.u), record.parameters)
-    found = _machine(program, record)
+    run, found = _compiled(source, record), _machine(program, record)
     error = max(_difference(run[port.name], found[port.name]) for port in program.ports)
     claim = Claim(
         claim=f"the compiled {program.scalar} code gives the bits of its statements in NumPy",
@@ -90,11 +75,12 @@ def with_machine(source: Source, record: Trial) -> tuple[Claim, ...]:
     return (claim,)
 
 
-def _given(u: Array) -> Array | None:
-    return u if u.shape[1] else None
+def _compiled(source: Source, record: Record) -> Run:
+    u = record.u if record.u.shape[1] else None
+    return compile_source(source).run(record.y, u, record.parameters)
 
 
-def _machine(program: CProgram, record: Trial) -> dict[str, Array]:
+def _machine(program: CProgram, record: Record) -> dict[str, Array]:
     machine = Machine(program)
     rows: dict[str, list[Array]] = {port.name: [] for port in program.ports}
     for k, y in enumerate(record.y):
@@ -122,30 +108,28 @@ def _difference(found: Array, expected: Array) -> float:
 
 def with_interpreter(design: Validated) -> tuple[Claim, ...]:
     """The compiled double code against CasADi: bit for bit, but for exp, log and the like."""
-    twin = _in_double(design)
-    spec, record = twin.spec, trial(twin.spec)
-    source = generate(twin)
-    run = compile_source(source).run(record.y, _given(record.u), record.parameters)
-    found = Interpreter(twin.recursion).run(record.y, record.u, record.parameters)
-    exact = [port for port in source.program.ports if _tolerance(spec, port) == 0.0]
-    rounded = [port for port in source.program.ports if _tolerance(spec, port) > 0.0]
-    text = "the compiled double code gives the bits of CasADi's interpreter"
+    if design.spec.code.scalar != "double":
+        code = Code(scalar="double", update=design.recursion.form or "short")
+        design = validate(replace(design.spec, code=code))
+    spec, record, source = design.spec, trial(design.spec), generate(design)
+    run = _compiled(source, record)
+    found = Interpreter(design.recursion).run(record.y, record.u, record.parameters)
+    ports = source.program.ports
+    tolerances, reason = _tolerances(spec, ports)
+    exact = [port for port in ports if tolerances[port.name] == 0.0]
+    rounded = [port for port in ports if tolerances[port.name] > 0.0]
     origin = f"{len(record.y)} samples with missing rows"
     claims = []
     if exact:
+        what = f"the compiled double code gives the bits of CasADi's interpreter: {_names(exact)}"
         error = max(_difference(run[p.name], found[p.name]) for p in exact)
-        what = f"{text}: {_names(exact)}"
         claims.append(Claim(claim=what, source=origin, error=error, tolerance=0.0))
     if rounded:
-        near = "the compiled double code agrees with CasADi's interpreter"
-        claims.append(
-            Claim(
-                claim=f"{near}: {_names(rounded)}",
-                source=f"{origin}; {_reason(spec)}",
-                error=max(_distance(run, found, p) for p in rounded),
-                tolerance=max(_tolerance(spec, p) for p in rounded),
-            )
-        )
+        what = f"the compiled double code agrees with CasADi's interpreter: {_names(rounded)}"
+        error = max(_distance(run, found, p) for p in rounded)
+        allowed = max(tolerances[port.name] for port in rounded)
+        origin = f"{origin}; {reason}"
+        claims.append(Claim(claim=what, source=origin, error=error, tolerance=allowed))
     return tuple(claims)
 
 
@@ -159,50 +143,35 @@ def _distance(run: Run, found: Mapping[str, Array], port: Port) -> float:
     )
 
 
-def _in_double(design: Validated) -> Validated:
-    spec = design.spec
-    if spec.code.scalar == "double":
-        return design
-    return validate(
-        replace(spec, code=Code(scalar="double", update=design.recursion.form or "short"))
-    )
-
-
 def _names(ports: list[Port]) -> str:
     shown = [port.name for port in ports]
-    return (
-        ", ".join(shown) if len(shown) <= 4 else f"{', '.join(shown[:3])} and {len(shown) - 3} more"
-    )
+    if len(shown) > 4:
+        return f"{', '.join(shown[:3])} and {len(shown) - 3} more"
+    return ", ".join(shown)
 
 
-def _tolerance(spec: Spec, port: Port) -> float:
+def _tolerances(spec: Spec, ports: Sequence[Port]) -> tuple[dict[str, float], str]:
+    """How far each port may be from CasADi, and why."""
+    names, models = [port.name for port in ports], spec.filter.traits.models
     if _goes_through_functions(spec):
-        none = np.zeros((0, 0))
-        start = Record(y=none, u=none, parameters={}, P0=spec.model.P0.values())
-        return digits_at_stake(spec, start)
-    models = spec.filter.traits.models
-    if models in {"merged", "mixed"}:  # mixing makes everything depend on weights
-        return _WEIGHTS
+        reason = "entries of the model go through fkgen's own functions, good to one ulp"
+        return dict.fromkeys(names, digits(spec)), reason
+    if models == "one":
+        logarithms = {"log_likelihood", "test_statistic"}
+        reason = "fkgen's own log is good to one unit in the last place"
+        return {name: _LOGARITHM if name in logarithms else 0.0 for name in names}, reason
+    tolerances = dict.fromkeys(names, _WEIGHTS)  # mixing makes everything depend on weights
     if models == "bank":
-        before = port.name.startswith("mode_") and port.name != "mode_probability"
-        return 0.0 if before else _WEIGHTS
-    return _LOGARITHM if port.name in {"log_likelihood", "test_statistic"} else 0.0
-
-
-def _reason(spec: Spec) -> str:
-    if _goes_through_functions(spec):
-        return "entries of the model go through fkgen's own functions, good to one ulp"
-    if spec.filter.traits.models != "one":
-        return "weights are exponentials of sums, which enlarge the last bit of exp and log"
-    return "fkgen's own log is good to one unit in the last place"
+        before = {name for name in names if name.startswith("mode_") and name != "mode_probability"}
+        tolerances |= dict.fromkeys(before, 0.0)
+    reason = "weights are exponentials of sums, which enlarge the last bit of exp and log"
+    return tolerances, reason
 
 
 def _goes_through_functions(spec: Spec) -> bool:
     """Whether entries of the model need functions that are not the same everywhere."""
     faults = spec.faults.actuator
-    matrices = [getattr(plant, x) for plant in spec.plants for x in ("A", "B", "C", "D", "Q", "R")]
-    if spec.faults.jump is not None:
-        matrices += [mode.c for mode in spec.faults.jump.modes]
+    matrices = [getattr(plant, x) for plant in spec.plants for x in LETTERS if hasattr(plant, x)]
     rates = faults.success_rate if faults is not None else ()
     entries = [entry for matrix in matrices for row in matrix.rows for entry in row]
     return any(_is_inexact(entry) for entry in (*entries, *rates))

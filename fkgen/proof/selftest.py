@@ -60,12 +60,13 @@ def claims(source: Source, compiler: Chosen) -> tuple[Claim, ...]:
     strict = f"{compiler.name} accepts the code as C99 without a warning"
     bits = f"the self-test compiled by {compiler.name} gives the recorded bits"
     return (
-        _fact(strict, complaint or " ".join(STRICT[1:-1]), holds=not complaint),
-        _fact(bits, f"{name}_selftest.c", holds=passed),
+        fact(strict, complaint or " ".join(STRICT[1:-1]), holds=not complaint),
+        fact(bits, f"{name}_selftest.c", holds=passed),
     )
 
 
-def _fact(claim: str, source: str, *, holds: bool) -> Claim:
+def fact(claim: str, source: str, *, holds: bool) -> Claim:
+    """What is so or not, without an error in between."""
     return Claim(claim=claim, source=source, error=0.0 if holds else float("inf"), tolerance=0.0)
 
 

@@ -1,4 +1,4 @@
-"""Build a recursion and confront it with every closed form of its family."""
+"""Build a recursion and confront it, on random records, with every closed form of its family."""
 
 from __future__ import annotations
 
@@ -10,22 +10,34 @@ import numpy as np
 from fkgen.families import family
 from fkgen.families.family import Family
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
+from fkgen.oracle.claims.gaussian import digits_at_stake
+from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
-from fkgen.proof.experiment import distance, natural_deviation, trial
 from fkgen.symbolic.interpreter import Interpreter
-from fkgen.symbolic.packing import triangle, unpacked
+from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.recursion import Recursion
 from fkgen.symbolic.validated import Claim, Validated
 
+#: Ratio of prior to measurement variance beyond which a milder prior takes the place of the spec's.
+MILD = 1e4
+
+#: Samples; fewer for large models, whose joint covariance grows with them.
+LONG, SHORT, MANY_STATES = 6, 4, 8
+
+#: Ports that start as the prior covariance of the spec.
+_OF = ("predicted_", "filtered_", "mode_", "mode_filtered_", "riccati_", "compression_")
+_PRIORS = {f"{of}covariance" for of in (*_OF, "predicted_compression_")}
+
+_COVARIANCE = {
+    "filtered_state": "filtered_covariance",
+    "predicted_state": "predicted_covariance",
+    "innovation": "innovation_covariance",
+}
+
 
 def validate(spec: Spec) -> Validated:
-    """Build the recursion of a spec and run every closed form of its family.
-
-    Raises
-    ------
-    ValidationError
-        If one is contradicted: a defect of fkgen, never of the spec.
-    """
+    """Build the recursion of a spec and run every closed form of its family; all have to hold."""
     found = family(spec.filter.family)
     caveats = found.caveats(spec)
     recursion = found.build(spec)
@@ -36,13 +48,9 @@ def validate(spec: Spec) -> Validated:
 
 def confront(tested: Family, recursion: Recursion) -> Validated:
     """Run every closed form of a family on one recursion."""
-    spec = recursion.spec
-    records = {steady: trial(spec, steady=steady) for steady in (False, True)}
-    claims = [
-        claim
-        for form in tested.closed_forms
-        if (claim := _try(form, recursion, records[form.steady])) is not None
-    ]
+    records = {steady: _trial(recursion.spec, steady=steady) for steady in (False, True)}
+    tried = (_try(form, recursion, records[form.steady]) for form in tested.closed_forms)
+    claims = tuple(claim for claim in tried if claim is not None)
     return Validated(recursion=recursion, claims=(_start_of(recursion), *claims))
 
 
@@ -52,9 +60,9 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
     if expected is None:
         return None
     instance = Interpreter(recursion)
-    _start(instance, _prior(recursion, record))
-    if form.start is not None:
-        _start(instance, form.start(spec, record))
+    start = {port.name: record.P0 for port in recursion.ports if port.name in _PRIORS}
+    for name, value in (start | dict(form.start(spec, record) if form.start else {})).items():
+        put(instance, name, value)
     found = instance.run(record.y, record.u, record.parameters, keep=tuple(expected))
     error = max(
         distance(
@@ -68,6 +76,15 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
     return Claim(
         claim=form.claim, source=form.source, error=error, tolerance=form.tolerance(spec, record)
     )
+
+
+def put(instance: Interpreter, name: str, value: Array) -> None:
+    """Set a port to what is not packed; one covariance is for all where there are several."""
+    port = instance.recursion.port(name)
+    if port.symmetric:
+        rows, columns = np.tril_indices(port.shape[-1])
+        value = np.broadcast_to(value, port.shape)[..., rows, columns]
+    instance.values[name] = value.ravel()
 
 
 def _start_of(recursion: Recursion) -> Claim:
@@ -89,20 +106,100 @@ def _start_of(recursion: Recursion) -> Claim:
     )
 
 
-def _prior(recursion: Recursion, record: Record) -> Mapping[str, Array]:
-    """The record's prior covariance, in every port that starts as the spec's."""
-    stacked = {"mode_covariance", "mode_filtered_covariance", "riccati_covariance"}
-    stacked |= {"predicted_compression_covariance", "compression_covariance"}
-    names = {"predicted_covariance", "filtered_covariance"} | stacked
-    ports = [port for port in recursion.ports if port.name in names]
-    return {port.name: np.broadcast_to(record.P0, port.shape) for port in ports}
+def _trial(spec: Spec, *, steady: bool) -> Record:
+    """A record from the model itself: random inputs, shaken parameters, missing rows."""
+    rng = np.random.default_rng(20130905)
+    model = spec.model
+    T = LONG if model.nx < MANY_STATES else SHORT
+    parameters = {item.name: np.full(T, item.default) for item in spec.stated_parameters}
+    if not steady:
+        _vary(spec, parameters, rng)
+    u = rng.normal(size=(1 if steady else T, model.nu)).repeat(T if steady else 1, axis=0)
+    y, drawn = draw_record(spec, parameters, u, rng)
+    if steady:
+        drawn = {name: np.full(T, spec.defaults[name]) for name in drawn}
+    else:  # none is missing at first, then row 0 alone, then all of them, then some
+        missing = rng.random(y.shape) < 0.25
+        missing[:3] = False
+        missing[1, 0] = True
+        missing[2] = True
+        y[missing] = np.nan
+    return Record(y=y, u=u, parameters=drawn, P0=_mild_prior(spec))
 
 
-def _start(instance: Interpreter, values: Mapping[str, Array]) -> None:
-    for name, value in values.items():
-        if not instance.recursion.port(name).symmetric:
-            instance.values[name] = value.ravel()
-            continue
-        n = value.shape[-1]
-        packed = np.stack([value[..., i, j] for i, j in triangle(n)], axis=-1)
-        instance.values[name] = packed.ravel()
+def _vary(spec: Spec, parameters: dict[str, Array], rng: np.random.Generator) -> None:
+    """Shake parameters by some percent, sample by sample, where the model still makes sense."""
+    for k in range(len(next(iter(parameters.values()), ()))):
+        shaken = {name: v[k] * (1.0 + 0.05 * rng.uniform(-1, 1)) for name, v in parameters.items()}
+        if _makes_sense(spec, shaken):
+            for name, value in shaken.items():
+                parameters[name][k] = value
+
+
+def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
+    """Whether all matrices are finite, all covariances positive and all rates probabilities."""
+    try:
+        for plant in (spec.model, *spec.plants):
+            for letter in "ABCDQR":
+                M = getattr(plant, letter).values(parameters)
+                if letter in "QR" and np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
+                    return False
+        system = LinearSystem.from_spec(spec, 1, dict(parameters), spec.first_rates)
+    except ArithmeticError:
+        return False
+    return bool(np.all((system.rate >= 0.0) & (system.rate <= 1.0)))
+
+
+def _mild_prior(spec: Spec) -> Array:
+    """P0, scaled down where it dwarfs the measurement noise: a start value, not an equation.
+
+    Not where P0 is part of the second moments that a gain depends on.
+    """
+    C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
+    noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)
+    known = (noise > 0.0) & (prior > 0.0)
+    if spec.filter.traits.moments or not known.any():
+        return np.asarray(P0)
+    excess = float(np.max(prior[known] / noise[known])) / MILD
+    return np.asarray(P0 / max(1.0, excess))
+
+
+def digits(spec: Spec) -> float:
+    """The relative error to expect where rounding is not amplified from sample to sample."""
+    none = np.zeros((0, 0))
+    return digits_at_stake(spec, Record(y=none, u=none, parameters={}, P0=spec.model.P0.values()))
+
+
+def distance(
+    found: Array, expected: Array, *, symmetric: bool = False, deviation: Array | None = None
+) -> float:
+    """Largest error relative to the size that each entry has over the record.
+
+    Entries of a symmetric matrix are measured by the geometric mean of the two diagonal entries;
+    those of a vector by at least their standard ``deviation``, if it is given. NaNs have to be in
+    the same places; otherwise the distance is infinite.
+    """
+    if found.shape != expected.shape or not np.array_equal(np.isnan(found), np.isnan(expected)):
+        return float("inf")
+    if found.size == 0 or np.isnan(expected).all():
+        return 0.0
+    scale = np.abs(expected)
+    if symmetric:
+        size = np.sqrt(np.diagonal(scale, axis1=-2, axis2=-1))
+        scale = size[..., :, np.newaxis] * size[..., np.newaxis, :]
+    elif deviation is not None:
+        scale = np.fmax(scale, deviation)
+    scale = np.nanmax(scale, axis=0)
+    largest = float(np.nanmax(scale))
+    scale = np.maximum(scale, 1e-6 * largest) if largest > 0.0 else np.ones_like(scale)
+    return float(np.nanmax(np.abs(found - expected) / scale))
+
+
+def natural_deviation(port: str, expected: Mapping[str, Array]) -> Array | None:
+    """Standard deviation of a port, from the covariance that belongs to it; one for logarithms."""
+    if port in {"log_likelihood", "log_weight"}:
+        return np.array(1.0)
+    covariance = expected.get(_COVARIANCE.get(port, ""))
+    if covariance is None:
+        return None
+    return np.asarray(np.sqrt(np.abs(np.diagonal(covariance, axis1=-2, axis2=-1))))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, partial
 
 from fkgen.backend.lower import generate
 from fkgen.backend.source import Source
@@ -18,8 +18,6 @@ from fkgen.problem import Spec
 from fkgen.proof import agreement, selftest, steady_state
 from fkgen.proof.validate import validate
 from fkgen.symbolic.validated import Claim, Validated
-
-__all__ = ["Claim", "Step", "steps", "verify"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,76 +29,43 @@ class Step:
 
 
 def verify(spec: Spec) -> tuple[Claim, ...]:
-    """Run everything.
-
-    Parameters
-    ----------
-    spec : Spec
-
-    Returns
-    -------
-    tuple of Claim
-        Whether each holds is for the caller to see.
-
-    Raises
-    ------
-    ValidationError
-        If a closed form is contradicted: there is no C then.
-    CompilerError
-        If there is no C compiler or it refuses the code.
-    """
+    """Run everything; whether each claim holds is for the caller to see."""
     return tuple(claim for step in steps(spec) for claim in step.run())
 
 
 def steps(spec: Spec) -> tuple[Step, ...]:
     """What `verify` does, one after the other: run them in this order."""
-    trial = _Trial(spec)
-    theorems = family(spec.filter.family).theorems
+
+    @cache
+    def design() -> Validated:
+        return validate(spec)
+
+    @cache
+    def source() -> Source:
+        return generate(design())
+
+    def machine() -> tuple[Claim, ...]:
+        return agreement.with_machine(source(), agreement.trial(spec))
+
+    def compiled(compiler: selftest.Chosen) -> tuple[Claim, ...]:
+        return selftest.claims(source(), compiler)
+
     return (
-        Step("closed forms", trial.closed_forms),
-        *(Step(f"theorem: {each.claim}", partial(_theorem, each)) for each in theorems),
-        Step("Riccati equation by python-control", trial.riccati),
-        Step("compiled C against NumPy", trial.machine),
-        Step("compiled C against CasADi", trial.interpreter),
+        Step("closed forms", lambda: design().claims),
         *(
-            Step(f"self-test compiled by {each.name}", partial(trial.selftest, each))
+            Step(f"theorem: {each.claim}", partial(_theorem, each))
+            for each in family(spec.filter.family).theorems
+        ),
+        Step("Riccati equation by python-control", lambda: steady_state.claims(design().recursion)),
+        Step("compiled C against NumPy", machine),
+        Step("compiled C against CasADi", lambda: agreement.with_interpreter(design())),
+        *(
+            Step(f"self-test compiled by {each.name}", partial(compiled, each))
             for each in selftest.compilers()
         ),
     )
 
 
-class _Trial:
-    """The stages of one spec, each made when it is first needed."""
-
-    def __init__(self, spec: Spec) -> None:
-        self.spec = spec
-
-    @cached_property
-    def design(self) -> Validated:
-        return validate(self.spec)
-
-    @cached_property
-    def source(self) -> Source:
-        return generate(self.design)
-
-    def closed_forms(self) -> tuple[Claim, ...]:
-        return self.design.claims
-
-    def riccati(self) -> tuple[Claim, ...]:
-        return steady_state.claims(self.design.recursion)
-
-    def machine(self) -> tuple[Claim, ...]:
-        return agreement.with_machine(self.source, agreement.trial(self.spec))
-
-    def interpreter(self) -> tuple[Claim, ...]:
-        return agreement.with_interpreter(self.design)
-
-    def selftest(self, compiler: selftest.Chosen) -> tuple[Claim, ...]:
-        return selftest.claims(self.source, compiler)
-
-
 def _theorem(identity: Identity) -> tuple[Claim, ...]:
-    """A theorem holds or it does not: there is no error in between."""
-    error = 0.0 if identity.holds() else float("inf")
     source = f"SymPy, for all models of a size; {identity.source}"
-    return (Claim(claim=identity.claim, source=source, error=error, tolerance=0.0),)
+    return (selftest.fact(identity.claim, source, holds=identity.holds()),)

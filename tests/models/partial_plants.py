@@ -8,7 +8,7 @@ import numpy as np
 from plants import random_model, system_of, table
 
 import fkgen
-from fkgen.oracle.claims.partial_compression import design_of
+from fkgen.oracle.claims.compression import design_of
 from fkgen.oracle.exact.partial_compression import partial_compression
 from fkgen.oracle.plants.actuator import simulate
 

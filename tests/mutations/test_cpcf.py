@@ -14,7 +14,7 @@ from plants import distance, interpreted
 from fkgen.estimators.gaussian.rank import thresholds
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
 from fkgen.estimators.windows import partial, window
-from fkgen.estimators.windows.partial_state import Compressed, partial_state
+from fkgen.estimators.windows.partial import Compressed, partial_state
 from fkgen.symbolic.linalg import pack
 from fkgen.symbolic.plant import plant_of
 
@@ -36,12 +36,12 @@ class Blocks:
     def __init__(self, whole):
         spec, symbols = whole.spec, whole.predict.symbols
         given, n = plant_of(spec), spec.model.nx
-        partial = partial_state(spec, given, spec.faults.soft.compressed)
+        partial = partial_state(spec, given)
         self.A, self.T1 = given.A, partial.T1
         self.F11 = partial.advance(given)
         self.M = partial.T1 @ given.A - self.F11 @ partial.T1
         self.noise = partial.T1 @ given.Q
-        self.S = from_rows(symbols["compressed_cross_covariance"], partial.size)
+        self.S = from_rows(symbols["compressed_cross_covariance"], len(spec.faults.soft.compressed))
         P = symbols["filtered_covariance"]
         index = [[max(i, j) * (max(i, j) + 1) // 2 + min(i, j) for j in range(n)] for i in range(n)]
         self.P = ca.vertcat(*[ca.horzcat(*[P[k] for k in row]) for row in index])
@@ -133,9 +133,9 @@ def test_mistake_z_not_propagated(maintenance):
 def changed_host(monkeypatch, change):
     right = partial._by_host
 
-    def by_host(script, given, y, prior):
-        found = right(script, given, y, prior)
-        return replace(found, carried=change(found.carried, prior[1].carried))
+    def by_host(script, given, y, known):
+        found, carried = right(script, given, y, known)
+        return found, change(carried, known[1])
 
     monkeypatch.setattr(partial, "_by_host", by_host)
 
@@ -314,7 +314,7 @@ def test_mistake_windows_of_another_length(shift, monkeypatch):
     def wrong(script, symbols, soft):
         return right(script, symbols, replace(soft, window=soft.window + shift))
 
-    monkeypatch.setattr(partial, "count_down", wrong)
+    monkeypatch.setattr(window, "count_down", wrong)
     spec = plant()
     spec = replace(spec, faults=replace(spec.faults, soft=replace(spec.faults.soft, window=2)))
     assert MOMENTS in refusals(recursion(spec))

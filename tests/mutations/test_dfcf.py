@@ -16,8 +16,7 @@ from scipy.stats import chi2
 from soft_plants import expected, soft
 
 import fkgen
-from fkgen.estimators.windows import compression, window
-from fkgen.estimators.windows.window import Pair
+from fkgen.estimators.windows import compression
 from fkgen.oracle.textbook.compression import PrintedCompression
 from fkgen.oracle.theorems.compression import COMPRESSION_IDENTITIES
 from fkgen.symbolic.interpreter import Interpreter
@@ -169,10 +168,10 @@ def closing(whole, name, change):
 
 
 def test_mistake_compression_filter_without_the_rows_of_the_host(monkeypatch):
-    def rows(design, subset):
-        return tuple(row for group in subset for row in design.soft.groups[group])
+    def rows(soft, subset):
+        return tuple(row for group in subset for row in soft.groups[group])
 
-    monkeypatch.setattr(Pair, "rows", rows)
+    monkeypatch.setattr(compression, "_rows", rows)
     assert WINDOWS in refusals(recursion(plant()))
 
 
@@ -239,8 +238,8 @@ def test_mistake_threshold_of_one_degree_of_freedom_fewer(monkeypatch):
     spec = fkgen.Spec.from_dict(table)
     assert not np.any(interpreted(spec, y, np.zeros((len(y), 0)))["fault_declared"])
     assert not np.any(expected(spec, y)["fault_declared"])
-    right = window.thresholds
-    monkeypatch.setattr(window, "thresholds", lambda a, n: [right(a, 1)[0], *right(a, n)[:-1]])
+    right = compression.thresholds
+    monkeypatch.setattr(compression, "thresholds", lambda a, n: [right(a, 1)[0], *right(a, n)[:-1]])
     assert np.any(Interpreter(recursion(spec)).run(y, np.zeros((len(y), 0)), {})["fault_declared"])
 
 

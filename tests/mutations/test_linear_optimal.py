@@ -12,7 +12,7 @@ from plants import random_model
 from sensor_specs import centred, product, sensed
 
 from fkgen.estimators.lmmse import lemma2
-from fkgen.estimators.lmmse.lemma2 import FaultLaw
+from fkgen.estimators.lmmse.lemma2 import UncertainFilter
 from fkgen.faults import SensorFaults
 from fkgen.problem import Number
 from fkgen.symbolic.interpreter import Interpreter
@@ -58,7 +58,7 @@ def test_mistake_p11_once_instead_of_squared(law, monkeypatch):
     right = lemma2._noise
 
     def once(script, design, plant, *rest):
-        p11 = design.law.persistence(design.symbols)
+        p11 = design.persistence()
         P = unpack(design.symbols["predicted_covariance"], plant.nx)
         signal = unpack(congruence(plant.C, P), plant.ny)  # p11 C P C' + W for p11^2 C P C' + W
         return right(script, design, plant, *rest) + (p11 - p11 * p11) * signal
@@ -80,7 +80,7 @@ def test_mistake_second_moment_of_the_sample_before(law):
 
 
 def test_mistake_mean_noise_of_one(monkeypatch):
-    monkeypatch.setattr(FaultLaw, "nominal", lambda *_: ca.SX(1))
+    monkeypatch.setattr(UncertainFilter, "nominal", lambda *_: ca.SX(1))
     assert_seen(recursion(linear(WHITE)))
 
 
@@ -101,24 +101,26 @@ def test_mistake_sign_of_a_cross_term(law):
     assert_seen(rewritten(whole, "noise_cross", lambda _, value, __: -value))
 
 
-def rate_for_persistence(law, symbols):
-    return law.gamma(symbols)
+def rate_for_persistence(design):
+    return design.gamma()
 
 
 @pytest.mark.parametrize("law", WITH_MEMORY, ids=NAMES)
 def test_mistake_rate_in_place_of_p11(law, monkeypatch):
-    monkeypatch.setattr(FaultLaw, "persistence", rate_for_persistence)
+    monkeypatch.setattr(UncertainFilter, "persistence", rate_for_persistence)
     assert_seen(recursion(linear(law)))
 
 
 def test_mistake_rate_in_place_of_p11_is_none_where_gamma_is_white(monkeypatch):
-    monkeypatch.setattr(FaultLaw, "persistence", rate_for_persistence)
+    monkeypatch.setattr(UncertainFilter, "persistence", rate_for_persistence)
     assert proved(recursion(linear(WHITE)))
 
 
 def test_mistake_constant_rate_on_the_absorbing_chain(monkeypatch):
-    right = FaultLaw.gamma
-    monkeypatch.setattr(FaultLaw, "gamma", lambda law, _: right(law, {}))
+    def constant(design):
+        return ca.SX(sum(design.faults.initial[:2]))
+
+    monkeypatch.setattr(UncertainFilter, "gamma", constant)
     assert_seen(recursion(linear(ABSORBING)))
 
 

@@ -63,13 +63,12 @@ def test_mistake_transposed_transition(spec, monkeypatch):
 
 
 def test_mistake_chain_of_arrivals_in_the_order_of_the_spec(monkeypatch):
-    right = AugmentedState.of
-
     def turned(spec):
-        split = right(spec)
-        return replace(split, arrival=split.arrival[::-1, ::-1], shares=split.shares[::-1])
+        split = AugmentedState(spec)
+        split.arrival, split.shares = split.arrival[::-1, ::-1], split.shares[::-1]
+        return split
 
-    monkeypatch.setattr(AugmentedState, "of", staticmethod(turned))
+    monkeypatch.setattr(jump, "AugmentedState", turned)
     assert_seen(recursion(CHAIN))
 
 
@@ -248,8 +247,8 @@ def test_mistake_gain_of_the_predictor(monkeypatch):
 
 
 def test_mistake_stationary_gain_that_trusts_every_sample(monkeypatch):
-    right = stationary.signal_moment
-    monkeypatch.setattr(stationary, "signal_moment", lambda *given: 0 * right(*given))
+    right = jump.signal_moment
+    monkeypatch.setattr(jump, "signal_moment", lambda *given: 0 * right(*given))
     assert MATRICES in refusals(recursion(STEADY))
 
 

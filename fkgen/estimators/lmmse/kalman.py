@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
+from fkgen.estimators.gaussian.conditioning import Conditioned
 from fkgen.estimators.gaussian.estimate import (
-    Posterior,
     bound,
     correct,
     demand_finite,
     demand_positive,
     demand_rates,
+    estimated,
     finite,
     propagate,
     update_form,
@@ -23,6 +26,7 @@ from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.linalg import sparse
 from fkgen.symbolic.plant import Plant, lift, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -32,12 +36,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
     """Build the recursion of ``kf``, ``mkf`` or ``genie``: what the faults of the spec say."""
     plant = plant_of(spec)
     size = _actuation(spec, plant, ca.SX.sym("u", plant.nu)).size if plant.D.nnz() else 0
-    ports = (
-        *state_ports(spec),
-        *(_deviation_ports(plant.nx, size) if size else ()),
-        *innovation_ports(spec),
-        *(_gain_ports(plant, size) if with_gain else ()),
-    )
+    ports = _ports(spec, plant, size, with_gain=with_gain)
     symbols = symbols_of(spec, plant, ports)
     form = update_form(spec, plant, augmented=size > 0)
     return Recursion(
@@ -49,6 +48,27 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         predict=_predict(spec, plant, symbols, with_gain=with_gain),
         form=form,
     )
+
+
+def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, ...]:
+    """What every filter has, of the r random inputs that y depends on, and gains."""
+    n, p, missing = plant.nx, plant.ny, "columns of missing rows are 0"
+    deviation = "E[gamma[k] | y[0..k]] minus the success rate, per random component"
+    covariance = "covariance of gamma[k] given y[0..k]"
+    cross = "covariance of gamma[k] with the state given y[0..k]"
+    inputs = (
+        carried("actuation_deviation", (r,), deviation),
+        carried("actuation_covariance", (r, r), covariance, symmetric=True),
+        carried("actuation_cross_covariance", (r, n), cross),
+    )
+    gains = (
+        shown("gain", (n, p), f"K: d x(k+1|k) / d y[k]; {missing}", unit="x/y"),
+        shown("filtered_gain", (n, p), f"Kf: d x(k|k) / d y[k]; {missing}", unit="x/y"),
+        shown("actuation_gain", (r, p), f"d E[gamma[k] | y[0..k]] / d y[k]; {missing}"),
+    )
+    shared = innovation_ports(spec)
+    ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()))
+    return tuple(port for port in ports if port.size)
 
 
 def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
@@ -98,10 +118,7 @@ def _update(
         "actuation_deviation": posterior.deviation,
         "actuation_covariance": posterior.deviation_covariance,
         "actuation_cross_covariance": by_rows(posterior.cross_covariance),
-        "innovation": found.innovation,
-        "innovation_covariance": found.innovation_covariance,
-        "nis": found.nis,
-        "log_likelihood": found.log_likelihood,
+        **innovation_results(found),
     }
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: plant.nx, :])
@@ -116,14 +133,15 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
     _demand_rates(script, spec, plant)
     plant = bound(script, plant, "ABQ")
     actuation = _actuation(spec, plant, symbols["u"])
-    r = symbols["actuation_deviation"].numel() if "actuation_deviation" in symbols else 0
-    posterior = Posterior(
-        state=symbols["filtered_state"],
-        covariance=symbols["filtered_covariance"],
-        deviation=symbols["actuation_deviation"] if r else ca.SX(0, 1),
-        deviation_covariance=symbols["actuation_covariance"] if r else ca.SX(0, 1),
-        cross_covariance=from_rows(symbols["actuation_cross_covariance"], r) if r else ca.SX(0, 0),
-    )
+    posterior, r = estimated(symbols["filtered_state"], symbols["filtered_covariance"]), 0
+    if "actuation_deviation" in symbols:
+        r = symbols["actuation_deviation"].numel()
+        posterior = replace(
+            posterior,
+            deviation=symbols["actuation_deviation"],
+            deviation_covariance=symbols["actuation_covariance"],
+            cross_covariance=from_rows(symbols["actuation_cross_covariance"], r),
+        )
     state, covariance, through = propagate(plant, actuation, posterior)
     assign = {"predicted_state": state, "predicted_covariance": covariance}
     if with_gain:
@@ -136,6 +154,21 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
     return script.phase()
 
 
+def innovation_results(found: Conditioned) -> dict[str, ca.SX]:
+    """The ports about the innovation."""
+    return {
+        "innovation": found.innovation,
+        "innovation_covariance": found.innovation_covariance,
+        "nis": found.nis,
+        "log_likelihood": found.log_likelihood,
+    }
+
+
+def constant(values: NDArray[np.floating]) -> ca.SX:
+    """A constant matrix whose zeros are structural."""
+    return sparse(ca.SX(ca.DM(values)))
+
+
 def by_rows(matrix: ca.SX) -> ca.SX:
     """Entries of a matrix row by row: the one place where CasADi's column order is turned."""
     return ca.densify(ca.reshape(matrix.T, matrix.numel(), 1))
@@ -144,25 +177,3 @@ def by_rows(matrix: ca.SX) -> ca.SX:
 def from_rows(values: ca.SX, rows: int) -> ca.SX:
     """The matrix with this many rows whose entries are given row by row."""
     return ca.reshape(values, values.numel() // rows, rows).T
-
-
-def _deviation_ports(n: int, r: int) -> tuple[Port, ...]:
-    deviation = "E[gamma[k] | y[0..k]] minus the success rate, per random component"
-    covariance = "covariance of gamma[k] given y[0..k]"
-    cross = "covariance of gamma[k] with the state given y[0..k]"
-    return (
-        carried("actuation_deviation", (r,), deviation),
-        carried("actuation_covariance", (r, r), covariance, symmetric=True),
-        carried("actuation_cross_covariance", (r, n), cross),
-    )
-
-
-def _gain_ports(plant: Plant, r: int) -> tuple[Port, ...]:
-    n, p, missing = plant.nx, plant.ny, "columns of missing rows are 0"
-    gains = (
-        shown("gain", (n, p), f"K: d x(k+1|k) / d y[k]; {missing}", unit="x/y"),
-        shown("filtered_gain", (n, p), f"Kf: d x(k|k) / d y[k]; {missing}", unit="x/y"),
-    )
-    if not r:
-        return gains
-    return (*gains, shown("actuation_gain", (r, p), f"d E[gamma[k] | y[0..k]] / d y[k]; {missing}"))

@@ -11,11 +11,10 @@ minus V is never formed, which cancels for an unstable plant. Rows that cannot f
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import certain
@@ -30,143 +29,110 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Form
-from fkgen.estimators.lmmse.kalman import by_rows, from_rows
+from fkgen.estimators.lmmse.jump import STATIONARY, is_settled
+from fkgen.estimators.lmmse.kalman import by_rows, from_rows, innovation_results
 from fkgen.estimators.models.weights import TINY
-from fkgen.faults import SensorFaults
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, is_zero, pack, sparse, unpack
-from fkgen.symbolic.packing import triangle
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import (
-    carried,
-    innovation_ports,
-    prior_of,
-    shown,
-    start_of,
-    state_ports,
-    symbols_of,
-)
+from fkgen.symbolic.ports import carried, innovation_ports, shown, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
-#: Largest change by one step of a law that counts as stationary.
-STATIONARY = 1e-13
+#: Moments that the prediction moves on and y[k] does not change.
+CARRIED = ("state_second_moment", "state_mean", "mode_law", "signal_law")
 
 
-@dataclass(frozen=True, slots=True)
-class FaultLaw:
-    """The law of a spec: ports that it needs, and its moments in terms of them."""
+class UncertainFilter:
+    """What the phases are written from: the plant, the law of its faults, and its moments."""
 
-    faults: SensorFaults
-    scalar: str
-    stationary: bool
-    white: bool
-
-    @classmethod
-    def of(cls, spec: Spec, faults: SensorFaults) -> FaultLaw:
-        """Decide what is constant."""
-        stationary = faults.moments is not None
-        if not stationary:
-            law, P = np.array(faults.initial), np.array(faults.kernel)
-            stationary = bool(np.abs(law @ P - law).max() <= STATIONARY)
-        return cls(faults, spec.code.scalar, stationary, is_white(faults))
-
-    def ports(self) -> tuple[Port, ...]:
-        """Mode probabilities if they change, and what p11 follows from if gamma has a memory."""
-        if self.stationary:
-            meaning = "p11: Pr(gamma[k+1] = 1 | gamma[k] = 1)"
-            return () if self.white else (carried("gamma_persistence", (), meaning),)
-        laws = {"mode_law": "unconditional law of the mode (1,1) (1,C) (0,1) (0,C) at"}
-        if not self.white:
-            laws["signal_law"] = (
-                "law of the mode given the last signal that was possible before, at"
-            )
-        return tuple(
-            carried(f"{prefix}{name}", (4,), f"{meaning} {k}")
-            for name, meaning in laws.items()
-            for prefix, k in (("", "k"), ("predicted_", "k+1"))
-        )
+    def __init__(self, spec: Spec) -> None:
+        faults = spec.faults.sensor
+        if faults is None:
+            raise InternalError("linear_optimal without sensor faults")
+        self.spec, self.faults, self.plant = spec, faults, plant_of(spec)
+        self.white = is_white(faults)  # gamma does not depend on its past
+        self.stationary = faults.moments is not None or is_settled(faults.initial, faults.kernel)
+        ports = *state_ports(spec), *innovation_ports(spec), *_ports(self.plant)
+        self.ports = (*ports, *_law_ports(white=self.white, stationary=self.stationary))
+        self.symbols = symbols_of(spec, self.plant, self.ports)
+        self.form = update_form(spec, self.plant, augmented=False)
 
     def start(self) -> dict[str, tuple[float, ...]]:
         """Start values; at sample 0 nothing came before: E[gamma] takes the place of p11."""
+        n, model, law = self.plant.nx, self.spec.model, self.faults.initial
+        x0 = model.x0.values().ravel()
+        second = model.P0.values() + np.outer(x0, x0)
+        start = start_of(self.spec) | {
+            "predicted_state_second_moment": tuple(second[np.tril_indices(n)].tolist()),
+            "predicted_state_mean": tuple(x0.tolist()),
+            "transition": tuple(np.eye(n).ravel().tolist()),
+            "predicted_mode_law": law,
+            "predicted_signal_law": law,
+        }
         if self.stationary:
-            return {} if self.white else {"gamma_persistence": (float(self.gamma({})),)}
-        names = ["mode_law"] if self.white else ["mode_law", "signal_law"]
-        return {f"predicted_{name}": self.faults.initial for name in names}
+            start["gamma_persistence"] = (float(self.gamma()),)
+        return {port.name: start[port.name] for port in self.ports if port.name in start}
 
-    def law(self, symbols: dict[str, ca.SX]) -> ca.SX:
-        """Law of the mode at the sample that is corrected, (4,)."""
-        constant = ca.SX(list(self.faults.initial))
-        return constant if self.stationary else symbols["predicted_mode_law"]
-
-    def gamma(self, symbols: dict[str, ca.SX]) -> ca.SX:
+    def gamma(self) -> ca.SX:
         """E[gamma_k]."""
-        if self.faults.moments is not None:
-            return ca.SX(self.faults.moments.gamma_rate)
-        if self.stationary or not symbols:
-            return ca.SX(_whole(self.faults.initial[0] + self.faults.initial[1]))
-        law = self.law(symbols)
-        return law[0] + law[1]
+        moments = self.faults.moments
+        return self._either(1) if moments is None else ca.SX(moments.gamma_rate)
 
-    def nominal(self, symbols: dict[str, ca.SX]) -> ca.SX:
+    def nominal(self) -> ca.SX:
         """Pr(delta_k = 1)."""
-        if self.faults.moments is not None:
-            return ca.SX(self.faults.moments.delta_nominal_rate)
-        law = self.law(symbols)
-        if self.stationary:
-            return ca.SX(_whole(float(law[0] + law[2])))
-        return law[0] + law[2]
+        moments = self.faults.moments
+        return self._either(2) if moments is None else ca.SX(moments.delta_nominal_rate)
 
-    def persistence(self, symbols: dict[str, ca.SX]) -> ca.SX:
+    def _either(self, other: int) -> ca.SX:
+        """Probability of the modes 0 and ``other`` at the sample that is corrected."""
+        if self.stationary:
+            return ca.SX(_whole(self.faults.initial[0] + self.faults.initial[other]))
+        law = self.symbols["predicted_mode_law"]
+        return law[0] + law[other]
+
+    def persistence(self) -> ca.SX:
         """p11(k); E[gamma_k] if gamma does not depend on its past."""
         if self.white:
-            return self.gamma(symbols)
+            return self.gamma()
         if self.stationary:
-            return symbols["gamma_persistence"]
-        return symbols["predicted_signal_law"][0] + symbols["predicted_signal_law"][1]
+            return self.symbols["gamma_persistence"]
+        law = self.symbols["predicted_signal_law"]
+        return law[0] + law[1]
 
-    def noise(self, plant: Plant, symbols: dict[str, ca.SX]) -> ca.SX:
+    def noise(self, plant: Plant) -> ca.SX:
         """Mean covariance of the measurement noise: R E[delta] on the rows that can fail."""
-        nominal, factor = self.nominal(symbols), self.faults.noise_factor
+        nominal, factor = self.nominal(), self.faults.noise_factor
         own = nominal + (1 - nominal) * factor
         cross = nominal + (1 - nominal) * math.sqrt(factor)
-        return _scaled_noise(plant.R, self.faults.rows, own, cross)
+        R = ca.SX(plant.R)
+        for i in range(plant.ny):
+            for j in range(plant.ny):
+                faulty = (i in self.faults.rows) + (j in self.faults.rows)
+                if faulty and not is_zero(R[i, j]):
+                    R[i, j] = R[i, j] * (own if faulty == 2 else cross)
+        return R
 
-    def advanced(self, symbols: dict[str, ca.SX]) -> dict[str, ca.SX]:
+    def advanced(self) -> dict[str, ca.SX]:
         """The ports of the law for the next sample."""
         if self.stationary:
             return {} if self.white else {"gamma_persistence": ca.SX(self._constant_persistence())}
-        moved = ca.SX(self._kernel()).T @ symbols["mode_law"]
+        P, law = np.array(self.faults.kernel), self.symbols["mode_law"]
+        moved = ca.SX(P).T @ law
         result = {"predicted_mode_law": moved / ca.sum1(moved)}  # its rounding taken out
-        if "signal_law" in symbols:
-            law, tiny = symbols["mode_law"], TINY[self.scalar]
-            signal = ca.vertcat(law[:2], ca.SX.zeros(2)) + tiny * symbols["signal_law"]
-            moved = ca.SX(self._kernel()).T @ signal
-            result["predicted_signal_law"] = moved / (law[0] + law[1] + tiny)
+        if not self.white:
+            tiny = TINY[self.spec.code.scalar]
+            signal = ca.vertcat(law[:2], ca.SX.zeros(2)) + tiny * self.symbols["signal_law"]
+            result["predicted_signal_law"] = ca.SX(P).T @ signal / (law[0] + law[1] + tiny)
         return result
 
     def _constant_persistence(self) -> float:
         if self.faults.moments is not None:
             return self.faults.moments.gamma_persistence
-        law, P = np.array(self.faults.initial[:2]), self._kernel()
+        law, P = np.array(self.faults.initial[:2]), np.array(self.faults.kernel)
         return _whole(float(law @ P[:2, :2].sum(axis=1) / law.sum()))
-
-    def _kernel(self) -> NDArray[np.float64]:
-        return np.array(self.faults.kernel)
-
-
-def _scaled_noise(R: ca.SX, rows: tuple[int, ...], own: ca.SX, cross: ca.SX) -> ca.SX:
-    """R times ``own`` among the rows, times ``cross`` between them and the others."""
-    result = ca.SX(R)
-    for i in range(R.shape[0]):
-        for j in range(R.shape[0]):
-            faulty = (i in rows) + (j in rows)
-            if faulty and not is_zero(R[i, j]):
-                result[i, j] = R[i, j] * (own if faulty == 2 else cross)
-    return result
 
 
 def _whole(probability: float) -> float:
@@ -175,76 +141,47 @@ def _whole(probability: float) -> float:
     return nearest if abs(probability - nearest) <= STATIONARY else probability
 
 
-#: Moments that the prediction moves on and y[k] does not change.
-CARRIED = ("state_second_moment", "state_mean", "mode_law", "signal_law")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Design:
-    spec: Spec
-    plant: Plant
-    law: FaultLaw
-    symbols: dict[str, ca.SX]
-    form: Form
-
-
 def uncertain_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion of ``linear_optimal`` in its form ``lemma2``."""
-    plant, faults = plant_of(spec), spec.faults.sensor
-    if faults is None:
-        raise InternalError("linear_optimal without sensor faults")
-    law = FaultLaw.of(spec, faults)
-    ports = (
-        *state_ports(spec),
-        *innovation_ports(spec),
-        *_gain_ports(plant),
-        *_moment_ports(plant),
-        *law.ports(),
-    )
-    symbols = symbols_of(spec, plant, ports)
-    form = update_form(spec, plant, augmented=False)
-    design = _Design(spec=spec, plant=plant, law=law, symbols=symbols, form=form)
+    design = UncertainFilter(spec)
     return Recursion(
         spec=spec,
         source=source,
-        ports=ports,
-        initial=_start(spec, law),
+        ports=design.ports,
+        initial=design.start(),
         update=_update(design),
         predict=_predict(design),
-        form=form,
+        form=design.form,
     )
 
 
-def _start(spec: Spec, law: FaultLaw) -> dict[str, tuple[float, ...]]:
-    x0 = prior_of(spec)[0]
-    n = spec.model.nx
-    moment = spec.model.P0.values() + np.outer(x0, x0)
-    second = tuple(float(moment[i, j]) for i, j in triangle(n))
-    return {
-        **start_of(spec),
-        "predicted_state_second_moment": second,
-        "transition": tuple(np.eye(n).ravel().tolist()),
-        **({"predicted_state_mean": x0} if spec.model.nu else {}),
-        **law.start(),
-    }
+def _law_ports(*, white: bool, stationary: bool) -> tuple[Port, ...]:
+    """Mode probabilities if they change, and what p11 follows from if gamma has a memory."""
+    if stationary:
+        meaning = "p11: Pr(gamma[k+1] = 1 | gamma[k] = 1)"
+        return () if white else (carried("gamma_persistence", (), meaning),)
+    laws = {"mode_law": "unconditional law of the mode (1,1) (1,C) (0,1) (0,C) at"}
+    if not white:
+        laws["signal_law"] = "law of the mode given the last signal that was possible before, at"
+    return tuple(
+        carried(f"{prefix}{name}", (4,), f"{meaning} {k}")
+        for name, meaning in laws.items()
+        for prefix, k in (("", "k"), ("predicted_", "k+1"))
+    )
 
 
-def _gain_ports(plant: Plant) -> tuple[Port, ...]:
+def _ports(plant: Plant) -> tuple[Port, ...]:
+    """Gains and unconditional moments."""
     n, p = plant.nx, plant.ny
     F1 = "F1: d x(k|k) / d x(k-1|k-1); at k = 0 d x(0|0) / d x0"
     F2 = "F2: d x(k|k) / d y[k]; columns of missing rows are 0"
-    return (
+    ports = [
         shown("state_gain", (n, n), F1),
         shown("measurement_gain", (n, p), F2, unit="x/y"),
         carried("transition", (n, n), "A of the prediction for this sample; 1 at sample 0"),
-    )
-
-
-def _moment_ports(plant: Plant) -> tuple[Port, ...]:
-    n, ports = plant.nx, []
+    ]
     for prefix, k in (("", "k"), ("predicted_", "k+1")):
-        second = f"E[x[{k}] x[{k}]'], unconditional"
-        name = f"{prefix}state_second_moment"
+        second, name = f"E[x[{k}] x[{k}]'], unconditional", f"{prefix}state_second_moment"
         ports.append(carried(name, (n, n), second, unit="xx", symmetric=True))
         if plant.nu:
             mean = f"E[x[{k}]], unconditional"
@@ -252,27 +189,22 @@ def _moment_ports(plant: Plant) -> tuple[Port, ...]:
     return tuple(ports)
 
 
-def _update(design: _Design) -> Phase:
+def _update(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     demand_positive(script, symbols["predicted_covariance"], n)
     plant = bound(script, design.plant, "CDR")
     with script.titled("moments of the measurement"):
-        pi, found, gain = _condition(script, design, plant)
+        C, found, gain = _condition(script, design, plant)
     demand_finite(script, found.mean)
     with script.titled("results of the update"):
         F2 = script.name_entries("gain", gain)
-        C = sparse(ca.diag(pi) @ plant.C)
-        transition = from_rows(symbols["transition"], n)
-        F1 = (ca.SX.eye(n) - F2 @ C) @ transition
+        F1 = (ca.SX.eye(n) - F2 @ C) @ from_rows(symbols["transition"], n)
         script.put(
             {
                 "filtered_state": found.mean,
                 "filtered_covariance": found.covariance,
-                "innovation": found.innovation,
-                "innovation_covariance": found.innovation_covariance,
-                "nis": found.nis,
-                "log_likelihood": found.log_likelihood,
+                **innovation_results(found),
                 "measurement_gain": by_rows(F2),
                 "state_gain": by_rows(F1),
                 **{name: symbols[f"predicted_{name}"] for name in CARRIED if name in symbols},
@@ -281,19 +213,20 @@ def _update(design: _Design) -> Phase:
     return script.phase()
 
 
-def _condition(script: Script, design: _Design, plant: Plant) -> tuple[ca.SX, Conditioned, ca.SX]:
-    """The p11 of every row, what conditioning on y = p11 C x + w gives, and its gain."""
-    symbols, law, rows = design.symbols, design.law, list(design.law.faults.rows)
-    n, p = plant.nx, plant.ny
-    g, p11 = law.gamma(symbols), law.persistence(symbols)
+def _condition(
+    script: Script, design: UncertainFilter, plant: Plant
+) -> tuple[ca.SX, Conditioned, ca.SX]:
+    """p11 C of every row, what conditioning on y = p11 C x + w gives, and its gain."""
+    symbols, rows, n, p = design.symbols, list(design.faults.rows), plant.nx, plant.ny
+    g, p11 = design.gamma(), design.persistence()
     pi = ca.SX.ones(p)
     pi[rows] = p11
     second = unpack(symbols["predicted_state_second_moment"], n)
     noise = _noise(script, design, plant, _signal_moment(plant, symbols, second))
-    C = sparse(ca.diag(pi) @ plant.C)
+    C = measured = sparse(ca.diag(pi) @ plant.C)
     state = symbols["predicted_state"]
     covariance = unpack(symbols["predicted_covariance"], n)
-    if not law.white:
+    if not design.white:
         cross = ca.SX(n, p)
         cross[:, rows] = (g - p11) * (second @ plant.C[rows, :].T)
         cross = script.name_entries("noise_cross", sparse(cross))
@@ -312,32 +245,19 @@ def _condition(script: Script, design: _Design, plant: Plant) -> tuple[ca.SX, Co
     if found.gain is None:
         raise InternalError("a condition without a gain")
     P = unpack(found.covariance, state.numel())[:n, :n]
-    return pi, replace(found, mean=found.mean[:n, 0], covariance=pack(P)), found.gain[:n, :]
+    return measured, replace(found, mean=found.mean[:n, 0], covariance=pack(P)), found.gain[:n, :]
 
 
-def _noise(script: Script, design: _Design, plant: Plant, signal: ca.SX) -> ca.SX:
+def _noise(script: Script, design: UncertainFilter, plant: Plant, signal: ca.SX) -> ca.SX:
     """Cov(w): R E[delta] and E[(gamma - p11)^2] E[(C x)(C x)'] on the rows that can fail."""
-    law, symbols, rows = design.law, design.symbols, design.law.faults.rows
-    g, p11 = law.gamma(symbols), law.persistence(symbols)
-    R = law.noise(plant, symbols)
+    g, p11, rows = design.gamma(), design.persistence(), design.faults.rows
+    R = design.noise(plant)
     excess = script.let("signal_variance_share", g * (1 - p11) + p11 * (p11 - g))
     for i in rows:
         for j in rows:
             if j <= i and not (is_zero(excess) or is_zero(signal[i, j])):
                 R[i, j] = R[j, i] = R[i, j] + excess * signal[i, j]
-    return _named(script, R)
-
-
-def _named(script: Script, R: ca.SX) -> ca.SX:
-    """A symmetric matrix whose entries are computed once."""
-    p = R.shape[0]
-    lower = script.name_entries("noise", sparse(ca.tril(R)))
-    result = ca.SX(lower)
-    for i in range(p):
-        for j in range(i):
-            if not is_zero(lower[i, j]):
-                result[j, i] = lower[i, j]
-    return result
+    return ca.tril2symm(script.name_entries("noise", sparse(ca.tril(R))))
 
 
 def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca.SX:
@@ -350,7 +270,7 @@ def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca
     return moment + common + common.T + direct @ direct.T
 
 
-def _predict(design: _Design) -> Phase:
+def _predict(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     plant = bound(script, design.plant, "ABQ")
@@ -363,7 +283,7 @@ def _predict(design: _Design) -> Phase:
         "predicted_state": state,
         "predicted_covariance": covariance,
         "transition": by_rows(plant.A),
-        **design.law.advanced(symbols),
+        **design.advanced(),
     }
     if plant.nu:
         mean, forced = plant.A @ symbols["state_mean"], plant.B @ symbols["u"]

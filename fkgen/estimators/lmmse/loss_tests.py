@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 from scipy.special import gammainccinv
@@ -43,16 +42,20 @@ class Verdict:
     """What a test says."""
 
     excess: ca.SX  # positive if a loss is declared; to be asked where a row is present
-    rejections: ca.SX  # declared in a row, this sample included
+    locked: ca.SX  # positive if so many samples were rejected in a row, this one among them
     results: dict[str, ca.SX]  # values of the ports
+
+
+def judges(spec: Spec) -> bool:
+    """Whether a test decides which samples are lost."""
+    return spec.faults.jump is not None and spec.filter.options.detector != "none"
 
 
 def loss_ports(spec: Spec) -> tuple[Port, ...]:
     """What a detector shows; nothing without one."""
-    detector, window = spec.filter.options.detector, spec.filter.options.window
-    if detector == "none":
+    if not judges(spec):
         return ()
-
+    detector, window = spec.filter.options.detector, spec.filter.options.window
     ports = [
         shown("fault_declared", (), f"1 if sample k was rejected as lost, else 0{_ABSENT}"),
         shown("test_statistic", (), f"{_MEANING[detector]}{_ABSENT}"),
@@ -71,7 +74,7 @@ def loss_ports(spec: Spec) -> tuple[Port, ...]:
 
 def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
     """Statuses of rejected samples."""
-    if spec.filter.options.detector == "none":
+    if not judges(spec):
         return ()
     return (
         Outcome(Status.LOCKED_OUT, "consecutive_rejections", spec.filter.options.lock_out - HALF),
@@ -82,13 +85,8 @@ def loss_outcomes(spec: Spec) -> tuple[Outcome, ...]:
 class LossTest:
     """Writes the blocks of a test; the options of the spec are detector and thresholds."""
 
-    def __init__(self, script: Script, symbols: dict[str, ca.SX], spec: Spec) -> None:
-        self.script, self.symbols, self.spec = script, symbols, spec
-
-    @property
-    def options(self) -> Any:
-        """Detector and thresholds."""
-        return self.spec.filter.options
+    def __init__(self, script: Script, spec: Spec) -> None:
+        self.script, self.spec, self.options = script, spec, spec.filter.options
 
     def verdict(self, found: Conditioned, measurement: Measurement, noise: ca.SX) -> Verdict:
         """Judge a sample from its innovation, as ``measurement`` and the noise alone explain it."""
@@ -102,15 +100,15 @@ class LossTest:
                     statistic, threshold, results = self._energy(found)
                 case _:
                     statistic, threshold = self._log_odds(found, measurement, noise), ca.SX(0)
-            statistic = self._present("statistic", statistic)
-            threshold = self._present("threshold", threshold)
+            statistic = self._chosen("statistic", 0.0, (None, statistic))
+            threshold = self._chosen("threshold", 0.0, (None, threshold))
             excess = statistic - threshold
-            declared = self.script.local("declared", 1, initial=0.0)
-            with self.script.when(None, excess):
-                self.script.put({"declared": ca.SX(1)})
+            declared = self._chosen("declared", 0.0, (excess, ca.SX(1)))
             rejections = self._count(excess)
-            if "energy_window" in results and self.options.reinitialise:
-                results = self._forgotten(results, ca.fmin(self.locked(rejections), excess))
+            locked = ca.fmin(self._locked(rejections), excess)
+            if "energy_window" in results and self.options.reinitialise:  # empty after a new start
+                kept, none = ca.vertcat(*results.values()), ca.SX.zeros(self.options.window)
+                results = _window(self._chosen("energies_kept", kept, (locked, none)))
         results |= {
             "fault_declared": declared,
             "test_statistic": statistic,
@@ -118,19 +116,27 @@ class LossTest:
             "test_dof": count,
             "consecutive_rejections": rejections,
         }
-        return Verdict(excess, rejections, results)
+        return Verdict(excess, locked, results)
 
-    def locked(self, rejections: ca.SX) -> ca.SX:
+    def _chosen(self, name: str, first: float | ca.SX, *cases: tuple[ca.SX | None, ca.SX]) -> ca.SX:
+        """A variable: the first value, then those whose condition is positive or None.
+
+        Conditions count where a row is present.
+        """
+        if isinstance(first, float):
+            symbol = self.script.local(name, 1, initial=first)
+        else:
+            symbol = self.script.local(name, first.numel())
+            self.script.put({name: first})
+        for positive, value in cases:
+            with self.script.when(None, positive):
+                self.script.put({name: value})
+        return symbol
+
+    def _locked(self, rejections: ca.SX) -> ca.SX:
         """Positive if so many samples were rejected in a row that the filter is locked out."""
         limit: int = self.options.lock_out
         return rejections - (limit - HALF)
-
-    def _present(self, name: str, value: ca.SX) -> ca.SX:
-        """The value, or 0 if no row is present."""
-        symbol = self.script.local(name, 1, initial=0.0)
-        with self.script.when(None):
-            self.script.put({name: value})
-        return symbol
 
     def _rows(self) -> ca.SX:
         """How many rows are present."""
@@ -142,48 +148,31 @@ class LossTest:
 
     def _quantile(self, count: ca.SX) -> ca.SX:
         """Chi-square quantile for as many rows as are present."""
-        p, script = self.spec.model.ny, self.script
-        bounds = [2.0 * float(gammainccinv(HALF * m, self.options.alpha)) for m in range(1, p + 1)]
-        if p == 1:
-            return ca.SX(bounds[0])
-        quantile = script.local("quantile", 1, initial=bounds[0])
-        for m in range(2, p + 1):
-            with script.when(None, count - (m - HALF)):
-                script.put({"quantile": ca.SX(bounds[m - 1])})
-        return quantile
+        rows = range(1, self.spec.model.ny + 1)
+        first, *others = (2.0 * float(gammainccinv(HALF * m, self.options.alpha)) for m in rows)
+        if not others:
+            return ca.SX(first)
+        cases = ((count - (m - HALF), ca.SX(bound)) for m, bound in enumerate(others, 2))
+        return self._chosen("quantile", first, *cases)
 
     def _energy(self, found: Conditioned) -> tuple[ca.SX, ca.SX, dict[str, ca.SX]]:
         """Mean square over the window, what it is expected to be, and the window moved on."""
         script = self.script
         energy, expected = (script.local(name, 1, initial=0.0) for name in ("energy", "expected"))
         for i, variance in enumerate(diagonal(found.innovation_covariance, self.spec.model.ny)):
+            square = found.innovation[i] * found.innovation[i]
             with script.when(i):
-                script.put(
-                    {
-                        "energy": energy + found.innovation[i] * found.innovation[i],
-                        "expected": expected + variance,
-                    }
-                )
+                script.put({"energy": energy + square, "expected": expected + variance})
         threshold, window = self.options.kappa * expected, self.options.window
         if window == 1:
             return energy, threshold, {}
-        past, count = self.symbols["energy_window"], self.symbols["energy_count"]
+        past, count = script.symbol("energy_window"), script.symbol("energy_count")
         # Places that are not filled yet hold 0.
         mean = (energy + total([past[i] for i in range(window - 1)])) / (count + 1)
-        held = script.local("energies_held", window)
-        script.put({"energies_held": ca.vertcat(past, count)})
-        with script.when(None):
-            older = [past[i] for i in range(window - 2)]
-            script.put({"energies_held": column([energy, *older, ca.fmin(count + 1, window - 1)])})
-        return mean, threshold, {"energy_window": held[:-1], "energy_count": held[-1]}
-
-    def _forgotten(self, results: dict[str, ca.SX], restarted: ca.SX) -> dict[str, ca.SX]:
-        """An empty window after a new start."""
-        held = self.script.local("energies_kept", self.options.window)
-        self.script.put({"energies_kept": ca.vertcat(*results.values())})
-        with self.script.when(None, restarted):
-            self.script.put({"energies_kept": ca.SX.zeros(self.options.window)})
-        return dict(zip(results, (held[:-1], held[-1]), strict=True))
+        older = [past[i] for i in range(window - 2)]
+        moved = column([energy, *older, ca.fmin(count + 1, window - 1)])
+        held = self._chosen("energies_held", ca.vertcat(past, count), (None, moved))
+        return mean, threshold, _window(held)
 
     def _log_odds(self, found: Conditioned, measurement: Measurement, noise: ca.SX) -> ca.SX:
         """Log of the odds of a loss: both hypotheses are tested, noise alone and signal."""
@@ -202,15 +191,13 @@ class LossTest:
 
     def _count(self, excess: ca.SX) -> ca.SX:
         """Rejections in a row; a sample without a row changes nothing."""
-        script, before = self.script, self.symbols["consecutive_rejections"]
-        rejections = script.local("rejections", 1)
-        script.put({"rejections": before})
-        with script.when(None):
-            script.put({"rejections": ca.SX(0)})
-        with script.when(None, excess):
-            script.put({"rejections": before + 1})
+        before = self.script.symbol("consecutive_rejections")
+        cases = [(None, ca.SX(0)), (excess, before + 1)]
         if self.options.reinitialise:  # the run before ended when the filter started again
-            again = self.locked(before)
-            with script.when(None, ca.fmin(again, excess)):
-                script.put({"rejections": ca.SX(1)})
-        return rejections
+            cases.append((ca.fmin(self._locked(before), excess), ca.SX(1)))
+        return self._chosen("rejections", before, *cases)
+
+
+def _window(held: ca.SX) -> dict[str, ca.SX]:
+    """The energies of the last samples, and how many they are."""
+    return {"energy_window": held[:-1], "energy_count": held[-1]}

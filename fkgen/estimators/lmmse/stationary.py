@@ -7,47 +7,26 @@ and an ergodic chain.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, RANK_TOLERANCE, condition
-from fkgen.estimators.gaussian.decorrelation import Measurement
-from fkgen.estimators.gaussian.estimate import demand_finite, finite
-from fkgen.estimators.lmmse.jump import (
-    AugmentedState,
-    Moments,
-    augmented_noise,
-    augmented_ports,
-    augmented_start,
-    innovation_results,
-    judges,
-    law_ports,
-    measured,
-    mixing,
-    moved_means,
-    moved_moments,
-    next_law,
-    notes_of,
-    plant_noise,
-    shared,
-    signal_moment,
-    steps,
-    unchanged,
-)
-from fkgen.estimators.lmmse.loss_tests import LossTest, loss_outcomes, loss_ports
+from fkgen.estimators.gaussian.conditioning import condition
+from fkgen.estimators.gaussian.estimate import demand_finite, finite, measurement_of
+from fkgen.estimators.lmmse import jump
+from fkgen.estimators.lmmse.jump import Array, AugmentedState, Moments
+from fkgen.estimators.lmmse.kalman import constant, innovation_results
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.probability import stationary_law
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.linalg import pack, sparse, unpack
-from fkgen.symbolic.ports import innovation_ports, start_of, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
-
-Array = NDArray[np.float64]
 
 #: Relative change below which an iteration that converges quadratically has ended.
 SETTLED = 1e-15
@@ -73,39 +52,42 @@ def stationary_moments(z: AugmentedState) -> Moments:
     if law is None:
         raise InternalError("a stationary gain for a chain without a limit")
     P, n, N = z.kernel, z.base.nx, z.modes
-    A, Q = ([_number(getattr(plant, x)) for plant in z.plants] for x in ("A", "Q"))
-    c = [_number(plant.c).ravel() for plant in z.plants]
-    F = np.block([[P[i, j] * A[i] for i in range(N)] for j in range(N)])
-    source = np.concatenate([sum(P[i, j] * law[i] * c[i] for i in range(N)) for j in range(N)])
-    q = np.linalg.solve(np.eye(N * n) - F, source).reshape(N, n)
-    T = np.block([[P[i, j] * np.kron(A[i], A[i]) for i in range(N)] for j in range(N)])
+    A, Q, c = ([_number(getattr(plant, x)) for plant in z.plants[:N]] for x in "AQc")
+    c = [each.ravel() for each in c]
+    q = _limit(P, A, [law[i] * c[i] for i in range(N)]).reshape(N, n)
     added = []
     for i in range(N):
         cross = np.outer(A[i] @ q[i], c[i])
-        added.append(law[i] * (Q[i] + np.outer(c[i], c[i])) + cross + cross.T)
-    source = np.concatenate([sum(P[i, j] * added[i] for i in range(N)).ravel() for j in range(N)])
-    Z = np.linalg.solve(np.eye(N * n * n) - T, source).reshape(N, n, n)
-    second = tuple(sparse(ca.SX(ca.DM(0.5 * (each + each.T)))) for each in Z)
-    return Moments(second, tuple(ca.SX(ca.DM(each)) for each in q), ca.SX(ca.DM(law)))
+        added.append((law[i] * (Q[i] + np.outer(c[i], c[i])) + cross + cross.T).ravel())
+    Z = _limit(P, [np.kron(each, each) for each in A], added).reshape(N, n, n)
+    second = [constant(0.5 * (each + each.T)) for each in Z]
+    return Moments(second, [ca.SX(ca.DM(each)) for each in q], ca.SX(ca.DM(law)))
+
+
+def _limit(P: Array, steps: Sequence[NDArray[np.floating]], added: list[Array]) -> Array:
+    """Solve v_j = sum_i P_ij (step_i v_i + added_i) for the v of all modes, stacked."""
+    modes = range(len(P))
+    F = np.block([[P[i, j] * steps[i] for i in modes] for j in modes])
+    source = np.concatenate([sum(P[i, j] * added[i] for i in modes) for j in modes])
+    return np.asarray(np.linalg.solve(np.eye(len(F)) - F, source))
 
 
 def stationary_of(z: AugmentedState) -> Stationary:
     """Solve for the stationary error covariance and its gain."""
-    script, u = Script({}), ca.SX(z.base.nu, 1)
+    script, u, N = Script({}), ca.SX(z.base.nu, 1), z.modes
     now = stationary_moments(z)
-    moved = moved_moments(script, z, z.plants, now, u)
-    W = _number(augmented_noise(z, moved, plant_noise(z, z.plants, now.law)))
-    W = np.tril(W) + np.tril(W, -1).T
-    F = _number(mixing(z)[0] @ steps(z, z.plants, u)[0])
-    L = z.rate * _number(measured(z, z.plants, u)[0])
-    weights = [now.law[i] for i in range(z.modes)]
-    noise = _number(shared([plant.R for plant in z.plants[: z.modes]], weights))
+    moved = jump.moved_moments(script, z, z.plants, now, u)
+    W = _number(jump.augmented_noise(z, moved, jump.plant_noise(z, z.plants, now.law)))
+    F = _number(jump.mixing(z)[0] @ jump.steps(z, z.plants, u)[0])
+    L = z.rate * _number(jump.measured(z, z.plants, u)[0])
+    weights = [now.law[i] for i in range(N)]
+    noise = _number(jump.shared([plant.R for plant in z.plants[:N]], weights))
     doubt = z.rate * (1.0 - z.rate)
-    signal = _number(unpack(signal_moment(z, z.plants, now, u), z.base.ny))
+    signal = _number(unpack(jump.signal_moment(z, z.plants, now, u), z.base.ny))
     R = noise + doubt * signal
     X = riccati(F, L, W, R)
-    S = L @ X @ L.T + R
-    gain = X @ L.T @ np.linalg.pinv(S, rcond=RANK, hermitian=True)
+    S, inverse = _innovation(X, L, R)
+    gain = X @ L.T @ inverse
     return Stationary(predicted=X, filtered=X - gain @ L @ X, innovation=S, noise=noise, gain=gain)
 
 
@@ -116,14 +98,19 @@ def riccati(F: Array, L: Array, W: Array, R: Array) -> Array:
     """
     X = _lyapunov(F, W)
     for _ in range(100):
-        S = L @ X @ L.T + R
-        K = F @ X @ L.T @ np.linalg.pinv(S, rcond=RANK, hermitian=True)
+        K = F @ X @ L.T @ _innovation(X, L, R)[1]
         following = _lyapunov(F - K @ L, W + K @ R @ K.T)
         change = np.abs(following - X).max()
         X = following
         if change <= SETTLED * np.abs(X).max():
             break
     return X
+
+
+def _innovation(X: Array, L: Array, R: Array) -> tuple[Array, Array]:
+    """S = L X L' + R and its inverse."""
+    S = L @ X @ L.T + R
+    return S, np.asarray(np.linalg.pinv(S, rcond=RANK, hermitian=True), float)
 
 
 def _lyapunov(F: Array, W: Array) -> Array:
@@ -142,70 +129,44 @@ def _number(matrix: ca.SX) -> Array:
 
 def stationary_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion with a constant gain."""
-    z = AugmentedState.of(spec)
+    z = AugmentedState(spec)
     at_rest = stationary_of(z)
-    ports = (
-        *state_ports(spec),
-        *innovation_ports(spec),
-        *(loss_ports(spec) if judges(spec) else ()),
-        *law_ports(z),
-        *augmented_ports(z, covariances=False),
+    notes = (
+        "constant gain: covariances are those the filter comes to, from sample 0 on",
+        "a missing row of y is replaced by its prediction",
     )
-    symbols = symbols_of(spec, z.base, ports)
-    start = augmented_start(z) | start_of(spec)
-    return Recursion(
-        spec=spec,
-        source=source,
-        ports=ports,
-        initial={port.name: start[port.name] for port in ports if port.name in start},
-        update=_update(z, symbols, at_rest),
-        predict=_predict(z, symbols, at_rest),
-        notes=(
-            "constant gain: covariances are those the filter comes to, from sample 0 on",
-            "a missing row of y is replaced by its prediction",
-            *notes_of(z),
-        ),
-        outcomes=loss_outcomes(spec) if judges(spec) else (),
-    )
+    phases = (partial(phase, at_rest=at_rest) for phase in (_update, _predict))
+    return jump.recursion_of(z, source, *phases, notes=notes)
 
 
-def _update(z: AugmentedState, symbols: dict[str, ca.SX], at_rest: Stationary) -> Phase:
-    script, spec, prior = Script(symbols), z.spec, symbols["augmented_state"]
-    L, _ = measured(z, z.plants, symbols["u"])
-    nothing, scalar = ca.SX(1, 1), spec.code.scalar
-    measurement = Measurement(
+def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary) -> Phase:
+    script, prior = Script(symbols), symbols["augmented_state"]
+    L, _ = jump.measured(z, z.plants, symbols["u"])
+    nothing = (ca.SX(1, 1), ca.SX(1, 1))
+    measurement = measurement_of(
+        replace(z.base, noise_free=is_singular(at_rest.innovation)),
+        scalar=z.spec.code.scalar,
+        y=symbols["y"],
         C=ca.SX(z.base.ny, 1),
         offset=sparse(z.rate * L) @ prior,
-        R=sparse(ca.SX(ca.DM(at_rest.innovation))),
-        y=symbols["y"],
-        rows=z.base.rows,
-        at=tuple(range(z.base.ny)),
-        rank_tolerance=RANK_TOLERANCE[scalar] if is_singular(at_rest.innovation) else None,
-        pivots_per_log=PIVOTS_PER_LOG[scalar],
+        R=constant(at_rest.innovation),
     )
-    found = condition(script, (nothing, nothing), measurement, form="short")
-    corrected = script.let(
-        "corrected", prior + sparse(ca.SX(ca.DM(at_rest.gain))) @ found.innovation
-    )
+    found = condition(script, nothing, measurement, form="short")
+    corrected = script.let("corrected", prior + constant(at_rest.gain) @ found.innovation)
     demand_finite(script, corrected)
-    results: dict[str, ca.SX] = {}
-    if judges(spec):
-        test = LossTest(script, symbols, spec)
-        verdict = test.verdict(found, measurement, sparse(ca.SX(ca.DM(at_rest.noise))))
-        state = script.local("kept_state", z.size)
-        script.put({"kept_state": corrected})
-        with script.when(None, verdict.excess):
-            script.put({"kept_state": prior})
-        if z.restarts:
-            locked = ca.fmin(test.locked(verdict.rejections), verdict.excess)
-            with script.when(None, locked):
-                script.put({"kept_state": _expected(z, symbols)})
-        corrected, results = state, verdict.results
+    (state,), results = jump.kept(
+        script,
+        z,
+        (found, measurement, constant(at_rest.noise)),
+        corrected=(corrected,),
+        prior=(prior,),
+        fresh=lambda: (jump.unconditional_mean(z, *_means(z, symbols, "predicted_")),),
+    )
     results |= innovation_results(found) | {
-        "augmented_filtered_state": corrected,
-        "filtered_state": corrected[z.own],
+        "augmented_filtered_state": state,
+        "filtered_state": state[z.own],
         "filtered_covariance": _own(z, at_rest.filtered),
-        **unchanged(z, symbols),
+        **jump.unchanged(z, symbols),
     }
     with script.titled("results of the update"):
         script.put(results)
@@ -217,39 +178,30 @@ def _own(z: AugmentedState, matrix: Array) -> ca.SX:
     return pack(ca.SX(ca.DM(matrix[z.own, z.own])))
 
 
-def _expected(z: AugmentedState, symbols: dict[str, ca.SX]) -> ca.SX:
-    """Mean of the augmented state without any measurement."""
-    n, law = z.base.nx, z.law(symbols)
-    first = ca.vertsplit(symbols["predicted_mode_first_moment"], n)
-    means = []
-    for share in z.shares:
-        for i, q in enumerate(first):
-            means.append(share * (ca.vertcat(q, law[i]) if z.ones else q))
-    own = sum(first[1:], start=first[0])
-    return ca.vertcat(*means[:-1], own)
+def _means(z: AugmentedState, symbols: dict[str, ca.SX], of: str) -> tuple[list[ca.SX], ca.SX]:
+    """E[x 1{mode}] and Pr(mode) without any measurement."""
+    return ca.vertsplit(symbols[f"{of}mode_first_moment"], z.base.nx), z.law(symbols, of)
 
 
-def _predict(z: AugmentedState, symbols: dict[str, ca.SX], at_rest: Stationary) -> Phase:
-    script, u = Script(symbols), symbols["u"]
+def _predict(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary) -> Phase:
+    script = Script(symbols)
     with script.titled("every mode's step"):
-        G, known = steps(z, z.plants, u)
+        G, known = jump.steps(z, z.plants, symbols["u"])
         moved = script.let("moved_state", G @ symbols["augmented_filtered_state"] + known)
     results: dict[str, ca.SX] = {}
     if not z.settled:
-        results["predicted_mode_law"] = next_law(z, symbols["mode_law"])
+        results["predicted_mode_law"] = jump.next_law(z, symbols["mode_law"])
     if z.restarts:
-        first = ca.vertsplit(symbols["mode_first_moment"], z.base.nx)
-        law = z.law(symbols) if z.settled else symbols["mode_law"]
-        means = moved_means(z, z.plants, tuple(first), law)
+        means = jump.moved_means(z, z.plants, *_means(z, symbols, ""))
         results["predicted_mode_first_moment"] = ca.vertcat(*means)
     with script.titled("mixing by the chain, and prediction of the next sample"):
-        M, constant = mixing(z)
-        state = M @ moved + constant
-        own = state[z.own]
+        M, known = jump.mixing(z)
+        state = M @ moved + known
+        covariance = _own(z, at_rest.predicted)
         results |= {
             "augmented_state": state,
-            "predicted_state": own,
-            "predicted_covariance": _own(z, at_rest.predicted),
+            "predicted_state": state[z.own],
+            "predicted_covariance": covariance,
         }
-        script.put(results, [finite(own, _own(z, at_rest.predicted))])
+        script.put(results, [finite(state[z.own], covariance)])
     return script.phase()

@@ -12,14 +12,15 @@ measurements share process noise, so no combination of them gives what the rows 
 
 from __future__ import annotations
 
+import operator
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import casadi as ca
 
-from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.conditioning import Conditioned, condition, innovations
+from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import (
     bound,
@@ -27,74 +28,30 @@ from fkgen.estimators.gaussian.estimate import (
     demand_positive,
     estimated,
     finite,
-    measurement_of,
     propagate,
-    update_form,
 )
-from fkgen.estimators.windows.window import (
-    Pair,
-    collect,
-    count_down,
-    of_the_host,
-    window_end,
-    window_outcomes,
-    window_ports,
-    window_start,
-)
+from fkgen.estimators.gaussian.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
+from fkgen.estimators.windows import window
+from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import congruence, pack, unpack
-from fkgen.symbolic.plant import plant_of
-from fkgen.symbolic.ports import (
-    estimate_ports,
-    innovation_ports,
-    prior_of,
-    start_of,
-    state_ports,
-    symbols_of,
-)
+from fkgen.symbolic.linalg import column, congruence, diagonal, pack, split_packed, unpack
+from fkgen.symbolic.ports import estimate_ports, prior_of
 from fkgen.symbolic.recursion import Phase, Recursion
+
+Groups = tuple[int, ...]
 
 
 def compression_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion of ``compression_full`` and ``dfcf``."""
-    plant, soft = plant_of(spec), spec.faults.soft
-    if soft is None:
-        raise InternalError("a compression filter without soft faults")
-    count = len(soft.groups)
-    subsets = tuple(s for size in range(1, count + 1) for s in combinations(range(count), size))
-    ports = (
-        *state_ports(spec),
-        *of_the_host(innovation_ports(spec)),
-        *_ports(plant.nx, len(subsets)),
-        *window_ports(spec, soft),
-    )
-    design = Pair(
-        spec=spec,
-        soft=soft,
-        plant=plant,
-        symbols=symbols_of(spec, plant, ports),
-        form=update_form(spec, plant, augmented=False),
-        subsets=subsets,
-    )
-    packed = prior_of(spec)[1]
-    return Recursion(
-        spec=spec,
-        source=source,
-        ports=ports,
-        initial={
-            **start_of(spec),
-            "predicted_compression_covariance": packed * len(subsets),
-            "compression_covariance": packed * len(subsets),
-            **window_start(soft),
-        },
-        update=_update(design),
-        closing=window_end(design),
-        predict=_predict(design),
-        form=design.form,
-        outcomes=window_outcomes(spec),
-    )
+    count = len(_subsets(window.soft_faults(spec)))
+    ports = *window.host_ports(spec), *_ports(spec.model.nx, count), *window.window_ports(spec)
+    design = window.Design(spec, ports)
+    prior = prior_of(spec)[1] * count
+    initial = {f"{of}compression_covariance": prior for of in ("", "predicted_")}
+    phases = _update(design), _closing(design), _predict(design)
+    return design.recursion(source, phases, initial=initial)
 
 
 def _ports(n: int, count: int) -> tuple[Port, ...]:
@@ -108,36 +65,46 @@ def _ports(n: int, count: int) -> tuple[Port, ...]:
     return tuple(result)
 
 
-def _update(design: Pair) -> Phase:
+def _subsets(soft: SoftFaults) -> list[Groups]:
+    """The groups that each compression filter takes."""
+    groups = range(len(soft.groups))
+    return [each for size in range(1, len(groups) + 1) for each in combinations(groups, size)]
+
+
+def _rows(soft: SoftFaults, subset: Groups) -> tuple[int, ...]:
+    """The rows of y of the host and of these groups."""
+    return tuple(sorted((*soft.host, *(row for group in subset for row in soft.groups[group]))))
+
+
+def _filters(design: window.Design, prefix: str = "") -> list[tuple[Groups, ca.SX, ca.SX]]:
+    """(groups, d, packed P*) of every compression filter."""
+    n, symbols = design.plant.nx, design.symbols
+    deviation = ca.vertsplit(symbols[f"{prefix}compression_deviation"], n)
+    covariance = split_packed(symbols[f"{prefix}compression_covariance"], n)
+    return list(zip(_subsets(design.soft), deviation, covariance, strict=True))
+
+
+def _update(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     state, packed = symbols["predicted_state"], symbols["predicted_covariance"]
-    priors = design.filters("predicted_")
-    for covariance in (packed, *(P for _, P in priors)):
+    priors = _filters(design, "predicted_")
+    for covariance in (packed, *(P for _, _, P in priors)):
         demand_positive(script, covariance, n)
-    plant = bound(script, design.plant, "CDR")
-    whole = measurement_of(
-        plant,
-        scalar=design.spec.code.scalar,
-        y=symbols["y"],
-        C=plant.C,
-        offset=plant.D @ symbols["u"],
-        R=plant.R,
-    )
-    innovation = innovations(script, state, whole, "")
+    plant, whole, innovation = window.observed(script, design)
     host = _host(design, script, whole, innovation)
     correction = ca.SX.zeros(n) if host is None else host.mean
     filtered = script.let("host_state", state + correction)
     deviations, covariances = [], []
-    for at, (subset, (d, P)) in enumerate(zip(design.subsets, priors, strict=True)):
+    for at, (subset, d, P) in enumerate(priors):
         tag = f"_compression{at}" if at else "_compression"
-        part = _part(whole, innovation, design.rows(subset), "compression filter")
+        part = _part(whole, innovation, _rows(design.soft, subset), "compression filter")
         with script.titled(f"filter with group {', '.join(map(str, subset))}"):
             found = condition(script, (d, unpack(P, n)), part, tag=tag, form=design.form)
             deviations.append(script.let(f"deviation{tag}", found.mean - correction))
         covariances.append(found.covariance)
     demand_finite(script, ca.vertcat(filtered, *deviations))
-    counted = collect(script, symbols, design.soft)
+    counted = window.collect(script, symbols, design.soft)
     with script.titled("results of the update"):
         script.put(
             {
@@ -145,10 +112,7 @@ def _update(design: Pair) -> Phase:
                 "filtered_covariance": packed if host is None else host.covariance,
                 "compression_deviation": ca.vertcat(*deviations),
                 "compression_covariance": ca.vertcat(*covariances),
-                "innovation": ca.vertcat(*innovation),
-                "innovation_covariance": congruence(plant.C, unpack(packed, n)) + pack(plant.R),
-                "nis": ca.SX(0) if host is None else host.nis,
-                "log_likelihood": ca.SX(0) if host is None else host.log_likelihood,
+                **window.innovation_of_host(design, plant, innovation, host),
                 **counted,
             }
         )
@@ -156,15 +120,14 @@ def _update(design: Pair) -> Phase:
 
 
 def _host(
-    design: Pair, script: Script, whole: Measurement, innovation: list[ca.SX]
+    design: window.Design, script: Script, whole: Measurement, innovation: list[ca.SX]
 ) -> Conditioned | None:
     """The host conditioned on its rows (29), as a correction of its prediction."""
-    if not design.soft.host:
+    rows, n = design.soft.host, design.plant.nx
+    if not rows:
         return None
-    n = design.plant.nx
     prior = (ca.SX.zeros(n), unpack(design.symbols["predicted_covariance"], n))
-    part = _part(whole, innovation, design.soft.host, "host")
-    known = [innovation[i] for i in design.soft.host]
+    part, known = _part(whole, innovation, rows, "host"), [innovation[i] for i in rows]
     return condition(script, prior, part, tag="_host", form=design.form, innovation=known)
 
 
@@ -172,31 +135,68 @@ def _part(
     whole: Measurement, innovation: list[ca.SX], rows: tuple[int, ...], filtering: str
 ) -> Measurement:
     """Some rows of the innovation of the host, as a measurement of a deviation from the host."""
-    at = list(rows)
+    part = whole.only(rows)
     return replace(
-        whole,
-        C=whole.C[at, :],
-        offset=ca.SX(len(at), 1),
-        R=whole.R[at, at],
-        y=ca.vertcat(*(innovation[i] for i in at)),
-        rows=tuple(f"{whole.rows[i]}: {filtering}" for i in at),
-        at=rows,
+        part,
+        offset=ca.SX(len(rows), 1),
+        y=column([innovation[i] for i in rows]),
+        rows=tuple(f"{row}: {filtering}" for row in part.rows),
     )
 
 
-def _predict(design: Pair) -> Phase:
+def _closing(design: window.Design) -> Phase:
+    """The test (50), (51) of every group, and the update of the host by what it accepts (25)."""
+    n, script, filters = design.plant.nx, Script(design.symbols), _filters(design)
+    tests = [_test(design, script, group) for group in range(len(design.soft.groups))]
+    verdicts = []
+    for group, test in enumerate(tests):
+        excess = partial(operator.sub, test.value, test.looked_up)
+        with script.titled(f"verdict on group {group}"):
+            flags = window.verdict_on(script, design, group, f"_{group}", excess)
+        verdicts.append((*flags, test.value, test.rank))
+    takeovers = []
+    for subset, d, P in filters:
+        agreed = ca.SX(0.5 - len(subset))
+        for group, (accepted, *_) in enumerate(verdicts):
+            agreed += accepted if group in subset else -accepted
+        title = f"the host takes over: group {', '.join(map(str, subset))}"
+        takeovers.append(window.Takeover(title, agreed, d, P))
+
+    def restarted(covariance: ca.SX) -> dict[str, ca.SX]:
+        return {
+            "compression_deviation": ca.SX.zeros(n * len(filters)),
+            "compression_covariance": ca.vertcat(*[covariance] * len(filters)),
+        }
+
+    return window.closed(script, design, verdicts, takeovers, restarted=restarted)
+
+
+def _test(design: window.Design, script: Script, group: int) -> QuadraticForm:
+    """The statistic d' (P - P*)^+ d of a group, if it holds a measurement."""
+    n, host = design.plant.nx, design.symbols["filtered_covariance"]
+    _, d, P = _filters(design)[group]
+    names = f"difference_{group}", f"shift_{group}", f"scale_{group}"
+    for name, size in zip(names, (host.numel(), n, n), strict=True):
+        script.local(name, size, initial=0.0)
+    with script.titled(f"test of group {group}"):
+        with script.where(design.symbols["collecting"][group] - 0.5):
+            variances = column(diagonal(host, n))
+            script.put(dict(zip(names, (host - P, d, variances), strict=True)))
+        table = thresholds(design.soft.false_alarm, n)
+        return quadratic_form(script, names, n, DIRECTION[design.spec.code.scalar], table)
+
+
+def _predict(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     plant = bound(script, design.plant, "ABQ")
     filtered = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, certain(symbols["u"]), filtered)
-    deviations, covariances = [], []
-    for d, P in design.filters():
-        deviations.append(plant.A @ d)
-        covariances.append(congruence(plant.A, unpack(P, n)) + pack(plant.Q))
-    counted = count_down(script, symbols, design.soft)
-    guards = [finite(state, covariance)]
-    guards += [finite(d, P) for d, P in zip(deviations, covariances, strict=True)]
+    filters = _filters(design)
+    deviations = [plant.A @ d for _, d, _ in filters]
+    covariances = [congruence(plant.A, unpack(P, n)) + pack(plant.Q) for _, _, P in filters]
+    counted = window.count_down(script, symbols, design.soft)
+    guards = [finite(state, covariance), *map(finite, deviations, covariances)]
     with script.titled("prediction of the next sample"):
         script.put(
             {

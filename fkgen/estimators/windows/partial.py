@@ -3,6 +3,11 @@
 Within a sample, in the order in which nothing is used twice: host update with its rows, maintenance
 of Z, then compression of the other rows with the a posteriori host; at the end of a window the host
 takes Z over, unless the test rejects it, and Z is discarded.
+
+Z = T1 e + V moves with the error e of the host as one linear system. V is carried like further
+states: its covariance R and its cross-covariance S with e are blocks of one joint covariance, which
+is symmetric and positive by construction. The transformation (38) never leaves the coordinates of
+the user, because e^1 = T1 e and F12 e^2 = (T1 F - F11 T1) e.
 """
 
 from __future__ import annotations
@@ -10,123 +15,185 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
 
 from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, condition, innovations
+from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, Conditioned, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement, Row
-from fkgen.estimators.gaussian.estimate import (
-    bound,
-    demand_finite,
-    demand_positive,
-    finite,
-    measurement_of,
-    update_form,
-)
+from fkgen.estimators.gaussian.estimate import bound, demand_finite, demand_positive, finite
 from fkgen.estimators.gaussian.rank import DIRECTION, thresholds
 from fkgen.estimators.gaussian.sequential import SequentialUpdate
-from fkgen.estimators.lmmse.kalman import from_rows
-from fkgen.estimators.windows.partial_state import (
-    Compressed,
-    PartialFilter,
-    PartialState,
-    partial_state,
-    parts,
-)
-from fkgen.estimators.windows.window import (
-    COUNTDOWN,
-    collect,
-    count_down,
-    of_the_host,
-    reacquired,
-    window_outcomes,
-    window_ports,
-    window_start,
-)
+from fkgen.estimators.lmmse.kalman import by_rows, constant, from_rows
+from fkgen.estimators.windows import window
+from fkgen.faults.partial_state import measured_states, similarity, typical_deviation
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Port, Status
-from fkgen.symbolic.linalg import column, congruence, pack, sparse, unpack
-from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import carried, innovation_ports, start_of, state_ports, symbols_of
+from fkgen.symbolic.linalg import congruence, pack, sparse, unpack
+from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.ports import carried
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
 @dataclass(frozen=True, slots=True)
-class _Host:
-    """The host after its rows of y, with Z as maintained, and how likely those rows were."""
+class Compressed:
+    """Z = T1 e + V, with Cov(V) = R and E[V e'] = S."""
 
-    state: ca.SX
-    covariance: ca.SX
-    carried: Compressed
-    nis: ca.SX
-    log_likelihood: ca.SX
+    measurement: ca.SX  # (m,), Z
+    noise: ca.SX  # R, packed
+    cross: ca.SX  # (m, n), S
+
+    def joint(self, covariance: ca.SX) -> ca.SX:
+        """Covariance (n + m, n + m) of (e, V); ``covariance`` is that of e, packed."""
+        m, n = self.cross.shape
+        return ca.blockcat(unpack(covariance, n), self.cross.T, self.cross, unpack(self.noise, m))
+
+    def ports(self, prefix: str = "") -> dict[str, ca.SX]:
+        """What the ports (or variables) of this prefix hold of it."""
+        return {
+            f"{prefix}compressed_measurement": self.measurement,
+            f"{prefix}compressed_noise": self.noise,
+            f"{prefix}compressed_cross_covariance": by_rows(self.cross),
+        }
 
 
-def update(given: PartialFilter) -> Phase:
+def parts(joint: ca.SX, n: int, m: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Covariance of e (packed), S, and R (packed) of a packed joint covariance of (e, V)."""
+    whole = unpack(joint, n + m)
+    return pack(whole[:n, :n]), whole[n:, :n], pack(whole[n:, n:])
+
+
+@dataclass(frozen=True, slots=True)
+class PartialState:
+    """The part T1 x of the state that rows of y measure as phi T1 x, (37)."""
+
+    T1: ca.SX  # (m, n)
+    first: ca.SX  # (n, m), the first columns of the inverse of T, (38)
+    rest: ca.SX  # (n, n), what e^2 contributes to e: identity minus ``first`` T1
+    phi: ca.SX  # (m, m)
+
+    def advance(self, plant: Plant) -> ca.SX:
+        """F11 of (39)."""
+        return sparse(self.T1 @ plant.A @ self.first)
+
+
+def partial_state(spec: Spec, plant: Plant) -> PartialState:
+    """Find T1, phi and T for the compression group of a spec, (37)-(39)."""
+    n, which = plant.nx, list(window.soft_faults(spec).compressed)
+    stated = spec.model.C.values(spec.defaults)[which]
+    deviation = typical_deviation(spec.model, spec.defaults)
+    measured = list(measured_states(stated, deviation))
+    T1 = similarity(stated, deviation)[: len(which)]
+    inverse = np.linalg.inv(T1[:, measured])
+    first, rest = np.zeros((n, len(which))), np.eye(n)
+    first[measured] = inverse
+    rest[measured] -= inverse @ T1
+    rest[:, measured] = 0.0
+    C1 = plant.C[which, :]
+    phi = ca.SX.eye(len(which))
+    if not (np.array_equal(T1, stated) and C1.is_constant()):
+        phi = sparse(C1[:, measured] @ constant(inverse))
+    return PartialState(constant(T1), constant(first), constant(rest), phi)
+
+
+class PartialDesign(window.Design):
+    """What the phases are written from."""
+
+    def __init__(self, spec: Spec) -> None:
+        rows = window.soft_faults(spec).compressed
+        own = _compressed_ports(spec.model.nx, len(rows))
+        super().__init__(spec, (*window.host_ports(spec), *window.window_ports(spec), *own))
+        self.rows = rows  # the compression group
+        self.partial = partial_state(spec, self.plant)
+        self.active = self.symbols["predicted_collecting"]  # 1 if there was a Z before, else 0
+
+    def compressed(self, prefix: str = "") -> Compressed:
+        """Z, R and S as ports hold them."""
+        symbols, m = self.symbols, len(self.rows)
+        return Compressed(
+            symbols[f"{prefix}compressed_measurement"],
+            symbols[f"{prefix}compressed_noise"],
+            from_rows(symbols[f"{prefix}compressed_cross_covariance"], m),
+        )
+
+
+def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
+    """Build the recursion of ``cpcf``."""
+    given = PartialDesign(spec)
+    notes = (f"maintenance of the compressed measurement: {spec.filter.options.maintenance}",)
+    return given.recursion(source, (update(given), closing(given), _predict(given)), notes=notes)
+
+
+def _compressed_ports(n: int, m: int) -> tuple[Port, ...]:
+    """Z, R and S after sample k and before sample k + 1."""
+    result: list[Port] = []
+    for prefix, when in (("", ""), ("predicted_", " before sample k+1")):
+        measurement = f"Z = T1 e + V{when}, e = x minus the estimate of the host; 0 without one"
+        noise, cross = f"R: covariance of V{when}", f"S: covariance of V with e{when}"
+        result += [
+            carried(f"{prefix}compressed_measurement", (m,), measurement),
+            carried(f"{prefix}compressed_noise", (m, m), noise, symmetric=True),
+            carried(f"{prefix}compressed_cross_covariance", (m, n), cross),
+        ]
+    return tuple(result)
+
+
+def update(given: PartialDesign) -> Phase:
     """Write the update of sample k: (29), (44) or its replacement, (45), (46)."""
-    script, symbols, scalar = Script(given.symbols), given.symbols, given.spec.code.scalar
+    script, symbols, found = Script(given.symbols), given.symbols, None
     state, covariance = symbols["predicted_state"], symbols["predicted_covariance"]
     demand_positive(script, covariance, given.plant.nx)
-    plant = bound(script, given.plant, "CDR")
-    offset = plant.D @ symbols["u"]
-    y = measurement_of(plant, scalar=scalar, y=symbols["y"], C=plant.C, offset=offset, R=plant.R)
-    innovation = innovations(script, state, y, "")
-    host = _Host(state, covariance, _carried(script, given), ca.SX(0), ca.SX(0))
-    if given.faults.host:
-        host = _by_host(script, given, y, (innovation, host))
-    after = replace(y, offset=offset + plant.C @ host.state).only(given.rows)
-    compressed = _compress(script, given, plant, (after, host))
-    demand_finite(script, ca.vertcat(host.state, compressed.measurement))
-    window = collect(script, symbols, given.faults)
+    plant, y, innovation = window.observed(script, given)
+    compressed = _carried(script, given)
+    if given.soft.host:
+        found, compressed = _by_host(script, given, y, (innovation, compressed))
+        state, covariance = found.mean, found.covariance
+    after = replace(y, offset=y.offset + plant.C @ state).only(given.rows)
+    compressed = _compress(script, given, plant, (after, covariance, compressed))
+    demand_finite(script, ca.vertcat(state, compressed.measurement))
+    counted = window.collect(script, symbols, given.soft)
     with script.titled("results of the update"):
         script.put(
             {
-                "filtered_state": host.state,
-                "filtered_covariance": host.covariance,
-                "innovation": column(innovation),
-                "innovation_covariance": congruence(plant.C, unpack(covariance, plant.nx))
-                + pack(plant.R),
-                "nis": host.nis,
-                "log_likelihood": host.log_likelihood,
+                "filtered_state": state,
+                "filtered_covariance": covariance,
+                **window.innovation_of_host(given, plant, innovation, found),
                 **compressed.ports(),
-                **window,
+                **counted,
             }
         )
     return script.phase()
 
 
-def _carried(script: Script, given: PartialFilter) -> Compressed:
+def _carried(script: Script, given: PartialDesign) -> Compressed:
     """Z before this sample; zeros if there is none."""
     carried, assign = _locals(script, "carried_", given.compressed("predicted_"))
-    with (
-        script.titled("the compressed measurement, if there is one"),
-        script.where(given.active),
-    ):
+    title = "the compressed measurement, if there is one"
+    with script.titled(title), script.where(given.active):
         script.put(assign)
     return carried
 
 
 def _by_host(
-    script: Script, given: PartialFilter, y: Measurement, prior: tuple[list[ca.SX], _Host]
-) -> _Host:
+    script: Script, given: PartialDesign, y: Measurement, known: tuple[list[ca.SX], Compressed]
+) -> tuple[Conditioned, Compressed]:
     """(29) for the host and (44), or its optimal replacement, for Z.
 
     Conditioning (e, V) on the rows of the host moves Z = T1 e + V by what it learns of both. The
     paper keeps V as it is, and with it R.
     """
-    innovation, before = prior
-    n, m, rows = given.plant.nx, len(given.rows), given.faults.host
-    carried = before.carried
+    innovation, carried = known
+    state, packed = given.symbols["predicted_state"], given.symbols["predicted_covariance"]
+    n, m, rows = given.plant.nx, len(given.rows), given.soft.host
     found = condition(
         script,
-        (ca.vertcat(before.state, ca.SX.zeros(m)), carried.joint(before.covariance)),
+        (ca.vertcat(state, ca.SX.zeros(m)), carried.joint(packed)),
         replace(y, C=ca.horzcat(y.C, ca.SX(len(y.rows), m))).only(rows),
         form=given.form,
         innovation=[innovation[i] for i in rows],
     )
-    state = found.mean[:n]
     covariance, cross, noise = parts(found.covariance, n, m)
-    learnt = given.partial.T1 @ (state - before.state)
+    learnt = given.partial.T1 @ (found.mean[:n] - state)
     if given.spec.filter.options.maintenance == "optimal":
         learnt = learnt + found.mean[n:]
     else:
@@ -135,26 +202,29 @@ def _by_host(
         maintained = script.local("maintained", m, 0.0)
         with script.where(given.active):
             script.put({"maintained": carried.measurement - learnt})
-    after = Compressed(maintained, noise, cross)
-    return _Host(state, covariance, after, found.nis, found.log_likelihood)
+    host = replace(found, mean=found.mean[:n], covariance=covariance)
+    return host, Compressed(maintained, noise, cross)
 
 
 def _compress(
-    script: Script, given: PartialFilter, plant: Plant, known: tuple[Measurement, _Host]
+    script: Script,
+    given: PartialDesign,
+    plant: Plant,
+    known: tuple[Measurement, ca.SX, Compressed],
 ) -> Compressed:
     """(46), row by row: V is corrected as if nothing were known of it but R."""
-    measurement, host = known
-    carried, partial = host.carried, partial_state(given.spec, plant, given.rows)
+    measurement, covariance, carried = known
+    partial, m = partial_state(given.spec, plant), len(given.rows)
     with script.titled("whether a compressed measurement begins"):
         some, every = _beginnings(script, given)
-    if partial.size > 1:
+    if m > 1:
         carried, assign = _locals(script, "begun_", carried)
         script.put(assign)
         with script.where(some):
-            script.put(_silent(partial, host.covariance).ports("begun_"))
+            script.put(_silent(partial, covariance).ports("begun_"))
     found = condition(
         script,
-        (carried.measurement, unpack(carried.noise, partial.size)),
+        (carried.measurement, unpack(carried.noise, m)),
         replace(measurement, C=partial.phi, rank_tolerance=None),
         tag="_compressed",
         form="joseph",
@@ -172,7 +242,7 @@ def _compress(
     return compressed
 
 
-def _beginnings(script: Script, given: PartialFilter) -> tuple[ca.SX, ca.SX]:
+def _beginnings(script: Script, given: PartialDesign) -> tuple[ca.SX, ca.SX]:
     """1 where there was no Z and now some rows of the group are there; the same for all of them."""
     fresh = script.let("fresh", 1 - given.active)
     some, every = script.local("begins", 1, 0.0), fresh
@@ -186,8 +256,9 @@ def _beginnings(script: Script, given: PartialFilter) -> tuple[ca.SX, ca.SX]:
 
 def _silent(partial: PartialState, covariance: ca.SX) -> Compressed:
     """Z = 0, with V = -T1 e: rows that begin after others of their group replace it by and by."""
-    m, P = partial.size, unpack(covariance, partial.T1.shape[1])
-    return Compressed(ca.SX.zeros(m), congruence(partial.T1, P), -partial.T1 @ P)
+    P = unpack(covariance, partial.T1.shape[1])
+    zero = ca.SX.zeros(partial.T1.shape[0])
+    return Compressed(zero, congruence(partial.T1, P), -partial.T1 @ P)
 
 
 def _first(script: Script, partial: PartialState, measurement: Measurement) -> Compressed:
@@ -212,66 +283,50 @@ def _locals(script: Script, prefix: str, values: Compressed) -> tuple[Compressed
     return Compressed(measurement, noise, from_rows(cross, m)), assign
 
 
-def closing(given: PartialFilter) -> Phase:
+def closing(given: PartialDesign) -> Phase:
     """The test (50), (51) and the host update (47); Z is discarded whatever comes of it."""
-    script, symbols, n = Script(given.symbols), given.symbols, given.plant.nx
-    state, covariance = symbols["filtered_state"], symbols["filtered_covariance"]
+    script, n, m = Script(given.symbols), given.plant.nx, len(given.rows)
     taken, rank = _taken_over(script, given)
-    accepted, rejected = _verdict(script, given, taken.nis, rank)
-    names = {"closed_state": n, "closed_covariance": covariance.numel()}
-    closed = [script.local(name, size) for name, size in names.items()]
-    with script.titled("the host takes over"):
-        script.put(dict(zip(names, (state, covariance), strict=True)))
-        with script.where(accepted):
-            moved = state + taken.mean[:n], parts(taken.covariance, n, given.partial.size)[0]
-            script.put(dict(zip(names, moved, strict=True)))
-    limit, known = given.spec.filter.options.reacquire, (taken.mean[:n], "closed_covariance")
-    counted = reacquired(script, limit, ([accepted], [rejected]), known)
-    with script.titled("results of the window"):
-        collecting = symbols["collecting"]
-        script.put(
-            {
-                "filtered_state": closed[0],
-                "filtered_covariance": closed[1],
-                "collecting": ca.SX(0),
-                "test_statistic": taken.nis * collecting,
-                "test_dof": rank * collecting,
-                "fault_declared": rejected,
-                **counted,
-            },
-            [finite(*closed)],
-        )
-    return script.phase(unless=COUNTDOWN)
+
+    def excess() -> ca.SX:
+        threshold = script.local("threshold", 1, 0.0)
+        for below, value in enumerate(thresholds(given.soft.false_alarm, m)):
+            with script.where(rank - (below + 0.5)):
+                script.put({"threshold": ca.SX(value)})
+        return taken.nis - threshold
+
+    with script.titled("verdict"):
+        accepted, rejected = window.verdict_on(script, given, 0, "", excess)
+    title, collecting = "the host takes over", given.symbols["collecting"]
+    takeover = window.Takeover(title, accepted, taken.mean[:n], parts(taken.covariance, n, m)[0])
+    verdict = accepted, rejected, taken.nis * collecting, rank * collecting
+    return window.closed(script, given, [verdict], [takeover], title=title)
 
 
-def _taken_over(script: Script, given: PartialFilter) -> tuple[SequentialUpdate, ca.SX]:
+def _taken_over(script: Script, given: PartialDesign) -> tuple[SequentialUpdate, ca.SX]:
     """(e, V) given that T1 e + V is Z, (47), and how many rows of Z say something.
 
     Rows of a group of which only others have begun say nothing, up to rounding of T1 P T1' + R.
     """
-    n, partial, carried = given.plant.nx, given.partial, given.compressed()
-    m, scalar, tag = partial.size, given.spec.code.scalar, "_taken"
+    n, m, T1, carried = given.plant.nx, len(given.rows), given.partial.T1, given.compressed()
+    scalar, tag = given.spec.code.scalar, "_taken"
     covariance = given.symbols["filtered_covariance"]
-    prior = pack(carried.joint(covariance))
-    start = {f"mean{tag}": ca.SX.zeros(n + m), f"covariance{tag}": prior}
+    prior, none = pack(carried.joint(covariance)), ca.SX.zeros(n + m)
+    start = {f"mean{tag}": none, f"covariance{tag}": prior}
+    measures = ca.horzcat(T1, ca.SX.eye(m))
     taken = SequentialUpdate(
         script=script,
         rows=[
-            Row(
-                c=sparse(partial.measures()[i, :].T),
-                innovation=carried.measurement[i],
-                variance=ca.SX(0),
-                of_y=ca.SX(m, 1),
-            )
+            Row(sparse(measures[i, :].T), carried.measurement[i], ca.SX(0), ca.SX(m, 1))
             for i in range(m)
         ],
         at=(),
         tag=tag,
         form=given.form,
-        variance=script.let("size", congruence(partial.T1, unpack(covariance, n)) + carried.noise),
+        variance=script.let("size", congruence(T1, unpack(covariance, n)) + carried.noise),
         rank_tolerance=DIRECTION[scalar],
-        prior=ca.SX.zeros(n + m),
-        mean=ca.SX.zeros(n + m),
+        prior=none,
+        mean=none,
         covariance=prior,
         gain=None,
         determinant=[ca.SX(1)] * -(-m // PIVOTS_PER_LOG[scalar]),
@@ -287,79 +342,19 @@ def _taken_over(script: Script, given: PartialFilter) -> tuple[SequentialUpdate,
     return taken, rank
 
 
-def _verdict(
-    script: Script, given: PartialFilter, statistic: ca.SX, rank: ca.SX
-) -> tuple[ca.SX, ca.SX]:
-    """(accepted, rejected) as 0 or 1: neither of them if there was no measurement."""
-    accepted, rejected = (script.local(name, 1) for name in ("accepted", "rejected"))
-    with script.titled("verdict"):
-        script.put({"accepted": given.symbols["collecting"], "rejected": ca.SX(0)})
-        if given.spec.filter.options.test:
-            threshold = script.local("threshold", 1, 0.0)
-            for below, value in enumerate(thresholds(given.faults.false_alarm, len(given.rows))):
-                with script.where(rank - (below + 0.5)):
-                    script.put({"threshold": ca.SX(value)})
-            with script.where(statistic - threshold):
-                script.put({"accepted": ca.SX(0), "rejected": ca.SX(1)})
-    return accepted, rejected
-
-
-def partial_compression_filter(spec: Spec, *, source: str) -> Recursion:
-    """Build the recursion of ``cpcf``."""
-    faults, plant = spec.faults.soft, plant_of(spec)
-    if faults is None:
-        raise InternalError(f"{spec.filter.family} without soft faults")
-    ports = (
-        *state_ports(spec),
-        *of_the_host(innovation_ports(spec)),
-        *window_ports(spec, faults),
-        *_compressed_ports(plant.nx, len(faults.compressed)),
-    )
-    given = PartialFilter(
-        spec=spec,
-        faults=faults,
-        plant=plant,
-        symbols=symbols_of(spec, plant, ports),
-        form=update_form(spec, plant, augmented=False),
-        partial=partial_state(spec, plant, faults.compressed),
-    )
-    return Recursion(
-        spec=spec,
-        source=source,
-        ports=ports,
-        initial=start_of(spec) | window_start(faults),
-        update=update(given),
-        closing=closing(given),
-        predict=_predict(given),
-        form=given.form,
-        notes=(f"maintenance of the compressed measurement: {spec.filter.options.maintenance}",),
-        outcomes=window_outcomes(spec),
-    )
-
-
-def _compressed_ports(n: int, m: int) -> tuple[Port, ...]:
-    """Z, R and S after sample k and before sample k + 1."""
-    result: list[Port] = []
-    for prefix, when in (("", ""), ("predicted_", " before sample k+1")):
-        measurement = f"Z = T1 e + V{when}, e = x minus the estimate of the host; 0 without one"
-        noise, cross = f"R: covariance of V{when}", f"S: covariance of V with e{when}"
-        result += [
-            carried(f"{prefix}compressed_measurement", (m,), measurement),
-            carried(f"{prefix}compressed_noise", (m, m), noise, symmetric=True),
-            carried(f"{prefix}compressed_cross_covariance", (m, n), cross),
-        ]
-    return tuple(result)
-
-
-def _predict(given: PartialFilter) -> Phase:
+def _predict(given: PartialDesign) -> Phase:
     script, symbols = Script(given.symbols), given.symbols
-    plant, n = bound(script, given.plant, "ABQ"), given.plant.nx
-    carried, partial = given.compressed(), given.partial
+    plant, n, m = bound(script, given.plant, "ABQ"), given.plant.nx, len(given.rows)
+    carried, partial, T1 = given.compressed(), given.partial, given.partial.T1
+    # Of (e, V): V+ = F11 V - F12 e^2 - G1 w, eq. (D2).
+    moved, noise = T1 @ plant.A, T1 @ plant.Q
+    step = [[plant.A, ca.SX(n, m)], [-(moved @ partial.rest), moved @ partial.first]]
+    Q = ca.blockcat([[plant.Q, -noise.T], [-noise, noise @ T1.T]])
     state = plant.A @ symbols["filtered_state"] + plant.B @ symbols["u"]
     joint = carried.joint(symbols["filtered_covariance"])
-    moved = congruence(partial.transition(plant), joint) + pack(partial.noise(plant))
-    covariance, cross, noise = parts(moved, n, partial.size)
-    counted = count_down(script, symbols, given.faults)
+    later = congruence(sparse(ca.blockcat(step)), joint) + pack(Q)
+    covariance, cross, noise = parts(later, n, m)
+    counted = window.count_down(script, symbols, given.soft)
     after = Compressed(partial.advance(plant) @ carried.measurement, noise, cross)
     with script.titled("prediction of the next sample"):
         script.put(

@@ -7,56 +7,94 @@ and the host takes over what passes, (25).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from fkgen.estimators.gaussian.estimate import finite
-from fkgen.estimators.gaussian.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
-from fkgen.estimators.gaussian.sequential import Form
+from fkgen.errors import InternalError
+from fkgen.estimators.gaussian.conditioning import Conditioned, innovations
+from fkgen.estimators.gaussian.decorrelation import Measurement
+from fkgen.estimators.gaussian.estimate import bound, finite, measurement_of, update_form
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Outcome, Port, Status
-from fkgen.symbolic.linalg import column, diagonal, outer_lower, split_packed
-from fkgen.symbolic.plant import Plant
-from fkgen.symbolic.ports import carried, shown
-from fkgen.symbolic.recursion import Phase
-
-Groups = tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pair:
-    """The pair of filters: sizes, symbols, and which groups each compression filter takes."""
-
-    spec: Spec
-    soft: SoftFaults
-    plant: Plant
-    symbols: dict[str, ca.SX]
-    form: Form
-    subsets: tuple[Groups, ...]
-
-    def rows(self, subset: Groups) -> tuple[int, ...]:
-        """The rows of y of the host and of these groups."""
-        return tuple(sorted((*self.soft.host, *(r for g in subset for r in self.soft.groups[g]))))
-
-    def filters(self, prefix: str = "") -> list[tuple[ca.SX, ca.SX]]:
-        """(d, packed P*) of every compression filter."""
-        n = self.plant.nx
-        deviation = ca.vertsplit(self.symbols[f"{prefix}compression_deviation"], n)
-        covariance = self.symbols[f"{prefix}compression_covariance"]
-        return list(zip(deviation, split_packed(covariance, n), strict=True))
-
+from fkgen.symbolic.linalg import column, congruence, outer_lower, pack, unpack
+from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.ports import (
+    carried,
+    innovation_ports,
+    shown,
+    start_of,
+    state_ports,
+    symbols_of,
+)
+from fkgen.symbolic.recursion import Phase, Recursion
 
 #: Positive while no window ends; the closing phase runs at zero.
 COUNTDOWN = "window_left"
 
+#: A group: what is accepted (0 or 1), what is rejected, the statistic and its degrees of freedom.
+Verdict = tuple[ca.SX, ca.SX, ca.SX, ca.SX]
 
-def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
+
+def soft_faults(spec: Spec) -> SoftFaults:
+    """The faults that windows are for."""
+    if spec.faults.soft is None:
+        raise InternalError(f"{spec.filter.family} without soft faults")
+    return spec.faults.soft
+
+
+class Design:
+    """The host and what waits for the end of a window: what the phases are written from."""
+
+    def __init__(self, spec: Spec, ports: tuple[Port, ...]) -> None:
+        self.spec, self.soft, self.ports = spec, soft_faults(spec), ports
+        self.plant = plant_of(spec)
+        self.symbols = symbols_of(spec, self.plant, ports)
+        self.form = update_form(spec, self.plant, augmented=False)
+
+    def recursion(
+        self,
+        source: str,
+        phases: tuple[Phase, Phase, Phase],
+        *,
+        initial: dict[str, tuple[float, ...]] | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> Recursion:
+        """Update, closing and prediction as a recursion; sample 0 ends no window."""
+        rejects = (Outcome(Status.FAULT_DECLARED, "fault_declared", 0.5),)
+        window = {f"predicted_{COUNTDOWN}": (float(self.soft.window),)}
+        return Recursion(
+            spec=self.spec,
+            source=source,
+            ports=self.ports,
+            initial=start_of(self.spec) | (initial or {}) | window,
+            update=phases[0],
+            closing=phases[1],
+            predict=phases[2],
+            form=self.form,
+            notes=notes,
+            outcomes=rejects if self.spec.filter.options.test else (),
+        )
+
+
+def host_ports(spec: Spec) -> tuple[Port, ...]:
+    """Estimates and innovation: normalised square and density are those of the host's own rows."""
+    own = {
+        "nis": "normalised innovation squared over the rows of the host that are present",
+        "log_likelihood": "log density of the rows of the host that are present",
+    }
+    shared = innovation_ports(spec)
+    innovation = (replace(port, meaning=own.get(port.name, port.meaning)) for port in shared)
+    return (*state_ports(spec), *innovation)
+
+
+def window_ports(spec: Spec) -> tuple[Port, ...]:
     """Results of the test, and what has to be remembered from sample to sample."""
-    each = (len(soft.groups),) if len(soft.groups) > 1 else ()
-    of = " of each group" if each else ""
+    count = len(soft_faults(spec).groups)
+    each, of = ((count,), " of each group") if count > 1 else ((), "")
     counters = [
         (COUNTDOWN, (), "samples until the end of the window; 0 at its last sample"),
         ("collecting", each, f"1 where the compression filter{of} holds a measurement"),
@@ -75,25 +113,31 @@ def window_ports(spec: Spec, soft: SoftFaults) -> tuple[Port, ...]:
     )
 
 
-def of_the_host(ports: tuple[Port, ...]) -> tuple[Port, ...]:
-    """The ports of the innovation: normalised square and density are those of its own rows."""
-    own = {
-        "nis": "normalised innovation squared over the rows of the host that are present",
-        "log_likelihood": "log density of the rows of the host that are present",
-    }
-    return tuple(replace(port, meaning=own.get(port.name, port.meaning)) for port in ports)
-
-
-def window_outcomes(spec: Spec) -> tuple[Outcome, ...]:
-    """The status of a sample at which a compression filter is rejected."""
-    return (
-        (Outcome(Status.FAULT_DECLARED, "fault_declared", 0.5),) if spec.filter.options.test else ()
+def observed(script: Script, design: Design) -> tuple[Plant, Measurement, list[ca.SX]]:
+    """The plant with named entries, y as it measures it, and the innovation of the host."""
+    plant, symbols = bound(script, design.plant, "CDR"), design.symbols
+    y = measurement_of(
+        plant,
+        scalar=design.spec.code.scalar,
+        y=symbols["y"],
+        C=plant.C,
+        offset=plant.D @ symbols["u"],
+        R=plant.R,
     )
+    return plant, y, innovations(script, symbols["predicted_state"], y, "")
 
 
-def window_start(soft: SoftFaults) -> dict[str, tuple[float, ...]]:
-    """Start values: sample 0 ends no window."""
-    return {f"predicted_{COUNTDOWN}": (float(soft.window),)}
+def innovation_of_host(
+    design: Design, plant: Plant, innovation: list[ca.SX], found: Conditioned | None
+) -> dict[str, ca.SX]:
+    """The ports about the innovation; ``found`` is what the rows of the host say, if it has any."""
+    P = unpack(design.symbols["predicted_covariance"], plant.nx)
+    return {
+        "innovation": column(innovation),
+        "innovation_covariance": congruence(plant.C, P) + pack(plant.R),
+        "nis": ca.SX(0) if found is None else found.nis,
+        "log_likelihood": ca.SX(0) if found is None else found.log_likelihood,
+    }
 
 
 def collect(script: Script, symbols: dict[str, ca.SX], soft: SoftFaults) -> dict[str, ca.SX]:
@@ -111,9 +155,7 @@ def collect(script: Script, symbols: dict[str, ca.SX], soft: SoftFaults) -> dict
     result = {
         COUNTDOWN: symbols[f"predicted_{COUNTDOWN}"],
         "collecting": ca.vertcat(*flags),
-        "test_statistic": none,
-        "test_dof": none,
-        "fault_declared": none,
+        **dict.fromkeys(("test_statistic", "test_dof", "fault_declared"), none),
     }
     if "rejections" in symbols:
         result["rejections"] = symbols["predicted_rejections"]
@@ -131,21 +173,82 @@ def count_down(script: Script, symbols: dict[str, ca.SX], soft: SoftFaults) -> d
     return {f"predicted_{COUNTDOWN}": left} | {f"predicted_{n}": symbols[n] for n in carried}
 
 
-def reacquired(
+def verdict_on(
+    script: Script, design: Design, group: int, tag: str, excess: Callable[[], ca.SX]
+) -> tuple[ca.SX, ca.SX]:
+    """(accepted, rejected) as 0 or 1: neither of them if there was no measurement."""
+    names = f"accepted{tag}", f"rejected{tag}"
+    accepted, rejected = (script.local(name, 1) for name in names)
+    script.put({names[0]: design.symbols["collecting"][group], names[1]: ca.SX(0)})
+    if design.spec.filter.options.test:
+        with script.where(excess()):
+            script.put({names[0]: ca.SX(0), names[1]: ca.SX(1)})
+    return accepted, rejected
+
+
+@dataclass(frozen=True, slots=True)
+class Takeover:
+    """What the host takes over where ``agreed`` is positive."""
+
+    title: str
+    agreed: ca.SX
+    shift: ca.SX  # (n,), what its state is corrected by
+    covariance: ca.SX  # its own then, packed
+
+
+def closed(
     script: Script,
-    limit: int | None,
-    verdicts: tuple[list[ca.SX], list[ca.SX]],
-    host: tuple[ca.SX, str],
+    design: Design,
+    verdicts: Sequence[Verdict],
+    takeovers: Sequence[Takeover],
+    *,
+    title: str = "",
+    restarted: Callable[[ca.SX], dict[str, ca.SX]] = lambda _: {},
+) -> Phase:
+    """End the phase: the host as it becomes (25); what was collected is discarded in any case.
+
+    ``restarted``: what other ports are, given the covariance that the host has now.
+    """
+    symbols, count = design.symbols, len(verdicts)
+    accepted, rejected, statistic, dof = zip(*verdicts, strict=True)
+    host = {f"closed_{of}": symbols[f"filtered_{of}"] for of in ("state", "covariance")}
+    state, covariance = (script.local(name, value.numel()) for name, value in host.items())
+    with script.titled(title):
+        script.put(host)
+    for each in takeovers:
+        moved = symbols["filtered_state"] + each.shift, each.covariance
+        with script.titled(each.title), script.where(each.agreed):
+            script.put(dict(zip(host, moved, strict=True)))
+    limit = design.spec.filter.options.reacquire
+    counted = {}
+    if limit is not None:
+        counted = _reacquired(script, limit, (accepted, rejected), takeovers[-1].shift)
+    with script.titled("results of the window"):
+        script.put(
+            {
+                "filtered_state": state,
+                "filtered_covariance": covariance,
+                **restarted(covariance),
+                "collecting": ca.SX.zeros(count),
+                "test_statistic": ca.vertcat(*statistic),
+                "test_dof": ca.vertcat(*dof),
+                "fault_declared": ca.vertcat(*rejected),
+                **counted,
+            },
+            [finite(state, covariance)],
+        )
+    return script.phase(unless=COUNTDOWN)
+
+
+def _reacquired(
+    script: Script, limit: int, verdicts: Sequence[Sequence[ca.SX]], d: ca.SX
 ) -> dict[str, ca.SX]:
     """After so many windows of rejections alone the host admits that it may be off by d: P + d d'.
 
     d is what it would have been corrected by. It is so again after every further rejection, until
-    something passes: the vaguer the host, the more of its error is in d. The ``verdicts``
-    are 1 where a group is accepted, and where it is rejected; ``host`` is d and the local of P.
+    something passes: the vaguer the host, the more of its error is in d.
     """
-    if limit is None:
-        return {}
-    (accepted, rejected), (d, name) = verdicts, host
+    accepted, rejected = verdicts
     with script.titled("rejections in a row"):
         count = script.local("rejections_now", 1)
         script.put({"rejections_now": script.symbol("rejections")})
@@ -154,75 +257,6 @@ def reacquired(
         with script.where(sum(accepted, start=ca.SX(-0.5))):
             script.put({"rejections_now": ca.SX(0)})
         with script.where(count - (limit - 0.5)):
+            name = "closed_covariance"
             script.put({name: script.symbol(name) + outer_lower(d, d)})
     return {"rejections": count}
-
-
-def window_end(design: Pair) -> Phase:
-    """The test (50), (51) of every group, and the update of the host by what it accepts (25)."""
-    symbols, n, soft = design.symbols, design.plant.nx, design.soft
-    script = Script(symbols)
-    tests = [_test(design, script, g) for g in range(len(soft.groups))]
-    verdicts = [_verdict(design, script, g, test) for g, test in enumerate(tests)]
-    accepted, rejected = ([v[i] for v in verdicts] for i in (0, 1))
-    host = {"state": symbols["filtered_state"], "covariance": symbols["filtered_covariance"]}
-    state = script.local("closed_state", n)
-    covariance = script.local("closed_covariance", host["covariance"].numel())
-    script.put({"closed_state": host["state"], "closed_covariance": host["covariance"]})
-    for subset, (d, P) in zip(design.subsets, design.filters(), strict=True):
-        groups = ", ".join(str(g) for g in subset)
-        with script.titled(f"the host takes over: group {groups}"):
-            agreed = ca.SX(0.5 - len(subset))
-            for g, flag in enumerate(accepted):
-                agreed += flag if g in subset else -flag
-            with script.where(agreed):
-                script.put({"closed_state": host["state"] + d, "closed_covariance": P})
-    limit, last = design.spec.filter.options.reacquire, design.filters()[-1][0]
-    results = reacquired(script, limit, (accepted, rejected), (last, "closed_covariance"))
-    with script.titled("results of the window"):
-        count = len(design.subsets)
-        script.put(
-            {
-                "filtered_state": state,
-                "filtered_covariance": covariance,
-                "compression_deviation": ca.SX.zeros(n * count),
-                "compression_covariance": ca.vertcat(*[covariance] * count),
-                "collecting": ca.SX.zeros(len(soft.groups)),
-                "test_statistic": ca.vertcat(*(test.value for test in tests)),
-                "test_dof": ca.vertcat(*(test.rank for test in tests)),
-                "fault_declared": ca.vertcat(*rejected),
-                **results,
-            },
-            [finite(state, covariance)],
-        )
-    return script.phase(unless=COUNTDOWN)
-
-
-def _test(design: Pair, script: Script, group: int) -> QuadraticForm:
-    """The statistic d' (P - P*)^+ d of a group, if it holds a measurement."""
-    n, scalar = design.plant.nx, design.spec.code.scalar
-    host = design.symbols["filtered_covariance"]
-    d, P = design.filters()[group]
-    names = f"difference_{group}", f"shift_{group}", f"scale_{group}"
-    packed = host.numel()
-    for name, size in zip(names, (packed, n, n), strict=True):
-        script.local(name, size, initial=0.0)
-    with script.titled(f"test of group {group}"):
-        with script.where(design.symbols["collecting"][group] - 0.5):
-            variances = column(diagonal(host, n))
-            script.put(dict(zip(names, (host - P, d, variances), strict=True)))
-        table = thresholds(design.soft.false_alarm, n)
-        return quadratic_form(script, names, n, DIRECTION[scalar], table)
-
-
-def _verdict(design: Pair, script: Script, group: int, test: QuadraticForm) -> tuple[ca.SX, ca.SX]:
-    """(accepted, rejected) as 0 or 1: neither of them if there was no measurement."""
-    names = f"accepted_{group}", f"rejected_{group}"
-    accepted, rejected = (script.local(name, 1) for name in names)
-    collecting = design.symbols["collecting"][group]
-    with script.titled(f"verdict on group {group}"):
-        script.put({names[0]: collecting, names[1]: ca.SX(0)})
-        if design.spec.filter.options.test:
-            with script.where(test.value - test.looked_up):
-                script.put({names[0]: ca.SX(0), names[1]: ca.SX(1)})
-    return accepted, rejected

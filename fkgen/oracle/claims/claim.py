@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from fkgen.problem import Spec
 
 Array = NDArray[np.float64]
+
+#: Ports by name.
+Ports: TypeAlias = Mapping[str, Array]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,12 +35,14 @@ class ClosedForm:
 
     claim: str  # claim, source: What holds, and where it comes from
     source: str
-    #: tolerance(spec, record): the largest relative error at which it is taken to hold
-    tolerance: Callable[[Spec, Record], float]
-    #: expected(spec, record) gives ports by name with shape (T, ...), or of fewer samples if
-    #: the statement is about the first ones only, without any code of the recursion; None if
-    #: the statement is not about this spec. NaN = a missing row
-    expected: Callable[[Spec, Record], Mapping[str, Array] | None]
-    #: start(spec, record) gives ports (unpacked) that replace the prior before the run
-    start: Callable[[Spec, Record], Mapping[str, Array]] | None = None
+    tolerance: Callable[[Spec, Record], float]  # Largest relative error at which it holds
+    #: Ports with shape (T, ...), or of fewer samples if the statement is about the first ones
+    #: only, without any code of the recursion; None if it is not about this spec. NaN = missing
+    expected: Callable[[Spec, Record], Ports | None]
+    start: Callable[[Spec, Record], Ports] | None = None  # What replaces the prior, unpacked
     steady: bool = False  # The record has constant inputs, default parameters and no missing rows
+
+
+def ports(result: object, *without: str) -> dict[str, Array]:
+    """What an oracle found, but for some ports."""
+    return {name: value for name, value in vars(result).items() if name not in without}

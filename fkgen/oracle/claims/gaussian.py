@@ -1,15 +1,13 @@
-"""Closed forms that families share: what `fkgen.oracle` says about a spec and a record."""
+"""Closed forms of Gaussian filters and banks of them; the digits that a record leaves."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from fkgen.faults.chain import Mode
-from fkgen.oracle.claims.claim import Array, ClosedForm, Record
+from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record, ports
 from fkgen.oracle.exact.batch import batch_lmmse
 from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
 from fkgen.oracle.plants.actuator import LinearSystem
@@ -18,12 +16,10 @@ from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_predi
 from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
 
-#: Relative error that well-conditioned double arithmetic stays far below, and no wrong formula
-#: does.
-EXACT = 1e-9
-
 PAPER = "Strandt, Schneider & Yaz"
 
+#: Relative error that well-conditioned double arithmetic stays far below and no wrong formula does.
+EXACT = 1e-9
 
 #: Where S may be singular, both sides decide on a rank, and a rank decision has a tolerance.
 RANK_DEFICIENT = 1e-6
@@ -39,6 +35,11 @@ def has_exact_rows(spec: Spec) -> bool:
     return any(is_singular(each.R.values(spec.defaults)) for each in _plants(spec))
 
 
+def undecided(spec: Spec) -> tuple[str, ...]:
+    """Ports left out: a density on a subspace depends on the coordinates chosen there."""
+    return ("log_likelihood",) if has_exact_rows(spec) else ()
+
+
 def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None) -> LinearSystem:
     """The linear system of a record, with the record's prior."""
     system = LinearSystem.from_spec(spec, len(record.y), record.parameters, rates)
@@ -46,7 +47,7 @@ def system_of(spec: Spec, record: Record, rates: tuple[float, ...] | None = None
     if faults is not None and spec.filter.traits.told:
         gamma, delta = (np.asarray(record.parameters[name]) for name in ("gamma", "delta"))
         system = informed(system, faults, gamma, delta)
-    return dataclasses.replace(system, P0=record.P0)
+    return replace(system, P0=record.P0)
 
 
 def digits_at_stake(spec: Spec, record: Record) -> float:
@@ -69,53 +70,31 @@ def _growth(spec: Spec) -> float:
     return float(max(1.0, *(np.abs(np.linalg.eigvals(A)).max() for A in dynamics)))
 
 
-def _batch(spec: Spec, record: Record) -> Mapping[str, Array]:
+def _batch(spec: Spec, record: Record) -> Ports:
     result = batch_lmmse(system_of(spec, record), record.y, record.u)
-    ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
-    if has_exact_rows(spec):  # a density on a subspace depends on the coordinates chosen there
-        del ports["log_likelihood"]
-    return ports
+    return ports(result, *undecided(spec))
 
 
-BATCH = ClosedForm(
-    claim="estimates, innovations and likelihoods are those of the joint distribution",
-    source="linear minimum mean square error estimate from second moments",
-    tolerance=digits_at_stake,
-    expected=_batch,
-)
-
-
-@dataclass(frozen=True, slots=True)
-class _Stationary:
-    covariance: Array
-    innovation_covariance: Array
-
-
-def _stationary(spec: Spec, record: Record) -> _Stationary | None:
+def _stationary(spec: Spec, record: Record) -> dict[str, Array]:
     system = system_of(spec, record)
     A, C = system.A[0], system.C[0]
     Q, R, S = constant_input_noise(system, record.u[0])
     found = stationary_prediction(A, C, Q, R, S)
     if found is None:
-        return None
-    covariance = found[0]
-    return _Stationary(covariance, C @ covariance @ C.T + R)
+        return {}
+    P = found[0]
+    return {"predicted_covariance": P, "innovation_covariance": C @ P @ C.T + R}
 
 
-def _fixed_point(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+def _fixed_point(spec: Spec, record: Record) -> Ports | None:
+    repeated = (len(record.y), 1, 1)
+    return {name: np.tile(P, repeated) for name, P in _stationary(spec, record).items()} or None
+
+
+def _at_the_fixed_point(spec: Spec, record: Record) -> Ports:
     found = _stationary(spec, record)
-    if found is None:
-        return None
-    T = len(record.y)
-    return {
-        "predicted_covariance": np.tile(found.covariance, (T, 1, 1)),
-        "innovation_covariance": np.tile(found.innovation_covariance, (T, 1, 1)),
-    }
-
-
-def _at_the_fixed_point(spec: Spec, record: Record) -> Mapping[str, Array]:
-    found = _stationary(spec, record)
-    return {} if found is None else {"predicted_covariance": found.covariance}
+    found.pop("innovation_covariance", None)
+    return found
 
 
 def _riccati_tolerance(spec: Spec, record: Record) -> float:
@@ -123,17 +102,7 @@ def _riccati_tolerance(spec: Spec, record: Record) -> float:
     return max(1e-7 * _growth(spec) ** 4, digits_at_stake(spec, record))
 
 
-RICCATI = ClosedForm(
-    claim="the stabilising solution of the Riccati equation is where the covariance comes to rest",
-    source="Anderson & Moore 1979, sec. 4.4; (12) and (22) in the limit",
-    tolerance=_riccati_tolerance,
-    expected=_fixed_point,
-    start=_at_the_fixed_point,
-    steady=True,
-)
-
-
-def _optimal_gain(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+def _optimal_gain(spec: Spec, record: Record) -> Ports | None:
     """Solve (11), K Om = A P C' + B N D', with P from the batch estimate of the past."""
     system = system_of(spec, record)
     batch = batch_lmmse(system, record.y, record.u)
@@ -152,61 +121,72 @@ def _optimal_gain(spec: Spec, record: Record) -> Mapping[str, Array] | None:
     return {"gain": gains}
 
 
+def _systems(spec: Spec, record: Record) -> list[LinearSystem]:
+    return [system_of(spec, record, rates) for rates in spec.filter.options.hypotheses]
+
+
+def _bank(spec: Spec, record: Record) -> Ports:
+    options, T = spec.filter.options, len(record.y)
+    found = ports(
+        textbook_mme(
+            _systems(spec, record),
+            np.array(options.prior),
+            record.y,
+            record.u,
+            weight_floor=options.weight_floor,
+            likelihood=options.likelihood,
+        )
+    )
+    rates = len(options.hypotheses[0])
+    if rates > 1:
+        estimate = found["success_rate_estimate"].reshape(T, -1)
+        found["success_rate_estimate"] = np.broadcast_to(estimate, (T, rates))
+    return found
+
+
+def _posterior(spec: Spec, record: Record) -> Ports | None:
+    D, options = spec.model.D, spec.filter.options
+    direct = not D.is_constant or D.values().any()
+    if options.weight_floor > 0.0 or (direct and options.likelihood != "gaussian"):
+        return None
+    prior = np.array(options.prior)
+    return {"mode_probability": batch_posterior(_systems(spec, record), prior, record.y, record.u)}
+
+
+def likelihood_tolerance(spec: Spec, record: Record) -> float:
+    """Weights are exponentials: they lose the digits that the exponent has before the point."""
+    return 1e2 * digits_at_stake(spec, record)
+
+
+BATCH = ClosedForm(
+    claim="estimates, innovations and likelihoods are those of the joint distribution",
+    source="linear minimum mean square error estimate from second moments",
+    tolerance=digits_at_stake,
+    expected=_batch,
+)
+RICCATI = ClosedForm(
+    claim="the stabilising solution of the Riccati equation is where the covariance comes to rest",
+    source="Anderson & Moore 1979, sec. 4.4; (12) and (22) in the limit",
+    tolerance=_riccati_tolerance,
+    expected=_fixed_point,
+    start=_at_the_fixed_point,
+    steady=True,
+)
 OPTIMAL_GAIN = ClosedForm(
     claim="the gain is K = (A P C' + B N D') Om^-1, which minimises the error covariance",
     source=f"{PAPER}, eqs. (9)-(11)",
     tolerance=digits_at_stake,
     expected=_optimal_gain,
 )
-
-
-def _systems(spec: Spec, record: Record) -> list[LinearSystem]:
-    return [system_of(spec, record, rates) for rates in spec.filter.options.hypotheses]
-
-
-def _textbook(spec: Spec, record: Record) -> Mapping[str, Array]:
-    result = textbook_mme(
-        _systems(spec, record),
-        np.array(spec.filter.options.prior),
-        record.y,
-        record.u,
-        weight_floor=spec.filter.options.weight_floor,
-        likelihood=spec.filter.options.likelihood,
-    )
-    ports = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
-    rates = len(spec.filter.options.hypotheses[0])
-    if rates > 1:
-        estimate = ports["success_rate_estimate"].reshape(len(record.y), -1)
-        ports["success_rate_estimate"] = np.broadcast_to(estimate, (len(record.y), rates))
-    return ports
-
-
-def _likelihood_tolerance(spec: Spec, record: Record) -> float:
-    """Weights are exponentials: they lose the digits that the exponent has before the point."""
-    return 1e2 * digits_at_stake(spec, record)
-
-
 MME_TEXTBOOK = ClosedForm(
     claim="estimates and weights are those of matrix filters with plain probabilities",
     source=f"{PAPER}, eqs. (4), (9)-(18)",
-    tolerance=_likelihood_tolerance,
-    expected=_textbook,
+    tolerance=likelihood_tolerance,
+    expected=_bank,
 )
-
-
-def _posterior(spec: Spec, record: Record) -> Mapping[str, Array] | None:
-    D = spec.model.D
-    direct = not D.is_constant or D.values().any()
-    gaussian = spec.filter.options.likelihood == "gaussian" or not direct
-    if spec.filter.options.weight_floor > 0.0 or not gaussian:
-        return None
-    prior = np.array(spec.filter.options.prior)
-    return {"mode_probability": batch_posterior(_systems(spec, record), prior, record.y, record.u)}
-
-
 MME_BATCH = ClosedForm(
     claim="weights are the posterior from the joint density of all samples",
     source=f"{PAPER}, eqs. (14)-(16), without recursion",
-    tolerance=_likelihood_tolerance,
+    tolerance=likelihood_tolerance,
     expected=_posterior,
 )

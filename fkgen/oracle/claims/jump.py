@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
-from fkgen.oracle.claims.claim import Array, ClosedForm, Record
-from fkgen.oracle.claims.gaussian import EXACT, RANK_DEFICIENT
+from fkgen.oracle.claims.claim import ClosedForm, Ports, Record, ports
+from fkgen.oracle.claims.gaussian import EXACT, RANK_DEFICIENT, has_exact_rows, undecided
 from fkgen.oracle.exact.paths import JumpResult, enumerate_paths
 from fkgen.oracle.plants.jump import JumpSystem
 from fkgen.oracle.textbook.jump import SteadyState, composite, stationary_jumps, textbook_jumps
-from fkgen.oracle.textbook.loss_tests import LossTest
+from fkgen.oracle.textbook.loss_tests import VERDICT, LossTest
 from fkgen.problem import Spec
-from fkgen.problem.covariance import is_singular
 
 #: Paths of modes that are written side by side.
 MANY_PATHS = 1000
 
-#: Times the unit round-off: some thirty roundings of every entry; the errors found stay below a
-#: tenth of this.
-LOST_DIGITS = 30.0
+#: Rounding of some thirty roundings of every entry; the errors found stay below a tenth of this.
+LOST_DIGITS = 30.0 * float(np.finfo(float).eps)
 
 #: A comparison that allows a larger error than this decides nothing.
 NO_DIGITS = 1e-3
-
-#: What a detector alone shows.
-VERDICT = (
-    *("fault_declared", "test_statistic", "test_threshold", "test_dof"),
-    "consecutive_rejections",
-)
 
 
 def jump_system(spec: Spec, record: Record) -> JumpSystem:
@@ -52,75 +43,6 @@ def loss_test(spec: Spec) -> LossTest | None:
     return LossTest(options=spec.filter.options, rate=rate)
 
 
-def exact_modes(spec: Spec) -> bool:
-    """Whether some combination of the rows of y carries no noise in some mode."""
-    faults = spec.faults.jump
-    return faults is not None and any(
-        is_singular(mode.R.values(spec.defaults)) for mode in faults.modes
-    )
-
-
-def _ports(spec: Spec, result: JumpResult) -> dict[str, Array]:
-    leave_out = set() if spec.filter.options.detector != "none" else set(VERDICT)
-    if exact_modes(spec):  # a density on a subspace depends on the coordinates chosen there
-        leave_out.add("log_likelihood")
-    found = {f.name: getattr(result, f.name) for f in fields(result) if f.name not in leave_out}
-    infinite = np.isinf(found.get("test_statistic", np.zeros(1)))
-    if infinite.any():  # a rate of 0 or 1: the filter has a large number in place of infinity
-        del found["test_statistic"]
-    return found
-
-
-def _tolerance(spec: Spec, record: Record) -> float:
-    """Digits that S costs beside R: what a sample may have to take away from an estimate."""
-    if exact_modes(spec):
-        return RANK_DEFICIENT
-    system = _first(jump_system(spec, record))
-    T = system.length
-    found = enumerate_paths(system, record.y[:T], record.u[:T], loss_test(spec))
-    S = np.diagonal(found.innovation_covariance, axis1=-2, axis2=-1)
-    noise = np.diagonal(system.R, axis1=-2, axis2=-1).min(axis=1)
-    lost = LOST_DIGITS * np.finfo(float).eps * np.max(S / noise)
-    return float(min(max(EXACT, lost), NO_DIGITS))
-
-
-def _first(system: JumpSystem) -> JumpSystem:
-    """As many samples as there can be paths of."""
-    samples = int(np.log(MANY_PATHS) / np.log(max(2, system.count)))
-    return system.first(max(1, min(samples, system.length)))
-
-
-def _difference_tolerance(spec: Spec, record: Record) -> float:
-    """The same, and what is left of V as a difference of second moments of the state."""
-    if exact_modes(spec):
-        return RANK_DEFICIENT
-    system = jump_system(spec, record)
-    x0 = system.x0
-    growth = np.abs(system.A).sum(axis=-1).max() ** 2
-    state = np.trace(system.P0) + x0 @ x0 + np.trace(system.Q, axis1=-2, axis2=-1).max()
-    added = np.abs(system.offsets(record.u)[0]).max() ** 2
-    signal = np.abs(system.C).max() ** 2 * (state + added) * max(1.0, growth)
-    noise = np.diagonal(system.R, axis1=-2, axis2=-1).min()
-    return float(max(EXACT, 10.0 * LOST_DIGITS * np.finfo(float).eps * signal / noise))
-
-
-def _paths(spec: Spec, record: Record) -> Mapping[str, Array] | None:
-    if spec.filter.options.gain == "stationary":
-        return None
-    system = _first(jump_system(spec, record))
-    T = system.length
-    found = enumerate_paths(system, record.y[:T], record.u[:T], loss_test(spec))
-    return _ports(spec, found)
-
-
-PATHS = ClosedForm(
-    claim="estimates are the best linear ones: projections over all paths of modes and arrivals",
-    source="projection on exact second moments, path by path",
-    tolerance=_tolerance,
-    expected=_paths,
-)
-
-
 def unobserved_chain(spec: Spec) -> bool:
     """Whether gamma is a Markov chain that the filter does not see."""
     faults = spec.faults.jump
@@ -136,23 +58,75 @@ def steady_state(spec: Spec, system: JumpSystem) -> SteadyState | None:
     return stationary_jumps(composite(system)) if chain else stationary_jumps(system, rate)
 
 
-def _textbook(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+def _ports(spec: Spec, result: JumpResult) -> Ports:
+    undetected = VERDICT if spec.filter.options.detector == "none" else ()
+    found = ports(result, *undetected, *undecided(spec))
+    if np.isinf(found.get("test_statistic", 0.0)).any():
+        del found["test_statistic"]  # a rate of 0 or 1: the filter has a large number for infinity
+    return found
+
+
+def _by_paths(spec: Spec, record: Record) -> tuple[JumpSystem, JumpResult]:
+    """Projections over as many samples as there can be paths of."""
+    system = jump_system(spec, record)
+    samples = int(np.log(MANY_PATHS) / np.log(max(2, system.count)))
+    T = max(1, min(samples, system.length))
+    system = system.over(slice(T))
+    return system, enumerate_paths(system, record.y[:T], record.u[:T], loss_test(spec))
+
+
+def _paths(spec: Spec, record: Record) -> Ports | None:
+    if spec.filter.options.gain == "stationary":
+        return None
+    return _ports(spec, _by_paths(spec, record)[1])
+
+
+def _tolerance(spec: Spec, record: Record) -> float:
+    """Digits that S costs beside R: what a sample may have to take away from an estimate."""
+    if has_exact_rows(spec):
+        return RANK_DEFICIENT
+    system, found = _by_paths(spec, record)
+    S, R = (
+        np.diagonal(each, axis1=-2, axis2=-1) for each in (found.innovation_covariance, system.R)
+    )
+    lost = LOST_DIGITS * np.max(S / R.min(axis=1))
+    return float(min(max(EXACT, lost), NO_DIGITS))
+
+
+def _textbook(spec: Spec, record: Record) -> Ports | None:
     system, chain = jump_system(spec, record), unobserved_chain(spec)
-    steady = steady_state(spec, system) if spec.filter.options.gain == "stationary" else None
-    if chain:
-        system = composite(system)
-    if spec.filter.options.gain == "stationary" and steady is None:
+    stationary = spec.filter.options.gain == "stationary"
+    steady = steady_state(spec, system) if stationary else None
+    if (stationary and steady is None) or _difference_tolerance(spec, record) > NO_DIGITS:
         return None
-    if _difference_tolerance(spec, record) > NO_DIGITS:
-        return None
-    test = loss_test(spec)
-    result = textbook_jumps(system, record.y, record.u, test=test, steady=steady)
+    plant, test = composite(system) if chain else system, loss_test(spec)
+    result = textbook_jumps(plant, record.y, record.u, test=test, steady=steady)
     if chain:
         law = result.mode_law.reshape(len(record.y), 2, -1).sum(axis=1)
         result = replace(result, mode_law=law)
     return _ports(spec, result)
 
 
+def _difference_tolerance(spec: Spec, record: Record) -> float:
+    """The same, and what is left of V as a difference of second moments of the state."""
+    if has_exact_rows(spec):
+        return RANK_DEFICIENT
+    system = jump_system(spec, record)
+    x0 = system.x0
+    growth = np.abs(system.A).sum(axis=-1).max() ** 2
+    state = np.trace(system.P0) + x0 @ x0 + np.trace(system.Q, axis1=-2, axis2=-1).max()
+    added = np.abs(system.offsets(record.u)[0]).max() ** 2
+    signal = np.abs(system.C).max() ** 2 * (state + added) * max(1.0, growth)
+    noise = np.diagonal(system.R, axis1=-2, axis2=-1).min()
+    return float(max(EXACT, 10.0 * LOST_DIGITS * signal / noise))
+
+
+PATHS = ClosedForm(
+    claim="estimates are the best linear ones: projections over all paths of modes and arrivals",
+    source="projection on exact second moments, path by path",
+    tolerance=_tolerance,
+    expected=_paths,
+)
 TEXTBOOK = ClosedForm(
     claim="estimates and covariances are those of whole matrices over the split state",
     source="Costa 1994; Sun, Zhao & Yin, Lemma 3 and Theorem 6",

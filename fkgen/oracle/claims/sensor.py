@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from fkgen.faults.sensor import is_white
-from fkgen.oracle.claims.claim import Array, ClosedForm, Record
-from fkgen.oracle.claims.gaussian import digits_at_stake, has_exact_rows, system_of
+from fkgen.oracle.claims.claim import ClosedForm, Ports, Record, ports
+from fkgen.oracle.claims.gaussian import digits_at_stake, likelihood_tolerance, system_of, undecided
 from fkgen.oracle.exact.enumeration import enumerate_jumps
 from fkgen.oracle.exact.moments import FaultMoments, satisfies_lemma_2
 from fkgen.oracle.exact.uncertain import batch_uncertain
@@ -21,33 +20,11 @@ from fkgen.problem import Spec
 
 PAPER = "Sigalov & Oshman"
 
-#: Probabilities are exponentials: they lose the digits that the exponent has before the point.
-EXPONENTS = 1e2
 
-
-def _ports(result: object, leave_out: frozenset[str] = frozenset()) -> dict[str, Array]:
-    return {f.name: getattr(result, f.name) for f in fields(result) if f.name not in leave_out}  # type: ignore[arg-type]
-
-
-def _tolerance(spec: Spec, record: Record) -> float:
-    return EXPONENTS * digits_at_stake(spec, record)
-
-
-def _one_step(spec: Spec, record: Record) -> Mapping[str, Array]:
+def _one_step(spec: Spec, record: Record) -> Ports:
     system, law = system_of(spec, record), SensorLaw.from_spec(spec)
-    return _ports(
-        textbook_one_step(
-            system, law, record.y, record.u, covariance=spec.filter.options.covariance
-        )
-    )
-
-
-ONE_STEP = ClosedForm(
-    claim="estimates and probabilities are those of matrix filters, one for each sensor condition",
-    source=f"{PAPER}, eqs. (3)-(14) with the covariance spelled out",
-    tolerance=_tolerance,
-    expected=_one_step,
-)
+    covariance = spec.filter.options.covariance
+    return ports(textbook_one_step(system, law, record.y, record.u, covariance=covariance))
 
 
 def _conditions(spec: Spec, record: Record) -> tuple[JumpSystem, Lumping | None]:
@@ -60,49 +37,32 @@ def _conditions(spec: Spec, record: Record) -> tuple[JumpSystem, Lumping | None]
     return sensed_modes(system_of(spec, record), law), silent_lumped(law) if lumps else None
 
 
-def _imm(spec: Spec, record: Record) -> Mapping[str, Array]:
+def _imm(spec: Spec, record: Record) -> Ports:
     """All ports; without the estimates of single modes if one of them is impossible at times."""
     system, lumping = _conditions(spec, record)
     result = interacting(system, record.y, record.u, lumping)
     if result.mode_probability.all() and result.predicted_mode_probability.all():
-        return _ports(result)
+        return ports(result)
     single = ("mode_state", "mode_covariance", "mode_filtered_state", "mode_filtered_covariance")
-    return _ports(result, frozenset(single))
+    return ports(result, *single)
 
 
-IMM = ClosedForm(
-    claim="estimates and probabilities are those of interacting matrix filters",
-    source=f"Blom & Bar-Shalom 1988; {PAPER}, sec. IV, eqs. (15)-(18)",
-    tolerance=_tolerance,
-    expected=_imm,
-)
-
-
-def _enumerated(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+def _enumerated(spec: Spec, record: Record) -> Ports | None:
     """Exact Bayes at sample 0, and at sample 1 if the first mode is certain."""
     system, lumping = _conditions(spec, record)
     if lumping is not None and not is_lumpable(SensorLaw.from_spec(spec))[0]:
         return None
     samples = 2 if system.initial.max() == 1.0 else 1
-    exact = enumerate_jumps(system.first(samples), record.y[:samples], record.u[:samples])
-    names = {"filtered_state", "log_likelihood", "mode_probability"}
+    exact = enumerate_jumps(system.over(slice(samples)), record.y[:samples], record.u[:samples])
+    names = ["filtered_state", "log_likelihood", "mode_probability"]
     if spec.filter.option("covariance", "moment_matched") == "moment_matched":
-        names.add("filtered_covariance")
+        names.append("filtered_covariance")
     elif samples > 1:  # other readings go on with another covariance
         return None
-    ports = {name: getattr(exact, name) for name in names}
+    found = {name: getattr(exact, name) for name in names}
     if lumping is not None:
-        ports["mode_probability"] = ports["mode_probability"] @ (lumping.shares > 0.0).T
-    return ports
-
-
-ENUMERATION = ClosedForm(
-    claim="exact Bayes as long as nothing is approximated: at sample 0, one more if the first mode"
-    " is known",
-    source="enumeration of all histories of modes",
-    tolerance=_tolerance,
-    expected=_enumerated,
-)
+        found["mode_probability"] = found["mode_probability"] @ (lumping.shares > 0.0).T
+    return found
 
 
 def _moment_tolerance(spec: Spec, record: Record) -> float:
@@ -114,31 +74,22 @@ def _moment_tolerance(spec: Spec, record: Record) -> float:
     return max(digits_at_stake(spec, record), 1e4 * np.finfo(float).eps * (1.0 + size / noise))
 
 
-def _lemma_2_form(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+def _lemma_2_form(spec: Spec, record: Record) -> Ports | None:
     if spec.filter.options.form != "lemma2":
         return None
     system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
     result = linear_optimal(system, moments, record.y, record.u)
-    unused = {"offset", "estimate_second_moment"}
+    unused = ["offset", "estimate_second_moment"]
     ranks = np.linalg.matrix_rank(result.innovation_covariance, hermitian=True)
     if (ranks < spec.model.ny).any():  # rows that say the same may share the gain in any way
-        unused.add("measurement_gain")
-    return _ports(result, frozenset(unused))
-
-
-LEMMA_2_FORM = ClosedForm(
-    claim="gains and estimates are those of (23), the covariance is C - V",
-    source=f"{PAPER}, eqs. (19)-(23)",
-    tolerance=_moment_tolerance,
-    expected=_lemma_2_form,
-)
+        unused.append("measurement_gain")
+    return ports(result, *unused)
 
 
 def lemma_2_holds(spec: Spec) -> bool:
     """Whether Pr(gamma_k = 1 | gamma_i = 1) is the same for all i < k, and enough with all rows.
 
-    Rows that cannot fail need more: gamma must not depend on its past, because their signal is
-    not multiplied by it.
+    Rows that cannot fail need a gamma that does not depend on its past: it does not multiply them.
     """
     faults = spec.faults.sensor
     if faults is None:
@@ -150,14 +101,38 @@ def lemma_2_holds(spec: Spec) -> bool:
     return satisfies_lemma_2(law.kernel, law.initial)[0] and (not healthy or is_white(faults))
 
 
-def _linear_batch(spec: Spec, record: Record) -> Mapping[str, Array] | None:
+def _linear_batch(spec: Spec, record: Record) -> Ports | None:
     if spec.filter.options.form == "lemma2" and not lemma_2_holds(spec):
         return None
     system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
-    likelihood = frozenset({"log_likelihood"} if has_exact_rows(spec) else ())
-    return _ports(batch_uncertain(system, moments, record.y, record.u), likelihood)
+    return ports(batch_uncertain(system, moments, record.y, record.u), *undecided(spec))
 
 
+ONE_STEP = ClosedForm(
+    claim="estimates and probabilities are those of matrix filters, one for each sensor condition",
+    source=f"{PAPER}, eqs. (3)-(14) with the covariance spelled out",
+    tolerance=likelihood_tolerance,
+    expected=_one_step,
+)
+IMM = ClosedForm(
+    claim="estimates and probabilities are those of interacting matrix filters",
+    source=f"Blom & Bar-Shalom 1988; {PAPER}, sec. IV, eqs. (15)-(18)",
+    tolerance=likelihood_tolerance,
+    expected=_imm,
+)
+ENUMERATION = ClosedForm(
+    claim="exact Bayes as long as nothing is approximated: at sample 0, one more if the first mode"
+    " is known",
+    source="enumeration of all histories of modes",
+    tolerance=likelihood_tolerance,
+    expected=_enumerated,
+)
+LEMMA_2_FORM = ClosedForm(
+    claim="gains and estimates are those of (23), the covariance is C - V",
+    source=f"{PAPER}, eqs. (19)-(23)",
+    tolerance=_moment_tolerance,
+    expected=_lemma_2_form,
+)
 LINEAR_BATCH = ClosedForm(
     claim="estimates are the best linear ones given the second moments of all samples",
     source="projection on the joint second moments of states and measurements",

@@ -1,15 +1,13 @@
 """The best linear estimate from its definition: one joint distribution, then projections.
 
-No recursion over time takes place: every estimate conditions anew on all measurements up to its
-sample. This is the judge of every Kalman-type recursion with actuator faults, for correlated and
-time-varying noise alike.
+No recursion takes place: every estimate conditions anew on all measurements up to its sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,15 +25,14 @@ from fkgen.oracle.plants.actuator import LinearSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joint:
-    """All states and measurements of a record, linear in one vector z of uncorrelated variances 1.
-
-    z is x[0], then gamma, v and w of each sample.
-    """
+    """States and measurements, linear in uncorrelated z of variance 1: x[0], then gamma, v, w."""
 
     state_mean: Array  # (T + 1, n), (T + 1, n, d): x[k] = state_mean[k] + state_root[k] @ z
     state_root: Array
     measurement_mean: Array  # (T, p), (T, p, d): the same of y[k]
     measurement_root: Array
+    #: (c, d): Vectors that are known to be 1 from the start: where means are taken for variables
+    known: Array | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,25 +58,6 @@ class BatchResult(Estimates):
 
     nis: Array  # (T,): Normalised square of the innovation; 0 if there is no row
     log_likelihood: Array  # (T,): Its Gaussian log density; 0 if there is no row
-
-
-@dataclass(frozen=True, eq=False)
-class Past:
-    """What measurements that were seen say about z."""
-
-    whitening: Whitening
-    coordinates: Array
-
-    @classmethod
-    def of(cls, root: Array, residual: Array) -> Self:
-        """See ``residual`` = root @ z; shapes (m, d), (m,)."""
-        whitening = whiten(root)
-        return cls(whitening, whitening.weights @ residual)
-
-    def given(self, mean: Array | float, root: Array) -> tuple[Array, Array]:
-        """Mean and covariance root of ``mean + root @ z`` when the past is known."""
-        known = root @ (self.whitening.directions @ self.coordinates)
-        return mean + known, self.whitening.unexplained(root)
 
 
 def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
@@ -115,41 +93,57 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
 def batch_lmmse(system: LinearSystem, y: Array, u: Array | None) -> BatchResult:
     """Estimate each state by projecting it on all measurements up to its time; y (T, p), u (T, q).
 
-    Where the joint covariance is singular the projection is the one on its range, with the rank
-    decided on rows of unit variance.
+    A singular covariance is projected on its range, the rank decided on rows of unit variance.
     """
-    return project(joint_distribution(system, u), y)
+    return BatchResult.of(project(joint_distribution(system, u), y))
 
 
-def project(joint: Joint, y: Array) -> BatchResult:
-    """Project each state of a joint distribution on the finite measurements up to its time."""
-    rows, past = [], _past(joint, y[:0])
+Judge: TypeAlias = Callable[[int, Array, Array], tuple[dict[str, ArrayLike], slice]]
+
+
+def project(joint: Joint, y: Array, judge: Judge | None = None) -> list[dict[str, ArrayLike]]:
+    """Ports of each sample: the state projected on the finite measurements up to its time.
+
+    `judge(k, innovation, covariance)` adds ports, and says which samples are not used any longer.
+    """
+    used, rows = y.copy(), []
+    past, z = _past(joint, y[:0])
     for k, now in enumerate(y):
-        mean, root = past.given(joint.measurement_mean[k], joint.measurement_root[k])
+        root = past.unexplained(joint.measurement_root[k])
+        residual = now - (joint.measurement_mean[k] + joint.measurement_root[k] @ z)
+        S = root @ root.T
         row: dict[str, ArrayLike] = {
-            "innovation": now - mean,
-            "innovation_covariance": root @ root.T,
-            **agreement(now - mean, root, joint.measurement_root[k]),
+            "innovation": residual,
+            "innovation_covariance": S,
+            **_agreement(residual, root, joint.measurement_root[k]),
         }
-        past = _past(joint, y[: k + 1])
+        if judge is not None:
+            judged, forgotten = judge(k, residual, S)
+            row |= judged
+            used[forgotten] = np.nan
+        past, z = _past(joint, used[: k + 1])
         for at, when in ((k, "filtered"), (k + 1, "predicted")):
-            mean, root = past.given(joint.state_mean[at], joint.state_root[at])
-            row |= {f"{when}_state": mean, f"{when}_covariance": root @ root.T}
+            root = past.unexplained(joint.state_root[at])
+            row[f"{when}_state"] = joint.state_mean[at] + joint.state_root[at] @ z
+            row[f"{when}_covariance"] = root @ root.T
         rows.append(row)
-    return BatchResult.of(rows)
+    return rows
 
 
-def _past(joint: Joint, y: Array) -> Past:
+def _past(joint: Joint, y: Array) -> tuple[Whitening, Array]:
+    """What the finite measurements so far reveal of z, and the mean of z given them, (d,)."""
     finite, samples = np.isfinite(y), len(y)
     residual = (y - joint.measurement_mean[:samples])[finite]
-    return Past.of(joint.measurement_root[:samples][finite], residual)
+    root = joint.measurement_root[:samples][finite]
+    if joint.known is not None:
+        root = np.vstack([joint.known, root])
+        residual = np.append(np.ones(len(joint.known)), residual)
+    whitening = whiten(root)
+    return whitening, whitening.directions @ (whitening.weights @ residual)
 
 
-def agreement(innovation: Array, root: Array, before: Array) -> dict[str, float]:
-    """The ports `nis` and `log_likelihood` of the finite rows of an innovation.
-
-    `root` is that of the rows given the past, `before` that of the rows as they were.
-    """
+def _agreement(innovation: Array, root: Array, before: Array) -> dict[str, float]:
+    """Ports of the finite rows of an innovation, from their roots given the past and `before`."""
     finite = np.isfinite(innovation)
     if not finite.any():
         return {"nis": 0.0, "log_likelihood": 0.0}

@@ -1,10 +1,7 @@
 """Host and compression filters from joint distributions, window by window.
 
-Between two ends of windows nothing but (x, P) is remembered, so a window is a short record with a
-prior of its own: the host is the projection on its rows, a compression filter the projection on the
-rows of its groups too. The statistic is taken from a square root of D = P - P*, never from that
-difference: what the compressed rows say beyond the host's, whitened, is projected on the part that
-moves the estimate.
+Nothing but (x, P) passes from one to the next, so a window is a record with a prior of its own. The
+statistic comes from a square root of D = P - P*: what compressed rows say beyond the host's.
 """
 
 from __future__ import annotations
@@ -23,10 +20,7 @@ from fkgen.oracle.plants.actuator import LinearSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CompressionResult(BatchResult):
-    """Estimates of the host, after it has taken over what it accepts, and of every filter.
-
-    `nis` and `log_likelihood` are those of the rows of the host.
-    """
+    """Estimates of the host after what it accepts, with `nis` and likelihood of its own rows."""
 
     #: (T, s, n), (T, s, n, n): Of every set of groups: its estimate minus the host's, and its
     #: covariance
@@ -53,12 +47,6 @@ class Policy:
     negligible: float = 1e-11
 
 
-def subsets(soft: SoftFaults) -> list[tuple[int, ...]]:
-    """Every set of groups that may be accepted, the small ones first."""
-    count = len(soft.groups)
-    return [s for size in range(1, count + 1) for s in combinations(range(count), size)]
-
-
 def only(y: Array, rows: Iterable[int]) -> Array:
     """The record with all other rows missing."""
     result = np.full_like(y, np.nan)
@@ -79,30 +67,28 @@ def accepted_rows(soft: SoftFaults, y: Array, ends: Sequence[int], accepted: Arr
 def batch_compression(
     system: LinearSystem, soft: SoftFaults, policy: Policy, y: Array, u: Array | None
 ) -> CompressionResult:
-    """Filter a record as ``compression_full`` and ``dfcf`` have to; y (T, p), u (T, q).
+    """Filter a record; y (T, p), u (T, q): Lee & Lee, Theorems 2 and 3, (50), (51).
 
-    Lee & Lee, Theorems 2 and 3, (50), (51), from their statement: the host is the Kalman filter of
-    its rows and of what it accepted.
+    From their statement: the host is the Kalman filter of its rows and of what it accepted.
     """
     T, inputs, pieces = system.length, system.inputs(u), []
     ends = [*range(policy.first, T, soft.window)] if policy.first else []
-    begin, rejections = 0, 0
-    prior = {"x0": system.x0, "P0": system.P0}
+    begin, rejections, x, P = 0, 0, system.x0, system.P0
     for last in dict.fromkeys([*ends, T - 1]):
         piece = slice(begin, last + 1)
-        part = replace(system.over(piece), **prior)
-        window = _Window(part=part, soft=soft, y=y[piece], u=inputs[piece])
+        part = replace(system.over(piece), x0=x, P0=P)
+        window = _Window(part, soft, y[piece], inputs[piece])
         ports = window.projections()
         if last in ends:
             rejections = window.close(ports, policy, rejections)
-        begin = last + 1
-        prior = {"x0": ports["predicted_state"][-1], "P0": ports["predicted_covariance"][-1]}
+        begin, x, P = last + 1, ports["predicted_state"][-1], ports["predicted_covariance"][-1]
         pieces.append(ports)
-    joined = {name: np.concatenate([ports[name] for ports in pieces]) for name in pieces[0]}
-    return CompressionResult(**joined)
+    return CompressionResult(
+        **{name: np.concatenate([ports[name] for ports in pieces]) for name in pieces[0]}
+    )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class _Window:
     """A window: the plant with the prior of its first sample, and the record."""
 
@@ -111,35 +97,33 @@ class _Window:
     y: Array
     u: Array
 
+    @property
+    def subsets(self) -> list[tuple[int, ...]]:
+        """Every set of groups that may be accepted, the small ones first."""
+        groups = range(len(self.soft.groups))
+        return [s for size in range(1, len(groups) + 1) for s in combinations(groups, size)]
+
     def projections(self) -> dict[str, Array]:
         """Project on the rows of the host, and on those of each set of groups too."""
         part, soft = self.part, self.soft
-        host = batch_lmmse(part, only(self.y, soft.host), self.u)
-        before = np.vstack([part.x0[None], host.predicted_state[:-1]])
-        spread = np.concatenate([part.P0[None], host.predicted_covariance[:-1]])
+        host, *found = (
+            batch_lmmse(part, only(self.y, sum((soft.groups[g] for g in s), soft.host)), self.u)
+            for s in ((), *self.subsets)
+        )
+        before = np.vstack([part.x0, host.predicted_state[:-1]])
         predicted = part.C @ before[..., None] + part.D @ self.u[..., None]
-        found = [
-            batch_lmmse(part, only(self.y, [*soft.host, *self._rows(subset)]), self.u)
-            for subset in subsets(soft)
-        ]
-        blank = np.zeros((4, len(self.y), len(soft.groups)))
-        blank[2:] = np.nan
-        names = ("test_dof", "fault_declared", "test_statistic", "faintest")
+        deviations = [each.filtered_state - host.filtered_state for each in found]
+        untested = np.zeros((len(self.y), len(soft.groups)))
         return {
             **vars(host),
             "innovation": self.y - predicted[..., 0],
-            "innovation_covariance": part.C @ spread @ part.C.transpose(0, 2, 1) + part.R,
-            "compression_deviation": np.stack(
-                [each.filtered_state - host.filtered_state for each in found], axis=1
-            ),
-            "compression_covariance": np.stack(
-                [each.filtered_covariance for each in found], axis=1
-            ),
-            **dict(zip(names, blank, strict=True)),
+            "compression_deviation": np.stack(deviations, axis=1),
+            "compression_covariance": np.stack([each.filtered_covariance for each in found], 1),
+            "test_statistic": untested + np.nan,
+            "test_dof": untested.copy(),
+            "fault_declared": untested.copy(),
+            "faintest": untested + np.nan,
         }
-
-    def _rows(self, subset: Iterable[int]) -> list[int]:
-        return [row for group in subset for row in self.soft.groups[group]]
 
     def close(self, ports: dict[str, Array], policy: Policy, rejections: int) -> int:
         """Test every group, take over what passes; return the windows of rejections in a row."""
@@ -148,7 +132,7 @@ class _Window:
         x, P = ports["filtered_state"][-1], ports["filtered_covariance"][-1]
         d = ports["compression_deviation"][-1, -1].copy()
         if accepted:
-            at = subsets(self.soft).index(accepted)
+            at = self.subsets.index(accepted)
             x += ports["compression_deviation"][-1, at]
             P[:] = ports["compression_covariance"][-1, at]
         rejections = 0 if accepted else rejections + rejected
@@ -160,11 +144,8 @@ class _Window:
         ports["compression_covariance"][-1] = P
         return rejections
 
-    def news(self, group: Sequence[int]) -> tuple[Array, Array]:
-        """What the rows of a group say beyond the host's, whitened: c; and M in x* - x = M c.
-
-        Rows of M are in units of the host's standard deviations at the end of the window.
-        """
+    def _news(self, group: Sequence[int]) -> tuple[Array, Array]:
+        """What a group says beyond the host, whitened: c; M in x* - x = M c, host's deviation 1."""
         joint = joint_distribution(self.part, self.u)
         seen = np.isfinite(only(self.y, self.soft.host))
         new = np.isfinite(only(self.y, group))
@@ -188,7 +169,7 @@ class _Window:
         for g, group in enumerate(self.soft.groups):
             if not np.isfinite(self.y[:, list(group)]).any():
                 continue
-            statistic, dof, faintest = quadratic_form(*self.news(group), policy.negligible)
+            statistic, dof, faintest = quadratic_form(*self._news(group), policy.negligible)
             fault = policy.test and dof > 0 and statistic > chdtri(dof, self.soft.false_alarm)
             ports["test_dof"][-1, g], ports["faintest"][-1, g] = dof, faintest
             ports["test_statistic"][-1, g] = statistic if dof else np.nan
@@ -202,8 +183,7 @@ class _Window:
 def quadratic_form(c: Array, M: Array, negligible: float) -> tuple[float, int, float]:
     """The statistic d' (M M')^+ d for d = M c, the rank of M M', and the smallest pivot.
 
-    Rows of M are chosen by LAPACK's elimination with diagonal pivoting; the statistic is the square
-    of the projection of c on them.
+    It is the square of the projection of c on rows of M that LAPACK's diagonal pivoting chooses.
     """
     from scipy.linalg.lapack import dpstrf  # noqa: PLC0415 - slow to import
 

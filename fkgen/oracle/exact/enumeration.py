@@ -73,8 +73,7 @@ def enumerate_modes(
 def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult:
     """Sum over all histories of the modes that have a probability; y, u (T, p), (T, q).
 
-    Given a history the plant is linear and Gaussian, so its Kalman filter is exact, and the
-    posterior is the mixture of the filters weighted with prior probability times evidence.
+    Given a history its Kalman filter is exact: the posterior is their mixture by evidence.
     """
     T, N = system.length, system.count
     mode = np.flatnonzero(system.initial > 0.0)

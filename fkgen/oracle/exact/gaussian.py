@@ -1,8 +1,7 @@
 """Gaussian vectors given by a square root of their covariance: roots, projections, densities.
 
-A random vector is written ``a = mean + root @ z`` with uncorrelated ``z`` of unit variance. Working
-with the root and never with ``root @ root.T`` keeps all digits of small posterior variances, and
-conditioning becomes what it is: an orthogonal projection in the space of ``z``.
+A vector is ``mean + root @ z`` with uncorrelated ``z`` of unit variance: to condition is to project
+in the space of ``z``, and small posterior variances keep all digits.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ Array: TypeAlias = NDArray[np.float64]
 RANK_TOLERANCE = 1e-13
 
 
-def square_root(covariance: Array) -> Array:
-    """Square roots of positive semidefinite matrices (..., n, n), exact in rank, blind to units.
-
-    The eigenvalues are those of the correlation matrix, so that a variance of 1e-8 beside one of
-    1e8 keeps its digits.
-    """
+def units(covariance: Array) -> Array:
+    """Standard deviations (..., n), with 1 in place of 0."""
     deviation = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
-    unit = np.where(deviation > 0.0, deviation, 1.0)
+    return np.where(deviation > 0.0, deviation, 1.0)
+
+
+def square_root(covariance: Array) -> Array:
+    """Square roots of positive semidefinite matrices (..., n, n), exact in rank, blind to units."""
+    unit = units(covariance)
     eigenvalues, vectors = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
-    # A correlation matrix has trace n: what is below n units of round-off is the zero of a singular
-    # matrix.
+    # A correlation matrix has trace n: below n units of round-off is the zero of a singular one.
     size = covariance.shape[-1]
     eigenvalues = np.where(eigenvalues > 4.0 * size * np.finfo(float).eps, eigenvalues, 0.0)
     root: Array = unit[..., :, None] * vectors * np.sqrt(eigenvalues)[..., None, :]
@@ -78,8 +77,8 @@ def log_density(residual: Array, whitening: Whitening) -> float:
 
 
 def mixture(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
-    """Mean and covariance of a mixture, the latter with the spread of the means."""
+    """Mean and covariance of mixtures (..., N), the latter with the spread of the means."""
     mean = weights @ means
-    spread = means - mean
-    within = np.einsum("i,ijk->jk", weights, covariances)
-    return mean, within + np.einsum("i,ij,ik->jk", weights, spread, spread)
+    spread = means - mean[..., None, :]
+    within = np.einsum("...i,ijk->...jk", weights, covariances)
+    return mean, within + np.einsum("...i,...ij,...ik->...jk", weights, spread, spread)

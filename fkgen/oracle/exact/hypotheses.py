@@ -19,12 +19,9 @@ from fkgen.oracle.textbook.mkf import log_likelihood, scaled_pseudo_inverse, tex
 def batch_posterior(
     systems: Sequence[LinearSystem], prior: Array, y: Array, u: Array | None
 ) -> Array:
-    """Posterior of every hypothesis from the joint density of the whole record so far, (T, N).
+    """p(xi_i | Y_k), (T, N), from p(xi_i) p(y_0, ..., y_k | xi_i); prior (N,), y (T, p), u (T, q).
 
-    p(xi_i | Y_k) is proportional to p(xi_i) p(y_0, ..., y_k | xi_i) with the Gaussian density of
-    all finite entries at once: no innovation, no filter and no recursion of weights appears.
-
-    Shapes: prior (N,); y (T, p); u (T, q).
+    The Gaussian density of all finite entries at once: no innovation, filter or recursion appears.
     """
     from scipy.special import logsumexp  # noqa: PLC0415 - slow to import
 
@@ -48,10 +45,7 @@ def batch_posterior(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MultipleModelResult(BatchResult):
-    """Estimates of a bank of filters, combined with p(xi_i | Y_k).
-
-    The innovation is that against the mixture weighted with p(xi_i | Y_{k-1}).
-    """
+    """Estimates combined with p(xi_i | Y_k); the innovation against that with p(xi_i | Y_{k-1})."""
 
     mode_probability: Array  # (T, N): p(xi_i | Y_k), eq. (14), as held after sample k
     #: (T, q): Sum of p(xi_i | Y_k) xi_i; (T,) where one rate holds for all inputs
@@ -81,7 +75,7 @@ def textbook_mme(
         logs = np.array(
             [log_likelihood(s, k, before, now, u[k], mixture=patterns) for s, before in pairs]
         )
-        each = {name: np.array([getattr(s, name) for s in steps]) for name in vars(steps[0])}
+        each = {name: np.array([step[name] for step in steps]) for name in steps[0]}
         expected, S = mixture(weights, each["expected_measurement"], each["innovation_covariance"])
         finite = np.isfinite(now)
         residual = (now - expected)[finite]
@@ -102,7 +96,7 @@ def textbook_mme(
             names = (f"{when}_state", f"{when}_covariance")
             row |= dict(zip(names, mixture(weights, *(each[name] for name in names)), strict=True))
         rows.append(row)
-        predictions = [(step.predicted_state, step.predicted_covariance) for step in steps]
+        predictions = [(step["predicted_state"], step["predicted_covariance"]) for step in steps]
     return MultipleModelResult.of(rows)
 
 
@@ -114,8 +108,7 @@ def _reweigh(weights: Array, logs: Array, y: Array, floor: float) -> Array:
         return weights
     likelihoods = np.exp(logs - logs.max())
     updated = weights * likelihoods / np.sum(weights * likelihoods)
-    floored: Array = floor + (1.0 - weights.size * floor) * updated
-    return floored
+    return np.asarray(floor + (1.0 - weights.size * floor) * updated)
 
 
 def _one_rate(systems: Sequence[LinearSystem]) -> bool:

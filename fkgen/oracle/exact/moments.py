@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Self
 
 import numpy as np
@@ -25,11 +26,7 @@ INDEFINITE = 1e-9
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FaultMoments:
-    """Moments of gamma and delta; y = G (C x + D u) + v with Cov v = T R T, eq. (1)-(2).
-
-    Sigalov, Oshman, A New Formulation of Fault-Tolerant Estimation Problems and Some Solutions,
-    sec. V.
-    """
+    """Moments of gamma, delta; y = G (C x + D u) + v, Cov v = T R T: Sigalov & Oshman, sec. V."""
 
     gamma: Array  # (T,): E[gamma_k]
     gamma_pair: Array  # (T, T): E[gamma_k gamma_i]
@@ -42,7 +39,8 @@ class FaultMoments:
     def from_law(cls, law: SensorLaw, T: int) -> Self:
         """Follow a chain of modes through T samples."""
         laws = _laws(law.initial, law.kernel, T)
-        again = (laws * GAMMA) @ _returns(law.kernel, T).T  # Pr(gamma_i = 1, gamma_(i + lag) = 1)
+        # Pr(gamma = 1 after `lag` steps | mode), and Pr(gamma_i = 1, gamma_(i + lag) = 1).
+        again = (laws * GAMMA) @ _laws(GAMMA, law.kernel.T, T).T
         sample = np.arange(T)
         earlier = np.minimum(sample[:, None], sample)
         pair = again[earlier, np.abs(sample[:, None] - sample)]
@@ -146,8 +144,7 @@ class FaultMoments:
         faulty = self.faulty(R.shape[-1])
         both, none = np.outer(faulty, faulty), np.outer(1.0 - faulty, 1.0 - faulty)
         delta, root = self.delta[:, None, None], self.root_delta[:, None, None]
-        weighted: Array = R * (delta * both + none + root * (1.0 - both - none))
-        return weighted
+        return np.asarray(R * (delta * both + none + root * (1.0 - both - none)))
 
 
 def satisfies_lemma_2(
@@ -155,11 +152,9 @@ def satisfies_lemma_2(
 ) -> tuple[bool, float]:
     """Whether Pr(gamma_k = 1 | gamma_i = 1) does not depend on i < k, as Lemma 2 asks.
 
-    Samples i at which gamma = 1 has no probability are not asked.
-
-    Shapes: kernel, initial (4, 4), (4,). Sigalov, Oshman, Lemma 2.
+    Not of samples i at which gamma = 1 has no probability; kernel, initial (4, 4), (4,).
     """
-    laws, returns = _laws(initial, kernel, horizon), _returns(kernel, horizon)
+    laws, returns = _laws(initial, kernel, horizon), _laws(GAMMA, kernel.T, horizon)
     given = [i for i in range(horizon) if laws[i] @ GAMMA > SAME_PROBABILITY]
     conditionals = (
         [(laws[i] * GAMMA) @ returns[k - i] / (laws[i] @ GAMMA) for i in given if i < k]
@@ -171,17 +166,5 @@ def satisfies_lemma_2(
 
 def _laws(initial: Array, kernel: Array, T: int) -> Array:
     """Law of the mode at each of T samples, (T, 4)."""
-    laws = np.empty((T, 4))
-    now = np.asarray(initial, dtype=float)
-    for k in range(T):
-        laws[k], now = now, now @ kernel
-    return laws
-
-
-def _returns(kernel: Array, T: int) -> Array:
-    """Pr(gamma = 1 after `lag` steps | mode), (T, 4), lag 0 first."""
-    returns = np.empty((T, 4))
-    now = GAMMA
-    for lag in range(T):
-        returns[lag], now = now, kernel @ now
-    return returns
+    start = np.asarray(initial, dtype=float)
+    return np.array(list(accumulate([kernel] * (T - 1), np.matmul, initial=start)))

@@ -1,15 +1,13 @@
 """The correlated partial error-state compression filter, from the noises its errors are made of.
 
-Every error is written as coefficients on the primitive noises (start, process, measurement), so
-that each covariance is a sum of squares of what really happens to that error. None of the paper's
-recursions for P, R and S is used: host and compression filter take their gains from these
-coefficients. Steps are in the order in which Theorem 3 is exact.
+Every error is coefficients on start, process and measurement noise, every covariance their squares;
+no recursion of the paper for P, R and S is used. Steps are in the order that Theorem 3 is exact in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -45,10 +43,7 @@ class PartialCompression:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PartialCompressionResult(BatchResult):
-    """Estimates of the host, after its update by the compression filter where there is one.
-
-    The innovation is that of all rows, `nis` and `log_likelihood` are those of the host's.
-    """
+    """Estimates of the host after its update by Z; `nis` and likelihood are of its own rows."""
 
     test_statistic: Array  # (T,), as the next two: NaN, 0 and 0 where no test is made
     test_dof: Array
@@ -63,10 +58,7 @@ class PartialCompressionResult(BatchResult):
 def partial_compression(
     system: LinearSystem, design: PartialCompression, y: Array, u: Array | None
 ) -> PartialCompressionResult:
-    """Filter a record with host and compression filter; y (T, p), u (T, q).
-
-    Lee & Lee, compression filters, Theorem 4 and Appendix D.
-    """
+    """Filter a record; y (T, p), u (T, q): Lee & Lee, Theorem 4 and Appendix D."""
     T, back, inputs = design.T, np.linalg.inv(design.T), system.inputs(u)
     transformed = replace(
         system,  # for the state T x, (39)
@@ -87,7 +79,6 @@ def partial_compression(
     return replace(result, **ports)
 
 
-@dataclass(slots=True)
 class _Run:
     """Host estimate ``x`` with its error ``e``; ``Z`` with its coefficients, if there is one.
 
@@ -95,23 +86,18 @@ class _Run:
     process, p of the measurement and one that stands for an inflation of the host.
     """
 
-    system: LinearSystem
-    design: PartialCompression
-    x: Array = field(init=False)
-    e: Array = field(init=False)
-    Z: Array = field(init=False)
-    coefficients: Array = field(init=False)
-    alive: bool = False
-    rejections: int = 0
-
-    def __post_init__(self) -> None:
-        system = self.system
+    def __init__(self, system: LinearSystem, design: PartialCompression) -> None:
         n, p = system.nx, system.ny
-        self.x = system.x0
-        self.e = np.zeros((n, n + system.length * (n + p + 1)))
+        self.system, self.design = system, design
+        self.others = [i for i in range(p) if i not in design.host]
+        self.x, self.e = system.x0, np.zeros((n, n + system.length * (n + p + 1)))
         self.e[:, :n] = square_root(system.P0)
-        m = p - len(self.design.host)
-        self.Z, self.coefficients = np.zeros(m), np.zeros((m, self.e.shape[1]))
+        self.rejections = 0
+        self._start_anew()
+
+    def _start_anew(self) -> None:
+        m = len(self.others)
+        self.alive, self.Z, self.coefficients = False, np.zeros(m), np.zeros_like(self.e[:m])
 
     @property
     def V(self) -> Array:
@@ -125,16 +111,14 @@ class _Run:
 
     def step(self, k: int, y: Array, u: Array) -> dict[str, Array | float]:
         """Sample k, then the propagation to k + 1."""
-        p, hosts = self.system.ny, self.design.host
-        given = [i for i in range(p) if not np.isnan(y[i])]
-        everything, innovation = self._innovation(k, y, range(p))
+        given = np.flatnonzero(~np.isnan(y)).tolist()
+        everything, innovation = self._innovation(k, y, range(len(y)))
         results: dict[str, Array | float] = {
             "innovation": innovation,
             "innovation_covariance": everything @ everything.T,
-            **self._update_host(k, y, [i for i in given if i in hosts]),
+            **self._update_host(k, y, [i for i in given if i in self.design.host]),
         }
-        if any(i not in hosts for i in given):
-            self._compress(k, y, [i for i in range(p) if i not in hosts])
+        self._compress(k, y, [i for i in given if i in self.others])
         results |= {
             "compressed_measurement": self.Z,
             "compressed_noise": self.V @ self.V.T * self.alive,
@@ -144,17 +128,14 @@ class _Run:
             "filtered_covariance": self.e @ self.e.T,
         }
         self._propagate(k, u)
-        return results | {
-            "predicted_state": self.x,
-            "predicted_covariance": self.e @ self.e.T,
-        }
+        return results | {"predicted_state": self.x, "predicted_covariance": self.e @ self.e.T}
 
     def _innovation(self, k: int, y: Array, rows: Sequence[int]) -> tuple[Array, Array]:
         """Coefficients and values of y - C x for these rows."""
         which, at = list(rows), self.slot(k) + self.system.nx
         C = self.system.C[k][which]
         coefficients = C @ self.e
-        coefficients[:, at : at + self.system.ny] += square_root(self.system.R[k])[which]
+        coefficients[:, at : at + len(y)] += square_root(self.system.R[k])[which]
         return coefficients, y[which] - C @ self.x
 
     def _update_host(self, k: int, y: Array, rows: list[int]) -> dict[str, Array | float]:
@@ -174,20 +155,17 @@ class _Run:
         return {"nis": nis, "log_likelihood": log_density(z, seen)}
 
     def _compress(self, k: int, y: Array, rows: list[int]) -> None:
-        """(42), (46); the rows of y that are there weigh against V as if it were all unknown.
-
-        To begin with some of the rows, Z starts as the measurement that tells nothing, Z = 0.
-        """
+        """(42), (46); rows weigh against V as if all of it were unknown; a few start from Z = 0."""
+        if not rows:
+            return
         m = self.Z.size
-        given = [i for i, row in enumerate(rows) if not np.isnan(y[row])]
-        which = [rows[i] for i in given]
-        phi, r = self.system.C[k][which][:, :m], self.system.R[k][np.ix_(which, which)]
-        if not self.alive and len(given) == m:
+        phi, r = self.system.C[k][rows][:, :m], self.system.R[k][np.ix_(rows, rows)]
+        if not self.alive and len(rows) == m:
             gain = np.linalg.inv(phi)
         else:
             R = self.V @ self.V.T
             gain = np.linalg.solve(phi @ R @ phi.T + r, phi @ R).T
-        coefficients, z = self._innovation(k, y, which)
+        coefficients, z = self._innovation(k, y, rows)
         rest = np.eye(m) - gain @ phi
         self.Z = rest @ self.Z + gain @ z
         self.coefficients = rest @ self.coefficients + gain @ coefficients
@@ -212,8 +190,7 @@ class _Run:
         self.rejections = self.rejections + 1 if rejected else 0
         if self.design.reacquire is not None and self.rejections >= self.design.reacquire:
             self.e[:, self.slot(k + 1) - 1] += correction
-        self.alive, self.Z = False, np.zeros_like(self.Z)
-        self.coefficients = np.zeros_like(self.coefficients)
+        self._start_anew()
         if seen.rank:
             values = (statistic, float(seen.rank), float(rejected))
             verdict = dict(zip(verdict, values, strict=True))

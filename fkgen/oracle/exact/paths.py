@@ -1,9 +1,7 @@
 """The best linear estimate of a jumping plant by brute force: every path of modes, no recursion.
 
-Random variables are vectors, their inner product is the second moment, and an estimate is the
-projection on the span of 1 and all measurements so far. Given the path of the modes, states are
-linear in white noise; all paths side by side, each scaled by the root of its probability, give the
-exact moments.
+Random variables are vectors, their inner product is the second moment: all paths, given which
+states are linear in white noise, stand side by side, scaled by the root of their probability.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fkgen.oracle.exact.batch import BatchResult, Past, agreement
+from fkgen.oracle.exact.batch import BatchResult, Joint, project
 from fkgen.oracle.exact.gaussian import Array, square_root
 from fkgen.oracle.plants.jump import JumpSystem
 from fkgen.oracle.textbook.loss_tests import LossTest, verdict
@@ -32,49 +30,18 @@ class JumpResult(BatchResult):
     consecutive_rejections: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Vectors:
-    """Random variables as vectors: the constant 1, states, measurements; the law of the modes."""
-
-    one: Array
-    x: Array
-    y: Array
-    R: Array  # (T, p, p): Mean covariance of the noise of y
-    law: Array
-
-    def past(self, y: Array) -> Past:
-        """What 1 and the finite measurements so far reveal."""
-        finite = np.isfinite(y)
-        seen = np.vstack([self.one, self.y[: len(y)][finite]])
-        return Past.of(seen, np.append(1.0, y[finite]))
-
-
 def enumerate_paths(
     system: JumpSystem, y: Array, u: Array, test: LossTest | None = None
 ) -> JumpResult:
     """Project every state on all measurements up to its sample; y, u (T, p), (T, q)."""
-    vectors, used, rows = _vectors(system, u), y.copy(), []
-    for k, now in enumerate(y):
-        mean, root = vectors.past(used[:k]).given(0.0, vectors.y[k])
-        residual, S = now - mean, root @ root.T
-        verdicts, restart = verdict(test, now, residual, S, vectors.R[k])
-        if verdicts["fault_declared"]:
-            used[k] = np.nan
-        if restart:
-            used[: k + 1] = np.nan  # to start again is to forget
-        row: dict[str, ArrayLike] = {
-            "innovation": residual,
-            "innovation_covariance": S,
-            "mode_law": vectors.law[k],
-            **agreement(residual, root, vectors.y[k]),
-            **verdicts,
-        }
-        past = vectors.past(used[: k + 1])
-        for at, when in ((k, "filtered"), (k + 1, "predicted")):
-            mean, root = past.given(0.0, vectors.x[at])
-            row |= {f"{when}_state": mean, f"{when}_covariance": root @ root.T}
-        rows.append(row)
-    return JumpResult.of(rows)
+    joint, law, R = _joint(system, u)
+
+    def judge(k: int, residual: Array, S: Array) -> tuple[dict[str, ArrayLike], slice]:
+        verdicts, restart = verdict(test, y[k], residual, S, R[k])
+        lost = slice(k + 1 - int(verdicts["fault_declared"]), k + 1)
+        return {"mode_law": law[k], **verdicts}, slice(k + 1) if restart else lost
+
+    return JumpResult.of(project(joint, y, judge))
 
 
 def _paths(transition: Array, initial: Array, T: int) -> tuple[Array, Array]:
@@ -84,8 +51,8 @@ def _paths(transition: Array, initial: Array, T: int) -> tuple[Array, Array]:
     return paths[chance > 0.0], chance[chance > 0.0]
 
 
-def _vectors(system: JumpSystem, u: Array) -> _Vectors:
-    """States and signals over all paths, then measurements with gamma and their noise."""
+def _joint(system: JumpSystem, u: Array) -> tuple[Joint, Array, Array]:
+    """States and measurements over all paths; law of the modes (T, N), mean R of y (T, p, p)."""
     T, n, p = system.length, system.nx, system.ny
     paths, chance = _paths(system.transition, system.initial, T)
     M, width = len(paths), 1 + n + n * T
@@ -111,7 +78,14 @@ def _vectors(system: JumpSystem, u: Array) -> _Vectors:
     R = np.einsum("ki,kiab->kab", law, system.R)
     y, padding = _received(system, signal, square_root(R))
     wide = np.pad(root, ((0, 0), (0, padding)))
-    return _Vectors(wide[0], wide[1 : 1 + (T + 1) * n].reshape(T + 1, n, -1), y, R, law)
+    joint = Joint(
+        state_mean=np.zeros((T + 1, n)),
+        state_root=wide[1 : 1 + (T + 1) * n].reshape(T + 1, n, -1),
+        measurement_mean=np.zeros((T, p)),
+        measurement_root=y,
+        known=wide[:1],
+    )
+    return joint, law, R
 
 
 def _received(system: JumpSystem, signal: Array, noise: Array) -> tuple[Array, int]:

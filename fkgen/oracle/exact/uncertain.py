@@ -1,7 +1,6 @@
 """The best linear estimate under sensor faults from its definition: joint moments, projections.
 
-Whatever the law of the faults, its first and second moments determine the linear estimate. Nothing
-of Lemma 2 is used: this judges the recursion (23), also where the lemma fails.
+Nothing of Lemma 2 is used: this judges the recursion (23), also where the lemma fails.
 """
 
 from __future__ import annotations
@@ -64,8 +63,7 @@ def _states(system: LinearSystem, u: Array) -> tuple[Array, Array]:
 def joint_uncertain(system: LinearSystem, moments: FaultMoments, u: Array | None) -> Joint:
     """Roots of the same joint covariance, which keep the digits of small error variances.
 
-    With gamma = E[gamma] + L e a measurement is linear in z, in e and in all products e_a z_b. If e
-    and z are independent, white and of unit variance, so are all of these together.
+    With gamma = E[gamma] + L e a measurement is linear in z, e and all e_a z_b, which are white.
     """
     require_sensor_faults_only(system, moments)
     T, n, p = system.length, system.nx, system.ny
@@ -99,7 +97,7 @@ def batch_uncertain(
     system: LinearSystem, moments: FaultMoments, y: Array, u: Array | None
 ) -> BatchResult:
     """Project each state on all measurements up to its time; y (T, p), u (T, q)."""
-    return project(joint_uncertain(system, moments, u), y)
+    return BatchResult.of(project(joint_uncertain(system, moments, u), y))
 
 
 def require_sensor_faults_only(system: LinearSystem, moments: FaultMoments) -> None:

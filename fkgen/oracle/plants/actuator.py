@@ -1,7 +1,4 @@
-"""A plant over a record, one whose actuators fail now and then, and its simulation, eq. (1)-(3).
-
-``gamma`` in {0, 1}^q says which actuators work in a sample; its mean is the success rate, eq. (3).
-"""
+"""A plant over a record, one whose actuators fail (gamma in {0, 1}^q), and its simulation."""
 
 from __future__ import annotations
 
@@ -54,10 +51,6 @@ class Plant:
         """Number of inputs, q."""
         return int(self.B.shape[-1])
 
-    def first(self, samples: int) -> Self:
-        """The same plant over its first samples."""
-        return self.over(slice(samples))
-
     def over(self, piece: slice) -> Self:
         """The same plant over a piece of its samples, its prior unchanged."""
         return replace(self, **{name: getattr(self, name)[piece] for name in self.VARYING})
@@ -65,10 +58,9 @@ class Plant:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinearSystem(Plant):
-    """x[k+1] = A x + B g u + v,  y[k] = C x + D g u + w with one g = diag(gamma) for both, eq. (1).
+    """x[k+1] = A x + B g u + v,  y[k] = C x + D g u + w with one g = diag(gamma) for both.
 
-    Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, eq.
-    (1)-(3).
+    Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, (1).
     """
 
     VARYING = (*Plant.VARYING, "rate", "fault_covariance")
@@ -152,19 +144,18 @@ def _fault_moments(
             "success rate", given="none", expected="a rate in the spec or one hypothesis in `rates`"
         )
     rate = np.array(np.broadcast_to(np.asarray(rates, dtype=float), (q,)))
-    if faults is None:
-        return rate, fault_covariance("common", rate)
-    given = None if faults.covariance is None else faults.covariance.values(sample)
-    return rate, fault_covariance(faults.dependence, rate, given)
+    variance = rate * (1.0 - rate)
+    if faults is None or faults.dependence == "common":
+        return rate, np.tile(variance[:1], (q, q))
+    if faults.covariance is not None and faults.dependence == "covariance":
+        return rate, faults.covariance.values(sample)
+    return rate, np.diag(variance)
 
 
 def simulate(
     system: LinearSystem, u: Array | None, rng: np.random.Generator, *, missing: float = 0.0
 ) -> Array:
-    """Draw one record of measurements (T, p), each entry NaN with the probability `missing`.
-
-    x[0], v and w are Gaussian, gamma is in {0, 1} (see `draw_gamma`); u (T, q) as commanded.
-    """
+    """Draw measurements (T, p), entries NaN with probability `missing`; u (T, q) as commanded."""
     T, n, p = system.length, system.nx, system.ny
     effective = draw_gamma(system, rng) * system.inputs(u)
     v = np.einsum("kij,kj->ki", square_root(system.Q), rng.standard_normal((T, n)))
@@ -181,10 +172,8 @@ def simulate(
 def draw_gamma(system: LinearSystem, rng: np.random.Generator) -> Array:
     """Draw which actuators work in each sample, (T, q).
 
-    One coin where all inputs fail together, q coins where they fail independently, the exact joint
-    distribution for two correlated inputs. For more than two correlated inputs the binary
-    distribution is not determined by mean and covariance: a Gaussian vector of the same two moments
-    takes its place, which a linear filter cannot tell apart.
+    For more than two correlated inputs mean and covariance do not determine the binary
+    distribution: a Gaussian of the same moments takes its place, alike for a linear filter.
     """
     T, q = system.rate.shape
     moments = np.hstack([system.rate, system.fault_covariance.reshape(T, q * q)])
@@ -207,19 +196,8 @@ def _draw(rate: Array, covariance: Array, count: int, rng: np.random.Generator) 
         return np.repeat((rng.random((count, 1)) < rate[0]).astype(float), q, axis=1)
     if q == 2:  # the last case that two moments determine
         patterns, chance = pair_patterns(rate, covariance)
-        drawn: Array = patterns[rng.choice(len(patterns), size=count, p=chance / chance.sum())]
-        return drawn
+        return np.asarray(patterns[rng.choice(len(patterns), size=count, p=chance / chance.sum())])
     return rate + rng.standard_normal((count, q)) @ square_root(covariance).T
-
-
-def fault_covariance(dependence: str, rate: Array, given: Array | None = None) -> Array:
-    """Covariance of ``gamma`` in one sample, (q, q); rate (q,), given (q, q)."""
-    if given is not None and dependence == "covariance":
-        return given
-    variance = rate * (1.0 - rate)
-    if dependence == "common":
-        return np.full((rate.size, rate.size), variance[0] if rate.size else 0.0)
-    return np.diag(variance)
 
 
 def is_common(rate: Array, covariance: Array) -> bool:

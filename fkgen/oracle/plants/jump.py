@@ -37,10 +37,8 @@ class JumpSystem(Plant):
 
     def offsets(self, u: Array) -> tuple[Array, Array]:
         """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u, (T, N, p)."""
-        return (
-            np.einsum("kiab,kb->kia", self.B, u) + self.c,
-            np.einsum("kiab,kb->kia", self.D, u),
-        )
+        added, sensed = (np.einsum("kiab,kb->kia", each, u) for each in (self.B, self.D))
+        return added + self.c, sensed
 
     def mode_law(self) -> Array:
         """Law of mode[k] by powers of the transition matrix, (T, N)."""
@@ -89,8 +87,8 @@ def lasting_law(transition: Array) -> Array:
     """The law that a chain keeps: the solution of law (P - I) = 0 that sums to one."""
     N = len(transition)
     equations = np.vstack([transition.T - np.eye(N), np.ones(N)])
-    law: Array = np.linalg.lstsq(equations, np.append(np.zeros(N), 1.0), rcond=None)[0]
-    return np.maximum(law, 0.0)
+    law = np.linalg.lstsq(equations, np.append(np.zeros(N), 1.0), rcond=None)[0]
+    return np.asarray(np.maximum(law, 0.0))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

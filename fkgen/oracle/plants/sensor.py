@@ -23,12 +23,9 @@ SAME_PROBABILITY = 1e-12
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SensorLaw:
-    """The Markov law of (gamma, delta), and the rows of y that it strikes.
+    """Markov law of the modes (gamma, delta) = (1, 1), (1, C), (0, 1), (0, C), and its rows of y.
 
-    The modes are (1, 1), (1, C), (0, 1) and (0, C) as (gamma, delta), in this order.
-
-    Sigalov, Oshman, A New Formulation of Fault-Tolerant Estimation Problems and Some Solutions,
-    sec. II.
+    Sigalov, Oshman, A New Formulation of Fault-Tolerant Estimation Problems and Some Solutions, II.
     """
 
     #: (4, 4): Pr(mode at k+1 is j | mode at k is i), eq. (14); (11)-(13) are special cases
@@ -126,9 +123,8 @@ def simulate_sensor(
 def nominal_share(law: SensorLaw) -> float:
     """Pr(delta = 1 | gamma = 0) under the stationary law: the constant that three modes need.
 
-    Where the kernel has several stationary laws, or its only one excludes gamma = 0, the initial
-    law takes its place, then the sum of all ways that lead from visited modes to gamma = 0; where
-    that is impossible as well the answer is 1.
+    Where there is no such law with gamma = 0 the initial one takes its place, then the sum of all
+    ways from visited modes to gamma = 0, then 1.
     """
     ways = law.kernel[_visited(law)].sum(axis=0)
     for now in (_stationary_law(law.kernel), law.initial, ways):
@@ -148,9 +144,8 @@ def aggregate(law: SensorLaw) -> tuple[Array, Array]:
 def is_lumpable(law: SensorLaw) -> tuple[bool, float]:
     """Whether delta is of no account while gamma = 0, so that three modes do as well as four.
 
-    That is so if (0, 1) and (0, C) have the same successors, and if gamma = 0 comes with delta = 1
-    in the same share whatever the mode before it was, and at the start. Modes that cannot be
-    reached from the initial law are not asked.
+    (0, 1) and (0, C) have the same successors, and gamma = 0 comes with delta = 1 in the same share
+    whatever the mode before it, and at the start. Modes that cannot be reached are not asked.
     """
     share, visited = nominal_share(law), _visited(law)
     laws = np.vstack([law.initial, law.kernel[visited]])

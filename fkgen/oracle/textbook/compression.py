@@ -1,9 +1,7 @@
 """The de-correlated compression filter as the paper prints it, its misprints corrected.
 
-It carries (Z, H, R) with Z = H e + v and e = x - xhat, inverts F and P at every sample, and stacks
-rows until there are more than states. A compression filter of any other form is judged by it
-wherever F, P and R are regular. Each line is a method of its own, so that a mistake can be put into
-one of them.
+(Z, H, R) with Z = H e + v, e = x - xhat and regular F, P, R. Each line is a method of its own, so
+that a mistake can be put into one of them.
 """
 
 from __future__ import annotations
@@ -42,12 +40,10 @@ class PrintedCompression:
         """One sample: propagate, de-correlate, update and maintain, then take in y^c."""
         if k:
             self.propagate(k - 1)
-        before = self.x, self.P
-        if k:
             self.decorrelate(self.system.Q[k - 1], self.P)
-        K, z = self.update(k, y)
-        self.maintain(K, z)
-        self.take(k, y, before[0])
+        before = self.x
+        self.maintain(*self.update(k, y))
+        self.take(k, y, before)
 
     def propagate(self, k: int) -> None:
         """To k + 1: (28), (31)."""
@@ -57,9 +53,8 @@ class PrintedCompression:
         through = self.noise_map(self.H, carried)
         self.H, self.R = carried, self.R + through @ Q @ through.T
 
-    def noise_map(self, before: Array, after: Array) -> Array:
+    def noise_map(self, _before: Array, after: Array) -> Array:
         """What process noise is measured by: Hhat of k + 1."""
-        del before
         return after
 
     def decorrelate(self, Q: Array, P: Array) -> None:
@@ -94,9 +89,8 @@ class PrintedCompression:
         if len(self.Z) > len(self.x):
             self.compress()
 
-    def reference(self, posterior: Array, prior: Array) -> Array:
+    def reference(self, posterior: Array, _prior: Array) -> Array:
         """What new rows are compared with: the host a posteriori (34)."""
-        del prior
         return posterior
 
     def compress(self) -> None:

@@ -1,8 +1,7 @@
 """How a fault spreads in a Kalman filter, as products of matrices: Song & Hu 2019, eqs. (6)-(26).
 
-Products run in DESCENDING order, the newest factor on the left, and are the identity if empty; the
-gain stands outside of them; a step is on at k0, ..., k0 + i INCLUSIVE. The paper leaves all three
-open. Index k of `gains` is the sample that is corrected; ``M[k]`` carries sample k to k + 1.
+Which the paper leaves open: products have their newest factor on the left, the gain stands outside
+of them, a step is on at k0, ..., k0 + i INCLUSIVE. ``M[k]`` carries sample k to k + 1.
 """
 
 from __future__ import annotations
@@ -59,8 +58,7 @@ def product(M: Array, lo: int, hi: int) -> Array:
 
 def after_pulse(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
     """Deviation (n,) at k0 + i of a pulse ``a`` (m,) at k0, eqs. (9), (20); entry (T, n, m)."""
-    moved: Array = product(M, k0, k0 + i - 1) @ entry[k0] @ a
-    return moved
+    return np.asarray(product(M, k0, k0 + i - 1) @ entry[k0] @ a)
 
 
 def within_step(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
@@ -72,5 +70,4 @@ def within_step(M: Array, entry: Array, k0: int, i: int, a: Array) -> Array:
 def after_step(M: Array, entry: Array, span: tuple[int, int], j: int, a: Array) -> Array:
     """Deviation j samples after the last faulty one, eqs. (15) and (26); (n,)."""
     k0, i = span
-    moved: Array = product(M, k0 + i, k0 + i + j - 1) @ within_step(M, entry, k0, i, a)
-    return moved
+    return np.asarray(product(M, k0 + i, k0 + i + j - 1) @ within_step(M, entry, k0, i, a))

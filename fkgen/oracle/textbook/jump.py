@@ -1,10 +1,7 @@
 """LMMSE filter of a jumping plant in whole matrices, as the literature writes it.
 
-The state of mode i is (x, 1) 1{mode = i}: Costa 1994, with the constant as one more state, so that
-known offsets are exact. Nothing is spared: full matrices, a pseudo-inverse, the covariance of the
-split noise as a difference (Costa, Fragoso & Marques 2005, sec. 5.4).
-
-Where a jumping plant and its filter come to rest: powers of an operator, a Riccati equation.
+The state of mode i is (x, 1) 1{mode = i}: Costa 1994, with the constant as one more state. The
+covariance of the split noise is a difference: Costa, Fragoso & Marques 2005, sec. 5.4.
 """
 
 from __future__ import annotations
@@ -22,11 +19,7 @@ from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
 
 
 def composite(system: JumpSystem) -> JumpSystem:
-    """The plant whose modes are (mode, gamma): first all that arrive, then all that are lost.
-
-    A Markov gamma that is not observed is a mode like any other, with C = 0 and D = 0 where it is
-    zero.
-    """
+    """The plant with modes (mode, gamma), first all that arrive, then all lost: C = 0 and D = 0."""
     twice = {
         name: np.concatenate([each, 0.0 * each if name in "CD" else each], axis=1)
         for name, each in ((name, getattr(system, name)) for name in system.VARYING)
@@ -54,25 +47,21 @@ class Split:
     @property
     def noise(self) -> Array:
         """Covariance of the split noise, V + Qbar = Z(k+1) - F Z(k) F'."""
-        difference: Array = self.moved - self.F @ self.now @ self.F.T
-        return difference
+        return np.asarray(self.moved - self.F @ self.now @ self.F.T)
 
     def innovation_covariance(self, X: Array, rate: float) -> Array:
         """S = p^2 L X L' + p (1 - p) E[s s'] + R: Nahi 1969; p = 1 if a signal is certain."""
         doubt = rate * (1.0 - rate) * self.signal
-        covariance: Array = rate**2 * self.L @ X @ self.L.T + doubt + self.R
-        return covariance
+        return np.asarray(rate**2 * self.L @ X @ self.L.T + doubt + self.R)
 
 
-def block_diagonal(blocks: Array) -> Array:
+def _block_diagonal(blocks: Array) -> Array:
     """(N, m, m) as one (N m, N m) matrix."""
     N, m, _ = blocks.shape
-    whole = np.zeros((N, m, N, m))
-    whole[np.arange(N), :, np.arange(N), :] = blocks
-    return whole.reshape(N * m, N * m)
+    return np.asarray(np.einsum("ij,iab->iajb", np.eye(N), blocks).reshape(N * m, N * m))
 
 
-def start_of(system: JumpSystem) -> tuple[Array, Array]:
+def _start_of(system: JumpSystem) -> tuple[Array, Array]:
     """Mean of z[0], and the second moments of its blocks, (N, n + 1, n + 1)."""
     one = np.append(system.x0, 1.0)
     second = np.outer(one, one)
@@ -80,7 +69,7 @@ def start_of(system: JumpSystem) -> tuple[Array, Array]:
     return np.kron(system.initial, one), system.initial[:, None, None] * second
 
 
-def with_constant(system: JumpSystem, k: int, added: Array) -> Array:
+def _with_constant(system: JumpSystem, k: int, added: Array) -> Array:
     """The matrices that move (x, 1) in each mode, and the noise in it, (2, N, n + 1, n + 1)."""
     n = system.nx
     both = np.zeros((2, system.count, n + 1, n + 1))
@@ -89,29 +78,22 @@ def with_constant(system: JumpSystem, k: int, added: Array) -> Array:
     return both
 
 
-def split_at(system: JumpSystem, u: Array, k: int, moments: Array, law: Array) -> Split:
+def _split_at(system: JumpSystem, u: Array, k: int, moments: Array, law: Array) -> Split:
     """The split plant at sample k: Costa 1994, Lemma 3 of Sun & Zhao & Yin for the moments."""
     N, P = system.count, system.transition
     added, sensed = system.offsets(u)
-    A, Q = with_constant(system, k, added[k])
+    A, Q = _with_constant(system, k, added[k])
     signal = np.concatenate([system.C[k], sensed[k][:, :, None]], axis=2)
     F = np.block([[P[i, j] * A[i] for i in range(N)] for j in range(N)])
     each = A @ moments @ A.transpose(0, 2, 1) + law[:, None, None] * Q
     return Split(
         F=F,
         L=np.concatenate(list(signal), axis=1),
-        moved=block_diagonal(np.einsum("ij,iab->jab", P, each)),
-        now=block_diagonal(moments),
+        moved=_block_diagonal(np.einsum("ij,iab->jab", P, each)),
+        now=_block_diagonal(moments),
         R=np.einsum("i,iab->ab", law, system.R[k]),
         signal=np.einsum("iab,ibc,idc->ad", signal, moments, signal),
     )
-
-
-def diagonal_blocks(matrix: Array, N: int) -> Array:
-    """The (N, m, m) blocks on the diagonal."""
-    m = len(matrix) // N
-    blocks: Array = matrix.reshape(N, m, N, m)[np.arange(N), :, np.arange(N), :]
-    return blocks
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,8 +109,7 @@ class SteadyState:
     @property
     def filtered(self) -> Array:
         """Error covariance of z(k|k)."""
-        filtered: Array = self.covariance - self.gain @ self.innovation_covariance @ self.gain.T
-        return filtered
+        return self.covariance - self.gain @ self.innovation_covariance @ self.gain.T
 
     @property
     def expected_squares(self) -> tuple[float, float]:
@@ -136,10 +117,6 @@ class SteadyState:
         predicted = self.split.L @ self.covariance @ self.split.L.T
         J1 = float(np.trace(predicted + self.split.R))
         return J1, float(np.trace(self.split.R + self.split.signal - predicted))
-
-    def at(self, split: Split) -> Split:
-        """The plant of a sample, with the stationary moments."""
-        return replace(self.split, F=split.F, L=split.L)
 
 
 def textbook_jumps(
@@ -153,14 +130,15 @@ def textbook_jumps(
     """Filter a record; y, u (T, p), (T, q)."""
     n, N = system.nx, system.count
     rate, laws = float(system.arrival_initial[1]), system.mode_law()
-    q, moments = start_of(system)
-    z, X = q, block_diagonal(moments) - np.outer(q, q)
+    q, moments = _start_of(system)
+    z, X = q, _block_diagonal(moments) - np.outer(q, q)
     E, results = np.tile(np.eye(n, n + 1), N), []
     for k, now in enumerate(y):
-        split = split_at(system, u, k, moments, laws[k])
+        split = _split_at(system, u, k, moments, laws[k])
         L, S = rate * split.L, split.innovation_covariance(X, rate)
         if steady is not None:
-            X, S, split = steady.covariance, steady.innovation_covariance, steady.at(split)
+            split = replace(steady.split, F=split.F, L=split.L)
+            X, S = steady.covariance, steady.innovation_covariance
         r = now - L @ z
         verdicts, restart = verdict(test, now, r, S, split.R)
         row: dict[str, ArrayLike] = {
@@ -181,7 +159,8 @@ def textbook_jumps(
         z, X = split.F @ z, split.F @ X @ split.F.T + split.noise
         shown = X if steady is None else steady.covariance
         row |= {"predicted_state": E @ z, "predicted_covariance": E @ shown @ E.T}
-        q, moments = split.F @ q, diagonal_blocks(split.moved, N)
+        q = split.F @ q
+        moments = np.einsum("iaib->iab", split.moved.reshape(N, n + 1, N, n + 1))
         results.append(row)
     return JumpResult.of(results)
 
@@ -199,21 +178,15 @@ def _agreement(r: Array, S: Array) -> dict[str, float]:
 DOUBLINGS = 60
 
 
-def moment_operator(system: JumpSystem) -> Array:
-    """The matrix that moves the second moments of (x, 1) 1{mode}, all blocks stacked."""
-    N, n, P = system.count, system.nx, system.transition
-    A, Q = with_constant(system, 0, system.c[0])
-    corner = np.eye((n + 1) ** 2)[-1]
-    each = [np.kron(A[i], A[i]) + np.outer(Q[i].ravel(), corner) for i in range(N)]
-    whole: Array = np.block([[P[i, j] * each[i] for i in range(N)] for j in range(N)])
-    return whole
-
-
-def limiting_moments(system: JumpSystem) -> Array:
+def _limiting_moments(system: JumpSystem) -> Array:
     """Second moments of (x, 1) 1{mode} after 2, 4, 8, ... steps until nothing changes."""
-    N, m = system.count, system.nx + 1
-    power, start = moment_operator(system), start_of(system)[1]
-    moments = start
+    N, m, P = system.count, system.nx + 1, system.transition
+    A, Q = _with_constant(system, 0, system.c[0])
+    corner = np.eye(m**2)[-1]
+    each = [np.kron(A[i], A[i]) + np.outer(Q[i].ravel(), corner) for i in range(N)]
+    # The matrix that moves all blocks, stacked, by one step.
+    power = np.block([[P[i, j] * each[i] for i in range(N)] for j in range(N)])
+    moments = start = _start_of(system)[1]
     for _ in range(DOUBLINGS):
         power = power @ power
         later = (power @ start.ravel()).reshape(N, m, m)
@@ -229,8 +202,8 @@ def limiting_moments(system: JumpSystem) -> Array:
 def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | None:
     """Find the limits of moments, covariance and gain; None if the equation has no solution."""
     N, m = system.count, system.nx + 1
-    moments = limiting_moments(system)
-    split = split_at(system, np.zeros((1, 0)), 0, moments, moments[:, -1, -1])
+    moments = _limiting_moments(system)
+    split = _split_at(system, np.zeros((1, 0)), 0, moments, moments[:, -1, -1])
     # The indicators sum to one: the last follows from the others, and so does its error.
     size = N * m
     drop = np.eye(size - 1, size)

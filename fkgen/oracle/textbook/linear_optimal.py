@@ -1,14 +1,11 @@
 """The linear filter as the paper prints it: second moments of the estimate, eq. (19)-(23).
 
-The difference C - V of two second moments loses all digits where the state grows without bound. It
-is kept because it is what the derivation says; the recursion that it judges carries the covariance.
+The difference C - V loses all digits where the state grows without bound; the derivation says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,10 +21,7 @@ from fkgen.oracle.textbook.mkf import scaled_pseudo_inverse
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinearOptimalResult(Estimates):
-    """xhat_k and C_k - V_k, its error covariance if Lemma 2 holds.
-
-    The innovation is y[k] - Pi (C x(k|k-1) + D u).
-    """
+    """xhat_k, C_k - V_k (its covariance if Lemma 2 holds), y[k] - Pi (C x(k|k-1) + D u)."""
 
     #: (T, n, n), (T, n, p): F1 and F2: xhat_k = F1 xhat_(k-1) + F2 y_k + offset; F1(0) multiplies
     #: x0
@@ -41,26 +35,26 @@ class LinearOptimalResult(Estimates):
 def linear_optimal(
     system: LinearSystem, moments: FaultMoments, y: Array, u: Array | None
 ) -> LinearOptimalResult:
-    """Run eq. (23) over a record, row 0 being an update of the prior.
+    """Run eq. (23) from an update of the prior: Sigalov & Oshman, (19)-(23); y (T, p), u (T, q).
 
-    Known inputs and a mean of x[0] enter through a constant beside x: (x, 1). For a plant without
-    them the matrices of (x, 1) fall apart into those of eq. (23) and the constant.
-
-    A row that never fails asks for p11 = E[gamma], too, if C - V is to be the error covariance:
-    gamma_i does not multiply what it says about gamma_k x_k, whose weight is E[gamma_k].
-
-    Shapes: y (T, p); u (T, q). Sigalov, Oshman, eq. (19)-(23).
+    Known inputs and a mean of x[0] enter through a constant beside x: (x, 1). Where a row never
+    fails, C - V is the error covariance only if p11 = E[gamma].
     """
     require_sensor_faults_only(system, moments)
     u = system.inputs(u)
     _require_zero_mean(system, moments, u)
-    n = system.nx
+    n, faulty = system.nx, moments.faulty(system.ny)
+    either = np.maximum.outer(faulty, faulty)
+    gain, noise = moments.gains(system.ny), moments.noise(system.R)
+    Pi = moments.persistence[:, None] * faulty + 1.0 - faulty
+    pair = moments.gamma[:, None, None] * either + 1.0 - either  # E[G_i G_j]
     estimate = np.append(system.x0, 1.0)
     X, V = np.outer(estimate, estimate), np.outer(estimate, estimate)
     X[:n, :n] += system.P0
     before, rows = np.eye(n + 1), []  # no time update in front of sample 0
-    for k, measurement in enumerate(_measurements(system, moments, u)):
-        row, F1, V = _update(measurement, estimate, (X, V), y[k])
+    for k in range(system.length):
+        h = np.column_stack([system.C[k], system.D[k] @ u[k]])
+        row, F1, V = _update((h, gain[k], Pi[k], pair[k], noise[k]), estimate, (X, V), y[k])
         estimate = F1 @ estimate
         estimate[:n] += row["measurement_gain"] @ np.where(np.isfinite(y[k]), y[k], 0.0)
         gains, onward = F1 @ before, np.eye(n + 1)
@@ -76,53 +70,30 @@ def linear_optimal(
     return LinearOptimalResult.of(rows)
 
 
-class _Measurement(NamedTuple):
-    """One y = G h (x, 1) + v by its moments."""
-
-    h: Array  # [C, D u]
-    gain: Array  # gain, persistence: The diagonals of E[G] and Pi
-    persistence: Array
-    pair: Array  # E[G_i G_j]
-    noise: Array  # E[T R T]
-
-
-def _measurements(system: LinearSystem, moments: FaultMoments, u: Array) -> Iterator[_Measurement]:
-    faulty, noise = moments.faulty(system.ny), moments.noise(system.R)
-    either = np.maximum(faulty[:, None], faulty)
-    for k, (gamma, p11) in enumerate(zip(moments.gamma, moments.persistence, strict=True)):
-        h = np.column_stack([system.C[k], system.D[k] @ u[k]])
-        gain, persistence, pair = (
-            rate * fails + 1.0 - fails
-            for rate, fails in ((gamma, faulty), (p11, faulty), (gamma, either))
-        )
-        yield _Measurement(h, gain, persistence, pair, noise[k])
-
-
 def _update(
-    m: _Measurement, predicted: Array, second: tuple[Array, Array], y: Array
+    signal: tuple[Array, ...], predicted: Array, second: tuple[Array, Array], y: Array
 ) -> tuple[dict[str, Array], Array, Array]:
-    """Eq. (22)-(23e) for (x, 1): what is reported, F1, and the estimate's second moment.
+    """Eq. (22)-(23e) for y = G h (x, 1) + v, from (C_(k+1), A V_k A'): the ports, F1, V_(k+1).
 
-    `second` are E[x x'] and E[xhat xhat'] before the measurement, C_(k+1) and A V_k A' of (23).
+    `signal`: h, the diagonals of E[G] and Pi, E[G_i G_j], E[T R T].
     """
+    h, gain, persistence, pair, noise = signal
     (X, V), n, finite = second, len(predicted) - 1, np.isfinite(y)
-    y_y = m.pair * (m.h @ X @ m.h.T) + m.noise
-    x_y, xhat_y = X @ m.h.T * m.gain, V @ m.h.T * m.persistence
-    expected = m.persistence[:, None] * m.h
+    y_y = pair * (h @ X @ h.T) + noise
+    x_y, xhat_y = X @ h.T * gain, V @ h.T * persistence
+    expected = persistence[:, None] * h
     innovation = y_y - expected @ V @ expected.T
     F2 = np.zeros((n + 1, len(y)))  # a missing row has no gain; the constant needs no correction
-    F2[:n, finite] = (x_y - xhat_y)[:n, finite] @ scaled_pseudo_inverse(
-        innovation[np.ix_(finite, finite)]
-    )
+    inverse = scaled_pseudo_inverse(innovation[np.ix_(finite, finite)])
+    F2[:n, finite] = (x_y - xhat_y)[:n, finite] @ inverse
     F1 = np.eye(n + 1) - F2 @ expected
     cross = F1 @ xhat_y @ F2.T
-    updated = F1 @ V @ F1.T + F2 @ y_y @ F2.T + cross + cross.T
     row = {
         "measurement_gain": F2[:n],
         "innovation": y - expected @ predicted,
         "innovation_covariance": innovation,
     }
-    return row, F1, updated
+    return row, F1, F1 @ V @ F1.T + F2 @ y_y @ F2.T + cross + cross.T
 
 
 def _require_zero_mean(system: LinearSystem, moments: FaultMoments, u: Array) -> None:
@@ -142,11 +113,9 @@ def true_covariance(
     u: Array | None = None,
     offset: Array | None = None,
 ) -> Array:
-    """Mean square error of a linear filter with given gains under a chain of modes, exactly.
+    """Exact mean square error (T, n, n) of a linear filter with given gains, by moments per mode.
 
-    Second moments of (x, xhat, 1) are carried for each mode at the present sample.
-
-    Shapes: gains (T, n, n) and (T, n, p); u (T, q); offset (T, n); returns (T, n, n).
+    Shapes: gains (T, n, n) and (T, n, p); u (T, q); offset (T, n).
     """
     require_sensor_faults_only(system, FaultMoments.from_law(law, system.length))
     T, n, (F1, F2), u = system.length, system.nx, gains, system.inputs(u)

@@ -1,7 +1,4 @@
-"""Tests whether a sample holds a signal, from densities and quantiles as they are defined.
-
-Rules of the filter ``mjls_lmmse``; a tie is no loss, and a sample without a row is no test.
-"""
+"""Tests whether a sample holds a signal: a tie is no loss, a sample without a row is no test."""
 
 from __future__ import annotations
 
@@ -11,6 +8,12 @@ from typing import Any
 import numpy as np
 
 from fkgen.oracle.exact.gaussian import Array, log_density, square_root, whiten
+
+#: The ports of a detector.
+VERDICT = (
+    *("fault_declared", "test_statistic", "test_threshold", "test_dof"),
+    "consecutive_rejections",
+)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -23,10 +26,7 @@ class LossTest:
     run: int = 0  # Rejections in a row
 
     def judge(self, y: Array, residual: Array, S: Array, R: Array) -> tuple[float, float]:
-        """Statistic and threshold of one sample; a loss is declared if the first is larger.
-
-        Shapes: y, residual (m,); S, R (m, m).
-        """
+        """Statistic and threshold of one sample; y, residual (m,); S, R (m, m)."""
         match self.options.detector:
             case "nis":
                 from scipy.special import chdtri  # noqa: PLC0415 - slow to import
@@ -64,13 +64,12 @@ def verdict(
     test: LossTest | None, y: Array, residual: Array, S: Array, R: Array
 ) -> tuple[dict[str, float], bool]:
     """What the test says of the finite rows of a sample, as ports, and whether to start again."""
-    names = ("fault_declared", "test_statistic", "test_threshold", "test_dof")
-    ports, restart, rows = dict.fromkeys(names, 0.0), False, np.flatnonzero(np.isfinite(y))
+    values, restart, rows = (0.0,) * 4, False, np.flatnonzero(np.isfinite(y))
     if test is not None and rows.size:
         chosen = np.ix_(rows, rows)
         statistic, threshold = test.judge(y[rows], residual[rows], S[chosen], R[chosen])
         fault = statistic > threshold
         restart = test.restarts(fault=fault)
         values = (float(fault), statistic, threshold, float(rows.size))
-        ports = dict(zip(names, values, strict=True))
-    return ports | {"consecutive_rejections": float(test.run if test else 0)}, restart
+    rejections = float(test.run if test else 0)
+    return dict(zip(VERDICT, (*values, rejections), strict=True)), restart

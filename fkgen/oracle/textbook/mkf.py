@@ -1,17 +1,13 @@
 """One sample of the modified Kalman filter (MKF) in the paper's matrices, eq. (4), (9)-(15).
 
-Full matrices, a pseudo-inverse and SciPy's densities: nothing of it is fit for firmware, all of it
-is easy to compare with the paper. The batch estimates of `fkgen.oracle.exact.batch` judge it in
-turn.
+Full matrices, a pseudo-inverse and SciPy's densities, judged by `fkgen.oracle.exact.batch` in turn.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.exact.gaussian import Array, units
 from fkgen.oracle.plants import actuator
 from fkgen.oracle.plants.actuator import LinearSystem
 
@@ -22,38 +18,17 @@ PSEUDO_INVERSE_CUTOFF = 1e-13
 MIXTURE_INPUTS = 4
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class TextbookStep:
-    """One sample of one filter."""
-
-    filtered_state: Array  # filtered_state, filtered_covariance: (n,), (n, n): x(k|k), P(k|k)
-    filtered_covariance: Array
-    #: predicted_state, predicted_covariance: (n,), (n, n): x(k+1|k), P(k+1|k)
-    predicted_state: Array
-    predicted_covariance: Array
-    #: expected_measurement, innovation_covariance: (p,), (p, p): Mean and covariance of y[k]
-    #: given the past, all rows, eq. (4), (21)
-    expected_measurement: Array
-    innovation_covariance: Array
-
-
 def scaled_pseudo_inverse(covariance: Array) -> Array:
-    """Pseudo-inverse of a covariance with the rank decided on its correlation matrix.
-
-    Shapes: covariance (m, m); returns (m, m).
-    """
-    deviation = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    scale = np.outer(*(np.where(deviation > 0.0, deviation, 1.0),) * 2)
-    inverse: Array = (
-        np.linalg.pinv(covariance / scale, rcond=PSEUDO_INVERSE_CUTOFF, hermitian=True) / scale
-    )
-    return inverse
+    """Pseudo-inverse of a covariance (m, m) with the rank decided on its correlation matrix."""
+    scale = np.outer(units(covariance), units(covariance))
+    inverse = np.linalg.pinv(covariance / scale, rcond=PSEUDO_INVERSE_CUTOFF, hermitian=True)
+    return np.asarray(inverse / scale)
 
 
 def textbook_step(
     system: LinearSystem, k: int, prediction: tuple[Array, Array], y: Array, u: Array
-) -> TextbookStep:
-    """Filter and predict sample k by eq. (4), (11) and the stabilised form (9).
+) -> dict[str, Array]:
+    """Filter and predict sample k by eq. (4), (11) and the stabilised form (9), and expect y, (21).
 
     Shapes: prediction (n,) and (n, n); y (p,); u (q,).
     """
@@ -70,14 +45,14 @@ def textbook_step(
     Kf = P @ Cf.T @ inverse
     K = (A @ P @ Cf.T + B @ N @ Df.T) @ inverse
     E, F, G = np.eye(x.size) - Kf @ Cf, A - K @ Cf, B - K @ Df
-    return TextbookStep(
-        filtered_state=x + Kf @ innovation,
-        filtered_covariance=E @ P @ E.T + Kf @ (Df @ N @ Df.T + Rf) @ Kf.T,
-        predicted_state=A @ x + B @ worked + K @ innovation,
-        predicted_covariance=F @ P @ F.T + G @ N @ G.T + system.Q[k] + K @ Rf @ K.T,
-        expected_measurement=expected,
-        innovation_covariance=covariance,
-    )
+    return {
+        "filtered_state": x + Kf @ innovation,
+        "filtered_covariance": E @ P @ E.T + Kf @ (Df @ N @ Df.T + Rf) @ Kf.T,
+        "predicted_state": A @ x + B @ worked + K @ innovation,
+        "predicted_covariance": F @ P @ F.T + G @ N @ G.T + system.Q[k] + K @ Rf @ K.T,
+        "expected_measurement": expected,
+        "innovation_covariance": covariance,
+    }
 
 
 def log_likelihood(
@@ -89,10 +64,7 @@ def log_likelihood(
     *,
     mixture: bool,
 ) -> float:
-    """Log of p(y[k] | Y[k-1], xi_i) over the finite rows.
-
-    Shapes: prediction (n,) and (n, n); y, u (p,), (q,).
-    """
+    """Log of p(y[k] | Y[k-1], xi_i) over the finite rows; shapes as above."""
     from scipy.special import logsumexp  # noqa: PLC0415 - slow to import
 
     x, P = prediction
@@ -126,8 +98,7 @@ def _log_normal(residual: Array, covariance: Array) -> float:
 
     if residual.size == 0:
         return 0.0
-    deviation = np.sqrt(np.diagonal(covariance))
-    deviation = np.where(deviation > 0.0, deviation, 1.0)
+    deviation = units(covariance)
     correlation = covariance / np.outer(deviation, deviation)
     try:
         # SciPy would call a correlation matrix of condition 1e10 singular; its factor is not.

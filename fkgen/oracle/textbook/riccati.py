@@ -1,7 +1,4 @@
-"""Stationary prediction error covariance from the Riccati equation, eq. (12) in the limit.
-
-Solved twice, by SciPy and by python-control; neither walks through time.
-"""
+"""Stationary prediction error covariance: the Riccati equation, (12) in the limit, solved twice."""
 
 from __future__ import annotations
 
@@ -10,34 +7,30 @@ import numpy as np
 from fkgen.oracle.exact.gaussian import Array
 from fkgen.oracle.plants.actuator import LinearSystem
 
-#: A closed loop nearer to the unit circle than this counts as not stable. A double eigenvalue on
-#: the circle, the mark of a mode that no stabilising solution exists for, is computed with an error
-#: of sqrt(1e-16).
+#: A closed loop nearer to the unit circle is not stable: a double eigenvalue on the circle, where
+#: no stabilising solution exists, is computed with an error of sqrt(1e-16).
 STABILITY_MARGIN = 1e-7
 
-#: Largest relative residual of the equation in an accepted solution: a wrong invariant subspace
-#: leaves far more.
+#: Largest relative residual of the equation: a wrong invariant subspace leaves far more.
 RESIDUAL_TOLERANCE = 1e-6
 
 
 def stationary_prediction(
     A: Array, C: Array, Q: Array, R: Array, S: Array | None = None
 ) -> tuple[Array, float] | None:
-    """Solve P = A P A' + Q - (A P C' + S) (C P C' + R)^-1 (A P C' + S)' with SciPy.
+    """Solve P = A P A' + Q - (A P C' + S) (C P C' + R)^-1 (A P C' + S)' with SciPy; S (n, p).
 
-    Returns None if there is no stabilising solution: a mode that is not stable and not seen in y,
-    or one on the unit circle that no noise excites; else P and the radius of the closed loop.
-
-    Shapes: A, C (n, n), (p, n); Q, R (n, n), (p, p); S (n, p).
+    Returns P and the radius of the closed loop, or None: a mode that is neither stable nor seen, or
+    one on the unit circle that no noise excites.
     """
     from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - slow to import
 
-    cross = np.zeros((A.shape[0], C.shape[0])) if S is None else S
+    S = np.zeros((len(A), len(C))) if S is None else S
     try:
-        P = solve_discrete_are(A.T, C.T, Q, R, s=cross)
+        P = solve_discrete_are(A.T, C.T, Q, R, s=S)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return _accepted(P, A, C, (Q, R, cross))
+    return _accepted(P, A, C, (Q, R, S))
 
 
 def stationary_prediction_by_control(
@@ -46,12 +39,12 @@ def stationary_prediction_by_control(
     """Solve the same equation with python-control; arguments and result as above."""
     import control  # noqa: PLC0415 - slow to import
 
-    cross = np.zeros((A.shape[0], C.shape[0])) if S is None else S
+    S = np.zeros((len(A), len(C))) if S is None else S
     try:
-        P, _, _ = control.dare(A.T, C.T, Q, R, cross, np.eye(A.shape[0]))
+        P, _, _ = control.dare(A.T, C.T, Q, R, S, np.eye(len(A)))
     except (np.linalg.LinAlgError, ValueError, control.ControlArgument, control.ControlDimension):
         return None
-    return _accepted(P, A, C, (Q, R, cross))
+    return _accepted(P, A, C, (Q, R, S))
 
 
 def _accepted(

@@ -1,93 +1,32 @@
 """Filters over modes by the textbook: one-step near-optimal, and interacting multiple models.
 
-Full matrices, probabilities in the log domain. `fkgen.oracle.exact.enumeration` is their judge.
+Full matrices, weights as logarithms. `fkgen.oracle.exact.enumeration` is their judge.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from fkgen.oracle.exact.batch import BatchResult
-from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.exact.gaussian import Array, mixture
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.plants.jump import JumpSystem
-from fkgen.oracle.plants.sensor import SensorLaw, aggregate, mode_plant, nominal_share, sensed_modes
-from fkgen.oracle.textbook.mixture import (
-    Gaussian,
-    Matched,
-    bayes,
-    estimates,
-    log,
-    matched,
-    merge,
-    moved,
-    normalised,
-    step_law,
-    within,
-)
+from fkgen.oracle.plants.sensor import SensorLaw, aggregate, nominal_share, sensed_modes
+
+#: Means (..., n) and covariances (..., n, n).
+Gaussian: TypeAlias = tuple[Array, Array]
+Ports: TypeAlias = dict[str, Array]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OneStepResult(BatchResult):
-    """Estimates of the one-step filter.
-
-    The innovation is that against the mixture weighted with Pr(mode at k | y[0..k-1]).
-    """
+    """Estimates; the innovation against the mixture weighted with Pr(mode at k | y[0..k-1])."""
 
     mode_probability: Array  # (T, N): Law of the mode at k, and at k+1, given y[0..k]
     predicted_mode_probability: Array
-
-
-def textbook_one_step(
-    system: LinearSystem,
-    law: SensorLaw,
-    y: Array,
-    u: Array | None,
-    *,
-    covariance: Literal["moment_matched", "weighted", "paper", "paper_nominal"] = "moment_matched",
-) -> OneStepResult:
-    """Run the one-step near-optimal filter, eq. (3)-(10), with x(k|k-1) and P(k|k-1) in eq. (9).
-
-    Shapes: y (T, p); u (T, q).
-    """
-    u = system.inputs(u)
-    priors: list[Gaussian] = [(system.x0, system.P0)] * 4
-    log_held, rows = log(law.initial), []
-    for k, now in enumerate(y):
-        plants = [mode_plant(system, law, k, mode) for mode in range(4)]
-        modes = [matched(*pair, now, u[k]) for pair in zip(plants, priors, strict=True)]
-        log_posterior, row = bayes(log_held, modes, now)
-        filtered = [mode.filtered for mode in modes]
-        estimate = merge(log_posterior, filtered)
-        if covariance != "moment_matched":
-            estimate = estimate[0], within(log_posterior, filtered)
-        A, Q = system.A[k], system.Q[k]
-        ahead = moved(A, Q, estimate, system.B[k] @ u[k])
-        if covariance in {"moment_matched", "weighted"}:
-            priors = [ahead] * 4
-        else:
-            errors = [
-                A @ _paper_covariance(plants[delta], priors[delta][1], now) @ A.T + Q
-                for delta in (0, 1)
-            ]
-            which = (0, 0, 0, 0) if covariance == "paper_nominal" else (0, 1, 0, 1)  # delta
-            priors = [(ahead[0], errors[delta]) for delta in which]
-        log_held = step_law(log_posterior, law.kernel)
-        rows.append({**row, **estimates(estimate, ahead, log_posterior, log_held)})
-    return OneStepResult.of(rows)
-
-
-def _paper_covariance(plant: tuple[Array, Array, Array], P: Array, y: Array) -> Array:
-    """Eq. (7) to the letter: P(k|k) as if delta were the only fault."""
-    finite = np.isfinite(y)
-    C, R = plant[0][finite], plant[2][np.ix_(finite, finite)]
-    F2 = np.linalg.solve(C @ P @ C.T + R, C @ P).T
-    after: Array = (np.eye(len(P)) - F2 @ C) @ P
-    return after
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,6 +39,37 @@ class InteractingResult(OneStepResult):
     mode_covariance: Array
 
 
+def textbook_one_step(
+    system: LinearSystem,
+    law: SensorLaw,
+    y: Array,
+    u: Array | None,
+    *,
+    covariance: Literal["moment_matched", "weighted", "paper", "paper_nominal"] = "moment_matched",
+) -> OneStepResult:
+    """Run the one-step near-optimal filter, (3)-(10), x(k|k-1) and P(k|k-1) in (9); y (T, p)."""
+    u, modes = system.inputs(u), sensed_modes(system, law)
+    (x, P), log_held, rows = _repeated((system.x0, system.P0), 4), _log(law.initial), []
+    for k, now in enumerate(y):
+        C, R = modes.C[k], modes.R[k]
+        filtered, expected, logs = _update((x, P), (C, modes.D[k], R), now, u[k])
+        log_posterior, row = _bayes(log_held, logs, expected, now)
+        weights = np.exp(log_posterior)
+        estimate = mixture(weights, *filtered)
+        if covariance != "moment_matched":
+            estimate = estimate[0], np.einsum("i,iab->ab", weights, filtered[1])
+        A, Q = system.A[k], system.Q[k]
+        ahead = A @ estimate[0] + system.B[k] @ u[k], A @ estimate[1] @ A.T + Q
+        before, (x, P) = P, _repeated(ahead, 4)
+        if covariance.startswith("paper"):  # (7) to the letter: as if delta were the only fault
+            delta = [0, 0, 0, 0] if covariance == "paper_nominal" else [0, 1, 0, 1]
+            _, E = _gain(C[delta], R[delta], before[delta], now)
+            P = A @ E @ before[delta] @ A.T + Q
+        log_held = _step_law(log_posterior, law.kernel)
+        rows.append({**row, **_estimates(estimate, ahead, log_posterior, log_held)})
+    return OneStepResult.of(rows)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lumping:
     """M modes, each a fixed mixture of N conditions that move alike."""
@@ -108,45 +78,40 @@ class Lumping:
     kernel: Array  # kernel, initial: (M, M), (M,): The chain of the modes
     initial: Array
 
-    @classmethod
-    def none(cls, system: JumpSystem) -> Self:
-        """Every condition is a mode."""
-        return cls(shares=np.eye(system.count), kernel=system.transition, initial=system.initial)
-
 
 def interacting(
     system: JumpSystem, y: Array, u: Array, lumping: Lumping | None = None
 ) -> InteractingResult:
-    """Run the interacting-multiple-model filter; y (T, p), u (T, q).
+    """Run the filter of Blom & Bar-Shalom 1988; y (T, p), u (T, q).
 
-    Blom, Bar-Shalom, The interacting multiple model algorithm, 1988; Sigalov & Oshman, eq.
-    (15)-(18), where all modes move alike.
+    Sigalov & Oshman, eq. (15)-(18), where all modes move alike.
     """
-    lumping = lumping or Lumping.none(system)
-    held: list[Gaussian] = [(system.x0, system.P0)] * len(lumping.initial)
-    log_held, rows = log(lumping.initial), []
+    if lumping is None:  # every condition is a mode
+        N = system.count
+        lumping = Lumping(shares=np.eye(N), kernel=system.transition, initial=system.initial)
+    M, (of, condition) = len(lumping.initial), np.nonzero(lumping.shares)
+    own = of == np.arange(M)[:, None]
+    log_share = _log(np.where(own, lumping.shares[of, condition], 0.0))
+    moving = (lumping.shares != 0.0).argmax(axis=1)
+    held, log_held, rows = _repeated((system.x0, system.P0), M), _log(lumping.initial), []
     for k, now in enumerate(y):
-        modes = []
-        for shares, prior in zip(lumping.shares, held, strict=True):
-            plants = [
-                (system.C[k, i], system.D[k, i], system.R[k, i]) for i in np.flatnonzero(shares)
-            ]
-            each = [matched(plant, prior, now, u[k]) for plant in plants]
-            modes.append(_lumped(log(shares[shares != 0.0]), each))
-        log_posterior, row = bayes(log_held, modes, now)
-        filtered = [mode.filtered for mode in modes]
-        log_held = step_law(log_posterior, lumping.kernel)
-        mixed = [merge(w, filtered) for w in _mixing(log_posterior, lumping.kernel, log_held)]
-        held = [
-            moved(system.A[k, i], system.Q[k, i], x, system.B[k, i] @ u[k] + system.c[k, i])
-            for i, x in zip((lumping.shares != 0.0).argmax(axis=1), mixed, strict=True)
-        ]
-        estimate = merge(log_posterior, filtered)
-        row |= estimates(estimate, merge(log_held, held), log_posterior, log_held)
-        for name, states in {"mode_filtered": filtered, "mode": held}.items():
-            row[f"{name}_state"] = np.array([x for x, _ in states])
-            row[f"{name}_covariance"] = np.array([P for _, P in states])
-        rows.append(row)
+        C, D, R = (each[k, condition] for each in (system.C, system.D, system.R))
+        filtered, expected, logs = _update((held[0][of], held[1][of]), (C, D, R), now, u[k])
+        # The update of a mode merges its conditions, in given shares.
+        joint, expected = log_share + logs, mixture(np.exp(log_share), *expected)
+        filtered = mixture(np.exp(_normalised(joint)), *filtered)
+        log_posterior, row = _bayes(log_held, np.logaddexp.reduce(joint, axis=1), expected, now)
+        log_held = _step_law(log_posterior, lumping.kernel)
+        # Eq. (17). A mode that cannot come next has weight 0; any mixture will do for it.
+        mixing = log_posterior + _log(lumping.kernel.T)
+        mixing[np.isneginf(log_held)] = log_posterior
+        x, P = mixture(np.exp(_normalised(mixing)), *filtered)
+        A, B, c, Q = (each[k, moving] for each in (system.A, system.B, system.c, system.Q))
+        held = (A @ x[..., None])[..., 0] + B @ u[k] + c, A @ P @ A.transpose(0, 2, 1) + Q
+        estimate = mixture(np.exp(log_posterior), *filtered)
+        row |= _estimates(estimate, mixture(np.exp(log_held), *held), log_posterior, log_held)
+        row |= {"mode_filtered_state": filtered[0], "mode_filtered_covariance": filtered[1]}
+        rows.append(row | {"mode_state": held[0], "mode_covariance": held[1]})
     return InteractingResult.of(rows)
 
 
@@ -166,20 +131,77 @@ def silent_lumped(law: SensorLaw) -> Lumping:
     return Lumping(shares=shares, kernel=kernel, initial=initial)
 
 
-def _lumped(log_share: Array, each: Sequence[Matched]) -> Matched:
-    """What a mode makes of a sample: the update merges its conditions, in given shares."""
-    joint = log_share + np.array([one.log_likelihood for one in each])
-    return Matched(
-        filtered=merge(normalised(joint), [one.filtered for one in each]),
-        expected=merge(log_share, [one.expected for one in each]),
-        log_likelihood=float(np.logaddexp.reduce(joint)),
-    )
+def _repeated(prior: Gaussian, N: int) -> Gaussian:
+    """The same estimate for N modes."""
+    return np.tile(prior[0], (N, 1)), np.tile(prior[1], (N, 1, 1))
 
 
-def _mixing(log_posterior: Array, kernel: Array, log_held: Array) -> list[Array]:
-    """Eq. (17), normalised for each j: logs of Pr(mode i at k | mode j at k+1, y[0..k])."""
-    return [
-        # A mode that cannot come next has weight 0; any finite mixture will do for it.
-        log_posterior if np.isneginf(log_held[j]) else normalised(log_posterior + log(column))
-        for j, column in enumerate(kernel.T)
-    ]
+def _gain(C: Array, R: Array, P: Array, y: Array) -> tuple[Array, Array]:
+    """Gain of the finite rows of y in N modes, zero for the others, and what it leaves of P."""
+    finite = np.isfinite(y)
+    Cf, Rf = C[:, finite], R[:, finite][:, :, finite]
+    F2 = np.zeros(C.transpose(0, 2, 1).shape)
+    S = Cf @ P @ Cf.transpose(0, 2, 1) + Rf
+    F2[..., finite] = np.linalg.solve(S, Cf @ P).transpose(0, 2, 1)
+    return F2, np.eye(P.shape[-1]) - F2 @ C
+
+
+def _update(
+    prior: Gaussian, plant: tuple[Array, Array, Array], y: Array, u: Array
+) -> tuple[Gaussian, Gaussian, Array]:
+    """Update N modes as if each were known, (5), (6), (9).
+
+    Returns x(k|k), what was expected of y, and the log densities of its finite rows.
+    """
+    (x, P), (C, D, R), finite = prior, plant, np.isfinite(y)
+    expected, S = (C @ x[..., None])[..., 0] + D @ u, C @ P @ C.transpose(0, 2, 1) + R
+    residual, Sf = np.where(finite, y - expected, 0.0), S[:, finite][:, :, finite]
+    F2, E = _gain(C, R, P, y)
+    after = E @ P @ E.transpose(0, 2, 1) + F2 @ R @ F2.transpose(0, 2, 1)
+    white = np.linalg.solve(Sf, residual[:, finite, None])[..., 0]
+    squares = (residual[:, finite] * white).sum(axis=1)
+    logs = -0.5 * (squares + np.linalg.slogdet(2.0 * np.pi * Sf)[1])
+    return (x + (F2 @ residual[..., None])[..., 0], after), (expected, S), logs
+
+
+def _bayes(log_held: Array, logs: Array, expected: Gaussian, y: Array) -> tuple[Array, Ports]:
+    """Logs of the posterior, eq. (8), and the ports that compare y with what was expected."""
+    finite, joint = np.isfinite(y), log_held + logs
+    mean, S = mixture(np.exp(log_held), *expected)
+    residual = (y - mean)[finite]
+    ports = {
+        "innovation": y - mean,
+        "innovation_covariance": S,
+        "nis": residual @ np.linalg.solve(S[np.ix_(finite, finite)], residual),
+        "log_likelihood": np.logaddexp.reduce(joint) if finite.any() else np.zeros(()),
+    }
+    return _normalised(joint), ports
+
+
+def _step_law(log_posterior: Array, kernel: Array) -> Array:
+    """Eq. (10): logs of the law of the next mode."""
+    return np.asarray(np.logaddexp.reduce(log_posterior[:, None] + _log(kernel), axis=0))
+
+
+def _estimates(estimate: Gaussian, ahead: Gaussian, log_posterior: Array, log_held: Array) -> Ports:
+    """The ports of one sample: x(k|k), x(k+1|k), and the law of the mode at k and k + 1."""
+    return {
+        "filtered_state": estimate[0],
+        "filtered_covariance": estimate[1],
+        "predicted_state": ahead[0],
+        "predicted_covariance": ahead[1],
+        "mode_probability": np.exp(log_posterior),
+        "predicted_mode_probability": np.exp(log_held),
+    }
+
+
+def _log(probability: Array) -> Array:
+    """Logarithm with log 0 = -inf."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(probability))
+
+
+def _normalised(logs: Array) -> Array:
+    """Logs of weights (..., N) that add up to one, without adding them first: they may be huge."""
+    relative = logs - logs.max(axis=-1, keepdims=True)
+    return np.asarray(relative - np.logaddexp.reduce(relative, axis=-1, keepdims=True))

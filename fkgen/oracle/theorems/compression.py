@@ -1,17 +1,14 @@
 """The algebra behind full and partial compression filters, proved for one or two states.
 
-References
-----------
-Lee & Lee, Lemmas 1 and 2, Theorem 1, with the misprints corrected: e' = x - xhat' in (4), minus in
-front of both cross terms of (6), P-_{k+1} on the left of (13). Theorem 4 and Appendix D, with F11
-in the cross terms of R, G1 q G' in (43), and the bracket of (47).
+Misprints corrected: e' = x - xhat' in (4), minus in front of both cross terms of (6), P-_{k+1} on
+the left of (13); F11 in the cross terms of R and G1 q G' in (43), the bracket of (47).
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from fkgen.oracle.theorems.identity import Theorems, general, scalar, symmetric, sympy
+from fkgen.oracle.theorems.identity import Theorems, Zeros, general, scalar, symmetric, sympy
 
 _FULL, _PARTIAL = Theorems("Lee & Lee"), Theorems("Lee & Lee")
 
@@ -22,7 +19,7 @@ def _best(M: Any, z: Any, H: Any, R: Any, S: Any) -> tuple[Any, Any]:
     return K * z, M - K * (H * M + S)
 
 
-def _difference(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, ...]:
+def _difference(a: tuple[Any, Any], b: tuple[Any, Any]) -> Zeros:
     return a[0] - b[0], a[1] - b[1]
 
 
@@ -30,7 +27,7 @@ def _difference(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, ...]:
     "stacking two measurements is the same as using one and maintaining the other",
     "Lemma 1, eqs. (2)-(4)",
 )
-def _stack_or_maintain() -> tuple[Any, ...]:
+def _stack_or_maintain() -> Zeros:
     M, h, g = symmetric("m", 2), general("h", 1, 2), general("g", 1, 2)
     r, s, z, w = map(scalar, "rszw")
     none = sympy.zeros(1, 2)
@@ -41,14 +38,14 @@ def _stack_or_maintain() -> tuple[Any, ...]:
 
 
 @_FULL.claim("a measurement may be scaled by any regular matrix", "Lemma 2-(i), eq. (7)")
-def _scaled() -> tuple[Any, ...]:
+def _scaled() -> Zeros:
     M, H, S, C = symmetric("m", 1), general("h", 2, 1), general("s", 2, 1), general("c", 2, 2)
     R, z = symmetric("r", 2), general("z", 2, 1)
     return _difference(_best(M, z, H, R, S), _best(M, C * z, C * H, C * R * C.T, C * S))
 
 
 @_FULL.claim("noise correlated with the prior error may be de-correlated", "Lemma 2-(ii), eq. (8)")
-def _decorrelated() -> tuple[Any, ...]:
+def _decorrelated() -> Zeros:
     M, H, S = symmetric("m", 2), general("h", 1, 2), general("s", 1, 2)
     r, z = map(scalar, "rz")
     free = _best(M, z, H + S * M.inv(), r - S * M.inv() * S.T, sympy.zeros(1, 2))
@@ -56,7 +53,7 @@ def _decorrelated() -> tuple[Any, ...]:
 
 
 @_FULL.claim("rows beyond the number of states may be compressed", "Lemma 2-(iii), eq. (9)")
-def _compressed() -> tuple[Any, ...]:
+def _compressed() -> Zeros:
     M, H, R, z = symmetric("m", 1), general("h", 2, 1), symmetric("r", 2), general("z", 2, 1)
     noise = (H.T * R.inv() * H).inv()
     short = noise * H.T * R.inv() * z
@@ -65,10 +62,9 @@ def _compressed() -> tuple[Any, ...]:
 
 
 @_FULL.claim(
-    "a measurement may be used one sample late, propagated with H F^-1",
-    "Theorem 1, eqs. (12)-(16)",
+    "a measurement may be used one sample late, propagated with H F^-1", "Theorem 1, eqs. (12)-(16)"
 )
-def _propagated() -> tuple[Any, ...]:
+def _propagated() -> Zeros:
     M, F, Q = symmetric("m", 2), general("f", 2, 2), symmetric("q", 2)
     h, S = general("h", 1, 2), general("s", 1, 2)
     r, z = map(scalar, "rz")
@@ -82,8 +78,7 @@ def _propagated() -> tuple[Any, ...]:
     "a row of the host changes P - P* into a sum of squares",
     "Theorem 3 as two Kalman filters, eqs. (29), (33)",
 )
-def _pair_of_filters() -> tuple[Any, ...]:
-    """D = P - P* after a row of the host, as a sum of squares: nothing but D is needed for d."""
+def _pair_of_filters() -> Zeros:
     P, D, h = symmetric("p", 2), symmetric("d", 2), general("h", 1, 2)
     r, z = map(scalar, "rz")
     none = sympy.zeros(1, 2)
@@ -105,7 +100,7 @@ def _blocks() -> tuple[Any, Any, Any, Any]:
     "R and S move as the moments of F11 V - F12 e2 - G1 w do",
     "(43) with F11 in the cross terms and G1 q G'; (D2), (D3)",
 )
-def _propagation() -> tuple[Any, ...]:
+def _propagation() -> Zeros:
     """E+ = F e + G w, V+ = F11 V - F12 e2 - G1 w, (D2)."""
     joint, P, S, R = _blocks()
     F, G, q = general("f", 2, 2), general("g", 2, 1), scalar("q")
@@ -133,8 +128,7 @@ def _maintained(K: Any, L: Any, h: Any, r: Any) -> tuple[Any, Any]:
     "the optimal maintenance leaves Z uncorrelated with the innovation of the host",
     "Lemma 1-(ii) for correlated noise, in place of (44)",
 )
-def _maintenance() -> tuple[Any, ...]:
-    """Z without all that is correlated with z = h e + v."""
+def _maintenance() -> Zeros:
     _, P, S, R = _blocks()
     h, r = general("h", 1, 2), scalar("r")
     s = h * P * h.T + r
@@ -147,8 +141,7 @@ def _maintenance() -> tuple[Any, ...]:
 @_PARTIAL.claim(
     "(44) has the moments it states, and leaves Z correlated with the innovation by S h'", "(44)"
 )
-def _printed_maintenance() -> tuple[Any, ...]:
-    """(44) leaves V as it is, and Z correlated with z by S h'."""
+def _printed_maintenance() -> Zeros:
     _, P, S, _ = _blocks()
     h, r = general("h", 1, 2), scalar("r")
     K = P * h.T * (h * P * h.T + r).inv()
@@ -157,8 +150,7 @@ def _printed_maintenance() -> tuple[Any, ...]:
 
 
 @_PARTIAL.claim("(46) needs no inverse of R: it is a Kalman update of V", "(46)")
-def _compression() -> tuple[Any, ...]:
-    """(46) with and without inverses, and the gain of a Kalman filter for V."""
+def _compression() -> Zeros:
     R, r, one = scalar("R"), scalar("r"), sympy.eye(1)
     B = r * (R + r).inv()
     kept = (R.inv() + r.inv()).inv()
@@ -169,8 +161,7 @@ def _compression() -> tuple[Any, ...]:
     "the host update is the best linear estimate from Z",
     "(47) with its bracket closed before the inverse",
 )
-def _host_update() -> tuple[Any, ...]:
-    """(47) is the best linear estimate of e from Z = h e + V."""
+def _host_update() -> Zeros:
     joint, P, S, R = _blocks()
     h, measures = sympy.Matrix([[1, 0]]), sympy.Matrix([[1, 0, 1]])
     cross, W = joint[:2, :] * measures.T, measures * joint * measures.T
@@ -178,5 +169,5 @@ def _host_update() -> tuple[Any, ...]:
     return K - cross * W.inv(), P - K * (S + h * P) - (P - cross * W.inv() * cross.T)
 
 
-COMPRESSION_IDENTITIES = tuple(_FULL.identities)
-PARTIAL_IDENTITIES = tuple(_PARTIAL.identities)
+COMPRESSION_IDENTITIES = tuple(_FULL)
+PARTIAL_IDENTITIES = tuple(_PARTIAL)

@@ -1,18 +1,17 @@
-"""Identities that SymPy decides: residuals that are exactly zero for every value of their symbols.
+"""Identities that SymPy decides: a rational function is zero if its expanded numerator is.
 
-A rational function is zero if and only if its expanded numerator is. SymPy is slow to import and
-has no static types: it is loaded when a residual is first written, and `Any` stands for its values.
+SymPy is slow to import and has no static types: it is loaded late, `Any` stands for its values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, TypeAlias
 
-#: Writes down matrices, or lists of entries, that must be zero.
-Residual: TypeAlias = Callable[[], tuple[Any, ...]]
+#: Matrices, or lists of entries, that must be zero.
+Zeros: TypeAlias = tuple[Any, ...]
 
 
 class _Late:
@@ -30,7 +29,7 @@ class Identity:
 
     claim: str
     source: str
-    residual: Residual
+    residual: Callable[[], Zeros]
 
     def holds(self) -> bool:
         """Whether every entry of the residual is identically zero."""
@@ -38,20 +37,26 @@ class Identity:
         return all(sympy.expand(sympy.numer(sympy.together(entry))) == 0 for entry in entries)
 
 
-@dataclass(frozen=True)
-class Theorems:
+class Theorems(list[Identity]):
     """The identities about one paper, in the order of its derivation."""
 
-    paper: str
-    identities: list[Identity] = field(default_factory=list)
+    def __init__(self, paper: str, *setting: Callable[[], Any]) -> None:
+        super().__init__()
+        self.paper, self.setting = paper, setting
 
-    def claim(self, claim: str, equations: str) -> Callable[[Residual], Residual]:
-        """Decorator that states what a residual proves."""
+    def claim(
+        self, claim: str, equations: str, *setting: Callable[[], Any], paper: str = ""
+    ) -> Callable[[Callable[..., Zeros]], None]:
+        """Decorator that states what a residual proves, in the symbols of its setting."""
 
-        def add(residual: Residual) -> Residual:
-            source = f"{self.paper}, {equations}"
-            self.identities.append(Identity(claim=claim, source=source, residual=residual))
-            return residual
+        def add(residual: Callable[..., Zeros]) -> None:
+            self.append(
+                Identity(
+                    claim=claim,
+                    source=f"{paper or self.paper}, {equations}",
+                    residual=lambda: residual(*(each() for each in setting or self.setting)),
+                )
+            )
 
         return add
 

@@ -1,8 +1,4 @@
-"""The algebra behind the linear filter for faulty sensors, eq. (19)-(23), (29).
-
-Scalar states and measurements where the paper's argument is followed step by step, matrices where
-one form is turned into another.
-"""
+"""The algebra behind the linear filter for faulty sensors, eq. (19)-(23), (29)."""
 
 from __future__ import annotations
 
@@ -11,9 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from fkgen.oracle.theorems.identity import Theorems, general, symmetric, sympy
-
-_THEOREMS = Theorems("Sigalov, Oshman")
+from fkgen.oracle.theorems.identity import Theorems, Zeros, general, symmetric, sympy
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,16 +58,18 @@ def step(n: int = 1, p: int = 1, faulty: Sequence[int] = (0,)) -> Step:
     )
 
 
+_THEOREMS = Theorems("Sigalov, Oshman", partial(step, 2, 1))
+
+
 @_THEOREMS.claim(
     "under Lemma 2 and (23b) the error is orthogonal to each past measurement, any gain",
     "eq. (20), i <= k, (21), Lemma 2",
 )
-def _past_measurement() -> tuple[Any, ...]:
+def _past_measurement(s: Step) -> Zeros:
     """E[(xhat_(k+1) - x_(k+1)) z_i'] for i <= k, with E[xhat_k z_i'] = E[x_k z_i'] from before.
 
     For gamma_i = 1 of rate g_i: E[x_k z_i'] = g_i E[x_k x_i'] H', E[gamma_(k+1) gamma_i] = p g_i.
     """
-    s = step(2, 1)
     lagged = sympy.Matrix(2, 2, lambda i, j: sympy.Symbol(f"x{i}{j}"))  # E[x_k x_i']
     rate = sympy.Symbol("g_i")
     x_z = rate * lagged * s.H.T
@@ -86,16 +82,14 @@ def _past_measurement() -> tuple[Any, ...]:
 @_THEOREMS.claim(
     "with (23b) and (23c) the error is orthogonal to the new measurement", "eq. (20), i = k + 1"
 )
-def _new_measurement() -> tuple[Any, ...]:
+def _new_measurement(s: Step) -> Zeros:
     """E[(xhat_(k+1) - x_(k+1)) z_(k+1)'], with E[xhat_k gamma x_k'] = p V_k."""
-    s = step(2, 1)
     xhat_z = s.V * s.A.T * s.H.T * s.p
     return (s.F1 * xhat_z + s.F2 * s.signal - s.C * s.H.T * s.g,)
 
 
 @_THEOREMS.claim("(23b) and (23c) solve (22)", "eq. (22)")
-def _equation_22() -> tuple[Any, ...]:
-    s = step(2, 1)
+def _equation_22(s: Step) -> Zeros:
     left = s.g[0, 0] * (sympy.eye(2) - s.F2 * s.H) * s.C * s.H.T
     return (left - s.F1 * s.p[0, 0] * s.V * s.A.T * s.H.T - s.F2 * s.R,)
 
@@ -103,40 +97,30 @@ def _equation_22() -> tuple[Any, ...]:
 @_THEOREMS.claim(
     "(23e) is E[xhat xhat'] for any gains, and E[xhat x'] for those of (23)", "eq. (23e)"
 )
-def _estimate_moment() -> tuple[Any, ...]:
-    """V_(k+1) from (x, xhat, z) against eq. (23e) for any gains, and against E[xhat x']."""
-    s = step(2, 1)
+def _estimate_moment(s: Step) -> Zeros:
     F2 = sympy.Matrix(sympy.symbols("f0:2"))
     F1 = sympy.Matrix(2, 2, sympy.symbols("e0:4"))
     xhat_z = s.V * s.A.T * s.H.T * s.p
     joint = sympy.Matrix(sympy.BlockMatrix([[s.V, xhat_z], [xhat_z.T, s.signal]]))
     map_ = sympy.Matrix.hstack(F1, F2)
     with_state = s.F1 * s.V * s.A.T + s.F2 * s.g * s.H * s.C  # E[xhat_(k+1) x_(k+1)']
-    return (
-        map_ * joint * map_.T - s.estimate_moment(F1, F2),
-        s.estimate_moment(s.F1, s.F2) - with_state,
-    )
+    moment = s.estimate_moment
+    return map_ * joint * map_.T - moment(F1, F2), moment(s.F1, s.F2) - with_state
 
 
-@_THEOREMS.claim("V = A V A' + F2 M F2' with M the bracket of (23c)", "eq. (23c), (23e)")
-def _innovation_form() -> tuple[Any, ...]:
-    s = step(2, 1)
-    return (s.estimate_moment(s.F1, s.F2) - s.predicted - s.F2 * s.bracket * s.F2.T,)
+_THEOREMS.claim("V = A V A' + F2 M F2' with M the bracket of (23c)", "eq. (23c), (23e)")(
+    lambda s: (s.estimate_moment(s.F1, s.F2) - s.predicted - s.F2 * s.bracket * s.F2.T,)
+)
 
 
-def _covariance_form(n: int, p: int, faulty: Sequence[int]) -> tuple[Any, ...]:
+def _covariance_form(s: Step) -> Zeros:
     """N, M, F2 and P from the prediction error covariance against C - V."""
-    s = step(n, p, faulty)
     prediction = s.prediction_error  # Pp = C_(k+1) - A V_k A'
-    weight = s.pair - s.p * sympy.ones(p, p) * s.p
+    weight = s.pair - s.p * sympy.ones(*s.p.shape) * s.p
     M = s.p * s.H * prediction * s.H.T * s.p + weight.multiply_elementwise(s.H * s.C * s.H.T) + s.R
     N = prediction * s.H.T * s.p + s.C * s.H.T * (s.g - s.p)
     inverse = M.adjugate() / M.det().expand()
-    return (
-        N - s.numerator,
-        M - s.bracket,
-        prediction - N * inverse * N.T - s.error,
-    )
+    return N - s.numerator, M - s.bracket, prediction - N * inverse * N.T - s.error
 
 
 for _claim, _n, _p, _faulty in (
@@ -144,15 +128,15 @@ for _claim, _n, _p, _faulty in (
     ("the same for two rows of which one never fails", 1, 2, (1,)),
     ("the same for two rows that fail together", 1, 2, (0, 1)),
 ):
-    _form = partial(_covariance_form, _n, _p, _faulty)
-    _THEOREMS.claim(_claim, f"eq. (23); n = {_n}, p = {_p}")(_form)
+    _setting = partial(step, _n, _p, _faulty)
+    _THEOREMS.claim(_claim, f"eq. (23); n = {_n}, p = {_p}", _setting)(_covariance_form)
 
 
 @_THEOREMS.claim(
     "three samples of (23) satisfy all orthogonality conditions, time-varying p11",
     "eq. (20), (23); n = p = 1",
 )
-def _first_samples() -> tuple[Any, ...]:
+def _first_samples(_: Step) -> Zeros:
     """Three samples of a scalar plant without induction: the errors against z_0, z_1 and z_2.
 
     E[gamma_0], E[gamma_1], E[gamma_2], p11(1) and p11(2) are free, as for an absorbing chain.
@@ -162,8 +146,8 @@ def _first_samples() -> tuple[Any, ...]:
     a, q, r = sympy.Rational(-4, 5), 1, 3
     g, p = free[:3], [field.zero, *free[3:]]
     C = [sympy.Integer(2)]
-    for _ in range(2):
-        C.append(a**2 * C[-1] + q)
+    for k in range(2):
+        C.append(a**2 * C[k] + q)
 
     def z_z(k: int, i: int) -> Any:
         if k == i:
@@ -185,65 +169,54 @@ def _first_samples() -> tuple[Any, ...]:
     return ([entry.as_expr() for entry in entries],)
 
 
-@Theorems("Nahi 1969", _THEOREMS.identities).claim(
+@_THEOREMS.claim(
     "for independent gamma the filter is Nahi's",
     "Optimal recursive estimation with uncertain observation",
+    paper="Nahi 1969",
 )
-def _nahi() -> tuple[Any, ...]:
+def _nahi(s: Step) -> Zeros:
     """p11 = E[gamma]: gain and covariance as Nahi has them."""
-    s = step(2, 1)
-    s = replace(s, p=s.g)
-    g = s.g[0, 0]
-    prediction = s.prediction_error
+    s, g, prediction = replace(s, p=s.g), s.g[0, 0], s.prediction_error
     M = g**2 * s.H * prediction * s.H.T + s.R + g * (1 - g) * s.H * s.C * s.H.T
     K = g * prediction * s.H.T / M.det().expand()
-    return (
-        s.F2 - K,
-        s.F1 - (s.A - g * K * s.H * s.A),
-        s.error - (prediction - g * K * s.H * prediction),
-    )
+    covariance = prediction - g * K * s.H * prediction
+    return s.F2 - K, s.F1 - (s.A - g * K * s.H * s.A), s.error - covariance
 
 
-@_THEOREMS.claim("for gamma = 1 the filter is the Kalman filter with R E[delta]", "eq. (23)")
-def _kalman() -> tuple[Any, ...]:
-    """E[gamma] = p11 = 1: the Kalman filter with R E[delta]."""
-    s = step(2, 1, ())
+@_THEOREMS.claim(
+    "for gamma = 1 the filter is the Kalman filter with R E[delta]",
+    "eq. (23)",
+    partial(step, 2, 1, ()),
+)
+def _kalman(s: Step) -> Zeros:
     prediction = s.prediction_error
     K = prediction * s.H.T / (s.H * prediction * s.H.T + s.R).det().expand()
-    return (
-        s.F2 - K,
-        s.error - (prediction - K * s.H * prediction),
-    )
+    return s.F2 - K, s.error - (prediction - K * s.H * prediction)
 
 
 @_THEOREMS.claim(
     "for p11 = E[gamma] the estimate stays unbiased whatever the mean of x", "eq. (19), (23b)"
 )
-def _mean() -> tuple[Any, ...]:
-    """E[xhat_(k+1) - x_(k+1)] for p11 = E[gamma] and an unbiased xhat_k of any mean."""
-    s = step(2, 1)
-    mean = sympy.Matrix(sympy.symbols("m0:2"))
-    s = replace(s, p=s.g)
+def _mean(s: Step) -> Zeros:
+    s, mean = replace(s, p=s.g), sympy.Matrix(sympy.symbols("m0:2"))
     return (s.F1 * mean + s.F2 * s.g * s.H * s.A * mean - s.A * mean,)
 
 
 @_THEOREMS.claim("p11 after two steps is p11 only if p11 = 1 or the rows are equal", "Corollary 1")
-def _corollary() -> tuple[Any, ...]:
+def _corollary(_: Step) -> Zeros:
     """Two steps of a two-state chain, states (1, 0), and E[gamma_k] where gamma = 1 is kept."""
     p11, p01, start = sympy.symbols("p11 p01 pi")
     chain = sympy.Matrix([[p11, 1 - p11], [p01, 1 - p01]])
     law = sympy.Matrix([[start, 1 - start]])
+    again = (chain**2)[0, 0] - p11 - (1 - p11) * (p01 - p11)
     kept = (law * chain**3)[0, 0].subs({p11: 1})
-    return (
-        [(chain**2)[0, 0] - p11 - (1 - p11) * (p01 - p11)],
-        [kept - (1 - (1 - start) * (1 - p01) ** 3)],
-    )
+    return [again], [kept - (1 - (1 - start) * (1 - p01) ** 3)]
 
 
 @_THEOREMS.claim(
     "example 2 has E[gamma] = 1 - q (1 - p) and the transition probabilities (29)", "eq. (28), (29)"
 )
-def _example_2() -> tuple[Any, ...]:
+def _example_2(_: Step) -> Zeros:
     """Gamma = 1 - alpha + alpha beta, alpha drawn once, beta at each sample."""
     p, q = sympy.symbols("p q")
     rate = (1 - q) + q * p
@@ -256,4 +229,4 @@ def _example_2() -> tuple[Any, ...]:
 
 
 #: Every claim, in the order of the derivation.
-LINEAR_IDENTITIES = tuple(_THEOREMS.identities)
+LINEAR_IDENTITIES = tuple(_THEOREMS)

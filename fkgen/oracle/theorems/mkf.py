@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fkgen.oracle.theorems.identity import Theorems, general, scalar, symmetric, sympy
-
-_THEOREMS = Theorems("Strandt, Schneider, Yaz")
+from fkgen.oracle.theorems.identity import Theorems, Zeros, general, scalar, symmetric, sympy
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,33 +68,30 @@ def setting(n: int = 2, p: int = 1, q: int = 1) -> Setting:
     )
 
 
+_THEOREMS = Theorems("Strandt, Schneider, Yaz", setting)
+
+
 @_THEOREMS.claim("eq. (9) is the second moment of the error (5)", "eq. (5), (8), (9)")
-def _second_moment_of_the_error() -> tuple[Any, ...]:
-    s = setting()
+def _second_moment_of_the_error(s: Setting) -> Zeros:
     K = s.free_gain
     map_ = sympy.Matrix.hstack(s.A - K * s.C, (s.B - K * s.D) * s.U, sympy.eye(2), -K)
     return (map_ * sympy.diag(s.P, s.faults, s.Q, s.R) * map_.T - s.expanded(K),)
 
 
-@_THEOREMS.claim("eq. (9) equals the sum of squares (Joseph form) for any gain", "eq. (9)")
-def _stabilised_form() -> tuple[Any, ...]:
-    s = setting()
-    return (s.stabilised(s.free_gain) - s.expanded(s.free_gain),)
+_THEOREMS.claim("eq. (9) equals the sum of squares (Joseph form) for any gain", "eq. (9)")(
+    lambda s: (s.stabilised(s.free_gain) - s.expanded(s.free_gain),)
+)
 
 
 @_THEOREMS.claim("the gradient of tr P[k+1] vanishes at the gain (11)", "eq. (10), (11)")
-def _gradient() -> tuple[Any, ...]:
-    s = setting()
-    K = s.free_gain
-    gradient = s.expanded(K).trace().diff(K)
-    return (gradient.subs(dict(zip(K, s.gain, strict=True))),)
+def _gradient(s: Setting) -> Zeros:
+    gradient = s.expanded(s.free_gain).trace().diff(s.free_gain)
+    return (gradient.subs(dict(zip(s.free_gain, s.gain, strict=True))),)
 
 
 @_THEOREMS.claim("the Hessian of tr P[k+1] is 2 Om, a sum of squares plus R", "eq. (9), (21)")
-def _hessian() -> tuple[Any, ...]:
-    s = setting()
-    K = s.free_gain
-    hessian = sympy.hessian(s.expanded(K).trace(), list(K))
+def _hessian(s: Setting) -> Zeros:
+    hessian = sympy.hessian(s.expanded(s.free_gain).trace(), list(s.free_gain))
     root = sympy.Matrix([[sympy.Symbol("l00"), 0], [sympy.Symbol("l10"), sympy.Symbol("l11")]])
     along = s.C * root
     squares = along * along.T + s.xi * (1 - s.xi) * (s.D * s.U) * (s.D * s.U).T + s.R
@@ -104,27 +99,23 @@ def _hessian() -> tuple[Any, ...]:
     return hessian - 2 * s.innovation[0, 0] * sympy.eye(2), covariance - squares
 
 
-@_THEOREMS.claim("P(K* + d) - P(K*) = d Om d'", "eq. (9)-(11), completing the square")
-def _price_of_another_gain() -> tuple[Any, ...]:
-    s = setting()
-    d = s.free_gain
-    return (s.expanded(s.gain + d) - s.expanded(s.gain) - d * s.innovation * d.T,)
-
-
-@_THEOREMS.claim(
-    "eq. (12) equals the Joseph form of eq. (9) at the gain (11)", "eq. (9), (11), (12)"
+_THEOREMS.claim("P(K* + d) - P(K*) = d Om d'", "eq. (9)-(11), completing the square")(
+    lambda s: (
+        s.expanded(s.gain + s.free_gain)
+        - s.expanded(s.gain)
+        - s.free_gain * s.innovation * s.free_gain.T,
+    )
 )
-def _optimal_covariance() -> tuple[Any, ...]:
-    s = setting()
-    return (s.stabilised(s.gain) - s.riccati,)
+_THEOREMS.claim(
+    "eq. (12) equals the Joseph form of eq. (9) at the gain (11)", "eq. (9), (11), (12)"
+)(lambda s: (s.stabilised(s.gain) - s.riccati,))
 
 
 @_THEOREMS.claim(
     "at success rates 1 and 0 gain and covariance are those of the Kalman predictor",
     "eq. (11), (12)",
 )
-def _rate_one_and_zero() -> tuple[Any, ...]:
-    s = setting()
+def _rate_one_and_zero(s: Setting) -> Zeros:
     kalman = s.A * s.P * s.C.T * (s.C * s.P * s.C.T + s.R).inv()
     covariance = s.A * s.P * s.A.T + s.Q - kalman * s.C * s.P * s.A.T
     pairs = ((s.gain, kalman), (s.riccati, covariance))
@@ -134,8 +125,7 @@ def _rate_one_and_zero() -> tuple[Any, ...]:
 @_THEOREMS.claim(
     "at success rate 1 the estimate is the Kalman predictor's, at 0 it ignores u", "eq. (4)"
 )
-def _estimate_at_rate_one_and_zero() -> tuple[Any, ...]:
-    s = setting()
+def _estimate_at_rate_one_and_zero(s: Setting) -> Zeros:
     x, y, u, K = general("x", 2, 1), scalar("y"), s.U, s.free_gain
     ours = s.A * x + s.xi * s.B * u + K * (y - s.C * x - s.xi * s.D * u)
     driven = s.A * x + s.B * u + K * (y - s.C * x - s.D * u)
@@ -143,46 +133,35 @@ def _estimate_at_rate_one_and_zero() -> tuple[Any, ...]:
     return ours.subs(s.xi, 1) - driven, ours.subs(s.xi, 0) - free
 
 
-@_THEOREMS.claim("gain and covariances are the same for xi and 1 - xi", "eq. (11), (12), (21)")
-def _mirrored_rate() -> tuple[Any, ...]:
-    s = setting()
-    return tuple(m - m.subs(s.xi, 1 - s.xi) for m in (s.riccati, s.gain, s.innovation))
-
-
-@_THEOREMS.claim("without input gain and covariance do not depend on xi", "eq. (11), (12)")
-def _no_input() -> tuple[Any, ...]:
-    s = setting()
-    return tuple(m.subs(s.U[0, 0], 0).diff(s.xi) for m in (s.riccati, s.gain))
+_THEOREMS.claim("gain and covariances are the same for xi and 1 - xi", "eq. (11), (12), (21)")(
+    lambda s: tuple(m - m.subs(s.xi, 1 - s.xi) for m in (s.riccati, s.gain, s.innovation))
+)
+_THEOREMS.claim("without input gain and covariance do not depend on xi", "eq. (11), (12)")(
+    lambda s: tuple(m.subs(s.U[0, 0], 0).diff(s.xi) for m in (s.riccati, s.gain))
+)
 
 
 @_THEOREMS.claim("K - A Kf = B N D' Om^-1, zero if D = 0", "eq. (11)")
-def _two_gains() -> tuple[Any, ...]:
-    s = setting()
+def _two_gains(s: Setting) -> Zeros:
     difference = s.gain - s.A * s.filter_gain
     return difference - s.B * s.N * s.D.T * s.inverse, difference.subs(s.D[0, 0], 0)
 
 
 @_THEOREMS.claim("Pf = P - Kf Om Kf' equals its Joseph form", "eq. (11) with A = I and B = 0")
-def _filtered_covariance() -> tuple[Any, ...]:
-    s = setting()
+def _filtered_covariance(s: Setting) -> Zeros:
     K = s.filter_gain
     F = sympy.eye(2) - K * s.C
     return (s.P - K * s.innovation * K.T - F * s.P * F.T - K * (s.R + s.D * s.N * s.D.T) * K.T,)
 
 
-def _augmented(n: int, p: int, q: int) -> tuple[Any, ...]:
+def _augmented(s: Setting) -> Zeros:
     """Condition z = (x, gamma - xi) on y, then move on: against eq. (12) and (11)."""
-    s = setting(n, p, q)
     Z = sympy.diag(s.P, s.faults)
     row, onward = s.C.row_join(s.D * s.U), s.A.row_join(s.B * s.U)
     covariance = row * Z * row.T + s.R
     gain = Z * row.T * s.inverse
-    conditioned = Z - gain * row * Z
-    return (
-        covariance - s.innovation,
-        onward * conditioned * onward.T + s.Q - s.riccati,
-        onward * gain - s.gain,
-    )
+    moved = onward * (Z - gain * row * Z) * onward.T + s.Q
+    return covariance - s.innovation, moved - s.riccati, onward * gain - s.gain
 
 
 for _claim, _n, _p, _q in (
@@ -191,15 +170,13 @@ for _claim, _n, _p, _q in (
     ("the same for two measurements", 1, 2, 1),
 ):
     _equations = f"eq. (1), (11), (12); n = {_n}, p = {_p}, q = {_q}"
-    _THEOREMS.claim(_claim, _equations)(partial(_augmented, _n, _p, _q))
+    _THEOREMS.claim(_claim, _equations, partial(setting, _n, _p, _q))(_augmented)
 
 
 @_THEOREMS.claim(
-    "the mixture over both states of the actuator has the two moments of eq. (15)",
-    "eq. (15), (21)",
+    "the mixture over both states of the actuator has the two moments of eq. (15)", "eq. (15), (21)"
 )
-def _mixture_moments() -> tuple[Any, ...]:
-    s = setting()
+def _mixture_moments(s: Setting) -> Zeros:
     noise = s.C * s.P * s.C.T + s.R
     worked, failed = s.D * s.U, 0 * s.D
     mean = s.xi * worked + (1 - s.xi) * failed
@@ -210,19 +187,16 @@ def _mixture_moments() -> tuple[Any, ...]:
 @_THEOREMS.claim(
     "N = s u u' for a common fault; B N B' = sum s_i u_i^2 b_i b_i' for independent ones",
     "eq. (9), several inputs",
+    partial(setting, 2, 1, 2),
 )
-def _several_inputs() -> tuple[Any, ...]:
-    s = setting(2, 1, 2)
-    u = s.U * sympy.ones(2, 1)
-    variance = s.xi * (1 - s.xi)
+def _several_inputs(s: Setting) -> Zeros:
+    u, variance = s.U * sympy.ones(2, 1), s.xi * (1 - s.xi)
     together = s.U * (variance * sympy.ones(2, 2)) * s.U
-    r0, r1 = sympy.symbols("xi0 xi1")
-    apart = s.B * s.U * sympy.diag(r0 * (1 - r0), r1 * (1 - r1)) * s.U * s.B.T
-    columns = [
-        s.B[:, i] * s.B[:, i].T * u[i] ** 2 * rate * (1 - rate) for i, rate in enumerate((r0, r1))
-    ]
+    variances = [rate * (1 - rate) for rate in sympy.symbols("xi0 xi1")]
+    apart = s.B * s.U * sympy.diag(*variances) * s.U * s.B.T
+    columns = [s.B[:, i] * s.B[:, i].T * u[i] ** 2 * each for i, each in enumerate(variances)]
     return together - variance * u * u.T, apart - columns[0] - columns[1]
 
 
 #: Every claim, in the order of the derivation.
-IDENTITIES = tuple(_THEOREMS.identities)
+IDENTITIES = tuple(_THEOREMS)

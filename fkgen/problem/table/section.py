@@ -96,11 +96,10 @@ class Section:
 
     def whole(self, key: str, expected: str, largest: int, default: int | None = None) -> int:
         """Return the whole number from 1 to the largest that was given, or the default."""
-
-        def accepted(number: float) -> bool:
-            return number.is_integer() and 1 <= number <= largest
-
-        return int(self.number(key, expected, accepted, default))
+        number = self.number(key, expected, math.isfinite, default)
+        if not (number.is_integer() and 1 <= number <= largest):
+            raise self.error(key, show(self.table[key]), expected)
+        return int(number)
 
     def positive(self, key: str, default: float, below: float = math.inf) -> float:
         """Return the positive number that was given, or the default."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from fkgen.estimators.models.bank import LARGEST_MIXTURE
 from fkgen.faults import ActuatorFaults
-from fkgen.oracle.claims.partial_compression import design_of
+from fkgen.oracle.claims.compression import design_of
 from fkgen.oracle.exact.partial_compression import partial_compression
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.textbook.mkf import textbook_step
@@ -143,8 +143,8 @@ def compression_loss(model: Subject) -> None:
     prediction = system.x0, system.P0
     for k in range(system.length):
         step = textbook_step(system, k, prediction, y[k], u[k])
-        prediction = step.predicted_state, step.predicted_covariance
-    kalman = np.diag(step.filtered_covariance)
+        prediction = step["predicted_state"], step["predicted_covariance"]
+    kalman = np.diag(step["filtered_covariance"])
     ratio = np.divide(compressed, kalman, out=np.ones_like(kalman), where=kalman > 0.0)
     worst = int(np.argmax(ratio))
     loss = float(ratio[worst]) - 1.0
