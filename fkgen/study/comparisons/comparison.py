@@ -123,12 +123,10 @@ def _compared(
                 told = filter_inputs(trials, spec, genie=parts is results[0])
                 parts.append(score(built, told, trials, size["skip"], false_alarm))
                 advance(len(trials.y))
-    entries = [
-        Entry(
-            label, spec.filter.family, cost, Scores(*map(np.concatenate, zip(*each, strict=True)))
-        )
-        for (label, spec), cost, each in zip(everyone, costs, results, strict=True)
-    ]
+    entries = []
+    for (label, spec), cost, parts in zip(everyone, costs, results, strict=True):
+        whole = Scores(*map(np.concatenate, zip(*parts, strict=True)))
+        entries.append(Entry(label, spec.filter.family, cost, whole))
     found = ranked(truth, entries, false_alarm, **size)
     caveats = (
         f"{label}: {finding.message}"

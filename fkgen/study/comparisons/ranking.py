@@ -117,9 +117,8 @@ class Score:
         """Whether its error is smaller, or a tie, over the same trials."""
         gap = self.gap(other)
         doubt = TIE * gap.error
-        return gap.value <= 0.0 or (
-            gap.value <= doubt and gap.value + doubt <= MARGIN * other.value
-        )
+        tie = gap.value <= doubt and gap.value + doubt <= MARGIN * other.value
+        return gap.value <= 0.0 or tie
 
 
 def beaten(one: Score, everyone: Sequence[Score]) -> bool:
@@ -242,9 +241,8 @@ def ranked(truth: Spec, entries: Sequence[Entry], false_alarm: float, **size: in
         raise DataError("comparison", given=given, expected=expected)
     rows = [_row(truth, *each, pareto=not beaten(each[0], standing)) for each in known]
     chosen, sentence = recommended(standing, {row.label: row.nees for row in rows})
-    lost = (
-        f"{score.label} lost the state: left out" for score, _ in others if score not in standing
-    )
+    lost = [score.label for score, _ in others if not np.isfinite(score.value)]
+    notes = _notes(truth, size, false_alarm, rows)
     return Comparison(
         name=truth.name,
         **size,
@@ -252,7 +250,7 @@ def ranked(truth: Spec, entries: Sequence[Entry], false_alarm: float, **size: in
         rows=tuple(rows),
         recommended=chosen,
         recommendation=sentence,
-        notes=(*_notes(truth, size, false_alarm, rows), *lost),
+        notes=(*notes, *(f"{label} lost the state: left out" for label in lost)),
     )
 
 
