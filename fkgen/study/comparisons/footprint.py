@@ -7,6 +7,7 @@ import subprocess
 import tempfile
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -63,16 +64,10 @@ def _flash(compiled: CompiledFilter) -> dict[str, int]:
 
 def _text_bytes(code: Path, size: str, *compiler: str) -> int | None:
     """Code and constants of one object file; None if a tool is missing or refuses."""
-    missing_or_refused = (OSError, subprocess.SubprocessError, IndexError, ValueError)
-    with tempfile.TemporaryDirectory(prefix="fkgen-") as folder, suppress(*missing_or_refused):
+    run = partial(subprocess.check_output, text=True, stderr=subprocess.DEVNULL, timeout=600)
+    failures = (OSError, subprocess.SubprocessError, IndexError, ValueError)
+    with tempfile.TemporaryDirectory(prefix="fkgen-") as folder, suppress(*failures):
         target = f"{folder}/filter.o"
-        _run(*compiler, "-std=c99", "-ffp-contract=off", "-c", str(code), "-o", target)
-        return int(_run(size, target).splitlines()[1].split()[0])
+        run([*compiler, "-std=c99", "-ffp-contract=off", "-c", str(code), "-o", target])
+        return int(run([size, target]).splitlines()[1].split()[0])
     return None
-
-
-def _run(*command: str) -> str:
-    done = subprocess.run(  # noqa: S603 - a compiler that was looked for, and its output
-        command, capture_output=True, text=True, timeout=600, check=True
-    )
-    return done.stdout

@@ -29,7 +29,8 @@ from fkgen.oracle.exact.gaussian import square_root
 from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.oracle.sampled import draw_record
 from fkgen.pipeline import build
-from fkgen.problem import Filter, Matrix, Name, Number, Parameter, Signal, Spec
+from fkgen.problem import Filter, Matrix, Name, Parameter, Signal, Spec
+from fkgen.problem.text.expression import ZERO
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.record import choice, numbers, signal, whole
 from fkgen.runtime.results import Run
@@ -213,7 +214,9 @@ def _linear_response(scenario: _Scenario) -> FaultEffect:
         system = scenario.system()
         root = square_root(u[:, :, np.newaxis] * system.fault_covariance * u[:, np.newaxis, :])
         root = root[:, :, np.abs(root).max(axis=(0, 1), initial=0.0) > 0.0]
-        companion, more = _with_lost_commands(companion, system.B @ root, system.D @ root)
+        companion, more = _with_lost_commands(
+            companion, np.hstack([system.B @ root, system.D @ root])
+        )
         params, anomaly = {**params, **more}, system.rate * anomaly  # what arrives on average
     built = build(companion)
     # The error deviates by what the filter makes of -f in y, and of the part of the anomaly that
@@ -224,7 +227,7 @@ def _linear_response(scenario: _Scenario) -> FaultEffect:
     plant = np.zeros_like(error)
     if scenario.mode != "filter" and anomaly.any():  # nothing is measured: the plant, left alone
         plant = _run(built, np.full_like(y, np.nan), anomaly, params).filtered_state[0, :, :n]
-    direct = any(entry != Number(0.0) for entry in chain(*spec.model.D.rows))
+    direct = any(entry != ZERO for entry in chain(*spec.model.D.rows))
     return FaultEffect(
         state_deviation=plant - error,
         error_deviation=error + 0.0,  # no -0.0
@@ -259,20 +262,21 @@ def _deviation(run: Run) -> Array:
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _with_lost_commands(spec: Spec, driven: Array, sensed: Array) -> tuple[Spec, dict[str, Array]]:
+def _with_lost_commands(spec: Spec, roots: Array) -> tuple[Spec, dict[str, Array]]:
     """The Kalman filter that ``mkf`` is, with the lost part of u as r more states.
 
     Strandt, Schneider & Yaz, (1): g u = xi u + (g - xi) u, where the second part is noise in x and
     in y at once. It is a white state e with covariance I, through (B N^1/2) e and (D N^1/2) e with
-    N = diag(u) Cov(g) diag(u): ``driven`` (T, n, r) and ``sensed`` (T, p, r) become parameters.
+    N = diag(u) Cov(g) diag(u): what of these ``roots`` (T, n + p, r) is not 0 becomes a parameter.
     """
-    model, n, r = spec.model, spec.model.nx, driven.shape[2]
+    model, n, r = spec.model, spec.model.nx, roots.shape[2]
     prefix = "lost"
     while any(parameter.name.startswith(prefix) for parameter in spec.parameters):
         prefix += "_"
-    into_x, params = _named(f"{prefix}_x", driven)
-    into_y, more = _named(f"{prefix}_y", sensed)
-    params |= more
+    names = [[f"{prefix}_{i}_{j}" for j in range(r)] for i in range(roots.shape[1])]
+    params = {names[i][j]: roots[:, i, j].copy() for i, j in np.argwhere(roots.any(axis=0))}
+    entries = [tuple(Name(name) if name in params else ZERO for name in row) for row in names]
+    into_x, into_y = Matrix(tuple(entries[:n])), Matrix(tuple(entries[n:]))
     noise = Matrix.of(np.eye(r)) if r else Matrix(())
     above, below = Matrix.zeros(n, r), Matrix.zeros(r, n)
     wide = replace(
@@ -288,17 +292,6 @@ def _with_lost_commands(spec: Spec, driven: Array, sensed: Array) -> tuple[Spec,
     parameters = (*spec.parameters, *(Parameter(name, _TRIED) for name in params))
     family = Filter("kf")
     return replace(spec, model=wide, parameters=parameters, faults=Faults(), filter=family), params
-
-
-def _named(prefix: str, values: Array) -> tuple[Matrix, dict[str, Array]]:
-    """A matrix of parameters with these values (T, rows, r); zeros stay zeros."""
-    names = [[f"{prefix}_{i}_{j}" for j in range(values.shape[2])] for i in range(values.shape[1])]
-    params = {
-        names[i][j]: np.ascontiguousarray(values[:, i, j])
-        for i, j in np.argwhere(values.any(axis=0))
-    }
-    entries = ((Name(each) if each in params else Number(0.0) for each in row) for row in names)
-    return Matrix(tuple(map(tuple, entries))), params
 
 
 def _blocks(*grid: Sequence[Matrix]) -> Matrix:

@@ -100,7 +100,6 @@ def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool) -
 
 
 def _row(state: Signal, effect: FaultEffect, i: int, over: int) -> Sequence[str]:
-    """Peak of the error of a state, where, in standard deviations, and its end."""
     error, sd = effect.error_deviation[:, i], effect.state_sd[:, i]
     k = int(np.argmax(np.abs(error)))
     share = f"{abs(error[k]) / sd[k]:.3g}" if sd[k] > 0.0 else "-"
@@ -109,7 +108,6 @@ def _row(state: Signal, effect: FaultEffect, i: int, over: int) -> Sequence[str]
 
 
 def _seen(spec: Spec, effect: FaultEffect, false_alarm: float) -> str:
-    """Whether the NIS tells of the fault."""
     if effect.state_deviation.any() and not effect.error_deviation.any():
         moved = zip(spec.model.states, np.abs(effect.state_deviation).max(axis=0), strict=True)
         sizes = ", ".join(f"{state.name} {size:.4g}" for state, size in moved)

@@ -29,8 +29,7 @@ BLUE, ORANGE, GREY, BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
 _SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
 LARGEST = 12  # panels of states; more would be a page nobody reads
 HEIGHT = 1.9  # of a panel, in inches
-_CONFIDENCE = 0.95
-_LOWEST = 1e-3  # ratios of a test to its threshold below this are drawn here
+_CONFIDENCE, _LOWEST = 0.95, 1e-3  # smaller ratios of a test to its threshold are drawn there
 _MANY = {"ncols": 8, "markerscale": 3, "handlelength": 1.2}
 #: A legend in one line above the panel, where it hides nothing.
 _ABOVE = _MANY | {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "borderaxespad": 0.0}
@@ -51,8 +50,6 @@ styled = mpl.rc_context(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sheet:
-    """What every panel needs."""
-
     spec: Spec
     run: Run
     time: Array
@@ -68,17 +65,13 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     they are there.
     """
     states, outputs, soft = spec.model.states[:LARGEST], spec.model.outputs, spec.faults.soft
-    units = {
-        each.unit: [i for i, s in enumerate(outputs) if s.unit == each.unit] for each in outputs
-    }
+    units = {one.unit: [i for i, s in enumerate(outputs) if s.unit == one.unit] for one in outputs}
     time, label = np.asarray(table.time, dtype=float), table.time_name or "sample"
     if not table.time_name and spec.model.sample_time is not None:
         time, label = time * spec.model.sample_time, "t_s"
     sheet = _Sheet(spec, run, time, np.isfinite(table.y))
     draws = [partial(_draw_state, sheet=sheet, i=i) for i in range(len(states))]
-    draws += [
-        partial(_draw_innovation, sheet=sheet, unit=u, rows=rows) for u, rows in units.items()
-    ]
+    draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
     draws.append(partial(_draw_nis, sheet=sheet))
     if "mode_probability" in run.ports:
         draws.append(partial(_draw_modes, sheet=sheet))
@@ -193,7 +186,6 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
 
 
 def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
-    """Probabilities of the modes, one line each."""
     probability = sheet.run["mode_probability"].T
     names = _mode_names(sheet.spec, len(probability))
     for values, name, colour in zip(probability, names, cycle(_SHADES)):
