@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from fkgen.backend.source import MANIFEST
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.compiler import LARGE, find_compiler
@@ -40,26 +38,19 @@ class Footprint:
 
 def footprint(compiled: CompiledFilter) -> Footprint:
     """Measure a compiled filter."""
-    manifest = json.loads((compiled.folder / MANIFEST).read_text(encoding="utf-8"))
-    scalars = sum(port.size for port in compiled.layout.ports)
-    return Footprint(
-        operations=compiled.layout.flops,
-        calls=sum(manifest["calls"].values()),
-        state=scalars * np.dtype(compiled.layout.dtype).itemsize,
-        flash=_flash(compiled),
-    )
-
-
-def _flash(compiled: CompiledFilter) -> dict[str, int]:
-    host, fast = find_compiler().command, "-O2" if compiled.layout.flops <= LARGE else "-O1"
+    layout, host = compiled.layout, find_compiler().command
+    fast = "-O2" if layout.flops <= LARGE else "-O1"
     attempts = {
         "host -Os": ("size", *host, "-Os"),
         f"host {fast}": ("size", *host, fast),
         "Cortex-M4F -Os": ("arm-none-eabi-size", "arm-none-eabi-gcc", *_CORTEX, "-Os"),
     }
     code = compiled.folder / f"{compiled.name}.c"
-    measured = {name: _text_bytes(code, *tools) for name, tools in attempts.items()}
-    return {name: size for name, size in measured.items() if size is not None}
+    sizes = {name: _text_bytes(code, *tools) for name, tools in attempts.items()}
+    calls = json.loads((compiled.folder / MANIFEST).read_text(encoding="utf-8"))["calls"]
+    scalars = sum(port.size for port in layout.ports)
+    flash = {name: size for name, size in sizes.items() if size is not None}
+    return Footprint(layout.flops, sum(calls.values()), scalars * layout.dtype().itemsize, flash)
 
 
 def _text_bytes(code: Path, size: str, *compiler: str) -> int | None:

@@ -220,6 +220,25 @@ def test_filters_of_one_family_are_told_apart():
     }
 
 
+def test_files_of_one_name_in_two_folders_are_told_apart():
+    table = fkgen.load(EXAMPLE_1).to_dict()
+    twins = [fkgen.Spec.from_dict(table, file=f"{folder}/spec.toml") for folder in "ab"]
+    rows = fkgen.compare(twins, runs=20, steps=20).rows
+    assert {row.label for row in rows} == {"one_step (1)", "one_step (2)"}
+
+
+def test_a_spec_of_the_genie_keeps_its_own_row():
+    table = fkgen.load(EXAMPLE_1).to_dict()
+    told = fkgen.Spec.from_dict(table | {"filter": {"family": "genie"}})
+    found = fkgen.compare((fkgen.load(EXAMPLE_1), told), runs=20, steps=40)
+    assert found.genie.relative.value == 1.0
+    assert (
+        found.genie.rmse["x0"].value
+        < found.rows[0].rmse["x0"].value
+        < found.rows[1].rmse["x0"].value
+    )
+
+
 def test_without_noise_there_is_nothing_to_compare():
     still = plants.random_model(2, 1, 1) | {"Q": [[0.0]], "P0": [[0.0]]}
     with pytest.raises(fkgen.DataError, match="errors that are zero for the genie"):
