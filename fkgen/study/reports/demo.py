@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from timeit import repeat
@@ -23,6 +23,8 @@ from fkgen.study.records.table import Table, read_table
 from fkgen.study.reports.plots import draw, save
 from fkgen.study.reports.starters import resource
 
+_MOTOR = "1. A motor whose input fails at a rate nobody knows (mme, a bank of five filters)"
+_CAR = "2. The speed of a car, a real drive, with half of the wheel samples missing (kf)"
 _RATE, _SAMPLES = 0.7, 500
 _QUICK = Selection((), ("filtered_state",))
 
@@ -33,7 +35,10 @@ def play(folder: Path) -> Iterator[str]:
     if folder.exists() and not folder.is_dir():
         raise OutputError(str(folder), given="a file", expected="a folder, or nothing yet")
     yield f"Two filters from spec file to compiled C and pictures in {folder}; about five seconds"
-    for title, file, record, verdict in _ACTS:
+    for title, file, record, verdict in (
+        (_MOTOR, "examples/dc_motor/unknown_rate.toml", _motor_record, _motor_rate),
+        (_CAR, "examples/car_speed/spec.toml", _drive, _speed_error),
+    ):
         yield ""
         yield title
         spec = load(resource(file))
@@ -84,7 +89,7 @@ def _drive(spec: Spec) -> Table:
     return read_table(resource("examples/car_speed/record.csv"), spec)
 
 
-def _speed_error(_: Spec, table: Table, run: Run) -> str:
+def _speed_error(spec: Spec, table: Table, run: Run) -> str:  # noqa: ARG001 - as for the motor
     """Filtered less reference speed, at the instants at which there is one."""
     reference = resource("examples/car_speed/reference.csv")
     times, speed = np.loadtxt(reference, delimiter=",", skiprows=1).T
@@ -92,15 +97,3 @@ def _speed_error(_: Spec, table: Table, run: Run) -> str:
     error = run["filtered_state"][covered, 0] - np.interp(table.time[covered], times, speed)
     rms, count = float(np.sqrt(np.mean(error**2))), int(covered.sum())
     return f"   rms error {rms:.4f} m/s against the reference, over {count} instants"
-
-
-_ACTS: tuple[tuple[str, str, Callable[[Spec], Table], Callable[[Spec, Table, Run], str]], ...] = (
-    (
-        "1. A motor whose input fails at a rate nobody knows (mme, a bank of five filters)",
-        *("examples/dc_motor/unknown_rate.toml", _motor_record, _motor_rate),
-    ),
-    (
-        "2. The speed of a car, a real drive, with half of the wheel samples missing (kf)",
-        *("examples/car_speed/spec.toml", _drive, _speed_error),
-    ),
-)
