@@ -3,31 +3,15 @@
 from __future__ import annotations
 
 import operator as arithmetic
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
-from fkgen.backend.ir import (
-    Assign,
-    Copy,
-    CProgram,
-    Element,
-    IfPositive,
-    IfPresent,
-    Literal,
-    Operand,
-    Operate,
-    Operator,
-    Phase,
-    Require,
-    RowArgument,
-    Space,
-    Statement,
-    Temp,
-    Vectors,
-)
+from fkgen.backend.ir import Element, Operator, Space
 from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind, Status
 
@@ -42,19 +26,23 @@ ARITHMETIC: dict[Operator, Callable[..., Number]] = {
     Operator.MIN: lambda a, b: min(b, a),
 }
 
+_HOLDS: dict[Kind, Callable[[Number], Any]] = {
+    Kind.POSITIVE: lambda value: value > 0,
+    Kind.NONNEGATIVE: lambda value: value >= 0,
+    Kind.FINITE: np.isfinite,
+}
+
 #: Samples of the self-test.
 SAMPLES = 6
 
 #: At most so many samples before a closing, so that the self-test comes across one.
 CLOSED_AFTER = 3
 
-Key = tuple[Space, str, int | None]
-
 
 class Machine:
     """One instance of a program, stepped without a compiler."""
 
-    def __init__(self, program: CProgram) -> None:
+    def __init__(self, program: ir.CProgram) -> None:
         self.program = program
         elementary = Elementary(program.scalar)
         self.use(elementary.real, elementary, ARITHMETIC)
@@ -65,12 +53,8 @@ class Machine:
         elementary: Callable[[Operator, list[Number]], Number],
         arithmetic: Mapping[Operator, Callable[..., Number]],
     ) -> None:
-        """Compute with other numbers than the program's: a constructor, functions, operators."""
+        """Start anew with other numbers than the program's: a constructor, functions, operators."""
         self.real, self.elementary, self.arithmetic = real, elementary, arithmetic
-        self.reset()
-
-    def reset(self) -> None:
-        """As ``_init`` does."""
         initial = dict(self.program.initial)
         self.ports = {
             port.name: [self.real(v) for v in initial.get(port.name, (0.0,) * port.size)]
@@ -81,142 +65,111 @@ class Machine:
         self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
     ) -> Status:
         """Update, then predict; a refused sample changes nothing."""
-        memory: dict[Key, Number] = {
-            (Space.PARAMETER, name, None): self.real(v) for name, v in parameters.items()
+        real, state = self.real, {name: list(values) for name, values in self.ports.items()}
+        given: dict[ir.Operand, Number] = {
+            Element(Space.PARAMETER, name, None): real(v) for name, v in parameters.items()
         }
         for name, values in (("u", u), ("y", y)):
-            memory |= {(Space.INPUT, name, i): self.real(v) for i, v in enumerate(values)}
+            given |= {Element(Space.INPUT, name, i): real(v) for i, v in enumerate(values)}
         present = [not np.isnan(v) for v in y]
-        state = {name: list(values) for name, values in self.ports.items()}
         with np.errstate(all="ignore"):
             for phase in self.program.phases:
                 if phase.unless is not None and state[phase.unless][0] > 0:
                     continue
-                status = _Run(self, memory, present, state).phase(phase)
+                run = _Run(self, given | dict(self._elements(phase, state)), present)
+                status = run.body(phase.body)
                 if status is not Status.OK:
                     return status
+                for element, value in run.memory.items():
+                    if isinstance(element, Element) and element.space is Space.NEXT:
+                        state[element.name][element.index or 0] = value
         self.ports = state
-        return self._outcome() if any(present) else Status.SKIPPED
+        applies = (o.status for o in self.program.outcomes if max(state[o.port]) > o.level)
+        return next(applies, Status.OK) if any(present) else Status.SKIPPED
 
-    def _outcome(self) -> Status:
-        """The status of a sample that was used, or rejected by a test."""
-        for outcome in self.program.outcomes:
-            if max(self.ports[outcome.port]) > outcome.level:
-                return outcome.status
-        return Status.OK
-
-
-class _Run:
-    """One phase: temporaries and locals come and go with it."""
-
-    def __init__(
-        self,
-        machine: Machine,
-        memory: dict[Key, Number],
-        present: list[bool],
-        state: dict[str, list[Number]],
-    ) -> None:
-        self.machine, self.memory, self.present = machine, dict(memory), present
-        self.now, self.state = {k: list(v) for k, v in state.items()}, state
-        self.temps: dict[int, Number] = {}
-
-    def phase(self, phase: Phase) -> Status:
+    def _elements(
+        self, phase: ir.Phase, state: Mapping[str, list[Number]]
+    ) -> Iterator[tuple[Element, Number]]:
+        """The instance that a phase reads, and its locals."""
+        for port in self.program.ports:
+            for i, value in enumerate(state[port.name]):
+                yield Element(Space.SELF, port.name, i if port.shape else None), value
         for local in phase.locals:
             for i in range(local.size):
-                key = (Space.LOCAL, local.name, i if local.size > 1 else None)
-                self.memory[key] = self.machine.real(local.initial or 0.0)
-        return self.body(phase.body)
+                place = i if local.size > 1 else None
+                yield Element(Space.LOCAL, local.name, place), self.real(local.initial or 0.0)
 
-    def body(self, body: tuple[Statement, ...]) -> Status:
+
+@dataclass(slots=True)
+class _Run:
+    """One phase: what it reads and writes comes and goes with it."""
+
+    machine: Machine
+    memory: dict[ir.Operand, Number]
+    present: list[bool]
+
+    def body(self, body: ir.Body) -> Status:
         for node in body:
             status = self.statement(node)
             if status is not Status.OK:
                 return status
         return Status.OK
 
-    def statement(self, node: Statement) -> Status:
+    def statement(self, node: ir.Statement) -> Status:
         match node:
-            case Operate(target, operator, arguments):
-                self.temps[target.index] = self.operate(operator, arguments)
-            case Copy(target, value):
-                self.temps[target.index] = self.value(value)
-            case Assign(target, value):
-                self.assign(target, self.value(value))
-            case Require(values, kind, status):
-                holds = all(_holds(kind, self.value(value)) for value in values)
-                return Status.OK if holds else status
-            case IfPresent(row, body) if not isinstance(row, RowArgument):
+            case ir.Operate(target, operator, arguments):
+                values = [self.value(argument) for argument in arguments]
+                if operator.is_function:
+                    self.memory[target] = self.machine.elementary(operator, values)
+                else:
+                    self.memory[target] = self.machine.arithmetic[operator](*values)
+            case ir.Copy(to, value) | ir.Assign(to, value):
+                self.memory[to] = self.value(value)
+            case ir.Require(required, kind, status):
+                if not all(_HOLDS[kind](self.value(value)) for value in required):
+                    return status
+            case ir.IfPresent(row, body) if not isinstance(row, ir.RowArgument):
                 if any(self.present) if row is None else self.present[row]:
                     return self.body(body)
-            case IfPositive(value, body):
+            case ir.IfPositive(value, body):
                 if self.value(value) > 0:
                     return self.body(body)
         return Status.OK
 
-    def assign(self, target: Element, value: Number) -> None:
-        if target.space is Space.NEXT:
-            self.state[target.name][target.index or 0] = value
-        else:
-            self.memory[target.space, target.name, target.index] = value
-
-    def value(self, operand: Operand) -> Number:
-        match operand:
-            case Temp(index):
-                return self.temps[index]
-            case Literal(value):
-                return self.machine.real(value)
-            case Element(Space.SELF, name, index):
-                return self.now[name][index or 0]
-            case Element(Space.NEXT, name, index):
-                return self.state[name][index or 0]
-            case Element(space, name, index):
-                return self.memory[space, name, index]
-        raise InternalError(f"no operand: {operand!r}")
-
-    def operate(self, operator: Operator, arguments: tuple[Operand, ...]) -> Number:
-        values = [self.value(argument) for argument in arguments]
-        if operator.is_function:
-            return self.machine.elementary(operator, values)
-        return self.machine.arithmetic[operator](*values)
+    def value(self, operand: ir.Operand) -> Number:
+        if isinstance(operand, ir.Literal):
+            return self.machine.real(operand.value)
+        return self.memory[operand]
 
 
-def _holds(kind: Kind, value: Number) -> bool:
-    match kind:
-        case Kind.POSITIVE:
-            return bool(value > 0)
-        case Kind.NONNEGATIVE:
-            return bool(value >= 0)
-        case Kind.FINITE:
-            return bool(np.isfinite(value))
-
-
-def self_test_vectors(program: CProgram) -> Vectors:
+def self_test_vectors(program: ir.CProgram) -> ir.Vectors:
     """Run the program on a short record of short decimals, with missing rows."""
     machine = Machine(program)
-    start = _start(program)
-    for name, value in start:
-        machine.ports[name] = [machine.real(value)]
+    start = {}
+    if program.closing is not None:  # a countdown that comes to its end within the self-test
+        name = f"predicted_{program.closing.unless}"
+        start[name] = min(CLOSED_AFTER, dict(program.initial)[name][0])
+        machine.ports[name] = [machine.real(start[name])]
     rng = np.random.default_rng(len(program.outputs))
     q, p = len(program.inputs), len(program.outputs)
-    u = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, q)), 2)
+    u = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, q)), 2).tolist()
     y = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, p)), 2)
     y[2] = np.nan
     y[4, 0] = np.nan
-    parameters = dict(program.parameters)
     trace = []
-    for k in range(SAMPLES):
-        status = machine.step(tuple(u[k]), tuple(y[k]), parameters)
+    for inputs, outputs in zip(u, y.tolist(), strict=True):
+        status = machine.step(inputs, outputs, dict(program.parameters))
         if status.value < 0:
             raise InternalError(f"{program.name}: the self-test is refused: {status.meaning}")
-        trace.append(tuple(float(v) for v in machine.ports["filtered_state"]))
-    final = tuple((n, tuple(float(v) for v in values)) for n, values in machine.ports.items())
-    rows = [tuple(tuple(float(v) for v in row) for row in signal) for signal in (u, y)]
-    return Vectors(u=rows[0], y=rows[1], trace=tuple(trace), final=final, start=start)
+        trace.append(_floats(machine.ports["filtered_state"]))
+    return ir.Vectors(
+        u=tuple(map(tuple, u)),
+        y=tuple(map(tuple, y.tolist())),
+        trace=tuple(trace),
+        final=tuple((name, _floats(values)) for name, values in machine.ports.items()),
+        start=tuple(start.items()),
+    )
 
 
-def _start(program: CProgram) -> tuple[tuple[str, float], ...]:
-    """A countdown that comes to its end within the self-test."""
-    if program.closing is None:
-        return ()
-    name = f"predicted_{program.closing.unless}"
-    return ((name, min(CLOSED_AFTER, dict(program.initial)[name][0])),)
+def _floats(values: Sequence[Number]) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -7,30 +7,12 @@ stay, and so do the bits.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
-from fkgen.backend.ir import (
-    Assign,
-    Call,
-    CopyArray,
-    Element,
-    Expression,
-    IfPositive,
-    IfPresent,
-    Operand,
-    Operate,
-    Operator,
-    Require,
-    Space,
-    Statement,
-    Temp,
-    operands,
-    walk,
-)
-from fkgen.backend.routines import Outline, Writer
-
-Body = tuple[Statement, ...]
+from fkgen.backend import ir
+from fkgen.backend.ir import Assign, Body, Element, Expression, Operate, Operator, Statement, Temp
+from fkgen.backend.routines import Outline
 
 #: Elements in a row that are worth a call: results, and what is read again soon.
 LEAST_COPIED = 3
@@ -46,14 +28,13 @@ def joined(found: Outline, fits: Callable[[Statement, int], bool]) -> Outline:
     """Expressions in place of values used once; ``fits(statement, depth)`` limits their length."""
 
     def body(body: Body) -> Body:
-        temps = (o.index for n in walk(body) for o in operands(n) if isinstance(o, Temp))
-        uses = Counter(temps)
-        nodes = _joined(_stored(body, uses), uses, fits, 1)
-        return Writer(lambda operand: operand).many(nodes)
+        uses = Counter(ir.read(Temp, body))
+        nodes: Body = ir.numbered(_joined(_stored(body, uses), uses, fits, 1))
+        return nodes
 
     plain = _each(found, body)
     copied = _each(plain, _copied)
-    copies = [n for body in copied.bodies for n in walk(body) if isinstance(n, CopyArray)]
+    copies = (copy for body in copied.bodies for copy in ir.every(ir.CopyArray, body))
     return copied if sum(copy.size - 1 for copy in copies) > COPY_LINES else plain
 
 
@@ -64,44 +45,36 @@ def _each(found: Outline, change: Callable[[Body], Body]) -> Outline:
     )
 
 
-def _stored(body: Body, uses: Counter[int]) -> Body:
+def _stored(body: Body, uses: Counter[Temp]) -> Body:
     """Let operations whose result goes to one place, and nowhere else, store it themselves."""
     nodes: dict[int, Statement] = dict(enumerate(body))
-    origin = {n.target.index: i for i, n in enumerate(body) if isinstance(n, Operate)}
+    origin = {n.target: i for i, n in enumerate(body) if isinstance(n, Operate)}
     last: dict[Element, int] = {}  # where an element was used last
     for i, node in enumerate(body):
-        if isinstance(node, IfPresent | IfPositive):
+        if isinstance(node, ir.Condition):
             nodes[i] = replace(node, body=_stored(node.body, uses))
-        if isinstance(node, Assign) and isinstance(node.value, Temp):
-            at = origin.get(node.value.index)
-            source = None if at is None else body[at]
-            if at is not None and isinstance(source, Operate) and uses[node.value.index] == 1:
-                called = any(isinstance(each, Call) for each in walk(body[at:i]))
-                if not called and last.get(node.target, -1) <= at:
-                    value = Expression(source.operator, source.arguments)
-                    nodes[at] = Assign(node.target, value)
-                    del nodes[i]
-        last |= dict.fromkeys(_elements(node), i)
+        if isinstance(node, Assign) and isinstance(node.value, Temp) and uses[node.value] == 1:
+            at = origin.get(node.value, i)
+            source = body[at]
+            called = any(ir.every(ir.Call, body[at:i]))
+            if isinstance(source, Operate) and not called and last.get(node.target, -1) <= at:
+                value = Expression(source.operator, source.arguments)
+                nodes[at] = Assign(node.target, value)
+                del nodes[i]
+        last |= dict.fromkeys(ir.elements((node,)), i)
     return tuple(nodes[i] for i in sorted(nodes))
 
 
-def _elements(node: Statement) -> Iterator[Element]:
-    for inner in walk((node,)):
-        yield from (o for o in operands(inner) if isinstance(o, Element))
-        if isinstance(inner, Assign):
-            yield inner.target
-
-
 def _joined(
-    body: Body, uses: Counter[int], fits: Callable[[Statement, int], bool], depth: int
+    body: Body, uses: Counter[Temp], fits: Callable[[Statement, int], bool], depth: int
 ) -> Body:
     """Put values into the statement right after them, the last one first; join what is required."""
     nodes: list[Statement] = []
     for each in body:
         node = each
-        if isinstance(node, IfPresent | IfPositive):
+        if isinstance(node, ir.Condition):
             node = replace(node, body=_joined(node.body, uses, fits, depth + 1))
-        elif isinstance(node, Require) and nodes and isinstance(before := nodes[-1], Require):
+        elif isinstance(node, ir.Require) and nodes and isinstance(before := nodes[-1], ir.Require):
             if (before.kind, before.status) == (node.kind, node.status):
                 node = replace(node, values=(*before.values, *node.values))
                 nodes.pop()
@@ -120,23 +93,19 @@ def _asks(node: Operate | Assign) -> bool:
     return False
 
 
-def _with(node: Operate | Assign, before: Statement, uses: Counter[int]) -> Operate | Assign | None:
+def _with(
+    node: Operate | Assign, before: Statement, uses: Counter[Temp]
+) -> Operate | Assign | None:
     """A statement with the value of the one before it in place of its name."""
-    if not isinstance(before, Operate) or _asks(before) or uses[before.target.index] > 1:
+    if not isinstance(before, Operate) or _asks(before) or uses[before.target] > 1:
         return None
-    if before.target not in operands(node):
+    if before.target not in ir.operands(node):
         return None
-
-    def put(operand: Operand) -> Operand:
-        if isinstance(operand, Expression):
-            return Expression(operand.operator, tuple(map(put, operand.arguments)))
-        if operand == before.target:
-            return Expression(before.operator, before.arguments)
-        return operand
-
-    if isinstance(node, Assign):
-        return Assign(node.target, put(node.value))
-    return Operate(node.target, node.operator, tuple(map(put, node.arguments)))
+    value = Expression(before.operator, before.arguments)
+    longer: Operate | Assign = ir.mapped(
+        node, lambda part: value if part == before.target else part
+    )
+    return longer
 
 
 def _copied(body: Body) -> Body:
@@ -145,26 +114,22 @@ def _copied(body: Body) -> Body:
     run: list[tuple[Element, Element]] = []
 
     def close() -> None:
-        kept = bool(run) and run[0][0].space is Space.LOCAL
+        kept = bool(run) and run[0][0].space is ir.Space.LOCAL
         long = len(run) >= (LEAST_KEPT if kept else LEAST_COPIED)
-        nodes.extend([CopyArray(*run[0], len(run))] if long else [Assign(*pair) for pair in run])
+        nodes.extend([ir.CopyArray(*run[0], len(run))] if long else [Assign(*pair) for pair in run])
         run.clear()
 
     for node in body:
         match node:
             case Assign(Element(index=int()) as to, Element(index=int()) as source):
-                if run and (to, source) != tuple(map(_next, run[-1])):
+                if run and (to, source) != tuple(each.shifted(1) for each in run[-1]):
                     close()
                 run.append((to, source))
                 continue
         close()
-        if isinstance(node, IfPresent | IfPositive):
+        if isinstance(node, ir.Condition):
             nodes.append(replace(node, body=_copied(node.body)))
         else:
             nodes.append(node)
     close()
     return tuple(nodes)
-
-
-def _next(element: Element) -> Element:
-    return replace(element, index=(element.index or 0) + 1)

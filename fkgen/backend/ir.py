@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any, TypeVar
 from typing import Literal as Either
 
 from fkgen.symbolic.interface import VERDICTS, Kind, Outcome, Port, Status
 
 Scalar = Either["double", "float"]
+T = TypeVar("T")
 
 
 class Space(Enum):
@@ -47,20 +49,7 @@ class Operator(Enum):
     @property
     def is_function(self) -> bool:
         """Whether it is printed as a call."""
-        return self in FUNCTIONS
-
-
-FUNCTIONS = frozenset(
-    {
-        Operator.EXP,
-        Operator.LOG,
-        Operator.SQRT,
-        Operator.SIN,
-        Operator.COS,
-        Operator.TAN,
-        Operator.ATAN2,
-    }
-)
+        return self.value in {"exp", "log", "sqrt", "sin", "cos", "tan", "atan2"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +73,10 @@ class Element:
     space: Space
     name: str
     index: int | None
+
+    def shifted(self, by: int) -> Element:
+        """The element so many places on; a scalar stays itself."""
+        return self if self.index is None else replace(self, index=self.index + by)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +163,7 @@ class IfPresent:
     """Run ``body`` if this row of y is present (any row, if None)."""
 
     row: Row | None
-    body: tuple[Statement, ...]
+    body: Body
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +171,7 @@ class IfPositive:
     """Run ``body`` if ``value`` is positive."""
 
     value: Operand
-    body: tuple[Statement, ...]
+    body: Body
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +195,9 @@ class Call:
     tables: tuple[Table | TableArgument, ...] = ()
 
 
-Statement = Operate | Copy | CopyArray | Assign | Require | IfPresent | IfPositive | Heading | Call
+Condition = IfPresent | IfPositive
+Statement = Operate | Copy | CopyArray | Assign | Require | Condition | Heading | Call
+Body = tuple[Statement, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +223,7 @@ class Routine:
     """Statements that a program runs more than once, or that are a function for their length.
 
     Elements of its arguments have the space ``ARGUMENT``; ``CONSTANT`` is the table of numbers in
-    which the calls differ, one row per call; ``ROW`` stands for rows of y in which they differ.
+    which the calls differ, one row per call.
     """
 
     name: str
@@ -238,7 +233,7 @@ class Routine:
     rows: int
     tables: int
     locals: tuple[Local, ...]
-    body: tuple[Statement, ...]
+    body: Body
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +244,7 @@ class Phase:
     """
 
     locals: tuple[Local, ...]
-    body: tuple[Statement, ...]
+    body: Body
     reads_input: bool
     reads_parameters: bool
     unless: str | None = None
@@ -275,29 +270,10 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
-class Listing:
-    """A matrix or vector as the spec states it: texts of its entries, row by row."""
-
-    name: str  # Such as A
-    rows: tuple[tuple[str, ...], ...]
-    form: str = "matrix"  # "matrix", "diagonal" (one row: its entries), "zeros" or "vector"
-    unit: str = ""  # In the units of the signals, as of a `Port`: "x/u"
-
-
-@dataclass(frozen=True, slots=True)
-class Statements:
-    """What the spec says about the model, under a title: sentences, then matrices."""
-
-    title: str
-    listings: tuple[Listing, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class Stated:
     """The spec as far as a reader of the code has to know it."""
 
-    #: The model, what differs from it in each mode, the law of the faults
-    parts: tuple[Statements, ...] = ()
+    model: tuple[str, ...] = ()  # The model, its modes and faults, as lines of a comment
     ranges: tuple[tuple[str, str], ...] = ()  # What is known about each parameter
     #: Constants of the code that are products of entries, and which
     folded: tuple[tuple[float, str], ...] = ()
@@ -346,15 +322,20 @@ class CProgram:
         return tuple(status for status in Status if status not in VERDICTS or status in told)
 
     @property
+    def verbs(self) -> dict[str, Phase]:
+        """Update, closing (if there is one) and predict by the names of their functions."""
+        phases = {"correct": self.update, "close_window": self.closing, "propagate": self.predict}
+        return {verb: phase for verb, phase in phases.items() if phase is not None}
+
+    @property
     def phases(self) -> tuple[Phase, ...]:
         """Update, closing (if there is one) and predict, in this order."""
-        closing = () if self.closing is None else (self.closing,)
-        return self.update, *closing, self.predict
+        return tuple(self.verbs.values())
 
     @property
     def functions(self) -> frozenset[Operator]:
         """Elementary functions that the program needs."""
-        return frozenset(op for op in self.operations + self.closing_operations if op.is_function)
+        return frozenset(op for op in _operations(*self.phases) if op.is_function)
 
     @property
     def operations(self) -> Counter[Operator]:
@@ -362,55 +343,88 @@ class CProgram:
         return _operations(self.update, self.predict)
 
     @property
-    def closing_operations(self) -> Counter[Operator]:
-        """Operations of the closing."""
-        return _operations() if self.closing is None else _operations(self.closing)
-
-    @property
     def flops(self) -> int:
         """Additions, multiplications and the like of one step; calls are counted apart."""
-        return _flops(self.operations)
+        return _flops(self.update, self.predict)
 
     @property
     def closing_flops(self) -> int:
         """The same of the closing."""
-        return _flops(self.closing_operations)
+        return 0 if self.closing is None else _flops(self.closing)
 
 
 def _operations(*phases: Phase) -> Counter[Operator]:
-    return Counter(
-        node.operator for phase in phases for node in walk(phase.body) if isinstance(node, Operate)
-    )
+    return Counter(node.operator for phase in phases for node in every(Operate, phase.body))
 
 
-def _flops(operations: Counter[Operator]) -> int:
-    return sum(n for operator, n in operations.items() if not operator.is_function)
+def _flops(*phases: Phase) -> int:
+    return sum(n for operator, n in _operations(*phases).items() if not operator.is_function)
 
 
-def walk(body: tuple[Statement, ...]) -> Iterator[Statement]:
+#: What a node consists of, in the order of computation.
+_PARTS: dict[type, tuple[str, ...]] = {
+    Expression: ("arguments",),
+    Operate: ("arguments", "target"),
+    Copy: ("value", "target"),
+    CopyArray: ("source", "target"),
+    Assign: ("value", "target"),
+    Require: ("values",),
+    IfPresent: ("row", "body"),
+    IfPositive: ("value", "body"),
+    Call: ("arguments", "constants", "tables", "rows"),
+    Heading: (),
+}
+
+
+def mapped(node: Any, part: Callable[[Any], Any]) -> Any:
+    """Statements with other temporaries, numbers, elements, rows and tables in their places."""
+    if isinstance(node, tuple):
+        return tuple(mapped(each, part) for each in node)
+    if type(node) not in _PARTS:
+        return None if node is None else part(node)
+    parts = {name: mapped(getattr(node, name), part) for name in _PARTS[type(node)]}
+    return replace(node, **parts)
+
+
+def numbered(node: Any) -> Any:
+    """Statements with their temporaries numbered anew, in order."""
+    temps: dict[Temp, Temp] = {}
+
+    def part(part: Any) -> Any:
+        return temps.setdefault(part, Temp(len(temps))) if isinstance(part, Temp) else part
+
+    return mapped(node, part)
+
+
+def walk(body: Body) -> Iterator[Statement]:
     """Every statement, those under conditions too, in order."""
     for node in body:
         yield node
-        if isinstance(node, IfPresent | IfPositive):
+        if isinstance(node, Condition):
             yield from walk(node.body)
 
 
-def operands(node: Statement) -> tuple[Operand, ...]:
+def every(kind: type[T], body: Body) -> Iterator[T]:
+    """Every statement of a kind, those under conditions too, in order."""
+    return (node for node in walk(body) if isinstance(node, kind))
+
+
+def read(kind: type[T], body: Body) -> Iterator[T]:
+    """Every operand of a kind that statements read, those under conditions too."""
+    return (each for node in walk(body) for each in operands(node) if isinstance(each, kind))
+
+
+def elements(body: Body) -> list[Element]:
+    """Every element that statements read or write, those under conditions too."""
+    parts: list[Any] = []
+    mapped(body, parts.append)
+    return [part for part in parts if isinstance(part, Element)]
+
+
+def operands(node: Statement) -> list[Operand]:
     """What a statement reads itself (not its body), that of its expressions too."""
-    match node:
-        case Operate(_, _, read) | Require(read, _, _) | Call(_, read):
-            return tuple(leaf for each in read for leaf in leaves(each))
-        case CopyArray(_, source, _):
-            return (source,)
-        case Copy(_, value) | Assign(_, value) | IfPositive(value, _):
-            return tuple(leaves(value))
-    return ()
-
-
-def leaves(operand: Operand) -> Iterator[Operand]:
-    """What an operand is made of, if it is an expression; itself if not."""
-    if isinstance(operand, Expression):
-        for argument in operand.arguments:
-            yield from leaves(argument)
-    else:
-        yield operand
+    found: list[Operand] = []
+    for name in _PARTS[type(node)]:
+        if name in {"arguments", "value", "values", "source"}:
+            mapped(getattr(node, name), found.append)
+    return found

@@ -1,17 +1,15 @@
-"""Lines of generated C: at most 100 characters each, and the model as lines of a comment."""
+"""Lines of generated C, at most 100 characters each; units in them."""
 
 from __future__ import annotations
 
 import re
 import textwrap
-
-from fkgen.backend.ir import CProgram, Listing, Signal
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 WIDTH = 100
 #: Longest list of units that is written out.
 _LONGEST = 60
-#: Widest matrix whose entries stand below each other.
-_ALIGNED = 80
 
 #: Where a statement may go on in the next line: after a comma or an operator, before a question.
 _JOINTS = re.compile(r"(?<=,) |(?<=\+) |(?<=&&) |(?<=\|\|) |(?<==) | (?=[?:] )")
@@ -61,8 +59,13 @@ def _comment(opening: str, text: str) -> list[str]:
 
 def _words(text: str, first: str, hanging: str) -> list[str]:
     """Words as lines; units and shapes, such as ``[m, m/s]`` and ``(2 x 1)``, stay whole."""
+    return wrapped(_WHOLE.sub(lambda match: match[0].replace(" ", "\0"), text), first, hanging)
+
+
+def wrapped(text: str, first: str, hanging: str) -> list[str]:
+    """Text as lines, with NUL for blanks at which no line ends."""
     lines = textwrap.wrap(
-        _WHOLE.sub(lambda match: match[0].replace(" ", "\0"), text),
+        text,
         WIDTH,
         initial_indent=first,
         subsequent_indent=hanging,
@@ -89,32 +92,28 @@ def _places(joint: re.Pattern[str], line: str, indent: str) -> list[re.Match[str
     return [match for match in joint.finditer(line) if len(indent) < match.start() <= WIDTH]
 
 
-def filled_lines(items: list[str], indent: str) -> str:
+def filled_lines(items: Iterable[str], indent: str) -> str:
     """Items with commas between them, as many to a line as it holds."""
-    lines = [indent]
-    for item in items:
-        if len(lines[-1]) + len(item) >= WIDTH and lines[-1] != indent:
-            lines.append(indent)
-        lines[-1] += f"{item}, "
-    return "\n".join(line.rstrip() for line in lines).rstrip(",")
+    text = ", ".join(item.replace(" ", "\0") for item in items)
+    return "\n".join(wrapped(f"{text},", indent, indent)).removesuffix(",")
 
 
-def unit_of(signals: tuple[Signal, ...]) -> str:
-    """Units of a vector, such as ``[m, m/s]``; empty if none is stated, or they are too many."""
+def units_of(model: Any) -> dict[str, str]:
+    """Units of the states, inputs and outputs of a model or program, such as ``[m, m/s]``."""
+    return {"x": _units(model.states), "u": _units(model.inputs), "y": _units(model.outputs)}
+
+
+def _units(signals: Iterable[Any]) -> str:
+    """Empty if no unit is stated, or they are too many."""
     units = [signal.unit or "-" for signal in signals]
-    if set(units) == {"-"} or not units:
+    if not set(units) - {"-"}:
         return ""
     text = f"[{', '.join(units if len(set(units)) > 1 else units[:1])}]"
     return text if len(text) <= _LONGEST else ""
 
 
-def unit_text(program: CProgram, unit: str) -> str:
+def unit_text(units: Mapping[str, str], unit: str) -> str:
     """A unit in those of the signals, such as ``[m, m/s] squared``; empty if none is stated."""
-    units = {
-        "x": unit_of(program.states),
-        "u": unit_of(program.inputs),
-        "y": unit_of(program.outputs),
-    }
     match tuple(unit):
         case (letter,) if units[letter]:
             return units[letter]
@@ -123,60 +122,3 @@ def unit_text(program: CProgram, unit: str) -> str:
         case (above, "/", below) if units[above] and units[below]:
             return f"{units[above]} per {units[below]}"
     return ""
-
-
-def model_lines(program: CProgram) -> list[str]:
-    """The model as lines of a comment: titles, then ``A = [[...], ...]`` with units."""
-    lines = []
-    for part in program.stated.parts:
-        lines.append(f" * {part.title}.")
-        for listing in part.listings:
-            lines += _listing_lines(listing, unit_text(program, listing.unit))
-        lines.append(" *")
-    return lines
-
-
-def _listing_lines(listing: Listing, unit: str) -> list[str]:
-    row = ", ".join(listing.rows[0]) if listing.rows else ""
-    head = f" *   {listing.name} = "
-    if listing.form == "matrix":
-        texts = _aligned(listing.rows)
-        pieces = [f"[{text}]" for text in texts]
-        pieces = [f"{'[' if i == 0 else ' '}{piece}" for i, piece in enumerate(pieces)]
-        pieces = [f"{piece}," for piece in pieces[:-1]] + [f"{pieces[-1]}]"]
-    else:
-        opening, closing = {"vector": "[]", "diagonal": ("diag(", ")"), "zeros": ("zeros(", ")")}[
-            listing.form
-        ]
-        pieces = [f"{opening}{row}{closing}"]
-    margin = " *" + " " * (len(head) - 2)
-    lines = []
-    for i, piece in enumerate(pieces):
-        lines += _split(head if i == 0 else margin, piece)
-    if not unit:
-        return lines
-    if len(lines[-1]) + len(unit) + 3 <= WIDTH:
-        return [*lines[:-1], f"{lines[-1]}   {unit}"]
-    return [*lines, f"{margin}{unit}"]
-
-
-def _aligned(rows: tuple[tuple[str, ...], ...]) -> list[str]:
-    """Rows with their entries below each other, if they are short enough for it."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    if sum(widths) + 2 * len(widths) > _ALIGNED:
-        return [", ".join(row) for row in rows]
-    return [
-        ", ".join(text.rjust(width) for text, width in zip(row, widths, strict=True))
-        for row in rows
-    ]
-
-
-def _split(start: str, text: str) -> list[str]:
-    """One row, on as many lines as it needs."""
-    lines, line = [], start
-    for part in text.replace(", ", ",\0 ").split("\0"):
-        if len(line) + len(part) > WIDTH and line.strip(" *"):
-            lines.append(line.rstrip())
-            line = " *" + " " * len(start[2:]) + "  "
-        line += part
-    return [*lines, line]

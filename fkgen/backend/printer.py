@@ -2,76 +2,41 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
-from functools import singledispatchmethod
 from typing import Any
 
 import numpy as np
 
-from fkgen.backend.ir import (
-    Assign,
-    Call,
-    Copy,
-    CopyArray,
-    CProgram,
-    Element,
-    Expression,
-    Heading,
-    IfPositive,
-    IfPresent,
-    Literal,
-    Operand,
-    Operate,
-    Operator,
-    Phase,
-    Require,
-    Routine,
-    Row,
-    RowArgument,
-    Scalar,
-    Space,
-    Statement,
-    Table,
-    TableArgument,
-    Temp,
-    operands,
-    walk,
-)
+from fkgen.backend import ir
+from fkgen.backend.ir import Element, Expression, Operator, Space
 from fkgen.backend.lines import WIDTH
 from fkgen.errors import InternalError
 from fkgen.symbolic.interface import Kind, Port, Status
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
+_PREFIX = {Space.PARAMETER: "params->", Space.SELF: "self->", Space.NEXT: "next->"}
 _WORD_BITS = 32
+
+#: Prefix of elementary functions of which all filters of a program share one copy, by scalar.
+SHARED_PREFIX = "fkgen_{}"
 
 
 class StatementPrinter:
     """Print statements."""
 
-    def __init__(self, name: str, scalar: Scalar, rows: int) -> None:
-        self.name = name
+    def __init__(self, name: str, scalar: ir.Scalar, rows: int) -> None:
+        self.name = self.elementary = name
         self.real = scalar
-        self.rows = rows
         self.upper = name.upper()
         self.names: dict[float, str] = {}
-        self.routines: dict[str, Routine] = {}
+        self.routines: dict[str, ir.Routine] = {}
         self.needs: dict[str, set[str]] = {}
-        self.elementary = name
-
-    @property
-    def limit(self) -> str:
-        """The largest finite number."""
-        return "DBL_MAX" if self.real == "double" else "FLT_MAX"
-
-    @property
-    def tiny(self) -> str:
-        """The smallest normal number."""
-        return "DBL_MIN" if self.real == "double" else "FLT_MIN"
-
-    @property
-    def words(self) -> int:
-        """32-bit words that one bit per row of y needs."""
-        return (self.rows + _WORD_BITS - 1) // _WORD_BITS
+        #: The largest finite number, and the smallest normal one
+        kind = "DBL" if scalar == "double" else "FLT"
+        self.limit, self.tiny = f"{kind}_MAX", f"{kind}_MIN"
+        self.rows = rows
+        self.words = -(-rows // _WORD_BITS)  # 32-bit words that one bit per row of y needs
 
     def literal(self, value: float) -> str:
         """A constant that reads back as the same bits."""
@@ -101,38 +66,65 @@ class StatementPrinter:
             return ""
         return f"!(self->{port.given}{at} > {self.literal(0.0)}) ? ({self.real})NAN : "
 
-    def bit(self, row: int) -> str:
-        """Test of one row's bit in ``present``."""
+    @property
+    def valid(self) -> str:
+        """Declaration of the bits of the rows of y that were measured."""
+        return "uint32_t valid" if self.words == 1 else f"const uint32_t valid[{self.words}]"
+
+    @property
+    def present(self) -> str:
+        """Declaration of the bits of the rows of y that are present."""
+        return "uint32_t present" if self.words == 1 else "const uint32_t *present"
+
+    @property
+    def any_row(self) -> str:
+        """Test whether any row of y is present."""
+        words = [f"present[{i}]" for i in range(self.words)] if self.words > 1 else ["present"]
+        return f"({' | '.join(words)}) != 0u"
+
+    def row(self, row: ir.Row) -> str:
+        """Test whether a row of y is present."""
+        if isinstance(row, ir.RowArgument):
+            return f"row_{row.index} != 0"
         word = f"[{row // _WORD_BITS}]" if self.words > 1 else ""
         return f"(present{word} & {hex(1 << row % _WORD_BITS)}u) != 0u"
 
-    def row(self, row: Row) -> str:
-        """Test whether a row of y is present."""
-        return f"row_{row.index} != 0" if isinstance(row, RowArgument) else self.bit(row)
-
-    def fits(self, node: Statement, depth: int) -> bool:
-        """Whether a statement stands on one line."""
-        return len(self.statement(node, depth)) <= WIDTH
-
-    def table(self, table: Table | TableArgument) -> str:
+    def table(self, table: ir.Table | ir.TableArgument) -> str:
         """A row of constants."""
-        if isinstance(table, TableArgument):
+        if isinstance(table, ir.TableArgument):
             return f"numbers_of_{table.index}"
         return f"{self.name}_{table.routine}_numbers[{table.row}]"
 
-    def block(self, body: tuple[Statement, ...], depth: int = 1) -> str:
-        """Statements with indentation."""
-        return "\n".join(self.statement(node, depth) for node in body)
+    def fits(self, node: ir.Statement, depth: int) -> bool:
+        """Whether a statement stands on one line."""
+        return 4 * depth + len(self.statement(node)) <= WIDTH
 
-    @singledispatchmethod
-    def statement(self, node: Statement, depth: int) -> str:
+    def block(self, body: ir.Body) -> str:
+        """Statements, indented once."""
+        return textwrap.indent("\n".join(map(self.statement, body)), "    ")
+
+    def statement(self, node: ir.Statement) -> str:  # noqa: PLR0911 - one per node
         """One statement as C."""
-        raise InternalError(f"no C for {node!r} at depth {depth}")
-
-    @statement.register
-    def _(self, node: Operate, depth: int) -> str:
-        value = self._operation(Expression(node.operator, node.arguments))
-        return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
+        match node:
+            case ir.Operate(target, operator, arguments):
+                value = self._operation(Expression(operator, arguments))
+                return f"const {self.real} {self.operand(target)} = {value};"
+            case ir.Copy(target, kept):
+                return f"const {self.real} {self.operand(target)} = {self.operand(kept)};"
+            case ir.CopyArray(to, source, size):
+                return f"{self.name}_copy({self._address(source)}, {self._address(to)}, {size});"
+            case ir.Assign(to, assigned):
+                return f"{self.operand(to)} = {self._bare(assigned)};"
+            case ir.Require():
+                return _under(self._fails(node), f"    return {self.status(node.status)};")
+            case ir.IfPresent(row, body):
+                one = 0 if row is None and self.rows == 1 else row
+                return _under(self.any_row if one is None else self.row(one), self.block(body))
+            case ir.IfPositive(positive, body):
+                return _under(f"{self.operand(positive)} > {self.literal(0.0)}", self.block(body))
+            case ir.Call():
+                return self._call(node)
+        return f"\n/* {node.text} */"
 
     def _operation(self, node: Expression) -> str:
         """An operation; what stands inside has parentheses, but for sums and products in a row."""
@@ -143,10 +135,10 @@ class StatementPrinter:
                 text = f"-{a[0]}"
             case Operator.ABS:
                 text = f"({a[0]} > {zero}) ? {a[0]} : ({zero} - {a[0]})"
-            case Operator.MAX:
-                text = f"({a[0]} > {a[1]}) ? {a[0]} : {a[1]}"
-            case Operator.MIN:
-                text = f"({a[0]} < {a[1]}) ? {a[0]} : {a[1]}"
+            case Operator.MAX | Operator.MIN:
+                text = (
+                    f"({a[0]} {'>' if operator is Operator.MAX else '<'} {a[1]}) ? {a[0]} : {a[1]}"
+                )
             case Operator.ADD | Operator.MUL if (
                 isinstance(first, Expression) and first.operator is operator
             ):
@@ -154,164 +146,106 @@ class StatementPrinter:
             case _ if operator in _INFIX:
                 text = f"{a[0]} {_INFIX[operator]} {a[1]}"
             case _:
-                inner = [self._bare(argument) for argument in node.arguments]
-                text = f"{self.elementary}_{operator.value}({', '.join(inner)})"
+                inner = ", ".join(map(self._bare, node.arguments))
+                text = f"{self.elementary}_{operator.value}({inner})"
         return text
 
-    def _bare(self, operand: Operand) -> str:
+    def _bare(self, operand: ir.Operand) -> str:
         """An operand where nothing stands beside it."""
         if isinstance(operand, Expression):
             return self._operation(operand)
         return self.operand(operand)
 
-    @statement.register
-    def _(self, node: Copy, depth: int) -> str:
-        value = self.operand(node.value)
-        return f"{_indent(depth)}const {self.real} {self.operand(node.target)} = {value};"
-
-    @statement.register
-    def _(self, node: CopyArray, depth: int) -> str:
-        source, target = self._address(node.source), self._address(node.target)
-        return f"{_indent(depth)}{self.name}_copy({source}, {target}, {node.size});"
-
-    @statement.register
-    def _(self, node: Assign, depth: int) -> str:
-        return f"{_indent(depth)}{self.operand(node.target)} = {self._bare(node.value)};"
-
-    @statement.register
-    def _(self, node: Require, depth: int) -> str:
+    def _fails(self, node: ir.Require) -> str:
         values, zero = [self.operand(value) for value in node.values], self.literal(0.0)
-        match node.kind:
-            case Kind.POSITIVE:
-                holds = _all([f"{value} > {zero}" for value in values])
-            case Kind.NONNEGATIVE:
-                holds = _all([f"{value} >= {zero}" for value in values])
-            case Kind.FINITE:
-                defects = " + ".join(f"{self.name}_defect({value})" for value in values)
-                return self._refusal(node, f"!{self.name}_finite({defects})", depth)
-        return self._refusal(node, f"!({holds})", depth)
+        if node.kind is Kind.FINITE:
+            defects = " + ".join(f"{self.name}_defect({value})" for value in values)
+            return f"!{self.name}_finite({defects})"
+        relation = ">" if node.kind is Kind.POSITIVE else ">="
+        return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
 
-    def _refusal(self, node: Require, unless: str, depth: int) -> str:
-        inner = f"{_indent(depth + 1)}return {self.status(node.status)};"
-        return f"{_indent(depth)}if ({unless})\n{_braced(inner, depth)}"
-
-    @statement.register
-    def _(self, node: IfPresent, depth: int) -> str:
-        one = 0 if node.row is None and self.rows == 1 else node.row
-        test = self._any() if one is None else self.row(one)
-        return f"{_indent(depth)}if ({test})\n{_braced(self.block(node.body, depth + 1), depth)}"
-
-    @statement.register
-    def _(self, node: IfPositive, depth: int) -> str:
-        test = f"{self.operand(node.value)} > {self.literal(0.0)}"
-        return f"{_indent(depth)}if ({test})\n{_braced(self.block(node.body, depth + 1), depth)}"
-
-    @statement.register
-    def _(self, node: Heading, depth: int) -> str:
-        return f"\n{_indent(depth)}/* {node.text} */"
-
-    @statement.register
-    def _(self, node: Call, depth: int) -> str:
-        routine = self.routines[node.routine]
+    def _call(self, node: ir.Call) -> str:
+        routine, needs = self.routines[node.routine], self.needs[node.routine]
         given = [
             self.operand(element) if argument.single else self._address(element)
             for argument, element in zip(routine.arguments, node.arguments, strict=True)
         ]
-        if node.constants is not None:
-            given.append(self.table(node.constants))
-        given += map(self.table, node.tables)
-        needs = self.needs[routine.name]
+        given += [self.table(table) for table in (node.constants, *node.tables) if table]
         given += [name for name in ("params", "present") if name in needs]
         given += [
-            f"row_{row.index}" if isinstance(row, RowArgument) else f"({self.row(row)})"
+            f"row_{row.index}" if isinstance(row, ir.RowArgument) else f"({self.row(row)})"
             for row in node.rows
         ]
         call = f"{self.name}_{routine.name}({', '.join(given)});"
         if "status" not in needs:
-            return f"{_indent(depth)}{call}"
-        ok = self.status(Status.OK)
-        test = f"{_indent(depth)}if (status != {ok})"
-        refusal = _braced(f"{_indent(depth + 1)}return status;", depth)
-        return f"{_indent(depth)}status = {call}\n{test}\n{refusal}"
+            return call
+        refused = _under(f"status != {self.status(Status.OK)}", "    return status;")
+        return f"status = {call}\n{refused}"
 
     def _address(self, element: Element) -> str:
         text = self.operand(element)
-        if element.index == 0:
-            return text.removesuffix("[0]")
-        return f"&{text}"
+        return text.removesuffix("[0]") if element.index == 0 else f"&{text}"
 
-    def _any(self) -> str:
-        words = [f"present[{i}]" for i in range(self.words)] if self.words > 1 else ["present"]
-        return f"({' | '.join(words)}) != 0u"
-
-    def operand(self, operand: Operand) -> str:
+    def operand(self, operand: ir.Operand) -> str:
         """An operand as C."""
         match operand:
-            case Temp(index):
+            case ir.Temp(index):
                 return f"t{index}"
-            case Literal(value):
+            case ir.Literal(value):
                 return self.names.get(value) or self.literal(value)
             case Expression(operator):
                 text = self._operation(operand)
                 return text if operator.is_function else f"({text})"
             case Element(space, name, index):
-                prefix = {Space.PARAMETER: "params->", Space.SELF: "self->", Space.NEXT: "next->"}
                 place = "" if index is None else f"[{index}]"
-                return f"{prefix.get(space, '')}{name}{place}"
-        raise InternalError(f"no operand: {operand!r}")
+                return f"{_PREFIX.get(space, '')}{name}{place}"
 
 
 class Printer(StatementPrinter):
     """Print the nodes of one program."""
 
-    def __init__(self, program: CProgram) -> None:
+    def __init__(self, program: ir.CProgram) -> None:
         super().__init__(program.name, program.scalar, len(program.outputs))
         self.program = program
         if program.shares_functions:
-            self.elementary = shared_prefix(program.scalar)
+            self.elementary = SHARED_PREFIX.format(program.scalar)
         self.names = {each.value: f"{self.upper}_{each.name}" for each in program.constants}
 
-    def take(self, routines: tuple[Routine, ...]) -> None:
+    def take(self, routines: Iterable[ir.Routine]) -> None:
         """Learn the routines that may be called, callees first."""
         for routine in routines:
             self.routines[routine.name] = routine
-            self.needs[routine.name] = self.needs_of(routine.body)
+            self.needs[routine.name] = self._needs_of(routine.body)
 
-    def needs_of(self, body: tuple[Statement, ...]) -> set[str]:
+    def _needs_of(self, body: ir.Body) -> set[str]:
         """What statements use besides arrays: ``params``, ``present``, a ``status`` to return."""
-        needs: set[str] = set()
-        for node in walk(body):
-            if any(isinstance(o, Element) and o.space is Space.PARAMETER for o in operands(node)):
-                needs.add("params")
-            if isinstance(node, IfPresent) and not isinstance(node.row, RowArgument):
-                needs.add("present")
-            if isinstance(node, Require):
-                needs.add("status")
-            if isinstance(node, Call):
-                needs |= self.needs[node.routine]
-                if any(not isinstance(row, RowArgument) for row in node.rows):
-                    needs.add("present")
+        calls = [*ir.every(ir.Call, body)]
+        needs = set().union(*(self.needs[call.routine] for call in calls))
+        asked = [node.row for node in ir.every(ir.IfPresent, body)]
+        asked += [row for call in calls for row in call.rows]
+        if any(element.space is Space.PARAMETER for element in ir.read(Element, body)):
+            needs.add("params")
+        if any(not isinstance(row, ir.RowArgument) for row in asked):
+            needs.add("present")
+        if any(ir.every(ir.Require, body)):
+            needs.add("status")
         return needs
 
-    def calls_that_refuse(self, body: tuple[Statement, ...]) -> bool:
+    def calls_that_refuse(self, body: ir.Body) -> bool:
         """Whether a call may return a status."""
-        return any(isinstance(n, Call) and "status" in self.needs[n.routine] for n in walk(body))
+        return any("status" in self.needs[call.routine] for call in ir.every(ir.Call, body))
 
-    def head(self, routine: Routine) -> str:
+    def head(self, routine: ir.Routine) -> str:
         """Prototype of a routine."""
         needs = self.needs[routine.name]
-        arguments = []
-        for each in routine.arguments:
-            pointer = "" if each.single else "*"
-            const = "" if each.written else "const "
-            arguments.append(f"{const}{self.real} {pointer}{each.name}")
-        if routine.constants[0]:
-            arguments.append(f"const {self.real} *numbers")
+        arguments = [
+            f"{'' if each.written else 'const '}{self.real} {'' if each.single else '*'}{each.name}"
+            for each in routine.arguments
+        ]
+        arguments += [f"const {self.real} *numbers"] if routine.constants[0] else []
         arguments += [f"const {self.real} *numbers_of_{i}" for i in range(routine.tables)]
-        if "params" in needs:
-            arguments.append(f"const {self.name}_params_t *params")
-        if "present" in needs:
-            arguments.append("uint32_t present" if self.words == 1 else "const uint32_t *present")
+        arguments += [f"const {self.name}_params_t *params"] if "params" in needs else []
+        arguments += [self.present] if "present" in needs else []
         arguments += [f"int row_{i}" for i in range(routine.rows)]
         result = f"{self.name}_status_t" if "status" in needs else "void"
         head = f"{self.upper}_INLINE {result} {self.name}_{routine.name}"
@@ -325,38 +259,15 @@ class Printer(StatementPrinter):
         for outcome in reversed(self.program.outcomes):
             places = [f"[{i}]" for i in range(sizes.get(outcome.port, 0))] or [""]
             level = self.literal(outcome.level)
-            above = " || ".join(f"(self->{outcome.port}{place} > {level})" for place in places)
-            above = above if len(places) > 1 else above[1:-1]
+            above = combined([f"self->{outcome.port}{place} > {level}" for place in places], "||")
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
 
 
-def shared_prefix(scalar: Scalar) -> str:
-    """Prefix of elementary functions of which all filters of a program share one copy."""
-    return f"fkgen_{scalar}"
+def combined(tests: list[str], how: str) -> str:
+    """Tests joined by an operator, in parentheses if there are several."""
+    return tests[0] if len(tests) == 1 else f" {how} ".join(f"({test})" for test in tests)
 
 
-def copies_arrays(bodies: Iterable[tuple[Statement, ...]]) -> bool:
-    """Whether arrays are copied."""
-    return any(isinstance(node, CopyArray) for body in bodies for node in walk(body))
-
-
-def tests_finiteness(phases: tuple[Phase, ...]) -> bool:
-    """Whether a phase asks for finite numbers."""
-    return any(
-        isinstance(node, Require) and node.kind is Kind.FINITE
-        for phase in phases
-        for node in walk(phase.body)
-    )
-
-
-def _all(tests: list[str]) -> str:
-    return tests[0] if len(tests) == 1 else " && ".join(f"({test})" for test in tests)
-
-
-def _indent(depth: int) -> str:
-    return "    " * depth
-
-
-def _braced(inner: str, depth: int) -> str:
-    return f"{_indent(depth)}{{\n{inner}\n{_indent(depth)}}}"
+def _under(test: str, inner: str) -> str:
+    return f"if ({test})\n{{\n{inner}\n}}"

@@ -3,31 +3,36 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import jinja2
 
+from fkgen.backend.elementary import FORMATS
 from fkgen.backend.execute import self_test_vectors
 from fkgen.backend.expressions import joined
-from fkgen.backend.functions import (
-    INLINED,
-    argument_doc,
-    elementary_context,
-    functions_of,
-    phases_of,
-    shared_context,
-    signature,
-    step_call,
-    valid_argument,
-)
-from fkgen.backend.ir import CProgram, Operator
-from fkgen.backend.lines import filled_lines, folded, guards_joined, model_lines, unit_text
-from fkgen.backend.printer import Printer, copies_arrays
+from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
+from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, units_of
+from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
+
+#: Operations per step up to which update and predict are compiled into step: a copy of the instance
+#: between them costs more than the code.
+INLINED = 2500
+
+#: Name of the files that hold the functions for all filters of a program, by scalar.
+SHARED = "fkgen_elementary_{}"
+
+_COMMENTS = {
+    "correct": "Condition on y[k]",
+    "close_window": "At the end of a window",
+    "propagate": "Move to k + 1",
+}
 
 
 @cache
@@ -57,10 +62,10 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
     if context["shared"]:
-        shared = shared_context(program.scalar) | {"version": __version__}
+        shared = _shared_context(program.scalar) | {"version": __version__}
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
-    record = filled("record.c.j2", context | {"call": step_call(program, record=True)})
     complete = with_manifest(files, _facts(program, claims))
+    record = filled("record.c.j2", context)
     return Source(program=program, files=complete, record=record, claims=claims)
 
 
@@ -78,52 +83,140 @@ def filled(template: str, context: dict[str, object]) -> str:
 def _context(program: CProgram) -> dict[str, object]:
     outlined = joined(outline(program), (c := Printer(program)).fits)
     c.take(outlined.routines)
+    units = units_of(program)
     vectors, starts = self_test_vectors(program), _starts(program)
-    modes = dict.fromkeys(p.shape[0] for p in program.ports if p.name == "mode_probability")
+    modes = (port.shape[0] for port in program.ports if port.name == "mode_probability")
     return elementary_context(c, program.functions) | {
         "program": program,
         "version": __version__,
         "api": API_VERSION,
         "title": _title(program),
-        "modes": next(iter(modes), 0),
-        "signal_groups": _signal_groups(program),
+        "modes": next(modes, 0),
         "cost": cost(program),
         "scalars": sum(port.size for port in program.ports),
         "statuses": program.statuses,
         "positive": [c.status(status) for status in program.statuses if status.value >= 0],
-        "null": Status.NULL_POINTER,
-        "bad_input": Status.INPUT_NOT_FINITE,
-        "mismatch": Status.SELFTEST_FAILED,
+        "Status": Status,
         "shape": _shape_text,
-        "unit": lambda port: f", {text}" if (text := unit_text(program, port.unit)) else "",
-        "model": model_lines(program),
+        "unit": lambda port: f", {text}" if (text := unit_text(units, port.unit)) else "",
         "ranges": dict(program.stated.ranges),
         "listed": filled_lines,
-        "numbers": lambda values: _numbers(c, values),
+        "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
         "starts": starts,
         "tables": {owner: values for values, owner in starts.values()},
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
-        "valid_argument": valid_argument(c),
-        "phases": phases_of(c, outlined.phases),
+        "phases": _phases(c, outlined.phases),
         "routines": outlined.routines,
-        "copies": copies_arrays(outlined.bodies),
-        "calls_that_refuse": c.calls_that_refuse,
+        "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
         "inlined": program.flops <= INLINED,
-        "functions": functions_of(c),
-        "signature": lambda name: signature(c, name),
-        "argument_doc": argument_doc(c),
-        "inputs": [_numbers(c, row) for row in vectors.u],
-        "measured": [_numbers(c, row) for row in vectors.y],
-        "trace": [_numbers(c, row) for row in vectors.trace],
-        "final": [(name, len(values), _numbers(c, values)) for name, values in vectors.final],
-        "start": vectors.start,
+        "functions": _functions(c),
+        "vectors": vectors,
         "members": [
             f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
             for port in program.ports
         ],
         "masks": [_mask(c, row) for row in vectors.y],
-        "call": step_call(program, record=False),
+    }
+
+
+def _arguments(c: Printer, name: str) -> dict[str, str]:
+    """Declarations of what one of the three functions that run a filter is given."""
+    program = c.program
+    arguments = {"self": f"{c.name}_t *self"}
+    if program.parameters:
+        arguments["params"] = f"const {c.name}_params_t *params"
+    if program.inputs:
+        arguments["u"] = f"const {c.real} u[{len(program.inputs)}]"
+    if name != "predict":
+        arguments["y"] = f"const {c.real} y[{len(program.outputs)}]"
+        arguments["valid"] = c.valid
+    return arguments
+
+
+def _given(c: Printer, verb: str) -> dict[str, str]:
+    """Declarations of what a phase is given besides the instance that it reads and the next."""
+    phase, given = c.program.verbs[verb], {}
+    if phase.reads_parameters:
+        given["params"] = f"const {c.name}_params_t *params"
+    if phase.reads_input:
+        given["u"] = f"const {c.real} *u"
+    if verb == "correct":
+        given |= {"y": f"const {c.real} *y", "present": c.present}
+    return given
+
+
+def _phases(c: Printer, phases: Iterable[Phase]) -> list[dict[str, Any]]:
+    """The phases as static functions; what few samples need is never inlined."""
+    return [
+        {
+            "verb": verb,
+            "comment": _COMMENTS[verb],
+            "arguments": ", ".join(
+                [f"const {c.name}_t *self", *_given(c, verb).values(), f"{c.name}_t *next"]
+            ),
+            "program": phase,
+            "inlined": c.program.flops <= INLINED and verb != "close_window",
+        }
+        for verb, phase in zip(c.program.verbs, phases, strict=True)
+    ]
+
+
+def _functions(c: Printer) -> dict[str, dict[str, Any]]:
+    """Update, predict and step: what each calls, maybe under a condition, and what it returns."""
+
+    def call(verb: str, source: str = "&next", when: str = "") -> dict[str, str]:
+        given = ", ".join([source, *_given(c, verb), "&next"])
+        return {"text": f"{c.name}_{verb}({given})", "when": when}
+
+    correct, closing = [call("correct", "self")], c.program.closing
+    if closing is not None:
+        ends = f"!(next.{closing.unless} > {c.literal(0.0)})"
+        correct.append(call("close_window", when=ends))
+    move, step = [call("propagate", "self")], [*correct, call("propagate")]
+    outcome = f"({c.any_row}) ? {c.outcome} : {c.status(Status.SKIPPED)}"
+    functions = {}
+    for name, calls in (("update", correct), ("predict", move), ("step", step)):
+        arguments = _arguments(c, name)
+        pointers = [each for each in arguments if each != "valid" or c.words > 1]
+        functions[name] = {
+            "signature": f"{c.name}_status_t {c.name}_{name}({', '.join(arguments.values())})",
+            "calls": calls,
+            "reads_y": "y" in arguments,
+            "null": combined([f"{pointer} == NULL" for pointer in pointers], "||"),
+            "result": outcome if "y" in arguments else c.status(Status.OK),
+        }
+    return functions
+
+
+def _shared_context(scalar: Scalar) -> dict[str, object]:
+    """What the templates of the shared files read: every function, whatever a filter needs."""
+    c = StatementPrinter(SHARED_PREFIX.format(scalar), scalar, 1)
+    functions = frozenset(operator for operator in Operator if operator.is_function)
+    return elementary_context(c, functions) | {"storage": "", "file": SHARED.format(scalar)}
+
+
+def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> dict[str, object]:
+    """Names, constants, and which functions there are; sqrt where atan2 needs it."""
+    needs = {op.value: op in functions for op in Operator if op.is_function}
+    needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
+    needs["scale"] = needs["exp"]
+    needs["sqrt"] = needs["sqrt"] or needs["atan2"]
+    return {
+        "c": c,
+        "name": c.name,
+        "elementary": c.elementary,
+        "storage": "static ",
+        "upper": c.upper,
+        "real": c.real,
+        "word": "uint64_t" if c.real == "double" else "uint32_t",
+        "f": FORMATS[c.real],
+        "needs": needs,
+        "needs_elementary": bool(functions),
+        "shared": SHARED.format(c.real) if functions and c.elementary != c.name else "",
+        "root2": math.sqrt(2.0),
+        "ln2": math.log(2.0),
+        "pi": math.pi,
     }
 
 
@@ -135,15 +228,15 @@ def _title(program: CProgram) -> str:
 
 def cost(program: CProgram) -> str:
     """Operations of one step in words."""
-    calls = {op: n for op, n in program.operations.items() if op.is_function}
     text = [f"{program.flops} floating-point operations"]
-    text += [f"{n} {op.value}" for op, n in sorted(calls.items(), key=lambda item: item[0].value)]
+    text += [f"{n} {function}" for function, n in _calls(program).items()]
     closing = f"; at the end of a window {program.closing_flops} more" if program.closing else ""
     return " and ".join(text) + closing
 
 
-def _numbers(c: Printer, values: tuple[float, ...]) -> list[str]:
-    return [c.literal(0.0 if math.isnan(value) else value) for value in values]
+def _calls(program: CProgram) -> dict[str, int]:
+    calls = {op.value: n for op, n in program.operations.items() if op.is_function}
+    return dict(sorted(calls.items()))
 
 
 def _mask(c: Printer, row: tuple[float, ...]) -> str:
@@ -153,11 +246,9 @@ def _mask(c: Printer, row: tuple[float, ...]) -> str:
 
 
 def _shape_text(port: Port) -> str:
-    if not port.symmetric:
-        extent = " x ".join(str(length) for length in port.shape)
-        return f" ({extent})" if len(port.shape) > 1 else ""
-    stacked = " x ".join(str(length) for length in port.shape[:-2])
-    return f" ({stacked + ' x ' if stacked else ''}symmetric {port.shape[-1]} x {port.shape[-1]})"
+    *stacked, n = map(str, port.shape or (1,))
+    parts = [*stacked[:-1], f"symmetric {n} x {n}"] if port.symmetric else [*stacked, n]
+    return f" ({' x '.join(parts)})" if stacked else ""
 
 
 def _starts(program: CProgram) -> dict[str, tuple[tuple[float, ...], str]]:
@@ -182,15 +273,6 @@ def _period(values: tuple[float, ...]) -> tuple[float, ...]:
     return values[:size]
 
 
-def _signal_groups(program: CProgram) -> list[tuple[str, str, tuple[object, ...]]]:
-    groups = [
-        ("States", "x", program.states),
-        ("Inputs", "u", program.inputs),
-        ("Measurements", "y", program.outputs),
-    ]
-    return [group for group in groups if group[2]]
-
-
 def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
     return {
         "name": program.name,
@@ -203,11 +285,7 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
         "proved": list(claims),
         "flops": program.flops,
         **({"closing_flops": program.closing_flops} if program.closing else {}),
-        "calls": {
-            op.value: n
-            for op, n in sorted(program.operations.items(), key=_operator_name)
-            if op.is_function
-        },
+        "calls": _calls(program),
         "parameters": dict(program.parameters),
         "states": [signal.name for signal in program.states],
         "inputs": [signal.name for signal in program.inputs],
@@ -218,7 +296,3 @@ def _facts(program: CProgram, claims: tuple[str, ...]) -> dict[str, object]:
         ],
         "statuses": {status.name: status.value for status in program.statuses},
     }
-
-
-def _operator_name(item: tuple[Operator, int]) -> str:
-    return item[0].value

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -57,24 +56,21 @@ class Source:
         _refuse_foreign(target, self.files)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            partial = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+            prefix = f".{target.name}-"
+            with tempfile.TemporaryDirectory(
+                prefix=prefix, dir=target.parent, ignore_cleanup_errors=True
+            ) as folder:
+                new, old = Path(folder, f"{prefix}new"), Path(folder, f"{prefix}old")
+                new.mkdir()
+                new.chmod(0o755)
+                for name, text in self.files.items():
+                    (new / name).write_text(text, encoding="utf-8", newline="\n")
+                _swap(new, target, old)
         except OSError as error:
-            raise _unwritable(target, error) from None
-        try:
-            for name, text in self.files.items():
-                (partial / name).write_text(text, encoding="utf-8", newline="\n")
-            partial.chmod(0o755)
-            _swap(partial, target)
-        except OSError as error:
-            raise _unwritable(target, error) from None
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+            reason = (error.strerror or str(error)).lower()
+            expected = "a folder that can be written"
+            raise OutputError(str(target), given=reason, expected=expected) from None
         return target
-
-
-def _unwritable(target: Path, error: OSError) -> OutputError:
-    reason = error.strerror or str(error)
-    return OutputError(str(target), given=reason.lower(), expected="a folder that can be written")
 
 
 def _refuse_foreign(target: Path, files: Mapping[str, str]) -> None:
@@ -83,10 +79,7 @@ def _refuse_foreign(target: Path, files: Mapping[str, str]) -> None:
         return
     if not target.is_dir():
         raise OutputError(str(target), given="a file", expected="a folder, or nothing yet")
-    present = {entry.name for entry in target.iterdir()}
-    if not present:
-        return
-    known = _own_files(target)
+    present, known = {entry.name for entry in target.iterdir()}, _own_files(target)
     same = {
         name
         for name in (present & files.keys()) - known.keys()
@@ -117,20 +110,16 @@ def _own_files(target: Path) -> dict[str, str]:
         return {}
 
 
-def _swap(partial: Path, target: Path) -> None:
-    if not target.exists():
-        partial.rename(target)
-        return
-    old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-    try:
+def _swap(new: Path, target: Path, old: Path) -> None:
+    """Put a folder into the place of another, which comes back if that fails."""
+    if target.exists():
         target.rename(old)
-        try:
-            partial.rename(target)
-        except OSError:
+    try:
+        new.rename(target)
+    except OSError:
+        if old.exists():
             old.rename(target)
-            raise
-    finally:
-        shutil.rmtree(old, ignore_errors=True)
+        raise
 
 
 def _digest(data: bytes) -> str:

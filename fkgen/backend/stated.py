@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, combinations_with_replacement
 
-from fkgen.backend.ir import (
-    Constant,
-    Listing,
-    Literal,
-    Phase,
-    Scalar,
-    Stated,
-    Statements,
-    operands,
-    walk,
-)
-from fkgen.estimators.gaussian.sequential import LOG_TWO_PI
+from fkgen.backend.ir import Constant, Literal, Phase, Scalar, Stated, read
+from fkgen.backend.lines import WIDTH, unit_text, units_of, wrapped
+from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI
 from fkgen.estimators.models.weights import LOG_ZERO, TINY
+from fkgen.faults import ActuatorFaults, JumpFaults, SensorFaults, SoftFaults
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.expression import ZERO, Expression, Name, Number, names, to_text
 from fkgen.problem.text.matrix import Matrix
@@ -24,119 +18,137 @@ from fkgen.problem.text.matrix import Matrix
 #: Units of the entries of each matrix.
 _UNITS = {"A": "x/x", "B": "x/u", "C": "y/x", "D": "y/u", "Q": "xx", "R": "yy"}
 _UNITS |= {"x0": "x", "P0": "xx", "c": "x"}
+#: Widest matrix whose entries stand below each other.
+_ALIGNED = 80
+
+#: A title, and matrices as lines of a comment.
+_Part = tuple[str, Iterable[list[str]]]
 
 
 def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
     """What the header says about a spec; ``phases`` hold the constants that it folded."""
+    faults = spec.faults
+    parts = [_model(spec), *_modes(spec)]
+    parts += [_actuator(spec, faults.actuator)] if faults.actuator is not None else []
+    parts += [_sensor(spec, faults.sensor)] if faults.sensor is not None else []
+    parts += [_jump(faults.jump)] if faults.jump is not None else []
+    parts += [_soft(spec, faults.soft)] if faults.soft is not None else []
     return Stated(
-        parts=(_model(spec), *_modes(spec), *_faults(spec)),
+        model=tuple(
+            line for title, listings in parts for line in (f" * {title}.", *chain(*listings), " *")
+        ),
         ranges=tuple((item.name, _range(spec, item.name)) for item in spec.parameters),
         folded=_folded(spec, phases),
     )
 
 
-def _model(spec: Spec) -> Statements:
+def _model(spec: Spec) -> _Part:
     inputs = spec.model.nu > 0
     offset = " + c" if spec.faults.jump is not None else ""
     move = f"x[k+1] = A x[k]{' + B u[k]' if inputs else ''}{offset} + w[k], w ~ (0, Q)"
     see = f"y[k] = C x[k]{' + D u[k]' if inputs else ''} + v[k], v ~ (0, R)"
-    letters = ("A", "B", "C", "D", "Q", "R") if inputs else ("A", "C", "Q", "R")
-    return Statements(
-        f"Model: {move}; {see}; x[0] ~ (x0, P0)",
-        tuple(_listing(letter, getattr(spec.model, letter)) for letter in (*letters, "x0", "P0")),
-    )
+    letters = (*("ABCDQR" if inputs else "ACQR"), "x0", "P0")
+    listings = [_matrix(spec, letter, getattr(spec.model, letter)) for letter in letters]
+    return f"Model: {move}; {see}; x[0] ~ (x0, P0)", listings
 
 
-def _modes(spec: Spec) -> Iterator[Statements]:
+def _modes(spec: Spec) -> Iterator[_Part]:
     """What each mode has of its own."""
-    if spec.faults.jump is None:
-        return
-    for index, mode in enumerate(spec.faults.jump.modes):
-        own = tuple(
-            _listing(letter, getattr(mode, letter))
-            for letter in ("A", "B", "C", "D", "Q", "R")
-            if getattr(mode, letter) != getattr(spec.model, letter)
-        )
+    for index, mode in enumerate(spec.faults.jump.modes if spec.faults.jump is not None else ()):
+        own = {letter: getattr(mode, letter) for letter in "ABCDQR"}
+        own = {name: matrix for name, matrix in own.items() if matrix != getattr(spec.model, name)}
         if any(entry != ZERO for (entry,) in mode.c.rows):
-            own = (*own, _listing("c", mode.c))
-        yield Statements(f"Mode {index}: {'what differs' if own else 'the model itself'}", own)
+            own["c"] = mode.c
+        title = f"Mode {index}: {'what differs' if own else 'the model itself'}"
+        yield title, [_matrix(spec, name, matrix) for name, matrix in own.items()]
 
 
-def _listing(name: str, matrix: Matrix) -> Listing:
-    rows = tuple(tuple(map(_text, row)) for row in matrix.rows)
-    unit = _UNITS.get(name, "")
-    entries = {(i, j): entry for i, row in enumerate(matrix.rows) for j, entry in enumerate(row)}
+def _matrix(spec: Spec, name: str, matrix: Matrix) -> list[str]:
+    """A matrix as the spec states it."""
+    rows = [tuple(map(_text, row)) for row in matrix.rows]
+    unit = unit_text(units_of(spec.model), _UNITS.get(name, ""))
+    nonzero = [i != j for i, row in enumerate(matrix.rows) for j, e in enumerate(row) if e != ZERO]
     if name in {"x0", "c"}:
-        return Listing(name, (tuple(row[0] for row in rows),), "vector", unit)
-    if len(entries) > 1 and all(entry == ZERO for entry in entries.values()):
-        return Listing(name, (tuple(map(str, matrix.shape)),), "zeros", unit)
-    diagonal = all(entry == ZERO for (i, j), entry in entries.items() if i != j)
-    if name in {"Q", "R", "P0"} and diagonal and len(rows) > 1:
-        return Listing(name, (tuple(rows[i][i] for i in range(len(rows))),), "diagonal", unit)
-    return Listing(name, rows, "matrix", unit)
+        return _vector(name, (row[0] for row in rows), unit)
+    if not nonzero and matrix.shape != (1, 1):
+        return _vector(name, map(str, matrix.shape), unit, "zeros(", ")")
+    if name in {"Q", "R", "P0"} and not any(nonzero) and len(rows) > 1:
+        return _vector(name, (row[i] for i, row in enumerate(rows)), unit, "diag(", ")")
+    return _rows(name, rows, unit)
 
 
 def _text(entry: Expression) -> str:
     return repr(entry.value) if isinstance(entry, Number) else to_text(entry)
 
 
-def _numbers(name: str, rows: tuple[tuple[float, ...], ...]) -> Listing:
-    return Listing(name, tuple(tuple(map(repr, row)) for row in rows))
+def _numbers(name: str, rows: tuple[tuple[float, ...], ...]) -> list[str]:
+    return _rows(name, [tuple(map(repr, row)) for row in rows])
 
 
-def _law(name: str, values: tuple[float, ...]) -> Listing:
-    return Listing(name, (tuple(map(repr, values)),), "vector")
+def _vector(
+    name: str, entries: Iterable[str], unit: str = "", opening: str = "[", closing: str = "]"
+) -> list[str]:
+    return _listing(name, [f"{opening}{', '.join(entries)}{closing}"], unit)
 
 
-def _faults(spec: Spec) -> Iterator[Statements]:
-    """The law of the faults in words, with its numbers."""
-    faults = spec.faults
-    if faults.actuator is not None:
-        yield _actuator(spec)
-    if faults.sensor is not None:
-        yield _sensor(spec)
-    if faults.jump is not None:
-        yield _jump(spec)
-    if faults.soft is not None:
-        soft = faults.soft
-        rows = [signal.name for signal in spec.model.outputs]
-        host = ", ".join(rows[i] for i in soft.host) or "no row"
-        groups = " and ".join(", ".join(rows[i] for i in group) for group in soft.groups)
-        yield Statements(
-            f"Faults: the host filter uses {host} at once; {groups} may drift and wait to the end"
-            f" of a window of {soft.window} samples for a test with a rate {soft.false_alarm!r}"
-            " of false alarms"
-        )
+def _rows(name: str, rows: list[tuple[str, ...]], unit: str = "") -> list[str]:
+    """A matrix by rows, with their entries below each other if they are short enough for it."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    if sum(widths) + 2 * len(widths) > _ALIGNED:
+        widths = [0] * len(widths)
+    texts = [", ".join(map(str.rjust, row, widths)) for row in rows]
+    pieces = ["[[" + "],\0 [".join(texts) + "]]"]
+    return _listing(name, pieces[0].split("\0"), unit)
 
 
-def _actuator(spec: Spec) -> Statements:
-    actuator, many = spec.faults.actuator, spec.model.nu > 1
-    listings: tuple[Listing, ...] = ()
-    if actuator is None or not actuator.success_rate:
-        rate = "at a rate that is not known"
-    else:
+def _listing(name: str, pieces: list[str], unit: str) -> list[str]:
+    """``name = ...`` as lines of a comment, a piece on as many as it needs, and the unit."""
+    head = f" *   {name} = "
+    margin = " *" + " " * (len(head) - 2)
+    lines = []
+    for i, piece in enumerate(pieces):
+        whole = re.sub("(?<!,) ", "\0", piece)
+        lines += wrapped(whole, margin if i else head, margin + "   ")
+    if unit and len(lines[-1]) + len(unit) + 3 <= WIDTH:
+        return [*lines[:-1], f"{lines[-1]}   {unit}"]
+    return [*lines, *([f"{margin}{unit}"] if unit else [])]
+
+
+def _soft(spec: Spec, soft: SoftFaults) -> _Part:
+    rows = [signal.name for signal in spec.model.outputs]
+    host = ", ".join(rows[i] for i in soft.host) or "no row"
+    groups = " and ".join(", ".join(rows[i] for i in group) for group in soft.groups)
+    text = (
+        f"Faults: the host filter uses {host} at once; {groups} may drift and wait to the end"
+        f" of a window of {soft.window} samples for a test with a rate {soft.false_alarm!r}"
+        " of false alarms"
+    )
+    return text, []
+
+
+def _actuator(spec: Spec, actuator: ActuatorFaults) -> _Part:
+    listings = []
+    rate = "at a rate that is not known"
+    if actuator.success_rate:
         rate = f"Pr(gamma = 1) = {', '.join(map(_text, actuator.success_rate))}"
         if actuator.covariance is not None:
-            listings = (_listing("covariance", actuator.covariance),)
+            listings.append(_matrix(spec, "covariance", actuator.covariance))
     together = {
-        "common": "one gamma for all inputs",
-        "independent": "inputs fail independently of each other",
-        "covariance": "the covariance of gamma couples the inputs",
+        "common": "; one gamma for all inputs",
+        "independent": "; inputs fail independently of each other",
+        "covariance": "; the covariance of gamma couples the inputs",
     }
-    how = f"; {together[actuator.dependence]}" if actuator is not None and many else ""
-    tried: tuple[tuple[float, ...], ...] = spec.filter.option("hypotheses", ())
-    own = (*listings, *((_numbers("hypotheses", tried),) if tried else ()))
-    return Statements(
+    how = together[actuator.dependence] if spec.model.nu > 1 else ""
+    if tried := spec.filter.option("hypotheses", ()):
+        listings.append(_numbers("hypotheses", tried))
+    text = (
         f"Faults: gamma u[k] arrives in place of u[k], gamma is 0 or 1 and independent from sample"
-        f" to sample, {rate}{how}",
-        own,
+        f" to sample, {rate}{how}"
     )
+    return text, listings
 
 
-def _sensor(spec: Spec) -> Statements:
-    sensor = spec.faults.sensor
-    if sensor is None:
-        return Statements("")
+def _sensor(spec: Spec, sensor: SensorFaults) -> _Part:
     rows = ", ".join(spec.model.outputs[i].name for i in sensor.rows)
     signal = "(C x[k] + D u[k])" if spec.model.nu else "C x[k]"
     text = (
@@ -150,30 +162,27 @@ def _sensor(spec: Spec) -> Statements:
             f" {law.gamma_persistence!r}; Pr(delta = 1) = {law.delta_nominal_rate!r}"
         )
     if not sensor.kernel:
-        return Statements(text)
+        return text, []
     factor = f"{sensor.noise_factor:g}"
     order = f"(1, 1) (1, {factor}) (0, 1) (0, {factor})"
-    return Statements(
+    return (
         f"{text}; modes (gamma, delta): {order}, kernel[i][j] = Pr(j at k+1 | i at k)",
-        (_numbers("kernel", sensor.kernel), _law("initial", sensor.initial)),
+        [_numbers("kernel", sensor.kernel), _vector("initial", map(repr, sensor.initial))],
     )
 
 
-def _jump(spec: Spec) -> Statements:
-    jump = spec.faults.jump
-    if jump is None:
-        return Statements("")
+def _jump(jump: JumpFaults) -> _Part:
     text = "Faults: the plant jumps between modes, transition[i][j] = Pr(mode j at k+1 | mode i)"
-    channel: tuple[Listing, ...] = ()
+    law = _vector("initial", map(repr, jump.initial))
+    listings = [_numbers("transition", jump.transition), law]
     if jump.arrival_rate is not None:
         text += f"; a sample holds a signal with probability {jump.arrival_rate!r}, else noise"
     if jump.arrival_chain:
         text += "; samples are (lost, arrived) by arrival_chain"
-        channel = (_numbers("arrival_chain", jump.arrival_chain),)
+        listings.append(_numbers("arrival_chain", jump.arrival_chain))
     if jump.arrival != "always":
         text += f"; whether it does is {jump.arrival}"
-    law = (_numbers("transition", jump.transition), _law("initial", jump.initial))
-    return Statements(text, (*law, *channel))
+    return text, listings
 
 
 def _range(spec: Spec, name: str) -> str:
@@ -189,7 +198,7 @@ def _range(spec: Spec, name: str) -> str:
         return "a rate, in [0, 1]"
     found = [f"keeps {_text(rate)} in [0, 1]" for rate in rates if name in names(rate)]
     used = []
-    for letter in ("A", "B", "C", "D", "Q", "R"):
+    for letter in "ABCDQR":
         matrices = [getattr(plant, letter) for plant in spec.plants]
         if any(name in matrix.names for matrix in matrices):
             used.append(letter)
@@ -206,7 +215,7 @@ def _range(spec: Spec, name: str) -> str:
 def _units_of(spec: Spec, name: str) -> Iterator[str]:
     """The unit of a parameter that is an entry of the model by itself, such as ``m per m/s``."""
     signals = {"x": spec.model.states, "u": spec.model.inputs, "y": spec.model.outputs}
-    for letter in ("A", "B", "C", "D", "Q", "R"):
+    for letter in "ABCDQR":
         above, below = _UNITS[letter][0], _UNITS[letter][-1]
         for plant in spec.plants:
             for i, row in enumerate(getattr(plant, letter).rows):
@@ -225,9 +234,9 @@ def _folded(spec: Spec, phases: Sequence[Phase]) -> tuple[tuple[float, str], ...
         for letter in "ABC":
             for value, text in _coefficients(letter, getattr(plant, letter)):
                 known.setdefault(abs(value), f"{'-' if value < 0 else ''}{text}{of}")
-    read = {abs(value) for value in _read(phases)}
+    used = {abs(value) for value in _read(phases)}
     stated = {0.0, 0.5, 1.0, 2.0} | {abs(value) for value in _numbers_in(spec.to_dict())}
-    return tuple((value, known[value]) for value in sorted(read & known.keys() - stated))
+    return tuple((value, known[value]) for value in sorted(used & known.keys() - stated))
 
 
 def _coefficients(letter: str, matrix: Matrix) -> Iterator[tuple[float, str]]:
@@ -238,19 +247,16 @@ def _coefficients(letter: str, matrix: Matrix) -> Iterator[tuple[float, str]]:
         for j, entry in enumerate(row)
         if isinstance(entry, Number) and entry != ZERO
     }
-    for (i, k), a in values.items():
-        for (j, m), b in values.items():
-            if j < i or (j == i and m < k):
-                continue
-            first, second = f"{letter}[{i}][{k}]", f"{letter}[{j}][{m}]"
-            text = f"{first}^2" if first == second else f"{first} {second}"
-            if i == j and k != m:
-                yield a * b + a * b, f"2 {text}"
-            elif k != m and (i, m) in values and (j, k) in values:
-                other = f"{letter}[{i}][{m}] {letter}[{j}][{k}]"
-                yield a * b + values[i, m] * values[j, k], f"({text} + {other})"
-            else:
-                yield a * b, text
+    for ((i, k), a), ((j, m), b) in combinations_with_replacement(values.items(), 2):
+        first, second = f"{letter}[{i}][{k}]", f"{letter}[{j}][{m}]"
+        text = f"{first}^2" if first == second else f"{first} {second}"
+        if i == j and k != m:
+            yield a * b + a * b, f"2 {text}"
+        elif k != m and (i, m) in values and (j, k) in values:
+            other = f"{letter}[{i}][{m}] {letter}[{j}][{k}]"
+            yield a * b + values[i, m] * values[j, k], f"({text} + {other})"
+        else:
+            yield a * b, text
 
 
 def _numbers_in(table: object) -> Iterator[float]:
@@ -266,7 +272,7 @@ def _numbers_in(table: object) -> Iterator[float]:
 
 def constants_of(scalar: Scalar, phases: Sequence[Phase]) -> tuple[Constant, ...]:
     """The constants that the phases read."""
-    read = _read(phases)
+    used = _read(phases)
     zero = LOG_ZERO[scalar]
     known = (
         Constant("LOG_2_PI", LOG_TWO_PI, "log(2 pi), of a Gaussian density"),
@@ -274,15 +280,9 @@ def constants_of(scalar: Scalar, phases: Sequence[Phase]) -> tuple[Constant, ...
         Constant("LOG_ZERO", zero, "stands for the logarithm of 0"),
         Constant("LEAST_LOG_DENSITY", 0.5 * zero, "below it no density can be told from 0"),
     )
-    return tuple(constant for constant in known if constant.value in read)
+    return tuple(constant for constant in known if constant.value in used)
 
 
 def _read(phases: Sequence[Phase]) -> set[float]:
     """Every constant that the phases read."""
-    return {
-        operand.value
-        for phase in phases
-        for node in walk(phase.body)
-        for operand in operands(node)
-        if isinstance(operand, Literal)
-    }
+    return {each.value for phase in phases for each in read(Literal, phase.body)}

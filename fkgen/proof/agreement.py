@@ -22,7 +22,6 @@ from fkgen.runtime.compiler import compile_source
 from fkgen.runtime.results import Run
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.interpreter import Interpreter
-from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.validated import Claim, Validated
 
 Array = NDArray[np.floating]
@@ -87,9 +86,9 @@ def _machine(program: CProgram, record: Record) -> dict[str, Array]:
         now = {name: float(value[k]) for name, value in record.parameters.items()}
         machine.step(tuple(record.u[k]), tuple(y), now)
         for port in program.ports:
-            value = unpacked(port, np.array(machine.ports[port.name], machine.real))
+            value = port.unpacked(np.array(machine.ports[port.name], machine.real))
             if port.given:
-                given = unpacked(port, np.array(machine.ports[port.given], machine.real))
+                given = port.unpacked(np.array(machine.ports[port.given], machine.real))
                 value = np.where(given > 0, value, np.nan)
             rows[port.name].append(np.where(np.isnan(y), np.nan, value) if port.per_row else value)
     return {name: np.array(values) for name, values in rows.items()}

@@ -12,7 +12,6 @@ from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_predi
 from fkgen.problem import Spec
 from fkgen.proof.validate import digits, distance, put
 from fkgen.symbolic.interpreter import Interpreter
-from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.recursion import Recursion
 from fkgen.symbolic.validated import Claim
 
@@ -70,4 +69,4 @@ def _reached(recursion: Recursion, name: str, samples: int, size: float) -> Arra
     for _ in range(samples):
         if not instance.step(y, u, spec.defaults):
             break
-    return np.asarray(unpacked(recursion.port(name), instance.values[name]), dtype=float)
+    return np.asarray(recursion.port(name).unpacked(instance.values[name]), dtype=float)

@@ -15,7 +15,6 @@ from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.symbolic.interpreter import Interpreter
-from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.recursion import Recursion
 from fkgen.symbolic.validated import Claim, Validated
 
@@ -93,7 +92,7 @@ def _start_of(recursion: Recursion) -> Claim:
     priors = {"state": model.x0.values().ravel(), "covariance": model.P0.values()}
     values = Interpreter(recursion).values
     errors = [
-        np.abs(unpacked(port, values[port.name]) - prior).max()
+        np.abs(port.unpacked(values[port.name]) - prior).max()
         for port in recursion.ports
         for what, prior in priors.items()
         if port.name in {f"predicted_{what}", f"mode_{what}"}

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.runtime import record
 from fkgen.runtime.layout import Layout
-from fkgen.symbolic.packing import unpacked
 
 Array = NDArray[np.floating]
 
@@ -76,7 +75,7 @@ class Snapshot:
         offset = 0
         for port in self._layout.ports:
             if port.name == name:
-                value = unpacked(port, np.frombuffer(self._bytes, dtype, port.size, offset))
+                value = port.unpacked(np.frombuffer(self._bytes, dtype, port.size, offset))
                 return np.where(self[port.given] > 0, value, np.nan) if port.given else value
             offset += port.size * dtype.itemsize
         names = [port.name for port in self._layout.ports]

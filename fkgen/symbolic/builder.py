@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 
 import casadi as ca
@@ -33,18 +33,17 @@ class Script:
         self._titles.pop()
 
     @contextmanager
-    def when(self, row: int | None, positive: ca.SX | None = None) -> Iterator[None]:
+    def when(
+        self, row: int | None, positive: ca.SX | None = None, *, present: bool = True
+    ) -> Iterator[None]:
         """Blocks written inside run only if this row of y is present (any row, if None)."""
-        self._condition = Condition(row, positive)
+        self._condition = Condition(row, positive, present)
         yield
         self._condition = None
 
-    @contextmanager
-    def where(self, positive: ca.SX) -> Iterator[None]:
+    def where(self, positive: ca.SX) -> AbstractContextManager[None]:
         """Blocks written inside run only if ``positive`` is, whatever rows are present."""
-        self._condition = Condition(None, positive, present=False)
-        yield
-        self._condition = None
+        return self.when(None, positive, present=False)
 
     def local(self, name: str, size: int, initial: float | None = None) -> ca.SX:
         """Declare a variable of this phase and return its symbol."""

@@ -1,9 +1,14 @@
-"""What a filter shows to the outside: ports, statuses, demands. No CasADi here."""
+"""What a filter shows to the outside: ports and how they are stored, statuses. No CasADi here."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 
 class Role(Enum):
@@ -14,39 +19,30 @@ class Role(Enum):
 
 
 class Status(Enum):
-    """Why a generated function returns what it returns; the value is the C status code."""
+    """Why a generated function returns what it returns: a C status code, and what it means."""
 
-    OK = 0
-    SKIPPED = 1
-    FAULT_DECLARED = 2
-    LOCKED_OUT = 3
-    NULL_POINTER = -1
-    INPUT_NOT_FINITE = -2
-    NOT_POSITIVE_DEFINITE = -3
-    PARAMETER_OUT_OF_RANGE = -4
-    RESULT_NOT_FINITE = -5
-    SELFTEST_FAILED = -6
+    _value_: int
+    meaning: str  # One sentence for the header and for error messages
 
-    @property
-    def meaning(self) -> str:
-        """One sentence for the header and for error messages."""
-        return _MEANINGS[self]
+    def __new__(cls, code: int, meaning: str = "") -> Self:
+        """Make ``Status(code)`` find a member."""
+        status = object.__new__(cls)
+        status._value_, status.meaning = code, meaning
+        return status
 
-
-_MEANINGS = {
-    Status.OK: "the sample was used",
-    Status.SKIPPED: "no row of y was present: nothing was learnt from this sample",
-    Status.FAULT_DECLARED: "what was tested is rejected as faulty and did not correct the estimate",
-    Status.LOCKED_OUT: "the same, and too many samples in a row were rejected: doubt the filter",
-    Status.NULL_POINTER: "a pointer argument is NULL",
-    Status.INPUT_NOT_FINITE: "u holds NaN or an infinity, or y holds an infinity",
-    Status.NOT_POSITIVE_DEFINITE: "a covariance lost its positivity",
-    Status.PARAMETER_OUT_OF_RANGE: (
-        "a variance below zero, a rate outside [0, 1], or an indicator with another value"
-    ),
-    Status.RESULT_NOT_FINITE: "the result would not be finite",
-    Status.SELFTEST_FAILED: "the self-test does not give the recorded bits on this target",
-}
+    OK = 0, "the sample was used"
+    SKIPPED = 1, "no row of y was present: nothing was learnt from this sample"
+    FAULT_DECLARED = 2, "what was tested is rejected as faulty and did not correct the estimate"
+    LOCKED_OUT = 3, "the same, and too many samples in a row were rejected: doubt the filter"
+    NULL_POINTER = -1, "a pointer argument is NULL"
+    INPUT_NOT_FINITE = -2, "u holds NaN or an infinity, or y holds an infinity"
+    NOT_POSITIVE_DEFINITE = -3, "a covariance lost its positivity"
+    PARAMETER_OUT_OF_RANGE = (
+        -4,
+        "a variance below zero, a rate outside [0, 1], or an indicator with another value",
+    )
+    RESULT_NOT_FINITE = -5, "the result would not be finite"
+    SELFTEST_FAILED = -6, "the self-test does not give the recorded bits on this target"
 
 
 #: Statuses that only filters have which test their samples.
@@ -62,14 +58,20 @@ class Outcome:
     level: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def triangle(n: int) -> list[tuple[int, int]]:
+    """Index pairs of the lower triangle of an n x n matrix, by rows: (0,0), (1,0), (1,1), ..."""
+    return [(i, j) for i in range(n) for j in range(i + 1)]
+
+
+@dataclass(frozen=True, slots=True)
 class Port:
     """A member of the C instance and a column of a run."""
 
     name: str  # Name in C and in Python
     shape: tuple[int, ...]  # Shape of one sample as Python shows it
-    role: Role
     meaning: str  # For the header
+    _: KW_ONLY
+    role: Role
     #: For the header, in the units of the signals: "x", "y", "xx" and "yy" for products of two
     #: of them, "x/y"; empty for numbers without a unit, and mixtures
     unit: str = ""
@@ -78,17 +80,25 @@ class Port:
     per_row: bool = False  # One entry per row of y, NaN in Python where the row is missing
     #: A port of the same shape: where it is 0, this one says nothing and is NaN in Python
     given: str = ""
+    start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
 
     @property
     def size(self) -> int:
         """Number of scalars stored in C."""
-        size = 1
-        for length in self.shape[:-2] if self.symmetric else self.shape:
-            size *= length
-        if self.symmetric:
-            n = self.shape[-1]
-            size *= n * (n + 1) // 2
-        return size
+        if not self.symmetric:
+            return math.prod(self.shape)
+        return math.prod(self.shape[:-2]) * len(triangle(self.shape[-1]))
+
+    def unpacked(self, stored: ArrayLike) -> NDArray[np.floating]:
+        """A stored sample in the shape that Python shows."""
+        values = np.asarray(stored)
+        if not self.symmetric:
+            return values.reshape(self.shape)
+        pairs = triangle(n := self.shape[-1])
+        index = np.zeros((n, n), int)
+        for at, (i, j) in enumerate(pairs):
+            index[i, j] = index[j, i] = at
+        return values.reshape(-1, len(pairs))[:, index].reshape(self.shape)
 
 
 class Kind(Enum):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -11,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.symbolic.interface import Kind
-from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.ports import PARAMETER
-from fkgen.symbolic.recursion import Block, Condition, Recursion
+from fkgen.symbolic.recursion import Block, Recursion
 
 Array = NDArray[np.float64]
 
@@ -27,8 +25,8 @@ class Interpreter:
     def __init__(self, recursion: Recursion) -> None:
         self.recursion = recursion
         self._phases = [
-            [_Ready(b, b.function(phase.symbols), b.threshold(phase.symbols)) for b in phase.blocks]
-            for phase in recursion.phases
+            (p, [(b, b.function(p.symbols), b.threshold(p.symbols)) for b in p.blocks])
+            for p in recursion.phases
         ]
         self.reset()
 
@@ -44,12 +42,11 @@ class Interpreter:
         values = dict(self.values)
         values |= {PARAMETER + name: np.array([value]) for name, value in parameters.items()}
         values |= {"y": y, "u": u}
-        for phase, blocks in zip(self.recursion.phases, self._phases, strict=True):
+        for phase, blocks in self._phases:
             if phase.unless is not None and values[phase.unless][0] > 0.0:
                 continue
-            local = {v.name: np.full(v.size, v.initial or 0.0) for v in phase.variables}
-            values |= local
-            if not all(_evaluate(each, values) for each in blocks):
+            values |= {v.name: np.full(v.size, v.initial or 0.0) for v in phase.variables}
+            if not all(_evaluate(*each, values) for each in blocks):
                 return False
         self.values = {name: values[name] for name in self.values}
         return True
@@ -68,7 +65,7 @@ class Interpreter:
         for k in range(len(y)):
             self.step(y[k], u[k], {name: float(value[k]) for name, value in parameters.items()})
             for port in ports:
-                value: Any = unpacked(port, self.values[port.name])
+                value: Any = port.unpacked(self.values[port.name])
                 if port.given:
                     value = np.where(self.values[port.given].reshape(port.shape) > 0, value, np.nan)
                 rows[port.name].append(
@@ -77,41 +74,27 @@ class Interpreter:
         return {name: np.array(value) for name, value in rows.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class _Ready:
-    block: Block
-    function: ca.Function
-    threshold: ca.Function | None
-
-
-def _evaluate(ready: _Ready, values: dict[str, Array]) -> bool:
+def _evaluate(
+    block: Block, function: ca.Function, threshold: ca.Function | None, values: dict[str, Array]
+) -> bool:
     """Run one block on ``values``; False if a guard refuses."""
-    block = ready.block
     arguments = [values[name] for name in block.reads]
-    if block.when is not None:
-        if not _present(block.when, values["y"]):
+    if block.when is not None and block.when.present:
+        here = ~np.isnan(values["y"])
+        if not np.any(here if block.when.row is None else here[block.when.row]):
             return True
-        if ready.threshold is not None and not float(ready.threshold.call(arguments)[0]) > 0.0:
-            return True
-    arrays = [np.asarray(value).ravel() for value in ready.function.call(arguments)]
-    for guard, value in zip(block.guards, arrays[len(block.assign) :], strict=True):
-        if not _holds(guard.kind, value):
-            return False
+    if threshold is not None and not float(threshold.call(arguments)[0]) > 0.0:
+        return True
+    arrays = [np.asarray(value).ravel() for value in function.call(arguments)]
+    guarded = arrays[len(block.assign) :]
+    if not all(_HOLDS[g.kind](v).all() for g, v in zip(block.guards, guarded, strict=True)):
+        return False
     values |= dict(zip(block.assign, arrays, strict=False))
     return True
 
 
-def _present(when: Condition, y: Array) -> bool:
-    """Whether the rows that a block waits for are there."""
-    here = ~np.isnan(y)
-    return not when.present or bool(here.any() if when.row is None else here[when.row])
-
-
-def _holds(kind: Kind, values: Array) -> bool:
-    match kind:
-        case Kind.POSITIVE:
-            return bool(np.all(values > 0.0))
-        case Kind.NONNEGATIVE:
-            return bool(np.all(values >= 0.0))
-        case Kind.FINITE:
-            return bool(np.all(np.isfinite(values)))
+_HOLDS: dict[Kind, Callable[[Array], NDArray[np.bool_]]] = {
+    Kind.POSITIVE: lambda values: values > 0.0,
+    Kind.NONNEGATIVE: lambda values: values >= 0.0,
+    Kind.FINITE: np.isfinite,
+}

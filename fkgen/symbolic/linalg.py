@@ -5,9 +5,13 @@ Symmetric matrices travel packed: the lower triangle by rows, (0,0), (1,0), (1,1
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Iterable, Sequence
+from functools import reduce
+
 import casadi as ca
 
-from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.interface import triangle
 
 
 def column(values: list[ca.SX]) -> ca.SX:
@@ -25,6 +29,11 @@ def split_packed(packed: ca.SX, n: int) -> list[ca.SX]:
     return list(ca.vertsplit(packed, n * (n + 1) // 2))
 
 
+def split_estimates(states: ca.SX, packed: ca.SX, n: int) -> list[tuple[ca.SX, ca.SX]]:
+    """Means and packed covariances of estimates of n numbers that are stacked."""
+    return list(zip(ca.vertsplit(states, n), split_packed(packed, n), strict=True))
+
+
 def diagonal(packed: ca.SX, n: int) -> list[ca.SX]:
     """The variances of a packed (n, n) covariance."""
     return [packed[i * (i + 3) // 2] for i in range(n)]
@@ -32,9 +41,10 @@ def diagonal(packed: ca.SX, n: int) -> list[ca.SX]:
 
 def unpack(packed: ca.SX, n: int) -> ca.SX:
     """The symmetric (n, n) matrix of a packed column."""
-    element = {(i, j): packed[k] for k, (i, j) in enumerate(triangle(n))}
-    entries = [element[max(i, j), min(i, j)] for j in range(n) for i in range(n)]
-    return sparse(ca.reshape(ca.vertcat(*entries), n, n))
+    matrix = ca.SX.zeros(n, n)
+    for k, (i, j) in enumerate(triangle(n)):
+        matrix[i, j] = matrix[j, i] = packed[k]
+    return sparse(matrix)
 
 
 def sparse(matrix: ca.SX) -> ca.SX:
@@ -79,11 +89,10 @@ def row_congruence(M: ca.SX, P: ca.SX) -> ca.SX:
 
 
 def _quadratic(a: ca.SX, P: ca.SX, b: ca.SX) -> ca.SX:
-    terms = [
+    return total(
         (a[i] * b[j] + a[j] * b[i] if i != j else a[i] * b[i]) * P[i, j]
         for i, j in triangle(P.shape[0])
-    ]
-    return sum(terms[1:], start=terms[0])
+    )
 
 
 def operations(expression: ca.SX) -> int:
@@ -93,31 +102,21 @@ def operations(expression: ca.SX) -> int:
     return int(function.n_instructions() - len(arguments) - expression.nnz())
 
 
-def weighted_sum(weights: ca.SX, columns: list[ca.SX]) -> ca.SX:
+def weighted_sum(weights: ca.SX, columns: Sequence[ca.SX]) -> ca.SX:
     """Sum of ``weights[i] * columns[i]``; a single weight is one by definition."""
     if len(columns) == 1:
         return columns[0]
-    total = weights[0] * columns[0]
-    for i in range(1, len(columns)):
-        total += weights[i] * columns[i]
-    return total
+    return total(weights[i] * each for i, each in enumerate(columns))
 
 
-def spread(weights: ca.SX, means: list[ca.SX], mean: ca.SX) -> ca.SX:
+def spread(weights: ca.SX, means: Sequence[ca.SX], mean: ca.SX) -> ca.SX:
     """Packed sum of ``w_i (m_i - m)(m_i - m)'``: positive semidefinite term by term."""
-    n = mean.numel()
     if len(means) == 1:
-        return ca.SX.zeros(n * (n + 1) // 2)
-    total = ca.SX.zeros(n * (n + 1) // 2)
-    for i, each in enumerate(means):
-        deviation = each - mean
-        total += outer_lower(weights[i] * deviation, deviation)
-    return total
+        return ca.SX.zeros(len(triangle(mean.numel())))
+    deviations = [each - mean for each in means]
+    return total(outer_lower(weights[i] * d, d) for i, d in enumerate(deviations))
 
 
-def total(matrices: list[ca.SX]) -> ca.SX:
+def total(matrices: Iterable[ca.SX]) -> ca.SX:
     """Sum of matrices of one shape."""
-    result = matrices[0]
-    for matrix in matrices[1:]:
-        result = result + matrix
-    return result
+    return reduce(operator.add, matrices)

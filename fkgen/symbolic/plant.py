@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import operator as arithmetic
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,25 +14,6 @@ from fkgen.errors import InternalError
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
 from fkgen.problem.covariance import is_singular
-
-_ARITHMETIC: dict[str, Callable[..., ca.SX]] = {
-    "+": arithmetic.add,
-    "-": arithmetic.sub,
-    "*": arithmetic.mul,
-    "/": arithmetic.truediv,
-    "neg": arithmetic.neg,
-}
-
-_FUNCTIONS: dict[str, Callable[..., ca.SX]] = {
-    "exp": ca.exp,
-    "log": ca.log,
-    "sqrt": ca.sqrt,
-    "sin": ca.sin,
-    "cos": ca.cos,
-    "tan": ca.tan,
-    "atan2": ca.atan2,
-    "abs": ca.fabs,
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +29,7 @@ class Plant:
     R: ca.SX
     c: ca.SX  # (n, 1), a known offset: nothing but in modes of jump faults
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
+    scalar: str  # Of the C code, for tolerances
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
 
@@ -69,19 +51,14 @@ class Plant:
 
 def plant_of(spec: Spec) -> Plant:
     """Lift the matrices of a spec to CasADi."""
-    parameters = {p.name: ca.SX.sym(p.name) for p in spec.parameters}
-    model = spec.model
-    lifted = {
-        letter: lift(getattr(model, letter), parameters)
-        for letter in ("A", "B", "C", "D", "Q", "R")
-    }
-    rows = tuple(signal.name for signal in model.outputs)
+    parameters, model = {p.name: ca.SX.sym(p.name) for p in spec.parameters}, spec.model
     return Plant(
         parameters=parameters,
-        **lifted,
+        **{letter: lift(getattr(model, letter), parameters) for letter in "ABCDQR"},
         c=ca.SX(model.nx, 1),
-        rows=rows,
-        noise_free=is_noise_free(spec),
+        rows=tuple(signal.name for signal in model.outputs),
+        scalar=spec.code.scalar,
+        noise_free=_is_noise_free(model.R),
     )
 
 
@@ -97,23 +74,20 @@ def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
             if key not in known:
                 known[key] = lift(key[1], base.parameters)
             lifted[letter] = known[key]
-        exact = mode.R.is_constant and is_singular(mode.R.values())
-        plants.append(replace(base, noise_free=exact, **lifted))
+        plants.append(replace(base, noise_free=_is_noise_free(mode.R), **lifted))
     return tuple(plants)
 
 
-def is_noise_free(spec: Spec) -> bool:
+def _is_noise_free(R: Matrix) -> bool:
     """Whether a constant R is singular."""
-    return spec.model.R.is_constant and is_singular(spec.model.R.values())
+    return R.is_constant and is_singular(R.values())
 
 
 def lift(matrix: Matrix, parameters: Mapping[str, ca.SX]) -> ca.SX:
     """A matrix of expressions as SX; entries that are zero are not stored."""
-    rows, columns = matrix.shape
-    result = ca.SX(rows, columns)
-    for i in range(rows):
-        for j in range(columns):
-            entry = matrix.rows[i][j]
+    result = ca.SX(*matrix.shape)
+    for i, row in enumerate(matrix.rows):
+        for j, entry in enumerate(row):
             if entry != Number(0.0):
                 result[i, j] = lift_expression(entry, parameters)
     return result
@@ -126,24 +100,17 @@ def lift_expression(expression: Expression, parameters: Mapping[str, ca.SX]) -> 
             return ca.SX(value)
         case Name(identifier):
             return parameters[identifier]
-        case Operation(operator, arguments):
-            return _apply(operator, [lift_expression(a, parameters) for a in arguments])
+        case Operation(symbol, arguments):
+            return _OPERATIONS[symbol](*(lift_expression(a, parameters) for a in arguments))
     raise InternalError(f"no expression: {expression!r}")
-
-
-def _apply(operator: str, arguments: list[ca.SX]) -> ca.SX:
-    operations: dict[str, Callable[..., ca.SX]] = {**_ARITHMETIC, **_FUNCTIONS, "**": _power}
-    return operations[operator](*arguments)
 
 
 def _power(base: ca.SX, exponent: ca.SX) -> ca.SX:
     """Products for whole exponents, a square root for halves, exp(b log a) otherwise."""
-    if not exponent.is_constant():
-        return ca.exp(exponent * ca.log(base))
-    value = float(exponent)
+    value = float(exponent) if exponent.is_constant() else math.nan
     if value == 0.5:
         return ca.sqrt(base)
-    if value != math.floor(value) or abs(value) > 64:
+    if not value.is_integer() or abs(value) > 64:
         return ca.exp(exponent * ca.log(base))
     result, square, remaining = ca.SX(1), base, int(abs(value))
     while remaining:
@@ -151,3 +118,15 @@ def _power(base: ca.SX, exponent: ca.SX) -> ca.SX:
             result = result * square
         square, remaining = square * square, remaining // 2
     return 1 / result if value < 0 else result
+
+
+_OPERATIONS: dict[str, Callable[..., ca.SX]] = {
+    **{name: getattr(ca, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "atan2")},
+    "abs": ca.fabs,
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "neg": operator.neg,
+    "**": _power,
+}

@@ -2,57 +2,70 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 
 from fkgen.problem import Spec
-from fkgen.symbolic.interface import Port, Role
-from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.interface import Port, Role, triangle
 from fkgen.symbolic.plant import Plant
 
 #: Prefix of run-time parameters among the symbols: a parameter may be called ``u``.
 PARAMETER = "params."
 
+#: A port that the next sample needs, and one for the user alone.
+carried, shown = partial(Port, role=Role.STATE), partial(Port, role=Role.OUTPUT)
 
-def carried(
-    name: str, shape: tuple[int, ...], meaning: str, *, unit: str = "", symmetric: bool = False
-) -> Port:
-    """A port that the next sample needs."""
-    return Port(
-        name=name, shape=shape, role=Role.STATE, meaning=meaning, unit=unit, symmetric=symmetric
-    )
-
-
-def shown(
-    name: str, shape: tuple[int, ...], meaning: str, *, unit: str = "", symmetric: bool = False
-) -> Port:
-    """A port for the user alone."""
-    port = carried(name, shape, meaning, unit=unit, symmetric=symmetric)
-    return replace(port, role=Role.OUTPUT)
+Start = tuple[float, ...]
 
 
 def estimate_ports(
-    prefix: str, shape: tuple[int, ...], meanings: tuple[str, str], *, state: str = "state"
+    prefix: str,
+    shape: tuple[int, ...],
+    meanings: tuple[str, str],
+    *,
+    state: str = "state",
+    start: tuple[Start, Start] = ((), ()),
 ) -> tuple[Port, Port]:
-    """An estimate of this shape, one or several, and its covariance."""
-    square = (*shape, shape[-1])
+    """An estimate of this shape, one or several, and its covariance; each starts as ``start``."""
+    count, square = math.prod(shape[:-1]), (*shape, shape[-1])
+    mean, packed = (values * count for values in start)
+    matrix = partial(carried, unit="xx", symmetric=True, start=packed)
     return (
-        carried(f"{prefix}{state}", shape, meanings[0], unit="x"),
-        carried(f"{prefix}covariance", square, meanings[1], unit="xx", symmetric=True),
+        carried(f"{prefix}{state}", shape, meanings[0], unit="x", start=mean),
+        matrix(f"{prefix}covariance", square, meanings[1]),
     )
 
 
 def state_ports(spec: Spec) -> tuple[Port, ...]:
     """Predicted and filtered state with their covariances."""
-    shape = (spec.model.nx,)
     predicted = "x(k+1|k): mean of the next state given y[0..k]", "P(k+1|k): its error covariance"
     filtered = "x(k|k): mean of the state given y[0..k]", "P(k|k): its error covariance"
+    shape, start = (spec.model.nx,), prior_of(spec)
     return (
-        *estimate_ports("predicted_", shape, predicted),
-        *estimate_ports("filtered_", shape, filtered),
+        *estimate_ports("predicted_", shape, predicted, start=start),
+        *estimate_ports("filtered_", shape, filtered, start=start),
     )
+
+
+def mode_estimate_ports(spec: Spec, count: int, means: tuple[str, str]) -> tuple[Port, ...]:
+    """Predicted and filtered state under each of several modes, with their covariances."""
+    shape, start, covariance = (count, spec.model.nx), prior_of(spec), "its error covariance"
+    return (
+        *estimate_ports("mode_", shape, (means[0], covariance), start=start),
+        *estimate_ports("mode_filtered_", shape, (means[1], covariance), start=start),
+    )
+
+
+def twins(name: str, shape: tuple[int, ...], meaning: str, start: Start = ()) -> tuple[Port, Port]:
+    """A number of sample k and its prediction; {of} and {k} in the meaning tell them apart."""
+    now, later = (
+        carried(of + name, shape, meaning.format(of=of, k=k), start=start)
+        for of, k in (("", "k"), ("predicted_", "k+1"))
+    )
+    return now, later
 
 
 def innovation_ports(spec: Spec) -> tuple[Port, ...]:
@@ -61,25 +74,18 @@ def innovation_ports(spec: Spec) -> tuple[Port, ...]:
     covariance = "its covariance, of all rows, present or not"
     innovation = "y[k] minus its prediction; 0 where the row is missing"
     return (
-        replace(shown("innovation", (p,), innovation, unit="y"), per_row=True),
+        shown("innovation", (p,), innovation, unit="y", per_row=True),
         shown("innovation_covariance", (p, p), covariance, unit="yy", symmetric=True),
         shown("nis", (), "normalised innovation squared over the rows present"),
         shown("log_likelihood", (), "log density of the rows present given y[0..k-1]"),
     )
 
 
-def prior_of(spec: Spec) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def prior_of(spec: Spec) -> tuple[Start, Start]:
     """x0, and P0 packed: what every prediction for sample 0 is."""
     P0 = spec.model.P0.values()
     state = tuple(float(v) for v in spec.model.x0.values().ravel())
     return state, tuple(float(P0[i, j]) for i, j in triangle(spec.model.nx))
-
-
-def start_of(spec: Spec) -> dict[str, tuple[float, ...]]:
-    """Start values of `state_ports`: the prior."""
-    state, covariance = prior_of(spec)
-    start = {f"{of}_state": state for of in ("predicted", "filtered")}
-    return start | {f"{of}_covariance": covariance for of in ("predicted", "filtered")}
 
 
 def symbols_of(spec: Spec, plant: Plant, ports: Sequence[Port]) -> dict[str, ca.SX]:

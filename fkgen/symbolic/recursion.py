@@ -92,17 +92,21 @@ class Recursion:
     spec: Spec  # What was asked for
     source: str  # Where the equations come from
     ports: tuple[Port, ...]  # Members of the instance, in order
-    #: Stored (packed) start values of ports; the others start at zero
-    initial: Mapping[str, tuple[float, ...]]
     update: Phase  # update, predict: step is update, then predict
     predict: Phase
     #: The last part of an update, for the samples at which something comes to an end
     closing: Phase | None = None
     #: Of the covariance update, "short" or "joseph"; None where nothing is updated
     form: Literal["short", "joseph"] | None = None
-    notes: tuple[str, ...] = field(default=())  # Other decisions that the header repeats
+    notes: tuple[str, ...] = ()  # Other decisions that the header repeats
     #: Statuses in place of OK, the first that applies
-    outcomes: tuple[Outcome, ...] = field(default=())
+    outcomes: tuple[Outcome, ...] = ()
+    #: Start values in place of those that ports have; complete once this is made
+    initial: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        starts = {port.name: port.start for port in self.ports if port.start}
+        object.__setattr__(self, "initial", {**starts, **self.initial})
 
     @property
     def phases(self) -> tuple[Phase, ...]:

@@ -15,11 +15,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from fkgen.backend.functions import elementary_context
-from fkgen.backend.ir import Element, Operate, Operator, Phase, Space, operands, walk
+from fkgen.backend.ir import Element, Operate, Operator, Phase, Require, Space, every, read
 from fkgen.backend.lower import lower_phase
-from fkgen.backend.printer import StatementPrinter, tests_finiteness
-from fkgen.backend.render import filled
+from fkgen.backend.printer import StatementPrinter
+from fkgen.backend.render import elementary_context, filled
 from fkgen.problem import Spec
 from fkgen.symbolic import recursion
 from fkgen.symbolic.builder import Script
@@ -59,14 +58,14 @@ def render_sampler(spec: Spec) -> SamplerSource:
     c = StatementPrinter(spec.name, "double", spec.model.ny)
     ports, written = _phases(spec, conditions)
     lowered = {words: lower_phase(ports, phase, _INPUTS) for words, phase in written.items()}
-    nodes = (node for phase in lowered.values() for node in walk(phase.body))
-    operations = [node.operator for node in nodes if isinstance(node, Operate)]
+    body = tuple(node for phase in lowered.values() for node in phase.body)
+    operations = [node.operator for node in every(Operate, body)]
     functions = {operator for operator in operations if operator.is_function}
     context = elementary_context(c, frozenset(functions | _NORMAL)) | {
         "parameters": [(p.name, p.default) for p in spec.stated_parameters],
         "ports": ports,
         "version": __version__,
-        "tests_finiteness": tests_finiteness(tuple(lowered.values())),
+        "tests_finiteness": any(node.kind is Kind.FINITE for node in every(Require, body)),
         **dict(zip("nqp", sizes, strict=True)),
         "conditions": conditions,
         "initial": _cumulative(conditions.initial),
@@ -93,9 +92,8 @@ def render_sampler(spec: Spec) -> SamplerSource:
 
 def _read(phase: Phase) -> tuple[str, ...]:
     """Names of the arguments that a phase reads."""
-    every = (operand for node in walk(phase.body) for operand in operands(node))
-    read = {e.name for e in every if isinstance(e, Element) and e.space is Space.INPUT}
-    return tuple(name for name in _INPUTS if name in read)
+    found = {each.name for each in read(Element, phase.body) if each.space is Space.INPUT}
+    return tuple(name for name in _INPUTS if name in found)
 
 
 def _cumulative(law: tuple[float, ...]) -> list[float]:

@@ -15,7 +15,7 @@ from fkgen.estimators.gaussian.actuation import intermittent
 from fkgen.estimators.models.weights import patterns
 from fkgen.families import family
 from fkgen.proof.validate import confront
-from fkgen.symbolic.linalg import spread
+from fkgen.symbolic.linalg import weighted_sum
 
 KF = table(random_model(61, 3, 2, 2, direct=True, correlated=True), family="kf")
 MKF = table(
@@ -264,8 +264,12 @@ def test_the_rate_for_its_variance_is_refused(monkeypatch):
     assert refused(recursion("mkf"))
 
 
+def without_spread(w, parts, _):
+    return weighted_sum(w, [packed for _, packed in parts])
+
+
 def test_a_mixture_without_the_spread_of_its_means_is_refused(monkeypatch):
-    monkeypatch.setattr("fkgen.estimators.models.bank.spread", lambda *each: 0.0 * spread(*each))
+    monkeypatch.setattr("fkgen.estimators.models.bank.mixture_covariance", without_spread)
     assert refused(recursion("mme"))
 
 

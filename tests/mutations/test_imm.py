@@ -11,8 +11,8 @@ from imm_plants import PLANTS, plant
 from mutants import proved, recursion, refusals
 
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.estimate import estimated, propagate
-from fkgen.estimators.models import interacting, merge, modes
+from fkgen.estimators.gaussian.estimate import Posterior, propagate
+from fkgen.estimators.models import merge, switching
 
 TEXTBOOK = "matrix filters"
 BAYES = "exact Bayes"
@@ -27,21 +27,21 @@ def test_what_is_not_mutated_passes(name):
 def moved_before_mixing(script, filtering, modes, law):
     """The step from x[k] to x[k+1] is that of mode k."""
     symbols, motions = filtering.symbols, modes.motions
-    parts = interacting._parts(filtering, "mode_filtered_", len(motions))
+    parts = filtering.filtered()
     left = []
     for i, (part, each) in enumerate(zip(parts, motions, strict=True)):
-        state, packed, _ = propagate(each, certain(symbols["u"]), estimated(*part))
+        state, packed, _ = propagate(each, certain(symbols["u"]), Posterior(*part))
         left.append((script.let(f"left_{i}", state), script.let(f"left_P_{i}", packed)))
-    mixer = merge.Mixer(script, "mixed", left, 1e-290)
+    mixer = merge.Mixer(script, "mixed", left, "double")
     mixed = [
         mixer.under(weights, f"_{at}", column)
         for at, (weights, column) in enumerate(zip(law.mixing, law.columns, strict=True))
     ]
-    return interacting._Moved(mixed, list(law.group))
+    return mixed, list(law.group)
 
 
 def test_mistake_the_mode_before_moves_the_state(monkeypatch):
-    monkeypatch.setattr(interacting, "_moved", moved_before_mixing)
+    monkeypatch.setattr(switching, "_moved", moved_before_mixing)
     assert TEXTBOOK in refusals(recursion(plant("dynamics")))
     failed = refusals(recursion(plant("dynamics", **KNOWN)))
     assert BAYES in failed
@@ -49,20 +49,20 @@ def test_mistake_the_mode_before_moves_the_state(monkeypatch):
 
 
 def test_mistake_modes_move_as_their_neighbours(monkeypatch):
-    right = modes.Modes.motions.fget
+    right = switching.Modes.motions.fget
     turned = property(lambda modes: (*right(modes)[1:], right(modes)[0]))
-    monkeypatch.setattr(modes.Modes, "motions", turned)
+    monkeypatch.setattr(switching.Modes, "motions", turned)
     assert BAYES in refusals(recursion(plant("dynamics", **KNOWN)))
 
 
 @pytest.mark.parametrize("name", ["dynamics", "process noise"])
 def test_mistake_combined_prediction_weighted_with_the_mode_of_the_present(name, monkeypatch):
-    right = interacting._combined
+    right = switching._combined
 
     def present(script, filtering, motions, moved, _):
         return right(script, filtering, motions, moved, filtering.symbols["mode_probability"])
 
-    monkeypatch.setattr(interacting, "_combined", present)
+    monkeypatch.setattr(switching, "_combined", present)
     assert TEXTBOOK in refusals(recursion(plant(name)))
 
 
@@ -74,22 +74,22 @@ def test_mistake_no_spread_of_the_means(where, monkeypatch):
             if self.name != where:
                 return mean, covariance
             parts = zip(ca.vertsplit(given), self.parts, strict=True)
-            return mean, sum(w * part.covariance for w, part in parts)
+            return mean, sum(w * packed for w, (_, packed) in parts)
 
-    monkeypatch.setattr(interacting, "Mixer", Flat)
+    monkeypatch.setattr(switching, "Mixer", Flat)
     assert TEXTBOOK in refusals(recursion(plant("dynamics")))
 
 
 def test_mistake_process_noise_of_the_first_mode_for_all(monkeypatch):
-    monkeypatch.setattr(interacting, "mean_noise", lambda motions, _: motions[0].Q)
+    monkeypatch.setattr(switching, "mean_noise", lambda motions, _: motions[0].Q)
     assert TEXTBOOK in refusals(recursion(plant("process noise")))
 
 
 @pytest.mark.parametrize(("letter", "name"), [("c", "offsets"), ("B", "inputs")])
 def test_mistake_modes_taken_for_equal_that_differ(letter, name, monkeypatch):
-    right = modes._identity
+    right = switching._identity
     monkeypatch.setattr(
-        modes, "_identity", lambda each, letters: right(each, letters.replace(letter, ""))
+        switching, "_identity", lambda each, letters: right(each, letters.replace(letter, ""))
     )
     failed = refusals(recursion(plant(name, **KNOWN)))
     assert BAYES in failed
@@ -100,20 +100,20 @@ def test_mistake_offsets_forgotten(monkeypatch):
     def without(each, inputs, posterior):
         return propagate(replace(each, c=0 * each.c), inputs, posterior)
 
-    monkeypatch.setattr(interacting, "propagate", without)
+    monkeypatch.setattr(switching, "propagate", without)
     assert BAYES in refusals(recursion(plant("offsets", **KNOWN)))
 
 
 @pytest.mark.parametrize("letter", ["C", "D", "R"])
 def test_mistake_every_mode_measures_as_the_first(letter, monkeypatch):
-    right = modes.mode_plants
+    right = switching.mode_plants
 
     def same(*given):
         plants = right(*given)
         first = getattr(plants[0], letter)
         return tuple(replace(each, **{letter: first}) for each in plants)
 
-    monkeypatch.setattr(modes, "mode_plants", same)
+    monkeypatch.setattr(switching, "mode_plants", same)
     failed = refusals(recursion(plant("everything")))
     assert BAYES in failed
     assert TEXTBOOK in failed

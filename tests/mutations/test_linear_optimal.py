@@ -15,9 +15,9 @@ from fkgen.estimators.lmmse import lemma2
 from fkgen.estimators.lmmse.lemma2 import UncertainFilter
 from fkgen.faults import SensorFaults
 from fkgen.problem import Number
+from fkgen.symbolic.interface import triangle
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.linalg import congruence, unpack
-from fkgen.symbolic.packing import triangle
 
 SHARE = [[0.8, 0.2], [0.8, 0.2]]
 WHITE = {"problem": 1, "gamma_rate": 0.6, "delta_nominal_rate": 0.8}

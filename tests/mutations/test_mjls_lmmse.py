@@ -12,7 +12,7 @@ from mutants import proved, recursion, refusals, rewritten, started
 
 from fkgen.estimators.lmmse import jump, loss_tests, stationary
 from fkgen.estimators.lmmse.jump import AugmentedState
-from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.interface import triangle
 
 PATHS = "projections over all paths"
 MATRICES = "whole matrices"

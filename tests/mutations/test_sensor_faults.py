@@ -15,10 +15,10 @@ from plants import random_model
 from sensor_specs import DENSE, MATCHED, centred, chain, plane, product, sensed
 
 from fkgen.estimators.gaussian.estimate import propagate
-from fkgen.estimators.models import markov, merge, modes, switching, weights
+from fkgen.estimators.models import merge, switching, weights
 from fkgen.faults import SensorFaults
 from fkgen.symbolic.interpreter import Interpreter
-from fkgen.symbolic.linalg import spread, unpack
+from fkgen.symbolic.linalg import unpack, weighted_sum
 
 SHARE = [[0.8, 0.2], [0.8, 0.2]]
 ANY = chain(DENSE, [0.4, 0.1, 0.2, 0.3])
@@ -115,25 +115,28 @@ def test_mistake_delta_dropped_in_s():
 
 @pytest.mark.parametrize("which", MATCHED)
 def test_mistake_nominal_noise_in_the_mode_without_signal_and_with_noise(which, monkeypatch):
-    right = modes.mode_plants
-    monkeypatch.setattr(modes, "mode_plants", lambda *a: ((p := right(*a))[0], p[1], p[2], p[2]))
+    right = switching.mode_plants
+    monkeypatch.setattr(
+        switching, "mode_plants", lambda *a: ((p := right(*a))[0], p[1], p[2], p[2])
+    )
     assert BAYES in refusals(recursion(scalar(ANY, which)))
 
 
+def without_spread(w, parts, _):
+    return weighted_sum(w, [packed for _, packed in parts])
+
+
 def test_mistake_missing_spread_term_in_one_step(monkeypatch):
-    monkeypatch.setattr(
-        "fkgen.estimators.models.one_step.spread", lambda *each: 0.0 * spread(*each)
-    )
+    monkeypatch.setattr(switching, "mixture_covariance", without_spread)
     assert BAYES in refusals(recursion(scalar(ANY, "one_step")))
 
 
 @pytest.mark.parametrize("which", MATCHED)
 def test_mistake_transposed_kernel(which, monkeypatch):
     def transposed(script, kernel, *rest, **options):
-        return markov.advance(script, tuple(zip(*kernel, strict=True)), *rest, **options)
+        return weights.advance(script, tuple(zip(*kernel, strict=True)), *rest, **options)
 
-    room = {"imm": "interacting"}.get(which, which)
-    monkeypatch.setattr(f"fkgen.estimators.models.{room}.advance", transposed)
+    monkeypatch.setattr(switching, "advance", transposed)
     assert TEXTBOOK in refusals(recursion(scalar(ANY, which)))
     assert BAYES in refusals(recursion(scalar(KNOWN, which)))
 
@@ -213,21 +216,21 @@ def flat(name):
             if self.name != name:
                 return mean, covariance
             parts = zip(ca.vertsplit(given), self.parts, strict=True)
-            return mean, sum(w * part.covariance for w, part in parts)
+            return mean, sum(w * packed for w, (_, packed) in parts)
 
     return Flat
 
 
 @pytest.mark.parametrize("name", ["mixed", "combined"], ids=["in mixing", "in the output"])
 def test_mistake_no_spread(name, monkeypatch):
-    monkeypatch.setattr("fkgen.estimators.models.interacting.Mixer", flat(name))
+    monkeypatch.setattr("fkgen.estimators.models.switching.Mixer", flat(name))
     failed = refusals(recursion(scalar(ANY, "imm")))
     assert TEXTBOOK in failed
     assert (BAYES in failed) is (name == "combined")
 
 
 def normalised_over_j(script, kernel, now, *rest, **options):
-    right = markov.advance(script, kernel, now, *rest, **options)
+    right = weights.advance(script, kernel, now, *rest, **options)
     columns = zip(*kernel, strict=True)
     # p_ij mu_i / sum_j p_ij mu_i
     mixing = tuple(ca.SX(list(entries)) * now[0] / (now[0] + 1e-290) for entries in columns)
@@ -236,7 +239,7 @@ def normalised_over_j(script, kernel, now, *rest, **options):
 
 
 def of_the_present(script, kernel, now, *rest, **options):
-    right = markov.advance(script, kernel, now, *rest, **options)
+    right = weights.advance(script, kernel, now, *rest, **options)
     return replace(right, probability=now[0], logarithm=now[1])
 
 
@@ -246,7 +249,7 @@ def of_the_present(script, kernel, now, *rest, **options):
     ids=["mixing normalised over j", "mu in place of c", "mu in place of c, known start"],
 )
 def test_mistake_in_the_chain(mistake, law, monkeypatch):
-    monkeypatch.setattr("fkgen.estimators.models.interacting.advance", mistake)
+    monkeypatch.setattr("fkgen.estimators.models.switching.advance", mistake)
     failed = refusals(recursion(scalar(law, "imm")))
     assert TEXTBOOK in failed
     assert (BAYES in failed) is (law is KNOWN)
@@ -266,7 +269,7 @@ def test_mistake_m3_not_propagated(law, monkeypatch):
     modes = 4 if law is ANY else 3
     plant = sensed(centred(random_model(82, 2, 1)), law, modes=modes)
     assert proved(recursion(plant))
-    monkeypatch.setattr("fkgen.estimators.models.interacting.propagate", stuck)
+    monkeypatch.setattr("fkgen.estimators.models.switching.propagate", stuck)
     assert TEXTBOOK in refusals(recursion(plant))
 
 

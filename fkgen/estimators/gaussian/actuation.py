@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fkgen.errors import InternalError
 from fkgen.faults import ActuatorFaults
 from fkgen.symbolic.linalg import is_zero, sparse
 from fkgen.symbolic.plant import Plant, lift, lift_expression
@@ -44,20 +43,14 @@ def rates_of(faults: ActuatorFaults, plant: Plant) -> list[ca.SX]:
 
 def intermittent(faults: ActuatorFaults, rates: list[ca.SX], u: ca.SX, plant: Plant) -> Actuation:
     """Inputs with the given success rates; components without variance are left out."""
-    q = u.numel()
     variances = [sparse(rate * (1 - rate)) for rate in rates]
-    match faults.dependence:
-        case "common":
-            mean, through, covariance = rates[0] * u, u, variances[0]
-        case "independent":
-            mean = ca.vertcat(*rates) * u
-            through, covariance = ca.diag(u), ca.diag(ca.vertcat(*variances))
-        case "covariance":
-            if faults.covariance is None:
-                raise InternalError("dependence covariance without a covariance")
-            mean, through = ca.vertcat(*rates) * u, ca.diag(u)
-            covariance = lift(faults.covariance, plant.parameters)
+    common = faults.dependence == "common"
+    mean = (rates[0] if common else ca.vertcat(*rates)) * u
+    through = u if common else ca.diag(u)
+    covariance = variances[0] if common else ca.diag(ca.vertcat(*variances))
+    if faults.covariance is not None:
+        covariance = lift(faults.covariance, plant.parameters)
     kept = [i for i in range(through.shape[1]) if not is_zero(covariance[i, i])]
     if not kept:
-        return Actuation(mean=mean, through=ca.SX(q, 0), covariance=ca.SX(0, 0))
+        return certain(mean)
     return Actuation(mean=mean, through=through[:, kept], covariance=sparse(covariance[kept, kept]))

@@ -1,4 +1,4 @@
-"""Decorrelate measurement noise: LDL' elimination on R over the rows of y that are present.
+"""LDL' elimination over the rows of y that are present: of measurement noise, and of S.
 
 Eliminating row j from the rows below it subtracts a multiple of row j from each of them, so that
 the noises left over are uncorrelated and rows can be processed one by one. A missing row is
@@ -7,13 +7,17 @@ skipped, which is the elimination of the R that is left without it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import is_zero, sparse
+from fkgen.symbolic.linalg import is_zero, sparse, total, unpack
+
+LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +73,7 @@ def decorrelate(
             continue
         pivot, coupling = R[j, j], {i: R[i, j] for i in later}
         positive = None if tolerance is None else pivot - tolerance * measurement.R[j, j]
-        revision = _Revision(script, measurement.at[j], positive)
+        revised = partial(_revised, script, (measurement.at[j], positive))
         with script.titled(f"noise of {measurement.rows[j]} out of the rows below"):
             if tolerance is None:
                 with script.when(measurement.at[j]):
@@ -77,34 +81,65 @@ def decorrelate(
             for i in later:
                 name = f"{tag}_{j}_{i}"
                 share = script.let(f"share{name}", coupling[i] / pivot)
-                C[i] = revision.of(f"sensed{name}", C[i], C[i] - share * C[j])
-                e[i] = revision.of(f"decorrelated{name}", e[i], e[i] - share * e[j])
-                of_y[i] = revision.of(f"combined{name}", of_y[i], of_y[i] - share * of_y[j])
+                C[i] = revised(f"sensed{name}", C[i], C[i] - share * C[j])
+                e[i] = revised(f"decorrelated{name}", e[i], e[i] - share * e[j])
+                of_y[i] = revised(f"combined{name}", of_y[i], of_y[i] - share * of_y[j])
                 for k in [k for k in later if k <= i]:
-                    R[i, k] = revision.of(
-                        f"noise{name}_{k}", R[i, k], R[i, k] - share * coupling[k]
-                    )
+                    R[i, k] = revised(f"noise{name}_{k}", R[i, k], R[i, k] - share * coupling[k])
     if tolerance is not None:
         R = {key: v if v.is_constant() else ca.fmax(v, 0) for key, v in R.items()}
     return [Row(C[i], e[i], R[i, i], of_y[i]) for i in range(p)]
 
 
+def _revised(
+    script: Script, when: tuple[int, ca.SX | None], name: str, old: ca.SX, new: ca.SX
+) -> ca.SX:
+    """The new value where a row is present and something positive, the old one elsewhere."""
+    pattern = new.sparsity()
+    if pattern.nnz() == 0:
+        return new
+    symbol = script.local(name, pattern.nnz())
+    script.put({name: ca.vertcat(ca.project(old, pattern).nz[:])})
+    with script.when(*when):
+        script.put({name: ca.vertcat(new.nz[:])})
+    return ca.SX(pattern, symbol)
+
+
 @dataclass(frozen=True, slots=True)
-class _Revision:
-    """Values that change if one row is present (and its pivot above rank tolerance)."""
+class Whitened:
+    """Columns e of vectors over y, transformed so that e' S^-1 f = sum of e_j f_j inverse_j.
 
-    script: Script
-    row: int
-    positive: ca.SX | None
+    ``inverse`` is zero for missing rows, which leaves them out of every sum.
+    """
 
-    def of(self, name: str, old: ca.SX, new: ca.SX) -> ca.SX:
-        """The new value where the row is present, the old one elsewhere."""
-        pattern = new.sparsity()
-        if pattern.nnz() == 0:
-            return new
-        before = ca.project(old, pattern)
-        symbol = self.script.local(name, pattern.nnz())
-        self.script.put({name: ca.vertcat(before.nz[:])})
-        with self.script.when(self.row, self.positive):
-            self.script.put({name: ca.vertcat(new.nz[:])})
-        return ca.SX(pattern, symbol)
+    columns: ca.SX
+    inverse: list[ca.SX]
+    log_determinant: ca.SX
+
+    def quadratic(self, combination: ca.SX) -> ca.SX:
+        """E' S^-1 e for e = columns @ combination."""
+        e = self.columns @ combination
+        return total(e[j] * e[j] * inverse for j, inverse in enumerate(self.inverse))
+
+
+def whiten(script: Script, packed: ca.SX, columns: ca.SX, tag: str) -> Whitened:
+    """Write the blocks that eliminate S (packed) from ``columns`` (p, c)."""
+    p = columns.shape[0]
+    S = ca.SX(unpack(packed, p))
+    rows = [columns[i, :] for i in range(p)]
+    inverses, logs = [], []
+    for j in range(p):
+        pivot = script.let(f"whitening_pivot{tag}_{j}", S[j, j])
+        inverse, log = f"whitening_inverse{tag}_{j}", f"whitening_log{tag}_{j}"
+        inverses.append(script.local(inverse, 1, initial=0.0))
+        logs.append(script.local(log, 1, initial=0.0))
+        with script.when(j):
+            script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
+            script.put({inverse: 1 / pivot})
+            script.put({log: ca.log(pivot) + LOG_TWO_PI})
+        for i in range(j + 1, p):
+            share = script.let(f"whitening{tag}_{j}_{i}", S[i, j] * inverses[j])
+            rows[i] = rows[i] - share * rows[j]
+            for k in range(j + 1, i + 1):
+                S[i, k] = S[i, k] - share * S[k, j]
+    return Whitened(ca.vertcat(*rows), inverses, total(logs))

@@ -6,26 +6,25 @@ The Kalman filter is the case in which no input is random.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from fkgen.estimators.gaussian.actuation import Actuation
-from fkgen.estimators.gaussian.conditioning import (
+from fkgen.estimators.gaussian.decorrelation import Measurement
+from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
     RANK_TOLERANCE,
     Conditioned,
+    Form,
     condition,
 )
-from fkgen.estimators.gaussian.decorrelation import Measurement
-from fkgen.estimators.gaussian.sequential import Form
-from fkgen.faults.chain import Mode
-from fkgen.problem import Model, Spec
+from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, congruence, diagonal, is_zero, pack, unpack
+from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, unpack
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.recursion import Guard
 
@@ -36,20 +35,15 @@ SHORT_FORM_RATIO = 1e6
 DIFFERENCE_RATIO = 1e2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Posterior:
     """(x, gamma - xi) given y[0..k]; the deviation is empty unless y depends on gamma."""
 
     state: ca.SX  # (n,)
     covariance: ca.SX  # packed
-    deviation: ca.SX  # (r,)
-    deviation_covariance: ca.SX  # packed
-    cross_covariance: ca.SX  # (r, n)
-
-
-def senses_actuation(plant: Plant, actuation: Actuation) -> bool:
-    """Whether y[k] depends on the random part of the input (D gamma u with D != 0)."""
-    return bool(actuation.size and plant.D.nnz())
+    deviation: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # (r,)
+    deviation_covariance: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # packed
+    cross_covariance: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # (r, n)
 
 
 def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
@@ -65,17 +59,15 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
 def prior_to_noise(spec: Spec) -> float:
     """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
     plants = (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
-    return max(_prior_to_noise(spec, each) for each in plants)
-
-
-def _prior_to_noise(spec: Spec, plant: Model | Mode) -> float:
-    P0 = spec.model.P0.values()
-    C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in ("C", "Q", "R"))
-    noise = np.diag(R)
-    prior = np.diag(C @ (P0 + Q) @ C.T)
-    if np.any((noise <= 0.0) & (prior > 0.0)):
-        return float("inf")
-    return float(np.max(np.divide(prior, noise, where=noise > 0.0, out=np.zeros_like(prior))))
+    P0, ratios = spec.model.P0.values(), [0.0]
+    for plant in plants:
+        C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "CQR")
+        for prior, noise in zip(np.diag(C @ (P0 + Q) @ C.T), np.diag(R), strict=True):
+            if noise > 0.0:
+                ratios.append(float(prior / noise))
+            elif prior > 0.0:
+                ratios.append(float("inf"))
+    return max(ratios)
 
 
 def correct(
@@ -85,27 +77,22 @@ def correct(
     prior: tuple[ca.SX, ca.SX],
     *,
     y: ca.SX,
-    scalar: str,
     form: Form,
     tag: str = "",
     with_gain: bool = False,
 ) -> tuple[Conditioned, Posterior]:
     """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11)."""
     state, packed = prior
-    n, r = plant.nx, 0
-    covariance, C = unpack(packed, n), plant.C
-    if senses_actuation(plant, actuation):
-        r = actuation.size
-        state = ca.vertcat(state, ca.SX.zeros(r))
+    n, covariance, C = plant.nx, unpack(packed, plant.nx), plant.C
+    if actuation.size and plant.D.nnz():  # y depends on the random part of the input
+        state = ca.vertcat(state, ca.SX.zeros(actuation.size))
         covariance = ca.diagcat(covariance, actuation.covariance)
         C = ca.horzcat(C, plant.D @ actuation.through)
-    measurement = measurement_of(
-        plant, scalar=scalar, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R
-    )
+    measurement = measurement_of(plant, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R)
     found = condition(
         script, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
     )
-    P = unpack(found.covariance, n + r)
+    P = unpack(found.covariance, state.numel())
     posterior = Posterior(
         state=found.mean[:n, 0],
         covariance=pack(P[:n, :n]),
@@ -116,15 +103,7 @@ def correct(
     return found, posterior
 
 
-def measurement_of(
-    plant: Plant,
-    *,
-    scalar: str,
-    y: ca.SX,
-    C: ca.SX,
-    offset: ca.SX,
-    R: ca.SX,
-) -> Measurement:
+def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX) -> Measurement:
     """Y = C z + offset + w as this plant measures it, with what rank and logarithms need."""
     return Measurement(
         C=C,
@@ -133,8 +112,8 @@ def measurement_of(
         y=y,
         rows=plant.rows,
         at=tuple(range(plant.ny)),
-        rank_tolerance=RANK_TOLERANCE[scalar] if plant.noise_free else None,
-        pivots_per_log=PIVOTS_PER_LOG[scalar],
+        rank_tolerance=RANK_TOLERANCE[plant.scalar] if plant.noise_free else None,
+        pivots_per_log=PIVOTS_PER_LOG[plant.scalar],
     )
 
 
@@ -158,18 +137,6 @@ def propagate(
     return state + B @ posterior.deviation, congruence(through, joint) + pack(plant.Q), through
 
 
-def estimated(state: ca.SX, covariance: ca.SX) -> Posterior:
-    """A filtered estimate in which nothing is known of random inputs."""
-    none = ca.SX(0, 1)
-    return Posterior(
-        state=state,
-        covariance=covariance,
-        deviation=none,
-        deviation_covariance=none,
-        cross_covariance=ca.SX(0, state.numel()),
-    )
-
-
 def bound(script: Script, plant: Plant, letters: str) -> Plant:
     """The plant with its computed entries named; variances below zero are refused."""
     return bound_all(script, (plant,), letters)[0]
@@ -181,28 +148,20 @@ def bound_all(script: Script, plants: Sequence[Plant], letters: str) -> tuple[Pl
     for letter in letters:
         own = {id(matrix): matrix for matrix in (getattr(plant, letter) for plant in plants)}
         named |= zip(own, script.name_all(letter, [*own.values()]), strict=True)
-        if letter in {"Q", "R"}:
-            for matrix in (named[key] for key in own):
-                diagonal = [matrix[i, i] for i in range(matrix.shape[0])]
-                variances = [value for value in diagonal if not is_zero(value)]
-                script.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+        for matrix in (named[key] for key in own if letter in "QR"):
+            diagonal = [matrix[i, i] for i in range(matrix.shape[0])]
+            variances = [value for value in diagonal if not is_zero(value)]
+            script.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
     return tuple(
         replace(plant, **{letter: named[id(getattr(plant, letter))] for letter in letters})
         for plant in plants
     )
 
 
-def demand_rates(script: Script, rates: list[ca.SX]) -> None:
-    """Refuse success rates outside [0, 1] that come from run-time parameters."""
-    for rate in rates:
-        script.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
-
-
 def finite(state: ca.SX, packed: ca.SX) -> Guard:
     """Refuse the sample unless the state and the variances are finite."""
-    n = state.numel()
-    values = [*(state[i] for i in range(n)), *diagonal(packed, n)]
-    return Guard(column(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
+    values = ca.vertcat(state, *diagonal(packed, state.numel()))
+    return Guard(ca.densify(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
 
 
 def demand_finite(script: Script, state: ca.SX) -> None:
@@ -211,8 +170,7 @@ def demand_finite(script: Script, state: ca.SX) -> None:
     Its variances are then finite too: none is larger than before the correction, and a pivot whose
     reciprocal overflows spoils the state along with them.
     """
-    values = [state[i] for i in range(state.numel())]
-    script.demand(Kind.FINITE, values, Status.RESULT_NOT_FINITE)
+    script.demand(Kind.FINITE, ca.vertsplit(state), Status.RESULT_NOT_FINITE)
 
 
 def demand_positive(script: Script, packed: ca.SX, n: int) -> None:

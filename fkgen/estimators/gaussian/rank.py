@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fkgen.symbolic.builder import Script
+from fkgen.symbolic.interface import triangle
 from fkgen.symbolic.linalg import column, pack, unpack
-from fkgen.symbolic.packing import triangle
 
 #: Share of a variance that a measurement has to remove to count as information.
 DIRECTION = {"double": 1e-11, "float": 1e-4}
@@ -37,36 +37,41 @@ def quadratic_form(
     All three are locals that it uses up, by their ``names``. ``tolerance`` is the smallest share of
     a variance that counts; ``table[r - 1]`` is looked up at rank r.
     """
-    D, d, _ = names
-    tag = D.removeprefix("difference")
+    tag = names[0].removeprefix("difference")
+    packed, vector, variance = (script.symbol(name) for name in names)
+    matrix = ca.densify(unpack(packed, n))
     form = QuadraticForm(
         *(script.local(f"{what}{tag}", 1, 0.0) for what in ("statistic", "dof", "threshold"))
     )
     for j in range(n):
-        for i in range(j + 1, n):
-            _larger_first(script, names, n, (j, i))
-        matrix, vector, variance = _read(script, names, n)
+        for i in range(j + 1, n):  # components change places if i has the larger share
+            order = list(range(n))
+            order[j], order[i] = i, j
+            exchanged = column(
+                [matrix[order[a], order[b]] if b >= j else matrix[a, b] for a, b in triangle(n)]
+            )
+            with script.where(matrix[i, i] * variance[j] - matrix[j, j] * variance[i]):
+                new = exchanged, vector[order], variance[order]
+                script.put(dict(zip(names, new, strict=True)))
         pivot = matrix[j, j]
         with script.where(pivot - tolerance * variance[j]):
             inverse = script.let(f"inverse{tag}_{j}", 1 / pivot, initial=0.0)
             weight = vector[j] * inverse
-            new: dict[str, ca.SX] = {
-                f"statistic{tag}": form.value + vector[j] * weight,
-                f"dof{tag}": ca.SX(j + 1),
-                f"threshold{tag}": ca.SX(table[j]),
-            }
-            if j + 1 < n:
-                rows = range(j + 1, n)
-                share = {
-                    i: script.let(f"share{tag}_{j}_{i}", matrix[i, j] * inverse, 0.0) for i in rows
+            reduced, rest = ca.SX(matrix), ca.SX(vector)
+            for i in range(j + 1, n):
+                share = script.let(f"share{tag}_{j}_{i}", matrix[i, j] * inverse, 0.0)
+                rest[i] = vector[i] - share * vector[j]
+                for k in range(j + 1, i + 1):
+                    reduced[i, k] = matrix[i, k] - share * matrix[k, j]
+            left = {names[0]: pack(reduced), names[1]: rest} if j + 1 < n else {}
+            script.put(
+                {
+                    f"statistic{tag}": form.value + vector[j] * weight,
+                    f"dof{tag}": ca.SX(j + 1),
+                    f"threshold{tag}": ca.SX(table[j]),
+                    **left,
                 }
-                reduced, rest = ca.SX(matrix), ca.SX(vector)
-                for i in rows:
-                    rest[i] = vector[i] - share[i] * vector[j]
-                    for k in range(j + 1, i + 1):
-                        reduced[i, k] = matrix[i, k] - share[i] * matrix[k, j]
-                new |= {D: pack(reduced), d: rest}
-            script.put(new)
+            )
     return form
 
 
@@ -75,23 +80,3 @@ def thresholds(false_alarm: float, n: int) -> list[float]:
     from scipy.special import chdtri  # noqa: PLC0415 - slow to import
 
     return [float(chdtri(dof, false_alarm)) for dof in range(1, n + 1)]
-
-
-def _read(script: Script, names: tuple[str, str, str], n: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-    D, d, scale = (script.symbol(name) for name in names)
-    return ca.densify(unpack(D, n)), d, scale
-
-
-def _larger_first(
-    script: Script, names: tuple[str, str, str], n: int, pair: tuple[int, int]
-) -> None:
-    """Exchange components j and i unless the pivot of j, as a share, is the larger one."""
-    j, i = pair
-    matrix, vector, variance = _read(script, names, n)
-    order = list(range(n))
-    order[j], order[i] = i, j
-    exchanged = column(
-        [matrix[order[a], order[b]] if b >= j else matrix[a, b] for a, b in triangle(n)]
-    )
-    with script.where(matrix[i, i] * variance[j] - matrix[j, j] * variance[i]):
-        script.put(dict(zip(names, (exchanged, vector[order], variance[order]), strict=True)))

@@ -1,24 +1,128 @@
-"""Sequential update: a mean and a covariance, corrected row by row."""
+"""Condition a Gaussian prior on the rows of y that are present, one scalar update per row.
+
+No matrix is inverted: a row costs one reciprocal. Correlated measurement noise is first
+decorrelated by LDL' elimination over the rows that are present, so that a missing row leaves R as
+well.
+"""
 
 from __future__ import annotations
 
 import math
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import Literal
 
 import casadi as ca
 
-from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.decorrelation import Row
+from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI, Measurement, Row, decorrelate
 from fkgen.symbolic.builder import Script
-from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, diagonal, is_zero, outer_lower, unpack
-from fkgen.symbolic.packing import triangle
+from fkgen.symbolic.interface import Kind, Status, triangle
+from fkgen.symbolic.linalg import (
+    column,
+    congruence,
+    diagonal,
+    is_zero,
+    operations,
+    outer_lower,
+    pack,
+    total,
+    unpack,
+)
 
 Form = Literal["short", "joseph"]
 
-LOG_TWO_PI = math.log(2.0 * math.pi)
+#: A row is redundant when its pivot is below this share of its prior variance (rank decision).
+RANK_TOLERANCE = {"double": 2e-13, "float": 1e-4}
+
+#: Pivots that are multiplied before the logarithm: in double each may span 1e-75 to 1e75.
+PIVOTS_PER_LOG = {"double": 4, "float": 1}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conditioned:
+    """What one measurement says; NIS and log-likelihood are about the rows present."""
+
+    mean: ca.SX  # (m,)
+    covariance: ca.SX  # packed
+    innovation: ca.SX  # (p,), zero where the row is missing
+    innovation_covariance: ca.SX  # packed, of all rows, present or not
+    nis: ca.SX
+    log_likelihood: ca.SX
+    gain: ca.SX | None  # (m, p), d mean / d y, columns of missing rows zero
+
+
+def condition(
+    script: Script,
+    prior: tuple[ca.SX, ca.SX],
+    measurement: Measurement,
+    *,
+    tag: str = "",
+    form: Form,
+    with_gain: bool = False,
+    innovation: list[ca.SX] | None = None,
+) -> Conditioned:
+    """Write the blocks that condition ``prior``, mean and covariance, on ``measurement``.
+
+    An ``innovation`` that is there already is zero where its row is missing.
+    """
+    (mean, covariance), (p, m) = prior, measurement.C.shape
+    if innovation is None:
+        innovation = innovations(script, mean, measurement, tag)
+    variance = _variance(script, covariance, measurement, tag)
+    update = SequentialUpdate(
+        script=script,
+        rows=decorrelate(script, measurement, innovation, tag),
+        at=measurement.at,
+        tag=tag,
+        form=form,
+        variance=variance,
+        rank_tolerance=measurement.rank_tolerance,
+        prior=mean,
+        covariance=pack(covariance),
+        gain=ca.SX(m, p) if with_gain else None,
+        pivots_per_log=measurement.pivots_per_log,
+    )
+    for i in range(p):
+        with script.titled(f"row {measurement.at[i]} of y, {measurement.rows[i]}"):
+            update.update_row(i)
+    logarithms = [ca.log(product) for product in update.determinant]
+    return Conditioned(
+        mean=update.mean,
+        covariance=update.covariance,
+        innovation=column(innovation),
+        innovation_covariance=update.innovation_covariance() if variance is None else variance,
+        nis=update.nis,
+        log_likelihood=-0.5 * (update.nis + total([update.log_constant, *logarithms])),
+        gain=update.gain,
+    )
+
+
+def _variance(
+    script: Script, covariance: ca.SX, measurement: Measurement, tag: str
+) -> ca.SX | None:
+    """S = C P C' + R, packed; None if it comes cheaper from the factors of the row updates.
+
+    With many rows and few states, products of rows with each other cost more than C P C'.
+    """
+    C, R = measurement.C, measurement.R
+    p, S = C.shape[0], congruence(C, covariance) + pack(R)
+    by_factors = p * (p - 1) * C.nnz() / p + 1.5 * p * (p - 1) + p**3 / 3
+    decided = R.sparsity().is_diag() and measurement.rank_tolerance is None
+    if decided and by_factors <= operations(S):
+        return None
+    return script.let(f"variance{tag}", S)
+
+
+def innovations(script: Script, mean: ca.SX, measurement: Measurement, tag: str) -> list[ca.SX]:
+    """Each row of y minus its prediction; zero where the row is missing."""
+    result = []
+    with script.titled("innovation, row by row"):
+        for i in range(measurement.C.shape[0]):
+            name = f"innovation{tag}_{i}"
+            result.append(script.local(name, 1, initial=0.0))
+            predicted = ca.mtimes(measurement.C[i, :], mean)
+            with script.when(measurement.at[i]):
+                script.put({name: measurement.y[i] - predicted - measurement.offset[i]})
+    return result
 
 
 @dataclass(slots=True, kw_only=True)
@@ -39,10 +143,11 @@ class SequentialUpdate:
     variance: ca.SX | None
     rank_tolerance: float | None
     prior: ca.SX
-    mean: ca.SX
     covariance: ca.SX
     gain: ca.SX | None
-    determinant: list[ca.SX]
+    pivots_per_log: InitVar[int]
+    mean: ca.SX = field(init=False)
+    determinant: list[ca.SX] = field(init=False)
     nis: ca.SX = field(default_factory=lambda: ca.SX(0))
     log_constant: ca.SX = field(default_factory=lambda: ca.SX(0))
     coupling: list[ca.SX] = field(default_factory=list)
@@ -51,27 +156,37 @@ class SequentialUpdate:
     weight: list[ca.SX] = field(default_factory=list)
     symbols: dict[str, ca.SX] = field(default_factory=dict)
 
+    def __post_init__(self, pivots_per_log: int) -> None:
+        self.mean = self.prior
+        self.determinant = [ca.SX(1)] * -(-len(self.rows) // pivots_per_log)
+        start = {f"mean{self.tag}": self.mean, f"covariance{self.tag}": self.covariance}
+        self.symbols = {name: self.script.local(name, v.numel()) for name, v in start.items()}
+        self.script.put(start)
+
     def update_row(self, i: int) -> None:
-        """SequentialUpdate in row i: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
-        row, script = self.rows[i], self.script
+        """Take row i in: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
+        row, script, tag, significant = self.rows[i], self.script, self.tag, None
         cross = unpack(self.covariance, self.mean.numel()) @ row.c
-        if not all(cross[k].is_leaf() for k in range(cross.numel())):
-            cross = script.let(f"cross{self.tag}_{i}", cross)
+        if not all(each.is_leaf() for each in ca.vertsplit(cross)):
+            cross = script.let(f"cross{tag}_{i}", cross)
         later = self.rows[i + 1 :] if self.variance is None else []
         products = [ca.mtimes(other.c.T, cross) for other in later]
-        coupling = ca.SX(0, 1)
-        if products:
-            coupling = script.let(f"coupling{self.tag}_{i}", column(products))
-        pivot = script.let(f"pivot{self.tag}_{i}", ca.mtimes(row.c.T, cross) + row.variance)
+        coupling = script.let(f"coupling{tag}_{i}", column(products))
+        pivot = script.let(f"pivot{tag}_{i}", ca.mtimes(row.c.T, cross) + row.variance)
+        self.coupling.append(coupling)
+        self.pivot.append(pivot)
         innovation = self._innovation(i)
         if is_zero(pivot):  # a row that is always zero, without noise
             self.weight.append(ca.SX(0))
             self.factor.append(ca.SX.zeros(coupling.numel()))
-        else:
-            with self._given(i, self._significant(i, pivot)):
-                self._update(i, (cross, coupling, pivot, innovation))
-        self.coupling.append(coupling)
-        self.pivot.append(pivot)
+            return
+        if self.rank_tolerance is not None and self.variance is not None:
+            own = diagonal(self.variance, len(self.rows))[i]
+            script.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
+            significant = pivot - self.rank_tolerance * own  # no combination of the rows before it
+        row_of_y = self.at[i] if self.at else None
+        with script.when(row_of_y, significant, present=bool(self.at)):
+            self._update(i, cross, innovation)
 
     def _innovation(self, i: int) -> ca.SX:
         """Innovation of row i given the rows before it."""
@@ -83,35 +198,22 @@ class SequentialUpdate:
             innovation = innovation - self.coupling[j][i - j - 1] * self.weight[j]
         return innovation
 
-    def _given(self, i: int, significant: ca.SX | None) -> AbstractContextManager[None]:
-        """Where row i is there and says something."""
-        if self.at:
-            return self.script.when(self.at[i], significant)
-        if significant is None:
-            raise InternalError("a row that is always there needs a rank decision")
-        return self.script.where(significant)
-
-    def _significant(self, i: int, pivot: ca.SX) -> ca.SX | None:
-        """Positive when row i is no combination of the rows before it; None if that cannot be."""
-        if self.rank_tolerance is None or self.variance is None:
-            return None
-        own = diagonal(self.variance, len(self.rows))[i]
-        self.script.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
-        return pivot - self.rank_tolerance * own
-
-    def _update(self, i: int, values: tuple[ca.SX, ca.SX, ca.SX, ca.SX]) -> None:
-        cross, coupling, pivot, innovation = values
-        script, row, tag = self.script, self.rows[i], self.tag
+    def _update(self, i: int, cross: ca.SX, innovation: ca.SX) -> None:
+        script, row, tag, pivot = self.script, self.rows[i], self.tag, self.pivot[i]
         script.demand(Kind.POSITIVE, [pivot], Status.NOT_POSITIVE_DEFINITE)
         inverse = script.let(f"inverse{tag}_{i}", 1 / pivot, initial=0.0)
-        weight = innovation * inverse
-        k = cross * inverse
+        weight, k = innovation * inverse, cross * inverse
+        constant = pivot.is_constant()  # its logarithm is taken right here
+        chunk = i * len(self.determinant) // len(self.rows)
         new = {
             f"weight{tag}_{i}": weight,
-            f"factor{tag}_{i}": coupling * inverse,
+            f"factor{tag}_{i}": self.coupling[i] * inverse,
             f"quadratic{tag}": self.nis + innovation * weight,
-            **self._density(i, pivot),
+            f"log_constant{tag}": self.log_constant
+            + (LOG_TWO_PI + math.log(float(pivot)) if constant else LOG_TWO_PI),
         }
+        if not constant:
+            new[f"determinant{tag}_{chunk}"] = self.determinant[chunk] * pivot
         if cross.nnz():  # else a row of noise alone, which says nothing about the state
             new[f"mean{tag}"] = self.mean + cross * weight
             new[f"covariance{tag}"] = self._reduced(row, cross, k)
@@ -124,28 +226,12 @@ class SequentialUpdate:
         self.factor.append(symbol[f"factor{tag}_{i}"])
         self.nis = symbol[f"quadratic{tag}"]
         self.log_constant = symbol[f"log_constant{tag}"]
-        chunk = self._chunk(i)
         self.determinant[chunk] = symbol.get(f"determinant{tag}_{chunk}", self.determinant[chunk])
         self.mean = symbol.get(f"mean{tag}", self.mean)
         self.covariance = symbol.get(f"covariance{tag}", self.covariance)
         if self.gain is not None:
             known = ca.reshape(symbol[f"update_gain{tag}"], *gain.shape)
             self.gain = ca.project(known, gain.sparsity())
-
-    def _chunk(self, i: int) -> int:
-        """Which product of pivots row i goes into."""
-        return i * len(self.determinant) // len(self.rows)
-
-    def _density(self, i: int, pivot: ca.SX) -> dict[str, ca.SX]:
-        """What row i adds to log det(2 pi S); the logarithm of a constant is taken right here."""
-        if pivot.is_constant():
-            constant = LOG_TWO_PI + math.log(float(pivot))
-            return {f"log_constant{self.tag}": self.log_constant + constant}
-        chunk = self._chunk(i)
-        return {
-            f"log_constant{self.tag}": self.log_constant + LOG_TWO_PI,
-            f"determinant{self.tag}_{chunk}": self.determinant[chunk] * pivot,
-        }
 
     def _symbol(self, name: str, size: int) -> ca.SX:
         """The variable of this name, declared at first use: neutral where its row is missing."""
@@ -154,21 +240,13 @@ class SequentialUpdate:
             self.symbols[name] = self.script.local(name, size, initial) if size else ca.SX(0, 1)
         return self.symbols[name]
 
-    def log_determinant(self) -> ca.SX:
-        """Logarithm of det(2 pi S) over the rows present, one call for several pivots."""
-        total = self.log_constant
-        for product in self.determinant:
-            total = total + ca.log(product)
-        return total
-
     def innovation_covariance(self) -> ca.SX:
         """S = L E L' of all rows, packed, from the products at hand."""
         entries = []
         for i, j in triangle(len(self.rows)):
-            value = self.pivot[i] if i == j else self.coupling[j][i - j - 1]
-            for k in range(j):
-                value = value + self.coupling[k][i - k - 1] * self.factor[k][j - k - 1]
-            entries.append(value)
+            first = self.pivot[i] if i == j else self.coupling[j][i - j - 1]
+            lower = (self.coupling[k][i - k - 1] * self.factor[k][j - k - 1] for k in range(j))
+            entries.append(total([first, *lower]))
         return column(entries)
 
     def _reduced(self, row: Row, cross: ca.SX, k: ca.SX) -> ca.SX:
@@ -176,13 +254,9 @@ class SequentialUpdate:
         short = self.covariance - outer_lower(k, cross)
         if self.form == "short":
             return short
-        m = cross.numel()
-        residual = row.variance * k - unpack(short, m) @ row.c
+        residual = row.variance * k - unpack(short, cross.numel()) @ row.c
         reduced = short + outer_lower(residual, k)
-        if self.rank_tolerance is not None:
-            diagonal = {position for position, (a, b) in enumerate(triangle(m)) if a == b}
-            entries = [reduced[at] for at in range(reduced.numel())]
-            reduced = column(
-                [ca.fmax(v, 0) if at in diagonal else v for at, v in enumerate(entries)]
-            )
-        return reduced
+        if self.rank_tolerance is None:
+            return reduced
+        entries = zip(ca.vertsplit(reduced), triangle(cross.numel()), strict=True)
+        return column([ca.fmax(v, 0) if a == b else v for v, (a, b) in entries])

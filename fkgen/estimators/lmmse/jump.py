@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import (
     bound_all,
@@ -31,7 +30,7 @@ from fkgen.estimators.gaussian.estimate import (
     measurement_of,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
 from fkgen.estimators.lmmse.kalman import constant, innovation_results
 from fkgen.estimators.lmmse.loss_tests import LossTest, judges, loss_outcomes, loss_ports
 from fkgen.faults.sensor import EQUAL
@@ -50,7 +49,7 @@ from fkgen.symbolic.linalg import (
     unpack,
 )
 from fkgen.symbolic.plant import Plant, mode_plants
-from fkgen.symbolic.ports import carried, innovation_ports, shown, start_of, state_ports, symbols_of
+from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 Array = NDArray[np.float64]
@@ -402,7 +401,7 @@ def recursion_of(
     spec, start = z.spec, start_values(z)
     ports = ports_of(z, covariances=form is not None)
     symbols = symbols_of(spec, z.base, ports)
-    initial = start_of(spec)
+    initial = {}
     for port in ports:
         of = port.name.replace("filtered_", "").replace("predicted_", "")
         if of in start:
@@ -467,7 +466,6 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, form: Form) -> Phas
     L, offset = measured(z, plants, u)
     measurement = measurement_of(
         z.base,
-        scalar=z.spec.code.scalar,
         y=symbols["y"],
         C=sparse(z.rate * L),
         offset=z.rate * offset,

@@ -9,26 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
-from fkgen.estimators.gaussian.conditioning import Conditioned
 from fkgen.estimators.gaussian.estimate import (
+    Posterior,
     bound,
     correct,
     demand_finite,
     demand_positive,
-    demand_rates,
-    estimated,
     finite,
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.linalg import sparse
 from fkgen.symbolic.plant import Plant, lift, plant_of
-from fkgen.symbolic.ports import carried, innovation_ports, shown, start_of, state_ports, symbols_of
+from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 
@@ -43,7 +41,6 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         spec=spec,
         source=source,
         ports=ports,
-        initial=start_of(spec),
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=_predict(spec, plant, symbols, with_gain=with_gain),
         form=form,
@@ -77,8 +74,10 @@ def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
 
 
 def _demand_rates(script: Script, spec: Spec, plant: Plant) -> None:
+    """Refuse success rates outside [0, 1] that come from run-time parameters."""
     if spec.faults.actuator is not None:
-        demand_rates(script, rates_of(spec.faults.actuator, plant))
+        for rate in rates_of(spec.faults.actuator, plant):
+            script.demand(Kind.NONNEGATIVE, [rate, 1 - rate], Status.PARAMETER_OUT_OF_RANGE)
 
 
 def _demand_indicators(script: Script, plant: Plant, faults: SensorFaults) -> None:
@@ -107,7 +106,6 @@ def _update(
         _actuation(spec, plant, symbols["u"]),
         (symbols["predicted_state"], symbols["predicted_covariance"]),
         y=symbols["y"],
-        scalar=spec.code.scalar,
         form=form,
         with_gain=with_gain,
     )
@@ -133,7 +131,7 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
     _demand_rates(script, spec, plant)
     plant = bound(script, plant, "ABQ")
     actuation = _actuation(spec, plant, symbols["u"])
-    posterior, r = estimated(symbols["filtered_state"], symbols["filtered_covariance"]), 0
+    posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
     if "actuation_deviation" in symbols:
         r = symbols["actuation_deviation"].numel()
         posterior = replace(

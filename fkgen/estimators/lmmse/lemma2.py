@@ -18,17 +18,17 @@ import numpy as np
 
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.estimate import (
+    Posterior,
     bound,
     demand_finite,
     demand_positive,
-    estimated,
     finite,
     measurement_of,
     propagate,
     update_form,
 )
+from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.lmmse.jump import STATIONARY, is_settled
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows, innovation_results
 from fkgen.estimators.models.weights import TINY
@@ -38,7 +38,7 @@ from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, is_zero, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import carried, innovation_ports, shown, start_of, state_ports, symbols_of
+from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: Moments that the prediction moves on and y[k] does not change.
@@ -65,7 +65,7 @@ class UncertainFilter:
         n, model, law = self.plant.nx, self.spec.model, self.faults.initial
         x0 = model.x0.values().ravel()
         second = model.P0.values() + np.outer(x0, x0)
-        start = start_of(self.spec) | {
+        start = {
             "predicted_state_second_moment": tuple(second[np.tril_indices(n)].tolist()),
             "predicted_state_mean": tuple(x0.tolist()),
             "transition": tuple(np.eye(n).ravel().tolist()),
@@ -235,7 +235,6 @@ def _condition(
         C, noise = ca.horzcat(C, ca.SX.eye(p)), ca.SX(p, p)
     measurement = measurement_of(
         plant,
-        scalar=design.spec.code.scalar,
         y=symbols["y"],
         C=C,
         offset=ca.diag(pi) @ plant.D @ symbols["u"],
@@ -275,7 +274,7 @@ def _predict(design: UncertainFilter) -> Phase:
     script = Script(symbols)
     plant = bound(script, design.plant, "ABQ")
     inputs = certain(symbols["u"])
-    filtered = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
+    filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, inputs, filtered)
     second = unpack(symbols["state_second_moment"], n)
     moved = congruence(plant.A, second) + pack(plant.Q)

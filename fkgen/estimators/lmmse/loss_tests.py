@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import casadi as ca
 from scipy.special import gammainccinv
 
-from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement
+from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.models.weights import LOG_ZERO
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script

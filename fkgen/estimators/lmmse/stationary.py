@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.conditioning import condition
 from fkgen.estimators.gaussian.estimate import demand_finite, finite, measurement_of
+from fkgen.estimators.gaussian.sequential import condition
 from fkgen.estimators.lmmse import jump
 from fkgen.estimators.lmmse.jump import Array, AugmentedState, Moments
 from fkgen.estimators.lmmse.kalman import constant, innovation_results
@@ -145,7 +145,6 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary
     nothing = (ca.SX(1, 1), ca.SX(1, 1))
     measurement = measurement_of(
         replace(z.base, noise_free=is_singular(at_rest.innovation)),
-        scalar=z.spec.code.scalar,
         y=symbols["y"],
         C=ca.SX(z.base.ny, 1),
         offset=sparse(z.rate * L) @ prior,

@@ -1,36 +1,161 @@
-"""The update that one_step and imm share: a correction per mode, then Bayes' rule, eq. (8)."""
+"""Switching filters: modes of a sensor or of the plant that follow a Markov chain.
+
+``one_step`` (GPB1; Sigalov & Oshman, sec. III) has one Gaussian before every sample; given the mode
+its correction is that of a Kalman filter, and the corrections are weighted by Bayes' rule (8) and
+reduced to one Gaussian again. How the covariance (7) is carried on is an option, because the
+paper's equation holds without faults only.
+
+``imm`` (Blom & Bar-Shalom 1988; sec. IV) has one estimate per mode; before each sample they are
+mixed by what the chain says about the mode before, eqs. (17), (18). The mode of sample k drives the
+step into x[k], and y[k].
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
+import numpy as np
 
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.conditioning import Conditioned
-from fkgen.estimators.gaussian.estimate import bound_all, correct, update_form
-from fkgen.estimators.gaussian.sequential import Form
-from fkgen.estimators.models.merge import combined_innovation
-from fkgen.estimators.models.modes import Modes, Variant, modes_of, plants_of
-from fkgen.estimators.models.weights import Weights, log_prior, log_sum_exp, reweigh
+from fkgen.estimators.gaussian.estimate import (
+    Posterior,
+    bound,
+    bound_all,
+    correct,
+    demand_finite,
+    demand_positive,
+    finite,
+    propagate,
+    update_form,
+)
+from fkgen.estimators.gaussian.sequential import Conditioned, Form
+from fkgen.estimators.models.merge import Gaussian, Mixer, combined_innovation, mixture_covariance
+from fkgen.estimators.models.weights import (
+    Kernel,
+    Prediction,
+    advance,
+    log_prior,
+    log_sum_exp,
+    reweigh,
+)
 from fkgen.problem import Spec
+from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import spread, weighted_sum
-from fkgen.symbolic.plant import Plant
-from fkgen.symbolic.ports import carried, innovation_ports, start_of, state_ports, symbols_of
+from fkgen.symbolic.linalg import column, split_estimates, split_packed, total, weighted_sum
+from fkgen.symbolic.plant import Plant, mode_plants
+from fkgen.symbolic.ports import (
+    carried,
+    innovation_ports,
+    mode_estimate_ports,
+    prior_of,
+    state_ports,
+    symbols_of,
+    twins,
+)
+from fkgen.symbolic.recursion import Phase, Recursion
+
+#: How many covariances of one_step run beside the estimate, as if no signal were ever lost.
+RICCATIS = {"moment_matched": 0, "weighted": 0, "paper": 2, "paper_nominal": 1}
+
+#: Timing of the modes where they move the state.
+JUMPING = "the mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k)"
+
+#: From probabilities and corrections of the modes to the ports that keep an estimate.
+Combination = Callable[[Script, ca.SX, list[Conditioned]], dict[str, ca.SX]]
 
 
 @dataclass(frozen=True, slots=True)
-class ModeUpdate:
-    """What one mode makes of y[k]: its estimate (mean, packed covariance) and likelihood."""
+class Variant:
+    """One condition of the plant within a mode: its share of the mode, and the plant in it."""
 
-    state: ca.SX
-    covariance: ca.SX
-    log_likelihood: ca.SX
-    found: Conditioned
-    predicted: ca.SX
+    title: str
+    share: float
+    plant: Plant
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """The modes of a switching filter.
+
+    A mode has several variants where it lumps conditions together that only the density tells
+    apart; they move alike. They are entangled where they lead to different estimates, because R
+    correlates the rows that they differ in with others.
+    """
+
+    variants: tuple[tuple[Variant, ...], ...]
+    kernel: Kernel
+    initial: tuple[float, ...]  # at sample 0
+    entangled: bool
+
+    @classmethod
+    def of(cls, spec: Spec, plants: Sequence[Plant]) -> Modes:
+        """The modes that a spec states, made of the plants of its chain.
+
+        Three modes for four conditions of a sensor: the mixture of both noises at gamma = 0.
+        """
+        chain, sensor = spec.faults.chain(spec.model), spec.faults.sensor
+        count = len(chain.modes)
+        lumps = sensor if sensor is not None and spec.filter.option("modes", 4) < count else None
+        found = chain.lumped(tuple((i,) for i in range(count))) if lumps is None else lumps.lumped()
+        variants = tuple(
+            tuple(
+                Variant(chain.modes[i].title, share, plants[i])
+                for i, share in zip(group, shares, strict=True)
+                if share > 0.0
+            )
+            for group, shares in zip(found.groups, found.shares, strict=True)
+        )
+        entangled = lumps is not None and lumps.entangles(spec.model.R)
+        return cls(variants, found.transition, found.initial, entangled)
+
+    @property
+    def note(self) -> str:
+        """What the modes are, in their order."""
+        names = [" or ".join(each.title for each in mode) for mode in self.variants]
+        return "modes: " + "; ".join(f"{i} = {name}" for i, name in enumerate(names))
+
+    @property
+    def predicted_as(self) -> tuple[int, ...]:
+        """Index of the mode whose prediction each mode uses.
+
+        Unreachable modes reuse a reachable one so that their covariance cannot overflow.
+        """
+        possible = visited(self.kernel, self.initial)
+        first = int(np.argmax(possible))
+        return tuple(j if seen else first for j, seen in enumerate(possible))
+
+    @property
+    def motions(self) -> tuple[Plant, ...]:
+        """Per mode a plant that moves as in this mode; modes that move alike have the same one."""
+        known: dict[tuple[int, ...], Plant] = {}
+        plants = [mode[0].plant for mode in self.variants]
+        return tuple(known.setdefault(_identity(each, "ABcQ"), each) for each in plants)
+
+
+def move_alike(plants: Sequence[Plant]) -> bool:
+    """Whether plants differ in nothing but Q as far as x[k+1] is concerned."""
+    return len({_identity(each, "ABc") for each in plants}) == 1
+
+
+def mean_noise(plants: Sequence[Plant], probability: ca.SX) -> ca.SX:
+    """Q if each of the plants has a probability."""
+    distinct = {id(each.Q): each.Q for each in plants}
+    if len(distinct) == 1:
+        return plants[0].Q
+    total = ca.SX(*plants[0].Q.shape)
+    for key, Q in distinct.items():
+        total += sum(probability[j] for j, each in enumerate(plants) if id(each.Q) == key) * Q
+    return total
+
+
+def _identity(plant: Plant, letters: str) -> tuple[int, ...]:
+    """What tells two plants apart: matrices that are equal are the same object."""
+    return tuple(id(getattr(plant, letter)) for letter in letters)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,9 +172,18 @@ class Switching:
     @classmethod
     def of(cls, spec: Spec, own: tuple[Port, ...]) -> Switching:
         """Lay out the ports of a filter; ``own`` are those of its family."""
-        plants = plants_of(spec)
-        modes = modes_of(spec, plants)
-        ports = (*state_ports(spec), *innovation_ports(spec), *mode_ports(modes.size), *own)
+        plants = mode_plants(spec, spec.faults.chain(spec.model).modes)
+        modes = Modes.of(spec, plants)
+        law, shape = modes.initial, (len(modes.initial),)
+        probability = "probability of each mode at {k} given y[0..k]"
+        logarithm = "logarithm of {of}mode_probability"
+        ports = (
+            *state_ports(spec),
+            *innovation_ports(spec),
+            *twins("mode_probability", shape, probability, start=law),
+            *twins("log_weight", shape, logarithm, start=log_prior(law, spec.code.scalar)),
+            *own,
+        )
         return cls(
             spec=spec,
             plants=plants,
@@ -59,96 +193,246 @@ class Switching:
             form=update_form(spec, plants[0], augmented=False),
         )
 
+    def recursion(self, source: str, phases: tuple[Phase, Phase], *notes: str) -> Recursion:
+        """The recursion of these two phases."""
+        return Recursion(
+            spec=self.spec,
+            source=source,
+            ports=self.ports,
+            update=phases[0],
+            predict=phases[1],
+            form=self.form,
+            notes=notes,
+        )
+
     def bound(self, script: Script, letters: str) -> Modes:
         """The modes for one phase: computed entries of these matrices are named."""
-        return modes_of(self.spec, bound_all(script, self.plants, letters))
+        return Modes.of(self.spec, bound_all(script, self.plants, letters))
 
-    def start(self) -> dict[str, tuple[float, ...]]:
-        """Start values of the shared ports: (x0, P0) and the law of the mode before y[0]."""
-        initial = self.modes.initial
-        logarithm = log_prior(initial, self.spec.code.scalar)
-        return {
-            **start_of(self.spec),
-            **{f"{of}mode_probability": initial for of in ("", "predicted_")},
-            **{f"{of}log_weight": logarithm for of in ("", "predicted_")},
-        }
+    def filtered(self) -> list[Gaussian]:
+        """What imm keeps of every mode after y[k]."""
+        states, packed = (self.symbols[f"mode_filtered_{of}"] for of in ("state", "covariance"))
+        return split_estimates(states, packed, self.spec.model.nx)
 
-    def weigh(self, script: Script, each: list[ModeUpdate]) -> tuple[Weights, dict[str, ca.SX]]:
-        """Bayes' rule (8) for the modes, with the ports that it gives and those of y[k]."""
-        held = (self.symbols["predicted_mode_probability"], self.symbols["predicted_log_weight"])
+    def update(self, priors: Sequence[Gaussian], combined: Combination) -> Phase:
+        """A correction of its prior under each mode, then Bayes' rule (8)."""
+        script, symbols = Script(self.symbols), self.symbols
+        for packed in {id(packed): packed for _, packed in priors}.values():
+            demand_positive(script, packed, self.spec.model.nx)
+        modes = self.bound(script, "CDR")
+        each = [self.corrected(script, modes, j, prior) for j, prior in enumerate(priors)]
+        held = (symbols["predicted_mode_probability"], symbols["predicted_log_weight"])
         with script.titled("probabilities of the modes"):
             logs = [one.log_likelihood for one in each]
             weights = reweigh(script, held, logs, 0.0, self.spec.code.scalar)
         with script.titled("innovation of the mixture"):
-            predicted = [script.let(f"predicted_y_m{j}", m.predicted) for j, m in enumerate(each)]
-            results = combined_innovation(script, held[0], predicted, [one.found for one in each])
-        return weights, {
-            **results,
-            "mode_probability": weights.probability,
-            "log_weight": weights.logarithm,
-            "log_likelihood": weights.log_likelihood,
-        }
+            predicted = []
+            for j, (prior, variants) in enumerate(zip(priors, modes.variants, strict=True)):
+                plant = variants[0].plant
+                y = plant.C @ prior[0] + plant.D @ symbols["u"]
+                predicted.append(script.let(f"predicted_y_m{j}", y))
+            results = combined_innovation(script, held[0], predicted, each)
+        with script.titled("combination"):
+            script.put(results | weights.ports() | combined(script, weights.probability, each))
+        return script.phase()
 
-    def variants(
-        self,
-        script: Script,
-        mode: int,
-        variants: tuple[Variant, ...],
-        prior: tuple[ca.SX, ca.SX],
-    ) -> list[ModeUpdate]:
-        """The correction of ``prior`` under each variant of a mode."""
-        result = []
+    def corrected(self, script: Script, modes: Modes, mode: int, prior: Gaussian) -> Conditioned:
+        """What a mode makes of y[k]: the mixture of its variants."""
+        variants, u, y = modes.variants[mode], self.symbols["u"], self.symbols["y"]
+        each = []
         for at, variant in enumerate(variants):
             tag = f"_m{mode}_{at}" if at else f"_m{mode}"
-            plant = variant.plant
             with script.titled(f"mode {mode}: {variant.title}"):
-                found, posterior = correct(
-                    script, plant, certain(self.symbols["u"]), prior,
-                    y=self.symbols["y"], scalar=self.spec.code.scalar, form=self.form, tag=tag,
-                )  # fmt: skip
+                found, _ = correct(
+                    script, variant.plant, certain(u), prior, y=y, form=self.form, tag=tag
+                )
                 density = script.let(f"log_density{tag}", found.log_likelihood)
-            predicted = plant.C @ prior[0] + plant.D @ self.symbols["u"]
-            result.append(
-                ModeUpdate(posterior.state, posterior.covariance, density, found, predicted)
-            )
-        return result
-
-    def update(
-        self, script: Script, modes: Modes, mode: int, prior: tuple[ca.SX, ca.SX]
-    ) -> ModeUpdate:
-        """The same for a mode as a whole."""
-        variants = modes.variants[mode]
-        each = self.variants(script, mode, variants, prior)
-        first = each[0]
+            each.append(replace(found, log_likelihood=density))
         if len(each) == 1:
-            return first
+            return each[0]
         joint = [
             one.log_likelihood + math.log(variant.share)
             for one, variant in zip(each, variants, strict=True)
         ]
         total = script.let(f"log_mixture_m{mode}", log_sum_exp(joint))
         shares = ca.SX([variant.share for variant in variants])
-        S = weighted_sum(shares, [one.found.innovation_covariance for one in each])
-        whole = replace(
-            first, log_likelihood=total, found=replace(first.found, innovation_covariance=S)
-        )
+        S = weighted_sum(shares, [one.innovation_covariance for one in each])
+        whole = replace(each[0], log_likelihood=total, innovation_covariance=S)
         if not modes.entangled:
             return whole
         weights = script.let(f"variant_weight_m{mode}", ca.exp(ca.vertcat(*joint) - total))
-        states = [one.state for one in each]
-        state = script.let(f"merged_state_m{mode}", weighted_sum(weights, states))
-        covariance = weighted_sum(weights, [one.covariance for one in each])
-        covariance += spread(weights, states, state)
+        parts = [(one.mean, one.covariance) for one in each]
+        mean = weighted_sum(weights, [one.mean for one in each])
+        state = script.let(f"merged_state_m{mode}", mean)
+        covariance = mixture_covariance(weights, parts, state)
         covariance = script.let(f"merged_covariance_m{mode}", covariance)
-        return replace(whole, state=state, covariance=covariance)
+        return replace(whole, mean=state, covariance=covariance)
 
 
-def mode_ports(count: int) -> tuple[Port, ...]:
-    """Probabilities of the modes, posterior and predicted, with their logarithms."""
-    meanings = {
-        "mode_probability": "probability of each mode at k given y[0..k]",
-        "predicted_mode_probability": "probability of each mode at k+1 given y[0..k]",
-        "log_weight": "logarithm of mode_probability",
-        "predicted_log_weight": "logarithm of predicted_mode_probability",
+# ------------------------------------------------------------------------------------- one_step
+
+
+def one_step_optimal(spec: Spec) -> Recursion:
+    """Build ``one_step``: corrections of one prior, Bayes' rule, one Gaussian."""
+    option = spec.filter.options.covariance
+    beside = RICCATIS[option]
+    filtering = Switching.of(spec, _riccati_ports(spec, beside))
+    symbols = filtering.symbols
+
+    def combined(script: Script, weights: ca.SX, each: list[Conditioned]) -> dict[str, ca.SX]:
+        parts = [(one.mean, one.covariance) for one in each]
+        covariances = [packed for _, packed in parts]
+        state = script.let("combined_state", weighted_sum(weights, [mean for mean, _ in parts]))
+        demand_finite(script, state)
+        covariance = weighted_sum(weights, covariances)
+        if option == "moment_matched":
+            covariance = mixture_covariance(weights, parts, state)
+        results = {"filtered_state": state, "filtered_covariance": covariance}
+        if beside:
+            results["riccati_filtered_covariance"] = ca.vertcat(*covariances[:beside])
+        return results
+
+    packed = symbols["riccati_covariance" if beside else "predicted_covariance"]
+    known = split_packed(packed, spec.model.nx)
+    priors = [(symbols["predicted_state"], known[j % len(known)]) for j in range(4)]
+    phases = filtering.update(priors, combined), _one_prediction(filtering, beside)
+    notes = f"covariance: {option}", filtering.modes.note
+    return filtering.recursion("Sigalov & Oshman, sec. III, eqs. (3)-(14)", phases, *notes)
+
+
+def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
+    n, start = spec.model.nx, prior_of(spec)[1] * count
+    shape = (count, n, n) if count > 1 else (n, n)
+    what = f"as if gamma were always 1, for delta = 1{' and C' if count > 1 else ''}"
+    covariance = partial(carried, unit="xx", symmetric=True, start=start)
+    ports = (
+        covariance("riccati_covariance", shape, f"P(k+1|k) {what}"),
+        covariance("riccati_filtered_covariance", shape, f"P(k|k) {what}"),
+    )
+    return ports if count else ()
+
+
+def _one_prediction(filtering: Switching, beside: int) -> Phase:
+    script, symbols, spec = Script(filtering.symbols), filtering.symbols, filtering.spec
+    plant = bound(script, filtering.plants[0], "ABQ")
+    now = (symbols["mode_probability"], symbols["log_weight"])
+    with script.titled("law of the next mode"):
+        law = advance(script, filtering.modes.kernel, now, spec.code.scalar, mixing=False)
+    packed = [symbols["filtered_covariance"]]
+    if beside:
+        packed += split_packed(symbols["riccati_filtered_covariance"], spec.model.nx)
+    inputs, mean = certain(symbols["u"]), symbols["filtered_state"]
+    moved = [propagate(plant, inputs, Posterior(mean, each))[:2] for each in packed]
+    state = moved[0][0]
+    results = {
+        "predicted_mode_probability": law.probability,
+        "predicted_log_weight": law.logarithm,
+        "predicted_state": state,
+        "predicted_covariance": moved[0][1],
     }
-    return tuple(carried(name, (count,), meaning) for name, meaning in meanings.items())
+    if beside:
+        results["riccati_covariance"] = ca.vertcat(*(each for _, each in moved[1:]))
+    with script.titled("prediction of the next sample"):
+        script.put(results, [finite(state, each) for _, each in moved])
+    return script.phase()
+
+
+# ------------------------------------------------------------------------------------------ imm
+
+
+def interacting_models(spec: Spec) -> Recursion:
+    """Build ``imm``: a correction per mode, Bayes' rule, mixing, a prediction per mode."""
+    means = "x(k+1|k), mixed, under each mode", "x(k|k) under each mode"
+    filtering = Switching.of(spec, mode_estimate_ports(spec, spec.filter.options.modes, means))
+
+    def combined(script: Script, weights: ca.SX, each: list[Conditioned]) -> dict[str, ca.SX]:
+        parts = [(one.mean, one.covariance) for one in each]
+        state, covariance = Mixer(script, "combined", parts, spec.code.scalar).under(weights)
+        demand_finite(script, state)
+        return {
+            "filtered_state": state,
+            "filtered_covariance": covariance,
+            "mode_filtered_state": ca.vertcat(*(mean for mean, _ in parts)),
+            "mode_filtered_covariance": ca.vertcat(*(packed for _, packed in parts)),
+        }
+
+    symbols = filtering.symbols
+    priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], spec.model.nx)
+    phases = filtering.update(priors, combined), _predictions(filtering)
+    source, notes = "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)", [filtering.modes.note]
+    if spec.faults.jump is not None:
+        source = "Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
+        notes.append(JUMPING)
+    return filtering.recursion(source, phases, *notes)
+
+
+def _predictions(filtering: Switching) -> Phase:
+    script, symbols, spec = Script(filtering.symbols), filtering.symbols, filtering.spec
+    modes = filtering.bound(script, "ABcQ")
+    with script.titled("law of the next mode, and mixing weights"):
+        now = (symbols["mode_probability"], symbols["log_weight"])
+        law = advance(script, modes.kernel, now, spec.code.scalar, mixing=True)
+    with script.titled("mixing and prediction of every mode"):
+        moved, which = _moved(script, filtering, modes, law)
+    with script.titled("combined prediction"):
+        motions = modes.motions
+        combined = _combined(script, filtering, motions, (moved, which), law.probability)
+        script.put(
+            {
+                "predicted_mode_probability": law.probability,
+                "predicted_log_weight": law.logarithm,
+                "mode_state": ca.vertcat(*(moved[at][0] for at in which)),
+                "mode_covariance": ca.vertcat(*(moved[at][1] for at in which)),
+                "predicted_state": combined[0],
+                "predicted_covariance": combined[1],
+            },
+            [finite(total(x for x, _ in moved), total(P for _, P in moved))],
+        )
+    return script.phase()
+
+
+def _moved(
+    script: Script, filtering: Switching, modes: Modes, law: Prediction
+) -> tuple[list[Gaussian], list[int]]:
+    """Estimates mixed by (17), (18), then moved as the mode does, and which is that of each mode.
+
+    What is the same is computed once.
+    """
+    symbols, motions = filtering.symbols, modes.motions
+    mixer = Mixer(script, "mixed", filtering.filtered(), filtering.spec.code.scalar)
+    mixed: dict[int, Gaussian] = {}
+    known: dict[tuple[int, int], int] = {}
+    moved: list[Gaussian] = []
+    which = []
+    for j in modes.predicted_as:
+        group, plant = law.group[j], motions[j]
+        if law.mixing[group] is symbols["mode_probability"]:  # says nothing of the mode before
+            mixed[group] = (symbols["filtered_state"], symbols["filtered_covariance"])
+        elif group not in mixed:
+            mixed[group] = mixer.under(law.mixing[group], f"_{group}", law.columns[group])
+        at = known.setdefault((group, id(plant)), len(moved))
+        if at == len(moved):
+            state, packed, _ = propagate(plant, certain(symbols["u"]), Posterior(*mixed[group]))
+            state = script.let(f"moved_state_{at}", state)
+            moved.append((state, script.let(f"moved_covariance_{at}", packed)))
+        which.append(at)
+    return moved, which
+
+
+def _combined(
+    script: Script,
+    filtering: Switching,
+    motions: tuple[Plant, ...],
+    moved: tuple[list[Gaussian], list[int]],
+    probability: ca.SX,
+) -> Gaussian:
+    """x(k+1|k) whatever the mode; where modes differ in nothing but Q, from x(k|k)."""
+    symbols = filtering.symbols
+    if move_alike(motions):
+        plant = replace(motions[0], Q=mean_noise(motions, probability))
+        estimate = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
+        return propagate(plant, certain(symbols["u"]), estimate)[:2]
+    masses = [ca.SX(0) for _ in moved[0]]
+    for j, at in enumerate(moved[1]):
+        masses[at] += probability[j]
+    return Mixer(script, "predicted", moved[0], filtering.spec.code.scalar).under(column(masses))

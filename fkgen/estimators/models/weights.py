@@ -1,22 +1,38 @@
-"""Probabilities of hypotheses, kept as logarithms, and Bayes' rule for them."""
+"""Probabilities of hypotheses with their logarithms: Bayes' rule, and one step of a Markov chain.
+
+A column of a transition matrix without zeros needs only the probabilities, because one of the modes
+before it holds at least 1/N; where entries are zero the remaining modes may all be improbable, and
+the sum is taken in the log domain. Zeros stay exact.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import casadi as ca
+import numpy as np
 
 from fkgen.symbolic.builder import Script
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column
+from fkgen.symbolic.linalg import column, total
 
 #: Logarithm that stands for probability zero: finite, and no likelihood brings it back.
 LOG_ZERO = {"double": -1e300, "float": -1e30}
 
 #: Keeps 0/0 out of a conditional probability whose condition has probability zero.
 TINY = {"double": 1e-290, "float": 1e-30}
+
+#: Entries of a kernel below this share of their column are treated in the log domain, like zeros.
+SMALL = 1e-9
+
+#: Columns are proportional if they are so to this relative error.
+PROPORTIONAL = 1e-14
+
+Kernel = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,18 +43,32 @@ class Weights:
     logarithm: ca.SX
     log_likelihood: ca.SX
 
+    def ports(self) -> dict[str, ca.SX]:
+        """What is shown of them."""
+        names = "mode_probability", "log_weight", "log_likelihood"
+        values = self.probability, self.logarithm, self.log_likelihood
+        return dict(zip(names, values, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Probabilities of the next mode, and what it says about the one before."""
+
+    probability: ca.SX  # c_j = sum_i p_ij mu_i
+    logarithm: ca.SX  # log c_j
+    mixing: tuple[ca.SX, ...]  # mu_(i|j), eq. (17), for every group of j with the same weights
+    #: For every group its column of the kernel, if the weights are that column times a factor of
+    #: each mode, with no entry zero.
+    columns: tuple[tuple[float, ...] | None, ...]
+    group: tuple[int, ...]  # which of ``mixing`` belongs to target j
+
 
 def log_sum_exp(values: list[ca.SX]) -> ca.SX:
     """Log of the sum of exponentials, with the largest taken out."""
     if len(values) == 1:
         return values[0]
-    largest = values[0]
-    for value in values[1:]:
-        largest = ca.fmax(largest, value)
-    total = ca.exp(values[0] - largest)
-    for value in values[1:]:
-        total += ca.exp(value - largest)
-    return largest + ca.log(total)
+    largest = reduce(ca.fmax, values)
+    return largest + ca.log(sum(ca.exp(value - largest) for value in values))
 
 
 def reweigh(
@@ -53,54 +83,115 @@ def reweigh(
     A sample so far out that no hypothesis has a density that a logarithm of ``scalar`` can tell
     from that of probability zero is refused.
     """
-    probability, logarithm = held
     n = len(log_likelihoods)
     if n == 1:
-        return Weights(probability, logarithm, log_likelihoods[0])
+        return Weights(*held, log_likelihoods[0])
     result = Weights(
         script.local("weight", n),
         script.local("log_weight_now", n),
         script.local("log_evidence", 1, initial=0.0),
     )
-    script.put({"weight": probability, "log_weight_now": logarithm})
+    script.put({"weight": held[0], "log_weight_now": held[1]})
     with script.when(None):
-        joint = script.let(
-            "log_joint",
-            column([logarithm[i] + log_likelihoods[i] for i in range(n)]),
-            initial=0.0,
-        )
-        largest = joint[0]
-        for i in range(1, n):
-            largest = ca.fmax(largest, joint[i])
-        top = script.let("log_largest", largest, initial=0.0)
-        share = script.let("share_of_largest", ca.exp(joint - top), initial=0.0)
-        total = script.let("share_total", ca.sum1(share), initial=0.0)
+        names = "log_joint", "log_largest", "share_of_largest", "share_total"
+        joint, top, share, total = _relative(script, names, held[1] + column(log_likelihoods), 0.0)
         script.demand(Kind.POSITIVE, [top - 0.5 * LOG_ZERO[scalar]], Status.RESULT_NOT_FINITE)
         script.demand(Kind.FINITE, [total], Status.RESULT_NOT_FINITE)
         inverse = script.let("share_total_inverse", 1 / total, initial=0.0)
         log_total = script.let("log_share_total", ca.log(total), initial=0.0)
+        weight, logarithm = share * inverse, ca.fmax((joint - top) - log_total, LOG_ZERO[scalar])
         if floor > 0.0:
-            posterior = floor + (1.0 - n * floor) * (share * inverse)
-            weight = script.let("floored", posterior, initial=0.0)
-            logarithms = ca.log(weight)
-        else:
-            weight = share * inverse
-            logarithms = ca.fmax((joint - top) - log_total, LOG_ZERO[scalar])
-        script.put(
-            {"weight": weight, "log_weight_now": logarithms, "log_evidence": top + log_total}
-        )
+            weight = script.let("floored", floor + (1.0 - n * floor) * weight, initial=0.0)
+            logarithm = ca.log(weight)
+        script.put({"weight": weight, "log_weight_now": logarithm, "log_evidence": top + log_total})
     return result
 
 
-def log_prior(prior: tuple[float, ...], scalar: str) -> tuple[float, ...]:
+def _relative(
+    script: Script, names: Sequence[str], logs: ca.SX, initial: float | None = None
+) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Logarithms, the largest of them, exponentials relative to it, and the sum of these."""
+    named = script.let(names[0], logs, initial)
+    top = script.let(names[1], reduce(ca.fmax, ca.vertsplit(named)), initial)
+    share = script.let(names[2], ca.exp(named - top), initial)
+    return named, top, share, script.let(names[3], ca.sum1(share), initial)
+
+
+def log_prior(prior: Sequence[float], scalar: str) -> tuple[float, ...]:
     """Logarithms of start probabilities; zero has its own."""
     return tuple(math.log(p) if p > 0.0 else LOG_ZERO[scalar] for p in prior)
 
 
 def patterns(rates: list[float]) -> list[tuple[tuple[int, ...], float]]:
     """Every outcome of independent components with these rates, with its log probability."""
-    result = []
-    for works in itertools.product((0, 1), repeat=len(rates)):
-        chances = [rate if w else 1.0 - rate for w, rate in zip(works, rates, strict=True)]
-        result.append((works, sum(math.log(chance) for chance in chances)))
-    return result
+    return [
+        (works, sum(math.log(p if w else 1.0 - p) for w, p in zip(works, rates, strict=True)))
+        for works in itertools.product((0, 1), repeat=len(rates))
+    ]
+
+
+def advance(
+    script: Script, kernel: Kernel, now: tuple[ca.SX, ca.SX], scalar: str, *, mixing: bool
+) -> Prediction:
+    """One step of the chain from ``now`` = (probability, logarithm)."""
+    columns = list(zip(*kernel, strict=True))
+    groups: dict[int, list[int]] = {}  # targets that can be entered, proportional ones together
+    for j in (j for j, entries in enumerate(columns) if any(entries)):
+        alike = (head for head in groups if _proportional(columns[j], columns[head]))
+        groups.setdefault(next(alike, j), []).append(j)
+    probability, logarithm = ([ca.SX(zero)] * len(columns) for zero in (0.0, LOG_ZERO[scalar]))
+    group, weights = [0] * len(columns), []
+    for at, (head, members) in enumerate(groups.items()):
+        whole, log, before = _column(script, columns[head], now, str(at), mixing=mixing)
+        weights.append(before)
+        for j in members:
+            ratio, group[j] = sum(columns[j]) / sum(columns[head]), at
+            probability[j], logarithm[j] = whole * ratio, log + math.log(ratio)
+    return Prediction(
+        probability=column(probability),
+        logarithm=column(logarithm),
+        mixing=tuple(weights),
+        columns=tuple(columns[head] if _is_full(columns[head]) else None for head in groups),
+        group=tuple(group),
+    )
+
+
+def _proportional(entries: tuple[float, ...], head: tuple[float, ...]) -> bool:
+    ratio = sum(entries) / sum(head)
+    return np.allclose(np.multiply(head, ratio), entries, rtol=PROPORTIONAL, atol=0.0)
+
+
+def _is_full(entries: tuple[float, ...]) -> bool:
+    """Whether every mode can lead here, so that one of them is probable."""
+    return min(entries) > 0.0 and min(entries) >= SMALL * max(entries)
+
+
+def _column(
+    script: Script, entries: tuple[float, ...], now: tuple[ca.SX, ca.SX], tag: str, *, mixing: bool
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """c_j, log c_j and mu_(i|j) for one target."""
+    probability, logarithm = now
+    if len(set(entries)) == 1:  # equal rows: the next mode does not depend on this one
+        return ca.SX(entries[0]), ca.SX(math.log(entries[0])), probability
+    source = [i for i, entry in enumerate(entries) if entry > 0.0]
+    products = [probability[i] * entries[i] for i in source]
+    whole = script.let(f"mode_prediction_{tag}", total(products))
+    if len(source) == 1:
+        only = source[0]
+        weights = ca.SX.eye(len(entries))[:, only]
+        return whole, logarithm[only] + math.log(entries[only]), weights
+    if _is_full(entries):
+        if not mixing:
+            return whole, ca.log(whole), probability
+        inverse = script.let(f"mode_prediction_inverse_{tag}", 1 / whole)
+        shares = column([product * inverse for product in products])
+        return whole, ca.log(whole), script.let(f"mixing_{tag}", shares)
+    names = [
+        f"{what}_{tag}"
+        for what in ("log_path", "log_path_largest", "path_share", "path_share_total")
+    ]
+    joint = column([logarithm[i] + math.log(entries[i]) for i in source])
+    _, top, share, summed = _relative(script, names, joint)
+    weights = ca.SX(len(entries), 1)
+    weights[source] = share * script.let(f"path_share_inverse_{tag}", 1 / summed)
+    return whole, top + ca.log(summed), weights

@@ -20,17 +20,17 @@ from itertools import combinations
 import casadi as ca
 
 from fkgen.estimators.gaussian.actuation import certain
-from fkgen.estimators.gaussian.conditioning import Conditioned, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import (
+    Posterior,
     bound,
     demand_finite,
     demand_positive,
-    estimated,
     finite,
     propagate,
 )
 from fkgen.estimators.gaussian.rank import DIRECTION, QuadraticForm, quadratic_form, thresholds
+from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.windows import window
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
@@ -46,22 +46,22 @@ Groups = tuple[int, ...]
 def compression_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion of ``compression_full`` and ``dfcf``."""
     count = len(_subsets(window.soft_faults(spec)))
-    ports = *window.host_ports(spec), *_ports(spec.model.nx, count), *window.window_ports(spec)
+    ports = *window.host_ports(spec), *_ports(spec, count), *window.window_ports(spec)
     design = window.Design(spec, ports)
-    prior = prior_of(spec)[1] * count
-    initial = {f"{of}compression_covariance": prior for of in ("", "predicted_")}
     phases = _update(design), _closing(design), _predict(design)
-    return design.recursion(source, phases, initial=initial)
+    return design.recursion(source, phases)
 
 
-def _ports(n: int, count: int) -> tuple[Port, ...]:
+def _ports(spec: Spec, count: int) -> tuple[Port, ...]:
+    n, start = spec.model.nx, ((), prior_of(spec)[1])
     shape = (count, n) if count > 1 else (n,)
     covariance = "error covariance of the estimate with the compressed rows"
     result: list[Port] = []
     for prefix, k in (("", "k"), ("predicted_", "k+1")):
         deviation = f"estimate of x[{k}] with the compressed rows minus that of the host"
-        meanings = deviation, covariance
-        result += estimate_ports(f"{prefix}compression_", shape, meanings, state="deviation")
+        result += estimate_ports(
+            f"{prefix}compression_", shape, (deviation, covariance), state="deviation", start=start
+        )
     return tuple(result)
 
 
@@ -190,7 +190,7 @@ def _predict(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     script = Script(symbols)
     plant = bound(script, design.plant, "ABQ")
-    filtered = estimated(symbols["filtered_state"], symbols["filtered_covariance"])
+    filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, certain(symbols["u"]), filtered)
     filters = _filters(design)
     deviations = [plant.A @ d for _, d, _ in filters]

@@ -18,11 +18,15 @@ import casadi as ca
 import numpy as np
 
 from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.conditioning import PIVOTS_PER_LOG, Conditioned, condition
 from fkgen.estimators.gaussian.decorrelation import Measurement, Row
 from fkgen.estimators.gaussian.estimate import bound, demand_finite, demand_positive, finite
 from fkgen.estimators.gaussian.rank import DIRECTION, thresholds
-from fkgen.estimators.gaussian.sequential import SequentialUpdate
+from fkgen.estimators.gaussian.sequential import (
+    PIVOTS_PER_LOG,
+    Conditioned,
+    SequentialUpdate,
+    condition,
+)
 from fkgen.estimators.lmmse.kalman import by_rows, constant, from_rows
 from fkgen.estimators.windows import window
 from fkgen.faults.partial_state import measured_states, similarity, typical_deviation
@@ -312,7 +316,6 @@ def _taken_over(script: Script, given: PartialDesign) -> tuple[SequentialUpdate,
     scalar, tag = given.spec.code.scalar, "_taken"
     covariance = given.symbols["filtered_covariance"]
     prior, none = pack(carried.joint(covariance)), ca.SX.zeros(n + m)
-    start = {f"mean{tag}": none, f"covariance{tag}": prior}
     measures = ca.horzcat(T1, ca.SX.eye(m))
     taken = SequentialUpdate(
         script=script,
@@ -326,13 +329,10 @@ def _taken_over(script: Script, given: PartialDesign) -> tuple[SequentialUpdate,
         variance=script.let("size", congruence(T1, unpack(covariance, n)) + carried.noise),
         rank_tolerance=DIRECTION[scalar],
         prior=none,
-        mean=none,
         covariance=prior,
         gain=None,
-        determinant=[ca.SX(1)] * -(-m // PIVOTS_PER_LOG[scalar]),
-        symbols={name: script.local(name, value.numel()) for name, value in start.items()},
+        pivots_per_log=PIVOTS_PER_LOG[scalar],
     )
-    script.put(start)
     rank = script.local("rank", 1, 0.0)
     for i, row in enumerate(given.rows):
         with script.titled(f"row {i} of the compressed measurement, {given.plant.rows[row]}"):

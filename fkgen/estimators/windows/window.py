@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from fkgen.errors import InternalError
-from fkgen.estimators.gaussian.conditioning import Conditioned, innovations
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.estimate import bound, finite, measurement_of, update_form
+from fkgen.estimators.gaussian.sequential import Conditioned, innovations
 from fkgen.faults import SoftFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import Script
@@ -26,7 +26,6 @@ from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
     shown,
-    start_of,
     state_ports,
     symbols_of,
 )
@@ -60,17 +59,14 @@ class Design:
         source: str,
         phases: tuple[Phase, Phase, Phase],
         *,
-        initial: dict[str, tuple[float, ...]] | None = None,
         notes: tuple[str, ...] = (),
     ) -> Recursion:
-        """Update, closing and prediction as a recursion; sample 0 ends no window."""
+        """Update, closing and prediction as a recursion."""
         rejects = (Outcome(Status.FAULT_DECLARED, "fault_declared", 0.5),)
-        window = {f"predicted_{COUNTDOWN}": (float(self.soft.window),)}
         return Recursion(
             spec=self.spec,
             source=source,
             ports=self.ports,
-            initial=start_of(self.spec) | (initial or {}) | window,
             update=phases[0],
             closing=phases[1],
             predict=phases[2],
@@ -93,7 +89,8 @@ def host_ports(spec: Spec) -> tuple[Port, ...]:
 
 def window_ports(spec: Spec) -> tuple[Port, ...]:
     """Results of the test, and what has to be remembered from sample to sample."""
-    count = len(soft_faults(spec).groups)
+    soft = soft_faults(spec)
+    count, start = len(soft.groups), {COUNTDOWN: (float(soft.window),)}  # sample 0 ends no window
     each, of = ((count,), " of each group") if count > 1 else ((), "")
     counters = [
         (COUNTDOWN, (), "samples until the end of the window; 0 at its last sample"),
@@ -105,25 +102,22 @@ def window_ports(spec: Spec) -> tuple[Port, ...]:
         )
     statistic = f"zeta{of}: chi-square distributed without fault; 0 where no test is made"
     return (
-        replace(shown("test_statistic", each, statistic), given="test_dof"),
+        shown("test_statistic", each, statistic, given="test_dof"),
         shown("test_dof", each, "its degrees of freedom; 0 where no test is made"),
         shown("fault_declared", each, f"1 where the compression filter{of} is rejected"),
         *(carried(*counter) for counter in counters),
-        *(carried(f"predicted_{n}", s, f"{n} before sample k+1") for n, s, _ in counters),
+        *(
+            carried(f"predicted_{n}", shape, f"{n} before sample k+1", start=start.get(n, ()))
+            for n, shape, _ in counters
+        ),
     )
 
 
 def observed(script: Script, design: Design) -> tuple[Plant, Measurement, list[ca.SX]]:
     """The plant with named entries, y as it measures it, and the innovation of the host."""
     plant, symbols = bound(script, design.plant, "CDR"), design.symbols
-    y = measurement_of(
-        plant,
-        scalar=design.spec.code.scalar,
-        y=symbols["y"],
-        C=plant.C,
-        offset=plant.D @ symbols["u"],
-        R=plant.R,
-    )
+    offset = plant.D @ symbols["u"]
+    y = measurement_of(plant, y=symbols["y"], C=plant.C, offset=offset, R=plant.R)
     return plant, y, innovations(script, symbols["predicted_state"], y, "")
 
 

@@ -25,7 +25,6 @@ from fkgen.problem import Code
 from fkgen.study.diagnostics.subject import Array, SteadyFilter, Subject, listed, numerical_rank
 from fkgen.study.diagnostics.visibility import ON_THE_CIRCLE
 from fkgen.symbolic.interface import Status
-from fkgen.symbolic.packing import unpacked
 from fkgen.symbolic.plant import plant_of
 
 _LOST = {"float": 1e4, "double": 1e13}  # variances not told apart: 1 / eps, three digits to spare
@@ -186,7 +185,7 @@ def _local(machine: Machine, model: Subject, steady: SteadyFilter, off: Array) -
     if machine.step(u.tolist(), y.tolist(), model.spec.defaults) is not Status.OK:
         return {}
     return {
-        port.name: np.asarray(unpacked(port, [v.error for v in machine.ports[port.name]]), float)
+        port.name: np.asarray(port.unpacked([v.error for v in machine.ports[port.name]]), float)
         for port in machine.program.ports
     }
 

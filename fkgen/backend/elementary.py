@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partialmethod
 from typing import Any
 
 import numpy as np
@@ -40,63 +41,43 @@ class Format:
     underflow: float
 
 
+def _alternating(degree: int, divisor: Callable[[int], int]) -> tuple[float, ...]:
+    return tuple((-1.0) ** k / divisor(k) for k in range(degree + 1))
+
+
+def _format(degrees: tuple[int, int, int, int], **constants: Any) -> Format:
+    exp, sin, cos, atan = degrees
+    return Format(
+        exp=tuple(1.0 / math.factorial(k) for k in range(exp + 1)),
+        sin=_alternating(sin, lambda k: math.factorial(2 * k + 1)),
+        cos=_alternating(cos, lambda k: math.factorial(2 * k)),
+        atan=_alternating(atan, lambda k: 2 * k + 1),
+        **constants,
+    )
+
+
 _hex = float.fromhex
 
-
-def _taylor(degree: int, term: Callable[[int], float]) -> tuple[float, ...]:
-    return tuple(term(k) for k in range(degree + 1))
-
-
-def _odd_factorial(k: int) -> float:
-    return (-1.0) ** k / math.factorial(2 * k + 1)
-
-
-def _even_factorial(k: int) -> float:
-    return (-1.0) ** k / math.factorial(2 * k)
-
-
-def _odd(k: int) -> float:
-    return (-1.0) ** k / (2 * k + 1)
-
-
-#: Chebyshev fits on z < (sqrt(2) - 1)^4; they err by 5e-18 and 2e-11 of the logarithm.
-_LOG_DOUBLE = (
-    0.666666666666667,
-    0.39999999999899505,
-    0.28571428625975487,
-    0.2222221113479508,
-    0.18182889125261723,
-    0.15331721600556042,
-    0.14616449685043406,
-)
-_LOG_FLOAT = (0.6666666655449709, 0.40000121839806124, 0.28550820815960665, 0.23330467216303835)
-
+#: log: Chebyshev fits on z < (sqrt(2) - 1)^4; they err by 5e-18 and 2e-11 of the logarithm.
 FORMATS: dict[Scalar, Format] = {
-    "double": Format(
+    "double": _format(
+        (13, 8, 9, 12),
         mantissa=52,
         bias=1023,
-        log=_LOG_DOUBLE,
-        exp=_taylor(13, lambda k: 1.0 / math.factorial(k)),
-        sin=_taylor(8, _odd_factorial),
-        cos=_taylor(9, _even_factorial),
-        atan=_taylor(12, _odd),
-        ln2=(_hex("0x1.62E42FEFp-1"), _hex("0x1.473DE6AF278EDp-34")),
-        half_pi=(
-            _hex("0x1.921FB544p0"),
-            _hex("0x1.0B4611A6p-34"),
-            _hex("0x1.3198A2E037073p-69"),
+        log=(
+            *(0.666666666666667, 0.39999999999899505, 0.28571428625975487, 0.2222221113479508),
+            *(0.18182889125261723, 0.15331721600556042, 0.14616449685043406),
         ),
+        ln2=(_hex("0x1.62E42FEFp-1"), _hex("0x1.473DE6AF278EDp-34")),
+        half_pi=tuple(map(_hex, ("0x1.921FB544p0", "0x1.0B4611A6p-34", "0x1.3198A2E037073p-69"))),
         overflow=709.782712893384,
         underflow=-745.1332191019411,
     ),
-    "float": Format(
+    "float": _format(
+        (7, 4, 5, 5),
         mantissa=23,
         bias=127,
-        log=_LOG_FLOAT,
-        exp=_taylor(7, lambda k: 1.0 / math.factorial(k)),
-        sin=_taylor(4, _odd_factorial),
-        cos=_taylor(5, _even_factorial),
-        atan=_taylor(5, _odd),
+        log=(0.6666666655449709, 0.40000121839806124, 0.28550820815960665, 0.23330467216303835),
         ln2=(_hex("0x1.62E4p-1"), _hex("0x1.7F7D1CF8p-20")),
         half_pi=(_hex("0x1.92p0"), _hex("0x1.FB4p-12"), _hex("0x1.4442D18p-24")),
         overflow=88.72283,
@@ -128,14 +109,6 @@ class Elementary:
         bits = self._bits((exponent + self.format.bias) << self.format.mantissa)
         return bits.view(self.real)
 
-    def _split(self, x: Number) -> tuple[Number, int]:
-        """X = m 2^e with m in [1, 2), for positive normal x."""
-        bits = int(self.real(x).view(self._bits))
-        e = (bits >> self.format.mantissa) - self.format.bias
-        fraction = bits & ((1 << self.format.mantissa) - 1)
-        one = self.format.bias << self.format.mantissa
-        return self._bits(fraction | one).view(self.real), e
-
     def log(self, x: Number) -> Number:
         """Natural logarithm; NaN below zero, -infinity at zero."""
         real, f = self.real, self.format
@@ -146,8 +119,9 @@ class Elementary:
         shift = 0
         if x < self.tiny:
             x, shift = x * self._power_of_two(f.mantissa + 2), f.mantissa + 2
-        m, e = self._split(x)
-        e -= shift
+        bits, one = int(x.view(self._bits)), f.bias << f.mantissa
+        e = (bits >> f.mantissa) - f.bias - shift  # x = m 2^e with m in [1, 2)
+        m: Number = self._bits((bits & ((1 << f.mantissa) - 1)) | one).view(real)
         if m > real(math.sqrt(2.0)):
             m, e = m * real(0.5), e + 1
         t = m - real(1.0)
@@ -186,38 +160,29 @@ class Elementary:
         if x < self.tiny:
             even = (f.mantissa + 2) // 2 * 2
             x, back = x * self._power_of_two(even), self._power_of_two(-even // 2)
-        bits = int(self.real(x).view(self._bits))
+        bits = int(x.view(self._bits))
         guess = (bits >> 1) + (f.bias << (f.mantissa - 1))
         y: Number = self._bits(guess).view(self.real)
         for _ in range(6):
             y = real(0.5) * (y + x / y)
         return y * back
 
-    def _reduced(self, x: Number) -> tuple[Number, int]:
-        """X = k pi/2 + r, |r| <= pi/4; the quadrant k mod 4."""
+    def _wave(self, quarter: int, x: Number) -> Number:
+        """Sine of x and some quarters of a turn; NaN beyond 1e5, where digits would get lost."""
         real, f = self.real, self.format
         if not abs(x) <= real(1e5):
-            return (x - x) / real(0.0), 0
+            return (x - x) / real(0.0)
         half = real(0.5) if x >= 0 else real(-0.5)
         k = int(x * real(2.0 / math.pi) + half)
         n = real(k)
         r = ((x - n * real(f.half_pi[0])) - n * real(f.half_pi[1])) - n * real(f.half_pi[2])
-        return r, k & 3
-
-    def _wave(self, x: Number, quarter: int) -> Number:
-        r, k = self._reduced(x)
-        k = (k + quarter) & 3
+        k += quarter
         z = r * r
-        y = self._horner(self.format.cos, z) if k & 1 else r * self._horner(self.format.sin, z)
+        y = self._horner(f.cos, z) if k & 1 else r * self._horner(f.sin, z)
         return -y if k & 2 else y
 
-    def sin(self, x: Number) -> Number:
-        """Sine; NaN beyond 1e5 radians, where the reduction would lose digits."""
-        return self._wave(x, 0)
-
-    def cos(self, x: Number) -> Number:
-        """Cosine, likewise."""
-        return self._wave(x, 1)
+    sin = partialmethod(_wave, 0)
+    cos = partialmethod(_wave, 1)
 
     def tan(self, x: Number) -> Number:
         """Tangent, likewise."""
