@@ -256,7 +256,7 @@ def fault_effect(
     from fkgen.study.effects.report import Options, report_of
 
     found = report_of(spec, Options(**options), plot=plot, force=force)
-    _tell(found, found.table(), found.sentences(), as_json=as_json)
+    _tell(found, (found.head, found.rows), found.sentences, as_json=as_json)
     _say("note", found.notes)
 
 
@@ -273,7 +273,7 @@ def detectability(spec: Spec, *, as_json: bool, **options: Any) -> None:
     from fkgen.study.effects.detectability import least_biases
 
     found = least_biases(spec, **options)
-    _tell(found, found.table(), [found.sentence()], as_json=as_json, names=2)
+    _tell(found, (found.head, found.rows), found.sentences, as_json=as_json, names=2)
 
 
 @main.command()
@@ -288,7 +288,7 @@ def detectability(spec: Spec, *, as_json: bool, **options: Any) -> None:
 @_FORCE
 def simulate(spec: Spec, *, output: Path | None, force: bool, **options: Any) -> None:
     """Draw one trial of the plant of SPEC, with its faults, as a record for fkgen run."""
-    from fkgen.study.comparisons.commands import drawn
+    from fkgen.study.comparisons.comparison import drawn
     from fkgen.study.records.files import refuse_targets
 
     refuse_targets(output, force=force)
@@ -316,7 +316,7 @@ def compare(specs: tuple[Spec, ...], *, as_json: bool, **options: Any) -> None:
     Several SPECS are filters as they stand; --families adds families for the plant of the first
     one, and of one spec all that fit are compared.
     """
-    from fkgen.study.comparisons.commands import compared
+    from fkgen.study.comparisons.comparison import compared
     from fkgen.study.comparisons.report import table_of
 
     found = compared(specs, **options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,38 +24,28 @@ Array = NDArray[np.floating]
 GENIE = "genie"
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A filter that takes part, under its name in tables."""
-
-    label: str
-    spec: Spec
-
-
 def fault_section(spec: Spec) -> str:
     """Which faults the plant of a spec has: ``actuator``, ``sensor`` or none."""
     return next(iter(spec.faults.plain()), "")
 
 
-def candidates_of(specs: Sequence[Spec], families: Sequence[str]) -> tuple[Candidate, ...]:
-    """All filters that take part: the specs as they stand, or families for the first plant.
+def candidates_of(specs: Sequence[Spec], families: Sequence[str]) -> dict[str, Spec]:
+    """All filters that take part, by label: the specs as they stand, families for the first plant.
 
     The first spec is the truth; if there are several, each is a filter as well. A family is
     ``family`` or ``family:key=value``; the options are those of ``[filter]``.
     """
-    truth, found = specs[0], []
+    truth, found = specs[0], dict[str, Spec]()
     if len(specs) > 1 or not families:
-        found = [Candidate(_label(spec, specs), spec) for spec in specs]
-    found += [Candidate(each, derived(truth, each)) for each in families]
-    labels = [one.label for one in found]
-    found = [one for i, one in enumerate(found) if one.label not in labels[:i]]
-    for one in found:
-        sizes = [(s.model.nx, s.model.nu, s.model.ny) for s in (one.spec, truth)]
+        found = {_label(spec, specs): spec for spec in specs}
+    for each in families:
+        found.setdefault(each, derived(truth, each))
+    for spec in found.values():
+        sizes = [(s.model.nx, s.model.nu, s.model.ny) for s in (spec, truth)]
         if sizes[0] != sizes[1]:
             given, wanted = (f"{n} states, {q} inputs, {p} measurements" for n, q, p in sizes)
-            expected = f"{wanted}, as the first spec has"
-            raise DataError(one.spec.file, given=given, expected=expected)
-    return tuple(found)
+            raise DataError(spec.file, given=given, expected=f"{wanted}, as the first spec has")
+    return found
 
 
 def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -99,24 +90,23 @@ def _options(texts: Sequence[str]) -> dict[str, object]:
     options: dict[str, object] = {}
     for text in texts:
         key, _, value = text.partition("=")
-        try:
+        options[key] = value
+        with suppress(ValueError):
             options[key] = float(value)
-        except ValueError:
-            options[key] = value
     return options
 
 
 def _label(spec: Spec, specs: Sequence[Spec]) -> str:
     """The family, or the file too, or the place in the list too: what tells the filters apart."""
-    family = spec.filter.family
+    family, file = spec.filter.family, Path(spec.file).stem
     if sum(other.filter.family == family for other in specs) == 1:
         return family
-    if sum(other.file == spec.file for other in specs) == 1:
-        return f"{family} ({Path(spec.file).stem})"
+    if sum(Path(other.file).stem == file for other in specs) == 1:
+        return f"{family} ({file})"
     return f"{family} ({next(i for i, other in enumerate(specs, 1) if other is spec)})"
 
 
-def genie_of(truth: Spec) -> Candidate:
+def genie_of(truth: Spec) -> Spec:
     """The genie-aided filter, which is told every fault: the lower bound of all others.
 
     For sensor faults the family ``genie``; for actuator faults a Kalman filter that is told what
@@ -124,8 +114,8 @@ def genie_of(truth: Spec) -> Candidate:
     itself.
     """
     if truth.faults.jump is not None:
-        return Candidate(GENIE, _mode_aided(truth, truth.faults.jump))
-    return Candidate(GENIE, derived(truth, "genie" if truth.faults.sensor is not None else "kf"))
+        return _mode_aided(truth, truth.faults.jump)
+    return derived(truth, "genie" if truth.faults.sensor is not None else "kf")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,32 +1,43 @@
-"""Several filters for one plant and its faults: paired simulation, costs, a recommendation."""
+"""Several filters on the same trials of one plant with its faults, and trials as a record."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import progressing
 from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.pipeline import build
-from fkgen.problem import Spec
-from fkgen.runtime.compiled import CompiledFilter
+from fkgen.problem import Signal, Spec
+from fkgen.runtime.record import probability
 from fkgen.study.comparisons.candidates import (
-    Candidate,
+    GENIE,
     candidates_of,
     default_families,
     filter_inputs,
     genie_of,
 )
 from fkgen.study.comparisons.footprint import footprint
-from fkgen.study.comparisons.ranking import Comparison, Entry, Experiment, ranked
+from fkgen.study.comparisons.ranking import Comparison, Entry, ranked
 from fkgen.study.comparisons.scores import Scores, score
-from fkgen.trials.simulation import counted, simulate
+from fkgen.study.records.files import refuse_targets
+from fkgen.study.records.filtering import csv_text
+from fkgen.study.records.table import constants_or_record, profile_of
+from fkgen.trials.simulation import Simulation, counted, simulate
 
+Array = NDArray[Any]
+
+#: Samples of a trial, unless a file or somebody says how many.
+STEPS = 200
 #: Samples that are simulated and filtered before the next ones: what they take in memory.
 CHUNK = 400_000
 
@@ -71,83 +82,146 @@ def compare(
         If a family does not fit the faults, a number is out of range, or the plant overflows.
     """
     given = (specs,) if isinstance(specs, Spec) else tuple(specs)
-    left_out: tuple[str, ...] = ()
     ready = counted("steps", steps) // 4 if skip is None else counted("skip", skip, least=0)
-    size = Experiment(runs, steps, seed, ready, false_alarm)
-    experiment = replace(size, u=u, params=params, sensor=sensor, input=input, present=present)
-    if families is None and len(given) == 1:
-        families, left_out = default_families(given[0])
-    found = _compared(given, families or (), experiment, progress=progress)
-    return replace(found, notes=(*found.notes, *left_out))
+    size = {"runs": runs, "steps": steps, "skip": ready, "seed": seed}
+    signals = {"u": u, "params": params, "sensor": sensor, "input": input, "present": present}
+    return _compared(given, families, size, signals, false_alarm=false_alarm, shown=progress)
 
 
 def _compared(
-    specs: tuple[Spec, ...], families: Sequence[str], experiment: Experiment, *, progress: bool
+    specs: Sequence[Spec],
+    families: Sequence[str] | None,
+    size: Mapping[str, int],
+    signals: Mapping[str, Any],
+    *,
+    false_alarm: float,
+    shown: bool,
 ) -> Comparison:
+    counted("runs", size["runs"], least=2)
+    steps = counted("steps", size["steps"])
+    if size["skip"] >= steps:
+        expected = f"from 0 to {steps - 1}: some of the {steps} samples have to count"
+        raise DataError("skip", given=str(size["skip"]), expected=expected)
+    probability("false_alarm", false_alarm)
     if not specs:
         raise DataError("specs", given="none", expected="at least one spec")
-    truth, compiled = specs[0], []
-    everyone = (genie_of(truth), *candidates_of(specs, families))
-    with progressing("build", len(everyone), shown=progress) as advance:
-        for each in everyone:
-            compiled.append(build(each.spec))
+    truth, own = specs[0], families is None and len(specs) == 1
+    fitting, left_out = default_families(truth) if own else (families or (), ())
+    candidates = candidates_of(specs, fitting)
+    everyone = [(GENIE, genie_of(truth)), *candidates.items()]
+    compiled = []
+    with progressing("build", len(everyone), shown=shown) as advance:
+        for _, spec in everyone:
+            compiled.append(build(spec))
             advance(1)
         with ThreadPoolExecutor() as pool:
             costs = list(pool.map(footprint, compiled))
-    scores = _scored(truth, everyone, compiled, experiment, progress=progress)
-    entries = [
-        Entry(each.label, each.spec.filter.family, result, cost)
-        for each, result, cost in zip(everyone, scores, costs, strict=True)
-    ]
-    found = ranked(truth, entries, experiment)
+    results: list[list[Scores]] = [[] for _ in everyone]
+    with progressing("simulate and filter", size["runs"] * len(everyone), shown=shown) as advance:
+        for trials in _chunks(truth, size, signals):
+            for parts, built, (_, spec) in zip(results, compiled, everyone, strict=True):
+                told = filter_inputs(trials, spec, genie=parts is results[0])
+                parts.append(score(built, told, trials, size["skip"], false_alarm))
+                advance(len(trials.y))
+    entries = []
+    for (label, spec), cost, parts in zip(everyone, costs, results, strict=True):
+        whole = Scores(*map(np.concatenate, zip(*parts, strict=True)))
+        entries.append(Entry(label, spec.filter.family, cost, whole))
+    found = ranked(truth, entries, false_alarm, **size)
     caveats = (
-        f"{each.label}: {finding.message}"
-        for each in everyone[1:]
-        for finding in family(each.spec.filter.family).caveats(each.spec)
+        f"{label}: {finding.message}"
+        for label, spec in candidates.items()
+        for finding in family(spec.filter.family).caveats(spec)
     )
-    return replace(found, notes=(*found.notes, *caveats))
+    return replace(found, notes=(*found.notes, *caveats, *left_out))
 
 
-def _scored(
-    truth: Spec,
-    everyone: Sequence[Candidate],
-    compiled: Sequence[CompiledFilter],
-    experiment: Experiment,
+def _chunks(
+    truth: Spec, size: Mapping[str, int], signals: Mapping[str, Any]
+) -> Iterator[Simulation]:
+    """All trials, so many at a time as memory should hold."""
+    runs, steps = size["runs"], size["steps"]
+    for start in range(0, runs, most := max(1, CHUNK // steps)):
+        part = slice(start, min(start + most, runs))
+        # what has three axes has one record for each trial
+        given = {n: s[part] if np.ndim(s) == 3 else s for n, s in signals.items()}
+        yield simulate(truth, part.stop - start, steps, size["seed"], first=start, **given)
+
+
+def drawn(spec: Spec, *, trial: int, **options: Any) -> str:
+    """One trial as a CSV text: what a filter is told, then the truth.
+
+    Columns are the measurements, inputs and parameters by name, then ``true.<state>`` and the fault
+    indicators: ``gamma`` and ``delta`` of sensors, ``gamma.<input>`` of actuators.
+    """
+    columns = _columns(spec, simulate(spec, 1, first=trial, **_circumstances(spec, **options)))
+    texts = [["" if math.isnan(v) else v for v in values.tolist()] for values in columns.values()]
+    return csv_text(list(columns), texts)
+
+
+def compared(
+    specs: tuple[Spec, ...], *, families: str, plot: Path | None, force: bool, **options: Any
+) -> Comparison:
+    """Compare, and draw the figure if one is asked for; progress is shown on a terminal."""
+    refuse_targets(None, plot, force=force)
+    given = _circumstances(specs[0], **options)
+    names = tuple(name.strip() for name in families.split(",") if name.strip())
+    found = compare(specs, names or None, progress=sys.stderr.isatty(), **given)
+    if plot is not None:
+        from fkgen.study.comparisons.report import draw_comparison  # noqa: PLC0415 - slow to import
+        from fkgen.study.reports.plots import save  # noqa: PLC0415
+
+        save(draw_comparison(found), plot, force=force)
+    return found
+
+
+def _circumstances(
+    spec: Spec,
     *,
-    progress: bool,
-) -> list[Scores]:
-    """Simulate and filter in chunks: only scores are kept; the first candidate is the genie."""
-    from scipy.special import gammainccinv  # noqa: PLC0415 - scipy.stats would take a second
-
-    runs, steps = experiment.runs, experiment.steps
-    rows = np.arange(1, truth.model.ny + 1)
-    # What the NIS of 0, 1, ... rows exceeds with the probability of a false alarm.
-    limits = np.array([np.inf, *(2.0 * gammainccinv(0.5 * rows, experiment.false_alarm))])
-    parts: list[list[Scores]] = [[] for _ in everyone]
-    with progressing("simulate and filter", runs * len(everyone), shown=progress) as advance:
-        for start in range(0, runs, size := max(1, CHUNK // steps)):
-            stop = min(start + size, runs)
-            drawn = simulate(
-                truth,
-                stop - start,
-                steps,
-                experiment.seed,
-                _part(experiment.u, start, stop),
-                params=experiment.params,
-                sensor=_part(experiment.sensor, start, stop),
-                input=_part(experiment.input, start, stop),
-                present=_part(experiment.present, start, stop),
-                first=start,
-            )
-            for at, each in enumerate(everyone):
-                given = filter_inputs(drawn, each.spec, genie=at == 0)
-                part = score(compiled[at], given, drawn, skip=experiment.skip, limits=limits)
-                parts[at].append(part)
-                advance(stop - start)
-    return [Scores.joined(each) for each in parts]
+    steps: int | None,
+    record: Path | None,
+    inputs: str,
+    profile: Path | None,
+    **sizes: Any,
+) -> dict[str, Any]:
+    """Number of samples, inputs, parameters, missing rows and soft faults, beside other sizes."""
+    signals: dict[str, Any] = {}
+    lengths: dict[int, Path] = {}
+    if profile is not None:
+        signals["sensor"], signals["input"] = profile_of(spec, profile)
+        lengths[len(signals["sensor"])] = profile
+    constants, table = constants_or_record(spec, inputs, record)
+    params = {} if table is None else table.params
+    if table is not None and record is not None:
+        lengths[len(table.lines)] = record
+        signals |= {"present": np.isfinite(table.y), "u": table.u if spec.model.nu else None}
+    elif spec.model.nu and constants is None:
+        names = ", ".join(signal.name for signal in spec.model.inputs)
+        raise DataError("--u", given="nothing", expected=f"numbers for {names}, or a --record")
+    most = min(lengths, default=STEPS)
+    wanted = most if steps is None else steps
+    if lengths and wanted > most:
+        expected = f"at most {most}: {lengths[most]} has no more samples"
+        raise DataError("--steps", given=str(wanted), expected=expected)
+    first = {name: None if each is None else each[:wanted] for name, each in signals.items()}
+    over = {name: values[:wanted] for name, values in params.items()}
+    return {"u": constants, "params": over, "steps": wanted, **first, **sizes}
 
 
-def _part(signal: ArrayLike | None, start: int, stop: int) -> ArrayLike | None:
-    """The trials of a chunk, if a signal has one record for each."""
-    array = None if signal is None else np.asarray(signal)
-    return array[start:stop] if array is not None and array.ndim == 3 else signal
+def _columns(spec: Spec, found: Simulation) -> dict[str, Array]:
+    def named(signals: Sequence[Signal], values: Array, prefix: str = "") -> dict[str, Array]:
+        return {f"{prefix}{signal.name}": values[:, i] for i, signal in enumerate(signals)}
+
+    model, y = spec.model, found.y[0]
+    columns = named(model.outputs, y) | named(model.inputs, found.u)
+    columns |= {name: np.broadcast_to(each, len(y)) for name, each in found.params.items()}
+    columns |= named(model.states, found.state[0], "true.")
+    if found.gamma is not None and found.delta is not None:
+        columns |= {"gamma": found.gamma[0], "delta": found.delta[0]}
+    elif found.gamma is not None:
+        columns |= named(model.inputs, found.gamma[0], "gamma.")
+    elif found.mode is not None:
+        columns["mode"] = found.mode[0]
+    if found.arrival is not None:
+        columns["arrival"] = found.arrival[0].astype(float)
+    return columns

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from fkgen.backend.source import MANIFEST
 from fkgen.runtime.compiled import CompiledFilter
@@ -18,7 +17,6 @@ from fkgen.runtime.compiler import LARGE, find_compiler
 #: Operations that a call of exp, log, sqrt or their kin is counted as: what its C does.
 CALL = 25
 
-_WAIT = 600
 _CORTEX = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 
 
@@ -40,45 +38,27 @@ class Footprint:
 
 def footprint(compiled: CompiledFilter) -> Footprint:
     """Measure a compiled filter."""
-    manifest = json.loads((compiled.folder / MANIFEST).read_text(encoding="utf-8"))
-    scalars = sum(port.size for port in compiled.layout.ports)
-    return Footprint(
-        operations=compiled.layout.flops,
-        calls=sum(manifest["calls"].values()),
-        state=scalars * np.dtype(compiled.layout.dtype).itemsize,
-        flash=_flash(compiled),
-    )
-
-
-def _flash(compiled: CompiledFilter) -> dict[str, int]:
-    host, cross = find_compiler().command, shutil.which("arm-none-eabi-gcc")
-    fast = "-O2" if compiled.layout.flops <= LARGE else "-O1"
-    attempts = {"host -Os": ((*host, "-Os"), "size"), f"host {fast}": ((*host, fast), "size")}
-    if cross is not None:
-        attempts["Cortex-M4F -Os"] = ((cross, *_CORTEX, "-Os"), "arm-none-eabi-size")
+    layout, host = compiled.layout, find_compiler().command
+    fast = "-O2" if layout.flops <= LARGE else "-O1"
+    attempts = {
+        "host -Os": ("size", *host, "-Os"),
+        f"host {fast}": ("size", *host, fast),
+        "Cortex-M4F -Os": ("arm-none-eabi-size", "arm-none-eabi-gcc", *_CORTEX, "-Os"),
+    }
     code = compiled.folder / f"{compiled.name}.c"
-    measured = {name: _text_bytes(code, *how) for name, how in attempts.items()}
-    return {name: size for name, size in measured.items() if size is not None}
+    sizes = {name: _text_bytes(code, *tools) for name, tools in attempts.items()}
+    calls = json.loads((compiled.folder / MANIFEST).read_text(encoding="utf-8"))["calls"]
+    scalars = sum(port.size for port in layout.ports)
+    flash = {name: size for name, size in sizes.items() if size is not None}
+    return Footprint(layout.flops, sum(calls.values()), scalars * layout.dtype().itemsize, flash)
 
 
-def _text_bytes(code: Path, command: tuple[str, ...], size: str) -> int | None:
+def _text_bytes(code: Path, size: str, *compiler: str) -> int | None:
     """Code and constants of one object file; None if a tool is missing or refuses."""
-    tool = shutil.which(size)
-    if tool is None:
-        return None
-    with tempfile.TemporaryDirectory(prefix="fkgen-") as folder:
-        target = Path(folder) / "filter.o"
-        flags = ["-std=c99", "-ffp-contract=off", "-c", str(code), "-o", str(target)]
-        try:
-            _run([*command, *flags])
-            lines = _run([tool, str(target)]).splitlines()
-            return int(lines[1].split()[0])
-        except (OSError, subprocess.SubprocessError, IndexError, ValueError):
-            return None
-
-
-def _run(command: list[str]) -> str:
-    done = subprocess.run(  # noqa: S603 - a compiler that was looked for, and its output
-        command, capture_output=True, text=True, timeout=_WAIT, check=True
-    )
-    return done.stdout
+    run = partial(subprocess.check_output, text=True, stderr=subprocess.DEVNULL, timeout=600)
+    failures = (OSError, subprocess.SubprocessError, IndexError, ValueError)
+    with tempfile.TemporaryDirectory(prefix="fkgen-") as folder, suppress(*failures):
+        target = f"{folder}/filter.o"
+        run([*compiler, "-std=c99", "-ffp-contract=off", "-c", str(code), "-o", target])
+        return int(run([size, target]).splitlines()[1].split()[0])
+    return None

@@ -5,30 +5,20 @@ Recommended is the cheapest of the filters that are as good as the best, as far 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.families import family
 from fkgen.problem import Spec
-from fkgen.runtime.record import probability
 from fkgen.study.comparisons.candidates import GENIE, fault_section
 from fkgen.study.comparisons.footprint import Footprint
-from fkgen.study.comparisons.scores import (
-    UNKNOWN,
-    Estimate,
-    Scores,
-    error_of,
-    influence_of,
-    mean,
-    ratio,
-)
-from fkgen.study.reports.jsonable import finite_or_none
-from fkgen.trials.simulation import counted
+from fkgen.study.comparisons.scores import Detection, Scores
+from fkgen.study.reports.jsonable import json_text
 
 Array = NDArray[np.float64]
 
@@ -46,29 +36,57 @@ _GENIE_IS = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Experiment:
-    """Size and circumstances of a comparison: M trials of T samples, checked."""
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number and its standard error."""
 
-    runs: int
-    steps: int
-    seed: int
-    skip: int  # samples at the start of a trial that do not count
-    false_alarm: float  # of the NIS test, for filters that declare nothing themselves
-    u: ArrayLike | None = None  # this and the following: as for `simulate`
-    params: Mapping[str, ArrayLike] | None = None
-    sensor: ArrayLike | None = None
-    input: ArrayLike | None = None
-    present: ArrayLike | None = None
+    value: float
+    error: float
 
-    def __post_init__(self) -> None:
-        """Refuse numbers that cannot be."""
-        counted("runs", self.runs, least=2)
-        counted("steps", self.steps)
-        if not 0 <= self.skip < self.steps:
-            expected = f"from 0 to {self.steps - 1}: some of the {self.steps} samples have to count"
-            raise DataError("skip", given=str(self.skip), expected=expected)
-        probability("false_alarm", self.false_alarm)
+    def __str__(self) -> str:
+        """The number with as many digits as its error leaves meaning."""
+        if not np.isfinite(self.value):
+            return "-"
+        if not self.error > 0.0:
+            return f"{self.value:.4g}"
+        digits = int(np.clip(1 - np.floor(np.log10(self.error)), 0, 8))
+        return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
+
+    def root(self) -> Estimate:
+        """The square root, with its error by the delta method."""
+        root = float(np.sqrt(self.value))
+        return Estimate(root, self.error / (2.0 * root) if root > 0.0 else 0.0)
+
+
+def mean(each: Array) -> Estimate:
+    """The mean over trials, of (M,) numbers; NaN where a trial has nothing to say."""
+    known = each[np.isfinite(each)]
+    return ratio(known, np.ones_like(known)) if known.size else Estimate(np.nan, np.nan)
+
+
+def ratio(above: Array, below: Array) -> Estimate:
+    """The ratio of two means over the same trials, with its error by the delta method."""
+    value, influence = influence_of(above, below)
+    return Estimate(value, error_of(influence))
+
+
+def influence_of(above: Array, below: Array) -> tuple[float, Array]:
+    """A ratio of means, and how far each trial moves it: (M,), with mean zero.
+
+    Differences of ratios have the differences of these: that is what pairing trials gains.
+    """
+    total = float(below.mean())
+    if not total > 0.0:
+        return float("nan"), np.full(above.shape, np.nan)
+    value = float(above.mean()) / total
+    return value, (above - value * below) / total
+
+
+def error_of(influence: Array) -> float:
+    """Standard error of the mean of numbers with mean zero, one per trial."""
+    if influence.size < 2:
+        return float("nan")
+    return float(np.sqrt((influence**2).sum() / (influence.size - 1) / influence.size))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +104,11 @@ class Score:
         costs = self.footprint
         return costs.cost, min(costs.flash.values(), default=0), costs.state
 
+    @property
+    def relative(self) -> Estimate:
+        """Its error over that of the genie."""
+        return Estimate(self.value, error_of(self.influence))
+
     def gap(self, better: Score) -> Estimate:
         """The paired difference to another one."""
         return Estimate(self.value - better.value, error_of(self.influence - better.influence))
@@ -94,25 +117,16 @@ class Score:
         """Whether its error is smaller, or a tie, over the same trials."""
         gap = self.gap(other)
         doubt = TIE * gap.error
-        return gap.value <= 0.0 or (
-            gap.value <= doubt and gap.value + doubt <= MARGIN * other.value
-        )
-
-    def undecided_against(self, other: Score) -> bool:
-        """Whether its larger error may be chance, and may as well be much larger."""
-        gap = self.gap(other)
-        return 0.0 < gap.value <= TIE * gap.error and not self.not_worse_than(other)
+        tie = gap.value <= doubt and gap.value + doubt <= MARGIN * other.value
+        return gap.value <= 0.0 or tie
 
 
 def beaten(one: Score, everyone: Sequence[Score]) -> bool:
     """Whether a cheaper filter is not worse, or one of the same price is better."""
+    rivals = [other for other in everyone if other is not one and other.not_worse_than(one)]
     return any(
-        other.not_worse_than(one)
-        and (
-            other.price < one.price or (other.price == one.price and not one.not_worse_than(other))
-        )
-        for other in everyone
-        if other is not one
+        other.price < one.price or (other.price == one.price and not one.not_worse_than(other))
+        for other in rivals
     )
 
 
@@ -121,8 +135,7 @@ def recommended(everyone: Sequence[Score], nees: dict[str, Estimate]) -> tuple[s
     best = everyone[0]
     ties = [one for one in everyone if one.not_worse_than(best)]
     chosen = min(ties, key=lambda one: one.price)
-    size = Estimate(chosen.value, error_of(chosen.influence))
-    about = f"its mean squared error, {size} times that of the genie,"
+    about = f"its mean squared error, {chosen.relative} times that of the genie,"
     if len(everyone) == 1:
         why = f"{about} has nothing to be compared with"
     elif chosen is not best:
@@ -135,9 +148,9 @@ def recommended(everyone: Sequence[Score], nees: dict[str, Estimate]) -> tuple[s
         names = " and ".join(one.label for one in ties if one is not best)
         why = f"{about} is the smallest, and {names}, which may be as good, costs no less"
     else:
-        second = everyone[1]
-        why = f"{about} is the smallest, {second.gap(best)} below that of {second.label}"
-        if second.undecided_against(best):
+        second, gap = everyone[1], everyone[1].gap(best)
+        why = f"{about} is the smallest, {gap} below that of {second.label}"
+        if 0.0 < gap.value <= TIE * gap.error:  # may be chance, and may as well be much larger
             why += ", which more trials would have to decide"
     own = nees[chosen.label]
     if abs(own.value - 1.0) > max(HONEST, TIE * own.error):
@@ -146,14 +159,13 @@ def recommended(everyone: Sequence[Score], nees: dict[str, Estimate]) -> tuple[s
     return chosen.label, f"Take {chosen.label}: {why}."
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Entry:
+class Entry(NamedTuple):
     """A filter with everything that was measured of it."""
 
     label: str
     family: str
-    scores: Scores
     footprint: Footprint
+    scores: Scores
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +217,7 @@ class Comparison:
     rows: tuple[Row, ...]
     recommended: str
     recommendation: str
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     def row(self, label: str) -> Row:
         """The row of a filter; KeyError if there is none."""
@@ -213,81 +225,76 @@ class Comparison:
 
     def to_json(self) -> str:
         """Everything as JSON; what has no value is null."""
-        return json.dumps(finite_or_none(asdict(self)), indent=2)
+        return json_text(asdict(self))
 
 
-def ranked(truth: Spec, entries: Sequence[Entry], experiment: Experiment) -> Comparison:
-    """Compare entries, of which the first is the genie-aided filter."""
-    genie, *scores = (_score(entry, entries[0]) for entry in entries)
-    of_label = {entry.label: entry for entry in entries[1:]}
-    lost = [one.label for one in scores if not np.isfinite(one.value)]
-    scores = sorted((s for s in scores if s.label not in lost), key=lambda one: one.value)
-    if not scores:
+def ranked(truth: Spec, entries: Sequence[Entry], false_alarm: float, **size: int) -> Comparison:
+    """Compare filters, of which the first is the genie-aided one."""
+    best = entries[0].scores.squared
+    genie, *others = ((_score(each, best), each) for each in entries)
+    known = [each for each in others if np.isfinite(each[0].value)]
+    known.sort(key=lambda each: each[0].value)
+    standing = [score for score, _ in known]
+    if not known:
         given = "errors that are zero for the genie, or beyond all numbers for every filter"
         expected = "a plant with noise, and a horizon over which a filter follows it"
         raise DataError("comparison", given=given, expected=expected)
-    states = [signal.name for signal in truth.model.states]
-    nees = {one.label: mean(of_label[one.label].scores.nees) for one in scores}
-    chosen, sentence = recommended(scores, nees)
-    rows = [_row(s, of_label[s.label], states, pareto=not beaten(s, scores)) for s in scores]
+    rows = [_row(truth, *each, pareto=not beaten(each[0], standing)) for each in known]
+    chosen, sentence = recommended(standing, {row.label: row.nees for row in rows})
+    lost = [score.label for score, _ in others if not np.isfinite(score.value)]
+    notes = _notes(truth, size, false_alarm, rows)
     return Comparison(
         name=truth.name,
-        runs=experiment.runs,
-        steps=experiment.steps,
-        skip=experiment.skip,
-        seed=experiment.seed,
-        genie=_row(genie, entries[0], states, pareto=False),
+        **size,
+        genie=_row(truth, *genie, pareto=False),
         rows=tuple(rows),
         recommended=chosen,
         recommendation=sentence,
-        notes=_notes(truth, experiment, rows)
-        + tuple(f"{each} lost the state: left out" for each in lost),
+        notes=(*notes, *(f"{label} lost the state: left out" for label in lost)),
     )
 
 
-def _score(entry: Entry, genie: Entry) -> Score:
-    """MSE over that of the genie: the mean over states, and the influence of every trial."""
-    squared, best = entry.scores.squared, genie.scores.squared
+def _score(entry: Entry, best: Array) -> Score:
+    """MSE (M, n) over that of the genie: the mean over states, and the influence of every trial."""
+    label, _, footprint, (squared, *_) = entry
     with np.errstate(invalid="ignore", over="ignore"):
         parts = [influence_of(a, b) for a, b in zip(squared.T, best.T, strict=True)]
     known = [part for part in parts if np.isfinite(part[0])]
     if not known:
-        return Score(entry.label, entry.footprint, float("nan"), np.full(len(squared), np.nan))
+        return Score(label, footprint, float("nan"), np.full(len(squared), np.nan))
     values, influences = zip(*known, strict=True)
-    influence = np.asarray(np.mean(influences, axis=0))
-    return Score(entry.label, entry.footprint, float(np.mean(values)), influence)
+    return Score(label, footprint, float(np.mean(values)), np.asarray(np.mean(influences, axis=0)))
 
 
-def _row(score: Score, entry: Entry, states: Sequence[str], *, pareto: bool) -> Row:
-    scores, found = entry.scores, entry.scores.found
-    rmse = {}
-    for i, state in enumerate(states):
-        squared = mean(scores.squared[:, i])
-        root = float(np.sqrt(squared.value))
-        rmse[state] = Estimate(root, squared.error / (2.0 * root) if root > 0.0 else 0.0)
-    declares = entry.label != GENIE and np.isfinite(found.healthy).all()
+def _row(truth: Spec, score: Score, entry: Entry, *, pareto: bool) -> Row:
+    scores = entry.scores
+    states = zip(truth.model.states, scores.squared.T, strict=True)
+    declared = np.full_like(scores.detection, np.nan) if score.label == GENIE else scores.detection
+    found = Detection(*declared.T)
     return Row(
-        label=entry.label,
+        label=score.label,
         family=entry.family,
-        relative=Estimate(score.value, error_of(score.influence)),
-        rmse=rmse,
+        relative=score.relative,
+        rmse={state.name: mean(squared).root() for state, squared in states},
         nees=mean(scores.nees),
         nis=mean(scores.nis),
-        detected=ratio(found.found, found.onsets) if declares else UNKNOWN,
-        delay=ratio(found.waited, found.found) if declares else UNKNOWN,
-        false_alarms=ratio(found.alarms, found.healthy) if declares else UNKNOWN,
-        footprint=entry.footprint,
+        detected=ratio(found.found, found.onsets),
+        delay=ratio(found.waited, found.found),
+        false_alarms=ratio(found.alarms, found.healthy),
+        footprint=score.footprint,
         refused=int(scores.refused.sum()),
         pareto=pareto,
     )
 
 
-def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[str, ...]:
+def _notes(
+    truth: Spec, size: Mapping[str, int], false_alarm: float, rows: Sequence[Row]
+) -> list[str]:
     faults = fault_section(truth)
     no_faults = "is the Kalman filter of the plant, told of no soft fault but free of them"
-    paired = f"+- one standard error over {experiment.runs} trials, the same for every filter"
-    counted_ones = f"samples {experiment.skip} to {experiment.steps - 1} count"
-    notes = [f"genie {_GENIE_IS.get(faults, no_faults)}", f"{paired}; {counted_ones}"]
+    paired = f"+- one standard error over {size['runs']} trials, the same for every filter"
+    counting = f"samples {size['skip']} to {size['steps'] - 1} count"
+    notes = [f"genie {_GENIE_IS.get(faults, no_faults)}", f"{paired}; {counting}"]
     without = [row.family for row in rows if not family(row.family).accepts]
     if without and faults:
         taken = "the same plant with its faults left out; it takes every y and u for good"
@@ -295,9 +302,9 @@ def _notes(truth: Spec, experiment: Experiment, rows: Sequence[Row]) -> tuple[st
     if any(np.isfinite(row.false_alarms.value) for row in rows):
         notes.append(
             "faults are declared where the mode without fault has a probability below one half; "
-            f"without modes, by a test of the NIS at {experiment.false_alarm:g}"
+            f"without modes, by a test of the NIS at {false_alarm:g}"
         )
     refused = [f"{row.label} {row.refused}" for row in rows if row.refused]
     if refused:
         notes.append(f"samples that filters refused: {', '.join(refused)}")
-    return tuple(notes)
+    return notes

@@ -1,8 +1,8 @@
-"""What a filter made of trials: errors, consistency, faults noticed; numbers and their means."""
+"""What a filter made of trials: errors, consistency, faults noticed."""
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +17,15 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 #: Ports that scores need, as far as a filter has them.
-PORTS = (
-    *("filtered_state", "filtered_covariance", "nis"),
-    *("mode_probability", "fault_declared", "test_dof"),
-)
+_VERDICTS = ("mode_probability", "fault_declared", "test_dof")
+PORTS = ("filtered_state", "filtered_covariance", "nis", *_VERDICTS)
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
 _ROUNDED = 512.0
 #: A sensor is declared faulty when it is more probably so than not.
 _DECIDED = 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Detection:
+class Detection(NamedTuple):
     """Counts per trial, (M,) each."""
 
     healthy: Array  # samples without fault
@@ -38,8 +35,7 @@ class Detection:
     waited: Array  # samples between onset and declaration, summed over those found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scores:
+class Scores(NamedTuple):
     """One filter over M trials."""
 
     squared: Array  # (M, n), mean squared error of every state
@@ -48,43 +44,31 @@ class Scores:
     refused: Array  # (M,), samples that the filter refused
     detection: Array  # (M, 5), the fields of a `Detection`; NaN where it declares nothing
 
-    @classmethod
-    def joined(cls, parts: list[Scores]) -> Scores:
-        """The scores of all trials from those of some after the others."""
-        of_each = [[getattr(part, field.name) for part in parts] for field in fields(cls)]
-        return cls(*(np.concatenate(each) for each in of_each))
-
-    @property
-    def found(self) -> Detection:
-        """Counts of declarations."""
-        return Detection(*self.detection.T)
-
 
 def score(
-    compiled: CompiledFilter,
-    given: FilterInputs,
-    simulation: Simulation,
-    *,
-    skip: int,
-    limits: Array,
+    compiled: CompiledFilter, given: FilterInputs, drawn: Simulation, skip: int, false_alarm: float
 ) -> Scores:
     """Run a filter over a simulation and compare it with the truth, from sample ``skip`` on.
 
-    A filter without modes declares a fault where the NIS of 0, 1, ... p rows is above ``limits``.
+    A filter without modes declares a fault by a test of the NIS with this false alarm rate.
     """
+    from scipy.special import gammainccinv  # noqa: PLC0415 - scipy.stats would take a second
+
     kept = [name for name in PORTS if name in compiled.ports]
     run = compiled.run_batch(given.y, given.u, given.params, keep=kept)
-    error = (simulation.state - run["filtered_state"])[:, skip:].astype(np.float64)
+    error = (drawn.state - run["filtered_state"])[:, skip:].astype(np.float64)
     covariance = run["filtered_covariance"][:, skip:]
     runs, rows = len(error), np.isfinite(given.y[..., list(given.tested)]).sum(axis=2)
     nees = normalised(error, covariance, float(np.finfo(covariance.dtype).eps))
     nis = _nis(run, rows, skip, host=len(given.tested) < given.y.shape[2])
-    jump = simulation.spec.faults.jump
-    counts = np.full((runs, 5), np.nan)
-    faults = _faulty(simulation)
+    counts, jump = np.full((runs, 5), np.nan), drawn.spec.faults.jump
+    half = 0.5 * np.arange(1, given.y.shape[2] + 1)
+    limits = np.array([np.inf, *(2.0 * gammainccinv(half, false_alarm))])  # of 0, 1, ... rows
+    faults = _faulty(drawn)
     alarms = _declared(run, limits[rows], 1 if jump is None else len(jump.modes))
     if faults is not None and alarms is not None:
-        counts = np.stack(astuple(detection(faults, alarms, skip, _tested(run))), axis=1)
+        tested = _positive(run, "test_dof")  # a filter with windows decides at their ends
+        counts = np.stack(detection(faults, alarms, skip, tested), axis=1)
     refused = run.refused.sum(axis=1).astype(np.float64)
     return Scores((error**2).mean(axis=1), nees, nis, refused, counts)
 
@@ -104,20 +88,17 @@ def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> A
     Directions in which P (M, T, n, n), of this unit round-off, is zero are left out; NaN where none
     is left.
     """
-    n = error.shape[2]
-    left = covariance.astype(np.float64)
-    e = error.copy()
+    left, e = covariance.astype(np.float64), error.copy()
     total, dimensions = np.zeros(e.shape[:2]), np.zeros(e.shape[:2])
-    for j in range(n):
+    for j in range(e.shape[2]):
         pivot = left[..., j, j].copy()
         there = pivot > _ROUNDED * unit * covariance[..., j, j]
         inverse = np.divide(1.0, pivot, out=np.zeros_like(pivot), where=there)
         total += e[..., j] ** 2 * inverse
         dimensions += there
-        for i in range(j + 1, n):
-            share = left[..., i, j] * inverse
-            e[..., i] -= share * e[..., j]
-            left[..., i, j + 1 :] -= share[..., None] * left[..., j, j + 1 :]
+        share, below = left[..., j + 1 :, j] * inverse[..., None], left[..., j, None, j + 1 :]
+        e[..., j + 1 :] -= share * e[..., j, None]
+        left[..., j + 1 :, j + 1 :] -= share[..., None] * below
     return _over(total.sum(axis=1), dimensions.sum(axis=1))
 
 
@@ -148,40 +129,31 @@ def _declared(run: Run, limits: Array, healthy: int) -> Flags | None:
     ``limits`` (M, T) are those of the NIS; the first ``healthy`` modes are those without fault.
     """
     if "fault_declared" in run.ports:
-        return _of_any_group(run, "fault_declared")
+        return _positive(run, "fault_declared")
     if "mode_probability" in run.ports:
         return np.asarray(run["mode_probability"][..., :healthy].sum(axis=2) < _DECIDED)
     return np.asarray(run["nis"] > limits) if "nis" in run.ports else None
 
 
-def _tested(run: Run) -> Flags | None:
-    """(M, T): samples at which a filter decides, if that is not every sample."""
-    return _of_any_group(run, "test_dof") if "test_dof" in run.ports else None
+def _positive(run: Run, name: str) -> Flags | None:
+    """(M, T): whether a port is positive, for any group of rows; None if there is no such port."""
+    if name not in run.ports:
+        return None
+    return np.asarray((run[name] > 0.0).reshape(*run.status.shape, -1).any(axis=2))
 
 
-def _of_any_group(run: Run, name: str) -> Flags:
-    """Whether a port, which has one number or one per group of rows, is positive."""
-    positive = run[name] > 0.0
-    return np.asarray(positive if positive.ndim == 2 else positive.any(axis=2))
-
-
-def detection(
-    faults: Flags, declarations: Flags, skip: int, decided: Flags | None = None
-) -> Detection:
+def detection(faults: Flags, alarms: Flags, skip: int, decided: Flags | None = None) -> Detection:
     """Count what was declared rightly and wrongly, from sample ``skip`` on; flags are (M, T).
 
     Of the samples without fault those count at which something is ``decided``; all by default.
     """
-    faults, declarations = faults[:, skip:], declarations[:, skip:]
-    at = np.arange(faults.shape[1])
-    next_declared, end = _next(declarations), _next(~faults)
-    onset = faults.copy()
-    onset[:, 0] = False  # it may have set in before
-    onset[:, 1:] &= ~faults[:, :-1]
+    faults, alarms = faults[:, skip:], alarms[:, skip:]
+    next_declared, end = _next(alarms), _next(~faults)
+    onset = faults & np.diff(faults, axis=1, prepend=True)  # the first may have set in before
     found = onset & (next_declared < end)
-    wait = np.where(found, next_declared - at, 0)
+    wait = np.where(found, next_declared - np.arange(faults.shape[1]), 0)
     healthy = ~faults if decided is None else ~faults & decided[:, skip:]
-    counts = (healthy, healthy & declarations, onset, found, wait)
+    counts = (healthy, healthy & alarms, onset, found, wait)
     return Detection(*(each.sum(axis=1).astype(np.float64) for each in counts))
 
 
@@ -190,56 +162,3 @@ def _next(flags: Flags) -> NDArray[np.int64]:
     steps = flags.shape[1]
     index = np.where(flags, np.arange(steps), steps)
     return np.asarray(np.minimum.accumulate(index[:, ::-1], axis=1)[:, ::-1])
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A number and its standard error."""
-
-    value: float
-    error: float
-
-    def __str__(self) -> str:
-        """The number with as many digits as its error leaves meaning."""
-        if not np.isfinite(self.value):
-            return "-"
-        if not self.error > 0.0:
-            return f"{self.value:.4g}"
-        digits = int(np.clip(1 - np.floor(np.log10(self.error)), 0, 8))
-        return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
-
-
-UNKNOWN = Estimate(float("nan"), float("nan"))
-
-
-def mean(each: Array) -> Estimate:
-    """The mean over trials, of (M,) numbers; NaN where a trial has nothing to say."""
-    known = each[np.isfinite(each)]
-    if not known.size:
-        return UNKNOWN
-    return Estimate(float(known.mean()), error_of(known - known.mean()))
-
-
-def ratio(above: Array, below: Array) -> Estimate:
-    """The ratio of two means over the same trials, with its error by the delta method."""
-    value, influence = influence_of(above, below)
-    return Estimate(value, error_of(influence))
-
-
-def influence_of(above: Array, below: Array) -> tuple[float, Array]:
-    """A ratio of means, and how far each trial moves it: (M,), with mean zero.
-
-    Differences of ratios have the differences of these: that is what pairing trials gains.
-    """
-    total = float(below.mean())
-    if not total > 0.0:
-        return float("nan"), np.full(above.shape, np.nan)
-    value = float(above.mean()) / total
-    return value, (above - value * below) / total
-
-
-def error_of(influence: Array) -> float:
-    """Standard error of the mean of numbers with mean zero, one per trial."""
-    if influence.size < 2:
-        return float("nan")
-    return float(np.sqrt((influence**2).sum() / (influence.size - 1) / influence.size))

@@ -6,7 +6,6 @@ y present.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
 
 from fkgen.backend.lower import lower
@@ -16,7 +15,7 @@ from fkgen.problem.finding import Finding, Severity
 from fkgen.runtime.compiler import LARGE
 from fkgen.study.diagnostics import digits, dynamics, faults, jumps, visibility
 from fkgen.study.diagnostics.subject import Subject, listed
-from fkgen.study.reports.jsonable import finite_or_none
+from fkgen.study.reports.jsonable import json_text
 
 __all__ = ["Finding", "Report", "check"]
 
@@ -45,8 +44,7 @@ class Report:
 
     def to_json(self) -> str:
         """Findings and values as JSON; a number that is not finite becomes null."""
-        facts = {"sound": self.sound, **asdict(self)}
-        return json.dumps(finite_or_none(facts), indent=2)
+        return json_text({"sound": self.sound, **asdict(self)})
 
 
 def _caveats(model: Subject) -> None:

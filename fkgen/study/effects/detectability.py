@@ -8,25 +8,24 @@ jumps in linear systems*, sec. III.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
 from fkgen.families import NAMES, family
-from fkgen.problem import Matrix, Spec
+from fkgen.problem import Matrix, Signal, Spec
 from fkgen.runtime.record import choice, numbers, probability, whole
 from fkgen.study.diagnostics.subject import Subject
 from fkgen.study.effects.effect import required_noncentrality
+from fkgen.study.effects.fault_effect import fault_effect
 from fkgen.study.effects.profiles import step
-from fkgen.study.effects.response import linear_response
-from fkgen.study.effects.scenario import scenario_of
 from fkgen.study.records.table import numbers_of
-from fkgen.study.reports.jsonable import finite_or_none
+from fkgen.study.reports.jsonable import Answer
 
 Array = NDArray[np.float64]
 
@@ -105,53 +104,48 @@ def detectability(
     d = _direction(spec, direction)
     w = whole("window", window, least=1, expected="a number of samples, at least 1")
     rates = probability("false_alarm", false_alarm), probability("power", power)
-    information, plateau = _information(spec, step(w, 0, d), d, u)
+    information, plateau = _information(spec, step(w, 0, d), u)
     total, p = float(information.sum()), spec.model.ny
+    tests = {"nis": (p, float(information[0])), "windowed_nis": (p * w, total), "glr": (1, total)}
+    least = {}
+    for name, (degrees, share) in tests.items():  # share: noncentrality of a bias of one
+        needed = required_noncentrality(degrees, *rates)
+        least[name] = math.sqrt(needed / share) if share > 0.0 else math.inf
     return Detectability(
         direction=d,
         window=w,
         false_alarm=rates[0],
         power=rates[1],
-        nis=_least(p, float(information[0]), rates),
-        windowed_nis=_least(p * w, total, rates),
-        glr=_least(1, total, rates),
+        **least,
         information=information,
         plateau=plateau,
     )
 
 
-def _least(degrees: int, share: float, rates: tuple[float, float]) -> float:
-    """The bias at which the noncentrality is what a test needs; ``share`` is that of a unit."""
-    needed = required_noncentrality(degrees, *rates)
-    return math.sqrt(needed / share) if share > 0.0 else math.inf
-
-
-def _information(
-    spec: Spec, bias: Array, d: Array, inputs: ArrayLike | None
-) -> tuple[Array, float]:
+def _information(spec: Spec, bias: Array, inputs: ArrayLike | None) -> tuple[Array, float]:
     """Noncentrality of every sample of a bias that begins at rest, and what it tends to."""
-    driven = _inputs(spec, inputs)
+    q = spec.model.nu
+    u = np.zeros(q) if inputs is None else numbers("u", inputs, np.float64).astype(float).ravel()
+    if u.shape != (q,) or not np.isfinite(u).all():
+        raise DataError("u", given=str(u), expected=f"{q} finite numbers, one per input")
     if not spec.filter.traits.linear:
         linear = ", ".join(name for name in NAMES if family(name).traits.linear)
+        given = f"the family {spec.filter.family}"
         expected = f"one of {linear}: the NIS of a filter that is not linear in y, or"
         expected += " whose y is a mixture, is not chi-square; simulate it"
-        raise DataError(
-            "detectability", given=f"the family {spec.filter.family}", expected=expected
-        )
+        raise DataError("detectability", given=given, expected=expected)
     model = Subject(spec)
-    steady = model.steady_at(driven)
+    steady = model.steady_at(u)
     if steady is None:
         given = "a filter that does not come to rest"
         expected = "a stabilising solution of the Riccati equation; see fkgen.check"
         raise DataError("detectability", given=given, expected=expected)
     rested = replace(spec, model=replace(spec.model, P0=Matrix.of(steady.predicted)))
-    u = np.tile(driven, (len(bias), 1)) if driven.size else None
-    scenario = scenario_of(rested, (bias, None), "both", None, params=None, u=u, y=None)
-    effect = linear_response(scenario)
+    effect = fault_effect(rested, bias, u=np.tile(u, (len(bias), 1)) if u.size else None)
     if not effect.gaussian:
         expected = "u = 0, or D = 0: with both, y shows which commands are lost and is a mixture"
-        raise DataError("u", given=f"{driven} under mkf with D", expected=expected)
-    left = model.lasting_innovation(steady, d)
+        raise DataError("u", given=f"{u} under mkf with D", expected=expected)
+    left = model.lasting_innovation(steady, bias[0])
     plateau = float(left @ np.linalg.pinv(steady.innovation, hermitian=True) @ left)
     return effect.noncentrality, plateau
 
@@ -176,65 +170,10 @@ def unit_vector(what: str, name: str, names: Sequence[str]) -> Array:
     return np.asarray(np.eye(len(names))[names.index(name)])
 
 
-def _inputs(spec: Spec, u: ArrayLike | None) -> Array:
-    """Constant inputs, (q,)."""
-    q = spec.model.nu
-    if u is None:
-        return np.zeros(q)
-    driven = np.asarray(numbers("u", u, np.float64), dtype=float).reshape(-1)
-    if driven.shape != (q,) or not np.isfinite(driven).all():
-        raise DataError("u", given=str(driven), expected=f"{q} finite numbers, one per input")
-    return driven
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LeastBiases:
-    """What ``fkgen detectability`` tells: least biases by sensor (or direction) and window."""
-
-    false_alarm: float
-    power: float
-    windows: tuple[int, ...]
-    found: tuple[tuple[str, str, tuple[Detectability, ...]], ...]  # name, unit, one per window
-
-    def table(self) -> tuple[Sequence[str], list[Sequence[str]]]:
-        """One row per sensor: first NIS, then each window by sum of NIS and by GLR."""
-        wide = [f"{test} {w}" for test in ("NIS sum", "GLR") for w in self.windows]
-        rows: list[Sequence[str]] = []
-        for name, unit, each in self.found:
-            least = [each[0].nis, *(one.windowed_nis for one in each), *(one.glr for one in each)]
-            rows.append((name, unit, *(f"{bias:.4g}" for bias in least)))
-        return ("bias of", "unit", "NIS 1", *wide), rows
-
-    def sentence(self) -> str:
-        """What the numbers mean."""
-        return (
-            f"Least constant bias found with probability {self.power:g} at "
-            f"{self.false_alarm:g} false alarms per test, from its onset on, filter at rest."
-        )
-
-    def to_json(self) -> str:
-        """All of it; what is infinite becomes null."""
-        biases = [
-            {
-                "name": name,
-                "unit": unit,
-                "direction": each[0].direction,
-                "nis": each[0].nis,
-                "windowed_nis": [one.windowed_nis for one in each],
-                "glr": [one.glr for one in each],
-                "onset_noncentrality": float(each[0].information[0]),
-                "plateau_noncentrality": each[0].plateau,
-            }
-            for name, unit, each in self.found
-        ]
-        facts = {"false_alarm": self.false_alarm, "power": self.power, "windows": self.windows}
-        return json.dumps(finite_or_none(facts | {"biases": biases}), indent=2)
-
-
 def least_biases(
     spec: Spec, *, direction: str, false_alarm: float, power: float, window: str, inputs: str
-) -> LeastBiases:
-    """Ask for every row of y, or for one direction; options are texts as on the command line."""
+) -> Answer:
+    """Least biases by sensor (or direction) and window; options are those of the command, texts."""
     try:
         windows = tuple(int(part) for part in window.split(","))
     except ValueError:
@@ -244,11 +183,25 @@ def least_biases(
         raise DataError("--window", given=repr(window), expected=expected)
     u = numbers_of("--u", inputs, spec.model.nu)
     along = numbers_of("--direction", direction, spec.model.ny)
-    rows: list[tuple[str, str, str | Array]] = [
-        (s.name, s.unit, s.name) for s in spec.model.outputs
-    ]
-    found = tuple(
-        (name, unit, tuple(detectability(spec, d, false_alarm, power, w, u=u) for w in windows))
-        for name, unit, d in (rows if along is None else [(direction, "", along)])
+    rows, biases = list[Sequence[str]](), []
+    for signal in spec.model.outputs if along is None else (Signal(direction),):
+        d = signal.name if along is None else along
+        found = [detectability(spec, d, false_alarm, power, w, u=u) for w in windows]
+        first, sums, ratios = found[0], [o.windowed_nis for o in found], [o.glr for o in found]
+        least = (f"{bias:.4g}" for bias in (first.nis, *sums, *ratios))
+        rows.append((signal.name, signal.unit, *least))
+        about: dict[str, Any] = {
+            "name": signal.name,
+            "unit": signal.unit,
+            "direction": first.direction,
+        }
+        about |= {"nis": first.nis, "windowed_nis": sums, "glr": ratios}
+        about["onset_noncentrality"] = float(first.information[0])
+        biases.append(about | {"plateau_noncentrality": first.plateau})
+    meaning = (
+        f"Least constant bias found with probability {power:g} at {false_alarm:g} false alarms "
+        "per test, from its onset on, filter at rest."
     )
-    return LeastBiases(false_alarm, power, windows, found)
+    wide = [f"{test} {w}" for test in ("NIS sum", "GLR") for w in windows]
+    facts = {"false_alarm": false_alarm, "power": power, "windows": windows, "biases": biases}
+    return Answer(("bias of", "unit", "NIS 1", *wide), rows, (meaning,), facts)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,6 @@ from fkgen.errors import DataError
 from fkgen.runtime.record import probability
 
 Array = NDArray[np.float64]
-
-#: How the numbers were found: see `FaultEffect.kind`.
-Kind = Literal["exact", "mean", "paired"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -56,7 +52,7 @@ class FaultEffect:
     noncentrality: Array
     state_sd: Array
     degrees: NDArray[np.int64]
-    kind: Kind
+    kind: str
     standard_error: Array
     runs: int = 0
     gaussian: bool = True

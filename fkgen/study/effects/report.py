@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,18 +21,21 @@ from fkgen.study.effects.fault_effect import fault_effect
 from fkgen.study.effects.profiles import drift, pulse, ramp, step
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.table import constants_or_record, profile_of
-from fkgen.study.reports.jsonable import finite_or_none
-from fkgen.study.reports.plots import BAND, BLUE, GREY, LARGEST, ORANGE, axis_label, finish, save
+from fkgen.study.reports import plots
+from fkgen.study.reports.jsonable import Answer
+from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE
 
 Array = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 9.0, 1.9
-_SHAPES = ("pulse", "step", "ramp", "drift")
 _KINDS = {
     "exact": "exact: the same in every run, whatever the noise is",
     "mean": "the mean over lost commands, which decide how much of the fault arrives",
     "paired": "the mean of {runs} simulated pairs of runs, with and without the fault, same noise",
 }
+_BY_SAMPLE = (
+    *("state_deviation", "error_deviation", "innovation_deviation"),
+    *("noncentrality", "state_sd", "standard_error"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,100 +59,68 @@ class Options:
     runs: int
 
 
-@dataclass(frozen=True, eq=False)
-class EffectReport:
-    """The effect, and how to tell it."""
-
-    spec: Spec
-    options: Options
-    effect: FaultEffect
-    notes: tuple[str, ...]
-
-    def table(self) -> tuple[Sequence[str], list[Sequence[str]]]:
-        """One row per state: peak of the error, where, in standard deviations, and its end."""
-        head = ("state", "unit", "largest error", "at sample", "in sd", "at the end", "over at")
-        effect, rows = self.effect, list[Sequence[str]]()
-        over = effect.settled(self.options.fraction)
-        for i, signal in enumerate(self.spec.model.states):
-            error, sd = effect.error_deviation[:, i], effect.state_sd[:, i]
-            k = int(np.argmax(np.abs(error)))
-            share = f"{abs(error[k]) / sd[k]:.3g}" if sd[k] > 0.0 else "-"
-            end = str(over[i]) if over[i] < len(error) else "later"
-            numbers = (f"{error[k]:.4g}", str(k), share, f"{error[-1]:.4g}", end)
-            rows.append((signal.name, signal.unit, *numbers))
-        return head, rows
-
-    def sentences(self) -> list[str]:
-        """What the table does not say."""
-        effect, options = self.effect, self.options
-        lines = [
-            "The error is that of the state less its estimate; it is over at the first sample from",
-            f"which on it stays below {options.fraction:g} of its peak.",
-            f"These numbers are {_KINDS[effect.kind].format(runs=effect.runs)}.",
-        ]
-        if effect.state_deviation.any() and not effect.error_deviation.any():
-            names = [signal.name for signal in self.spec.model.states]
-            moved = np.abs(effect.state_deviation).max(axis=0)
-            sizes = ", ".join(f"{n} {size:.4g}" for n, size in zip(names, moved, strict=True))
-            seen = f"The estimate moves as the state does, by up to {sizes}: no test sees it."
-        elif not effect.gaussian:
-            k = int(np.argmax(effect.noncentrality))
-            seen = f"The NIS changes most at sample {k}: {effect.noncentrality[k]:+.3g}."
-        else:
-            power = effect.power(options.false_alarm)
-            k, shown = int(np.argmax(power)), int(np.count_nonzero(power > 0.5))
-            seen = (
-                f"The NIS finds it at sample {k} with probability {power[k]:.3g}, and at {shown} of"
-                f" {len(power)} samples with more than one half (false alarms"
-                f" {options.false_alarm:g})."
-            )
-        return [*lines, seen]
-
-    def to_json(self) -> str:
-        """All samples; what is not finite becomes null."""
-        effect, options = self.effect, self.options
-        over, length = effect.settled(options.fraction), len(effect.noncentrality)
-        facts = {
-            "name": self.spec.name,
-            "family": self.spec.filter.family,
-            "kind": effect.kind,
-            "runs": effect.runs,
-            "states": [signal.name for signal in self.spec.model.states],
-            "outputs": [signal.name for signal in self.spec.model.outputs],
-            "fraction": options.fraction,
-            "settled": [int(k) if k < length else None for k in over],
-            "power": effect.power(options.false_alarm) if effect.gaussian else None,
-            "state_deviation": effect.state_deviation,
-            "error_deviation": effect.error_deviation,
-            "innovation_deviation": effect.innovation_deviation,
-            "noncentrality": effect.noncentrality,
-            "state_sd": effect.state_sd,
-            "standard_error": effect.standard_error,
-        }
-        return json.dumps(finite_or_none(facts))
-
-
-def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool) -> EffectReport:
+def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool) -> Answer:
     """Find the effect, and draw if a picture is wanted; whatever does not fit is a `UserError`."""
     refuse_targets(None, plot, force=force)
     constants, table = constants_or_record(spec, options.inputs, options.record)
-    if table is None:
-        u, y, params, notes = None, None, None, list[str]()
-        sensor, anomaly = _faults(spec, options, options.steps)
-        if constants is not None:
-            length = len(next(each for each in (sensor, anomaly) if each is not None))
-            u = np.tile(constants, (length, 1))
-    else:
+    u, y, params, notes = None, None, None, list[str]()
+    if table is not None:
         u, y, params, notes = table.u, table.y, table.params, [*table.notes]
-        sensor, anomaly = _faults(spec, options, len(y))
+    sensor, anomaly = _faults(spec, options, options.steps if y is None else len(y))
+    if constants is not None:
+        length = len(next(each for each in (sensor, anomaly) if each is not None))
+        u = np.tile(constants, (length, 1))
     effect = fault_effect(
         spec, sensor, anomaly, options.mode, params=params, u=u, y=y, runs=options.runs
     )
-    effect.settled(options.fraction)  # refuses a share that is none, before anything is written
+    over = effect.settled(options.fraction)  # refuses a share that is none, before it draws
     if plot is not None:
-        save(draw(spec, effect, options.fraction, options.false_alarm), plot, force=force)
+        plots.save(draw(spec, effect, over, options.false_alarm), plot, force=force)
         notes.append(f"{plot}: written")
-    return EffectReport(spec, options, effect, tuple(notes))
+    head = ("state", "unit", "largest error", "at sample", "in sd", "at the end", "over at")
+    rows = [_row(each, effect, i, int(over[i])) for i, each in enumerate(spec.model.states)]
+    sentences = (
+        "The error is that of the state less its estimate; it is over at the first sample from",
+        f"which on it stays below {options.fraction:g} of its peak.",
+        f"These numbers are {_KINDS[effect.kind].format(runs=effect.runs)}.",
+        _seen(spec, effect, options.false_alarm),
+    )
+    facts = {
+        "name": spec.name,
+        "family": spec.filter.family,
+        "kind": effect.kind,
+        "runs": effect.runs,
+        "states": [signal.name for signal in spec.model.states],
+        "outputs": [signal.name for signal in spec.model.outputs],
+        "fraction": options.fraction,
+        "settled": [int(k) if k < len(effect.degrees) else None for k in over],
+        "power": effect.power(options.false_alarm) if effect.gaussian else None,
+    } | {name: getattr(effect, name) for name in _BY_SAMPLE}
+    return Answer(head, rows, sentences, facts, notes, indent=None)
+
+
+def _row(state: Signal, effect: FaultEffect, i: int, over: int) -> Sequence[str]:
+    error, sd = effect.error_deviation[:, i], effect.state_sd[:, i]
+    k = int(np.argmax(np.abs(error)))
+    share = f"{abs(error[k]) / sd[k]:.3g}" if sd[k] > 0.0 else "-"
+    end = str(over) if over < len(error) else "later"
+    return (state.name, state.unit, f"{error[k]:.4g}", str(k), share, f"{error[-1]:.4g}", end)
+
+
+def _seen(spec: Spec, effect: FaultEffect, false_alarm: float) -> str:
+    if effect.state_deviation.any() and not effect.error_deviation.any():
+        moved = zip(spec.model.states, np.abs(effect.state_deviation).max(axis=0), strict=True)
+        sizes = ", ".join(f"{state.name} {size:.4g}" for state, size in moved)
+        return f"The estimate moves as the state does, by up to {sizes}: no test sees it."
+    if not effect.gaussian:
+        k = int(np.argmax(effect.noncentrality))
+        return f"The NIS changes most at sample {k}: {effect.noncentrality[k]:+.3g}."
+    power = effect.power(false_alarm)
+    k, shown = int(np.argmax(power)), int(np.count_nonzero(power > 0.5))
+    return (
+        f"The NIS finds it at sample {k} with probability {power[k]:.3g}, and at {shown} of "
+        f"{len(power)} samples with more than one half (false alarms {false_alarm:g})."
+    )
 
 
 def _faults(spec: Spec, options: Options, steps: int) -> tuple[Array | None, Array | None]:
@@ -177,73 +148,59 @@ def _profile(
     if not name:
         return None
     size = options.amplitude * unit_vector(which, name, [signal.name for signal in signals])
-    start, stop = options.start, options.stop
-    match options.shape:
-        case "pulse":
-            return pulse(steps, start, size)
-        case "step":
-            return step(steps, start, size, stop=stop)
-        case "ramp":
-            return ramp(steps, start, size, length=options.length, stop=stop)
-        case "drift":
-            return drift(steps, start, size, stop=stop)
-    raise DataError("--shape", given=repr(options.shape), expected=choice(options.shape, _SHAPES))
+    shapes: dict[str, Callable[..., Array]] = {
+        "pulse": pulse,
+        "step": partial(step, stop=options.stop),
+        "ramp": partial(ramp, stop=options.stop, length=options.length),
+        "drift": partial(drift, stop=options.stop),
+    }
+    if options.shape not in shapes:
+        expected = choice(options.shape, list(shapes))
+        raise DataError("--shape", given=repr(options.shape), expected=expected)
+    return shapes[options.shape](steps, options.start, size)
 
 
-def draw(spec: Spec, effect: FaultEffect, fraction: float, false_alarm: float) -> Figure:
+@plots.styled
+def draw(spec: Spec, effect: FaultEffect, over: NDArray[np.int64], false_alarm: float) -> Figure:
     """One panel per state, then the power of the NIS test (or the change of the NIS)."""
-    states = spec.model.states[:LARGEST]
-    panels = len(states) + 1
-    figure = Figure(figsize=(_WIDTH, _HEIGHT * panels), layout="constrained")
-    axes = figure.subplots(panels, 1, sharex=True)
-    over = effect.settled(fraction)
-    for i, signal in enumerate(states):
-        _draw_state(axes[i], effect, i, int(over[i]))
-        axes[i].set_ylabel(axis_label(signal), fontsize=9)
-    how = {"paired": f"mean of {effect.runs} pairs", "mean": "mean over lost commands"}
-    text = f"{spec.name}: {spec.filter.family}, error that the fault makes"
-    axes[0].set_title(f"{text}, {how.get(effect.kind, effect.kind)}", loc="left", fontsize=10)
-    axes[0].legend(frameon=False, ncols=3, fontsize=8, loc="upper right")
-    _draw_visibility(axes[-1], effect, false_alarm)
-    finish(figure, "sample")
-    return figure
+    states = range(len(spec.model.states[: plots.LARGEST]))
+    draws = [partial(_draw_state, spec=spec, effect=effect, i=i, over=int(over[i])) for i in states]
+    draws.append(partial(_draw_visibility, effect=effect, false_alarm=false_alarm))
+    return plots.panels([plots.HEIGHT] * len(draws), draws, "sample")
 
 
-def _draw_state(axis: Axes, effect: FaultEffect, i: int, over: int) -> None:
+def _draw_state(axis: Axes, spec: Spec, effect: FaultEffect, i: int, over: int) -> None:
     """Error within one standard deviation of the estimate (and of the mean), and where it ends."""
     error, sd = effect.error_deviation[:, i], effect.state_sd[:, i]
-    time = np.arange(len(error))
+    time, spread = np.arange(len(error)), 2.0 * effect.standard_error[:, i]
     axis.fill_between(time, -sd, sd, color=BLUE, alpha=BAND, lw=0, label=r"$\pm\sigma$ of x(k|k)")
-    spread = 2.0 * effect.standard_error[:, i]
     if spread.any():
         axis.fill_between(time, error - spread, error + spread, color=ORANGE, alpha=0.3, lw=0)
     axis.plot(time, error, color=BLUE, lw=1.4, label="error by the fault")
     axis.axhline(0.0, color="black", lw=0.6)
     if 0 < over < len(error):
         axis.axvline(over, color=ORANGE, lw=1.0, ls="--", label="over")
-        axis.annotate(
-            f"{over}",
-            (over, 0.04),
-            xycoords=("data", "axes fraction"),
-            xytext=(3, 0),
-            textcoords="offset points",
-            fontsize=8,
-            color=ORANGE,
-        )
+        where = ("data", "axes fraction"), "offset points"
+        axis.annotate(f"{over}", (over, 0.04), (3, 0), *where, fontsize=8, color=ORANGE)
     reach = 1.15 * max(float(np.abs(error).max()), min(float(np.median(sd)), 1e3)) or 1.0
     axis.set_ylim(-reach, reach)
+    axis.set_ylabel(plots.label_of(spec.model.states[i]))
+    if i == 0:
+        how = {"paired": f"mean of {effect.runs} pairs", "mean": "mean over lost commands"}
+        text = f"{spec.name}: {spec.filter.family}, error that the fault makes"
+        axis.set_title(f"{text}, {how.get(effect.kind, effect.kind)}", fontsize=10)
+        axis.legend(ncols=3, loc="upper right")
 
 
 def _draw_visibility(axis: Axes, effect: FaultEffect, false_alarm: float) -> None:
-    time = np.arange(len(effect.noncentrality))
+    seen = effect.power(false_alarm) if effect.gaussian else effect.noncentrality
+    axis.plot(seen, color=BLUE, lw=1.4)
     if not effect.gaussian:
-        axis.plot(time, effect.noncentrality, color=BLUE, lw=1.4)
         axis.axhline(0.0, color="black", lw=0.6)
-        axis.set_ylabel("change of NIS", fontsize=9)
+        axis.set_ylabel("change of NIS")
         return
-    axis.plot(time, effect.power(false_alarm), color=BLUE, lw=1.4)
     axis.axhline(false_alarm, color=GREY, lw=0.8, ls=":")
     axis.set_ylim(-0.03, 1.03)
-    axis.set_ylabel("power of NIS", fontsize=9)
+    axis.set_ylabel("power of NIS")
     text = f"probability that the NIS of the sample exceeds its bound; false alarms {false_alarm:g}"
-    axis.set_title(text, loc="left", fontsize=8, color=GREY)
+    axis.set_title(text, color=GREY)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import cycle
 from pathlib import Path
 
 import matplotlib as mpl
@@ -12,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fkgen.faults import SoftFaults
 from fkgen.problem import Signal, Spec
 from fkgen.runtime.results import Run
 from fkgen.study.records.files import refuse_format, write_whole
@@ -23,22 +27,36 @@ Array = NDArray[np.floating]
 
 BLUE, ORANGE, GREY, BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
 _SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
-_WIDTH, _STATE, _REST = 9.0, 2.1, 1.9
 LARGEST = 12  # panels of states; more would be a page nobody reads
-_CONFIDENCE = 0.95
-_LOWEST = 1e-3  # ratios of a test to its threshold below this are drawn here
+HEIGHT = 1.9  # of a panel, in inches
+_CONFIDENCE, _LOWEST = 0.95, 1e-3  # smaller ratios of a test to its threshold are drawn there
+_MANY = {"ncols": 8, "markerscale": 3, "handlelength": 1.2}
+#: A legend in one line above the panel, where it hides nothing.
+_ABOVE = _MANY | {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "borderaxespad": 0.0}
+
+#: Plain frames and small texts, on the left: decorates what draws.
+styled = mpl.rc_context(
+    {
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.labelsize": 9,
+        "axes.titlesize": 8,
+        "axes.titlelocation": "left",
+        "legend.frameon": False,
+        "legend.fontsize": 8,
+    }
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sheet:
-    """What every panel needs."""
-
     spec: Spec
     run: Run
     time: Array
     present: Array  # (T, p), of bool
 
 
+@styled
 def draw(spec: Spec, table: Table, run: Run) -> Figure:
     """Draw a run: a panel per state, then innovations, NIS, and probabilities or verdicts.
 
@@ -46,38 +64,34 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     ``mode_probability``, and ``test_statistic``, ``test_dof`` and ``fault_declared`` are drawn if
     they are there.
     """
-    states, groups = spec.model.states[:LARGEST], _by_unit(spec.model.outputs)
-    modes = "mode_probability" in run.ports
-    verdicts = spec.faults.soft is not None and "test_statistic" in run.ports
-    heights = [_STATE] * len(states) + [_REST] * (len(groups) + 1 + modes + verdicts)
-    figure = Figure(figsize=(_WIDTH, sum(heights)), layout="constrained")
-    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    states, outputs, soft = spec.model.states[:LARGEST], spec.model.outputs, spec.faults.soft
+    units = {one.unit: [i for i, s in enumerate(outputs) if s.unit == one.unit] for one in outputs}
     time, label = np.asarray(table.time, dtype=float), table.time_name or "sample"
     if not table.time_name and spec.model.sample_time is not None:
         time, label = time * spec.model.sample_time, "t_s"
     sheet = _Sheet(spec, run, time, np.isfinite(table.y))
-    for i, signal in enumerate(states):
-        _draw_state(axes[i], sheet, i, signal)
-    rest = list(axes[len(states) :])
-    for axis, (unit, rows) in zip(rest, groups.items(), strict=False):
-        _draw_innovation(axis, sheet, unit, rows)
-    _draw_nis(rest[len(groups)], sheet)
-    if modes:
-        _draw_modes(rest[-1], sheet)
-    if verdicts:
-        _draw_verdicts(rest[-1], sheet)
-    finish(figure, "time (s)" if label == "t_s" else label)
-    return figure
+    draws = [partial(_draw_state, sheet=sheet, i=i) for i in range(len(states))]
+    draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
+    draws.append(partial(_draw_nis, sheet=sheet))
+    if "mode_probability" in run.ports:
+        draws.append(partial(_draw_modes, sheet=sheet))
+    if soft is not None and "test_statistic" in run.ports:
+        draws.append(partial(_draw_verdicts, sheet=sheet, soft=soft))
+    heights = [2.1] * len(states) + [HEIGHT] * (len(draws) - len(states))
+    return panels(heights, draws, "time (s)" if label == "t_s" else label)
 
 
-def finish(figure: Figure, time: str) -> None:
-    """What the panels of a figure share: plain frames, small numbers, time below the last one."""
-    for axis in figure.axes:
-        axis.spines[["top", "right"]].set_visible(False)
+def panels(heights: Sequence[float], draws: Sequence[Callable[[Axes], None]], time: str) -> Figure:
+    """Draw panels above each other, time below the last one."""
+    figure = Figure(figsize=(9.0, sum(heights)), layout="constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    for axis, draw_panel in zip(axes, draws, strict=True):
         axis.margins(x=0.0)
         axis.tick_params(labelsize=8)
-    figure.axes[-1].set_xlabel(time, fontsize=9)
-    figure.align_ylabels(figure.axes)
+        draw_panel(axis)
+    axes[-1].set_xlabel(time)
+    figure.align_ylabels(axes)
+    return figure
 
 
 def save(figure: Figure, path: Path, *, force: bool) -> None:
@@ -96,79 +110,47 @@ def rendered(figure: Figure, path: Path) -> bytes:
     return out.getvalue()
 
 
-def axis_label(signal: Signal) -> str:
+def label_of(signal: Signal) -> str:
     """Name and unit of a signal, for an axis."""
-    name = signal.name.replace("_", " ")
-    return f"{name} ({signal.unit})" if signal.unit else name
+    unit = f" ({signal.unit})" if signal.unit else ""
+    return signal.name.replace("_", " ") + unit
 
 
-def _draw_state(axis: Axes, sheet: _Sheet, i: int, signal: Signal) -> None:
+def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
     """One filtered state within three of its standard deviations."""
     mean = sheet.run["filtered_state"][:, i]
     band = 3.0 * deviation(sheet.run, "filtered_sd")[:, i]
-    label = r"$\pm 3\sigma$"
-    axis.fill_between(
-        sheet.time, mean - band, mean + band, color=BLUE, alpha=BAND, lw=0, label=label
-    )
+    area = (sheet.time, mean - band, mean + band)
+    axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
     axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
-    axis.set_ylabel(axis_label(signal), fontsize=9)
-    axis.set_ylim(*_limits(mean, band))
-    if i == 0:
-        samples, refused = len(sheet.time), int(sheet.run.refused.sum())
-        text = f"{sheet.spec.name}: {sheet.spec.filter.family}, {samples} samples"
-        text += f", {refused} refused" if refused else ""
-        axis.set_title(text, loc="left", fontsize=10)
-        axis.legend(frameon=False, ncols=2, fontsize=8, loc="upper right")
-
-
-def _limits(mean: Array, band: Array) -> tuple[float, float]:
-    """Room for the state and its usual band: a vague start does not set the scale."""
+    axis.set_ylabel(label_of(sheet.spec.model.states[i]))
+    # room for the state and its usual band: a vague start does not set the scale
     typical = np.minimum(band, 3.0 * np.nanmedian(band))
     low, high = float(np.nanmin(mean - typical)), float(np.nanmax(mean + typical))
     margin = 0.05 * (high - low) or 1.0
-    if not np.isfinite([low, high]).all():
-        return -1.0, 1.0
-    return low - margin, high + margin
-
-
-def _by_unit(outputs: tuple[Signal, ...]) -> dict[str, list[int]]:
-    """Rows of y that share a unit, and so a panel."""
-    groups: dict[str, list[int]] = {}
-    for i, signal in enumerate(outputs):
-        groups.setdefault(signal.unit, []).append(i)
-    return groups
+    finite = np.isfinite([low, high]).all()
+    axis.set_ylim(*((low - margin, high + margin) if finite else (-1.0, 1.0)))
+    if i == 0:
+        samples, refused = len(sheet.time), int(sheet.run.refused.sum())
+        text = f"{sheet.spec.name}: {sheet.spec.filter.family}, {samples} samples"
+        axis.set_title(text + (f", {refused} refused" if refused else ""), fontsize=10)
+        axis.legend(ncols=2, loc="upper right")
 
 
 def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> None:
-    """Innovations of some rows; rejected samples are left out, a start sets no scale."""
+    """Innovations of the rows of one unit; rejected samples are left out, a start sets no scale."""
     values = sheet.run["innovation"].copy()
     values[np.isin(sheet.run.status, [status.value for status in VERDICTS])] = np.nan
-    for at, i in enumerate(rows):
-        shown = np.isfinite(values[:, i])
-        name = sheet.spec.model.outputs[i].name.replace("_", " ")
-        colour = _SHADES[at % len(_SHADES)]
+    for i, colour in zip(rows, cycle(_SHADES)):
+        shown, name = np.isfinite(values[:, i]), sheet.spec.model.outputs[i].name.replace("_", " ")
         axis.plot(sheet.time[shown], values[shown, i], ".", ms=2.5, color=colour, label=name)
     axis.axhline(0.0, color="black", lw=0.6)
-    axis.set_ylabel(f"innovation ({unit})" if unit else "innovation", fontsize=9)
+    axis.set_ylabel(f"innovation ({unit})" if unit else "innovation")
     size = np.abs(values[:, rows][np.isfinite(values[:, rows])])
     if size.size:
         reach = 1.3 * float(np.quantile(size, 0.995)) or 1.0
         axis.set_ylim(-reach, reach)
-    _legend_above(axis)
-
-
-def _legend_above(axis: Axes) -> None:
-    """One line above the panel, where it hides nothing."""
-    axis.legend(
-        frameon=False,
-        ncols=8,
-        fontsize=8,
-        markerscale=3,
-        handlelength=1.2,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 0.98),
-        borderaxespad=0.0,
-    )
+    axis.legend(**_ABOVE)
 
 
 def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
@@ -180,7 +162,7 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
     rows = sheet.present[:, counted].sum(axis=1)
     used = (rows > 0) & (sheet.run.status == 0)
     if not used.any():
-        axis.set_ylabel("NIS", fontsize=9)
+        axis.set_ylabel("NIS")
         return
     tail = 0.5 * (1.0 - _CONFIDENCE)
     low, high = (2.0 * gammaincinv(0.5 * rows[used], q) for q in (tail, 1.0 - tail))
@@ -194,26 +176,23 @@ def _draw_nis(axis: Axes, sheet: _Sheet) -> None:
         axis.axhline(bound, color=ORANGE, lw=1.2)
     top = max(3.0 * bounds[-1], 1.5 * float(np.quantile(values, 0.999)))
     axis.set_ylim(max(1e-4 * bounds[-1], 0.2 * float(np.quantile(values, 0.005))), top)
-    axis.set_ylabel("NIS / upper bound" if mixed else "NIS", fontsize=9)
+    axis.set_ylabel("NIS / upper bound" if mixed else "NIS")
     degrees = "rows present" if mixed else f"{int(rows[used][0])} degrees of freedom"
     text = f"{inside:.1%} within the {_CONFIDENCE:.0%} bounds of chi-square ({degrees})"
     faults, told = sheet.spec.faults, sheet.spec.filter.traits.told
     if faults.jump is not None or (faults.sensor is not None and not told):
         text += "; a guide and no test: y with faults is a mixture"
-    axis.set_title(text, loc="left", fontsize=8, color=GREY)
+    axis.set_title(text, color=GREY)
 
 
 def _draw_modes(axis: Axes, sheet: _Sheet) -> None:
-    """Probabilities of the modes, one line each."""
-    probability = sheet.run["mode_probability"]
-    names = _mode_names(sheet.spec, probability.shape[1])
-    for i, name in enumerate(names):
-        axis.plot(
-            sheet.time, probability[:, i], lw=1.4, color=_SHADES[i % len(_SHADES)], label=name
-        )
+    probability = sheet.run["mode_probability"].T
+    names = _mode_names(sheet.spec, len(probability))
+    for values, name, colour in zip(probability, names, cycle(_SHADES)):
+        axis.plot(sheet.time, values, lw=1.4, color=colour, label=name)
     axis.set_ylim(-0.03, 1.03)
-    axis.set_ylabel("probability", fontsize=9)
-    _legend_above(axis)
+    axis.set_ylabel("probability")
+    axis.legend(**_ABOVE)
 
 
 def _mode_names(spec: Spec, count: int) -> list[str]:
@@ -227,20 +206,17 @@ def _mode_names(spec: Spec, count: int) -> list[str]:
     return ["signal", f"signal, {noisy}", *silent]
 
 
-def _draw_verdicts(axis: Axes, sheet: _Sheet) -> None:
+def _draw_verdicts(axis: Axes, sheet: _Sheet, soft: SoftFaults) -> None:
     """Statistic over threshold of every group at every end of a window; crosses are rejections."""
     from scipy.special import chdtri  # noqa: PLC0415 - scipy.stats would take a second
 
-    soft = sheet.spec.faults.soft
-    if soft is None:
-        return
     statistic, dof, declared = (
         np.asarray(sheet.run[name], float).reshape(len(sheet.time), len(soft.groups))
         for name in ("test_statistic", "test_dof", "fault_declared")
     )
     names = [signal.name.replace("_", " ") for signal in sheet.spec.model.outputs]
-    for at, group in enumerate(soft.groups):
-        tested, colour = dof[:, at] > 0, _SHADES[at % len(_SHADES)]
+    for at, (group, colour) in enumerate(zip(soft.groups, cycle(_SHADES))):
+        tested = dof[:, at] > 0
         time, rejected = sheet.time[tested], declared[tested, at] > 0
         ratio = statistic[tested, at] / np.asarray(chdtri(dof[tested, at], soft.false_alarm), float)
         values, label = np.maximum(ratio, _LOWEST), ", ".join(names[row] for row in group)
@@ -249,5 +225,5 @@ def _draw_verdicts(axis: Axes, sheet: _Sheet) -> None:
     axis.axhline(1.0, color="black", lw=0.8)
     low, high = axis.get_ylim()
     axis.set_ylim(min(low, 1e-2), max(high, 1e1))
-    axis.set_ylabel("test / threshold", fontsize=9)
-    _legend_above(axis)
+    axis.set_ylabel("test / threshold")
+    axis.legend(**_ABOVE)

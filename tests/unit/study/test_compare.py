@@ -14,8 +14,8 @@ from sensor_specs import SCALAR
 import fkgen
 from fkgen.cli import main
 from fkgen.study.comparisons.footprint import Footprint
-from fkgen.study.comparisons.ranking import Score, beaten, recommended
-from fkgen.study.comparisons.scores import Estimate, detection, mean, normalised, ratio
+from fkgen.study.comparisons.ranking import Estimate, Score, beaten, mean, ratio, recommended
+from fkgen.study.comparisons.scores import detection, normalised
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 EXAMPLE_1 = EXAMPLES / "sensor_faults" / "example1.toml"
@@ -218,6 +218,25 @@ def test_filters_of_one_family_are_told_apart():
         "one_step (2)",
         "one_step (3)",
     }
+
+
+def test_files_of_one_name_in_two_folders_are_told_apart():
+    table = fkgen.load(EXAMPLE_1).to_dict()
+    twins = [fkgen.Spec.from_dict(table, file=f"{folder}/spec.toml") for folder in "ab"]
+    rows = fkgen.compare(twins, runs=20, steps=20).rows
+    assert {row.label for row in rows} == {"one_step (1)", "one_step (2)"}
+
+
+def test_a_spec_of_the_genie_keeps_its_own_row():
+    table = fkgen.load(EXAMPLE_1).to_dict()
+    told = fkgen.Spec.from_dict(table | {"filter": {"family": "genie"}})
+    found = fkgen.compare((fkgen.load(EXAMPLE_1), told), runs=20, steps=40)
+    assert found.genie.relative.value == 1.0
+    assert (
+        found.genie.rmse["x0"].value
+        < found.rows[0].rmse["x0"].value
+        < found.rows[1].rmse["x0"].value
+    )
 
 
 def test_without_noise_there_is_nothing_to_compare():

@@ -201,7 +201,7 @@ def test_mistakes_show(mistake, monkeypatch):
 
     right = error()
     monkeypatch.setattr(
-        f"fkgen.study.effects.response.{MISTAKES[mistake][0]}", MISTAKES[mistake][1]
+        f"fkgen.study.effects.fault_effect.{MISTAKES[mistake][0]}", MISTAKES[mistake][1]
     )
     assert np.abs(error() - right).max() > 1e-3 * np.abs(right).max()
 
