@@ -19,7 +19,6 @@ from fkgen.faults import SoftFaults
 from fkgen.problem import Signal, Spec
 from fkgen.runtime.results import Run
 from fkgen.study.records.files import refuse_format, write_whole
-from fkgen.study.records.filtering import deviation
 from fkgen.study.records.table import Table
 from fkgen.symbolic.interface import VERDICTS
 
@@ -119,7 +118,7 @@ def label_of(signal: Signal) -> str:
 def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
     """One filtered state within three of its standard deviations."""
     mean = sheet.run["filtered_state"][:, i]
-    band = 3.0 * deviation(sheet.run, "filtered_sd")[:, i]
+    band = 3.0 * np.sqrt(np.maximum(sheet.run["filtered_covariance"][:, i, i], 0.0))
     area = (sheet.time, mean - band, mean + band)
     axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
     axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
