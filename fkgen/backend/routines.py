@@ -38,7 +38,8 @@ _FILLING = {"a", "and", "by", "every", "for", "in", "of", "s", "the", "what", "w
 _FUNCTIONS = {
     *("correct", "close_window", "propagate", "init", "fill", "finite", "finite_input", "defect"),
     *("update", "predict", "step", "selftest", "present_rows", "params_init", "part"),
-    *("exp", "log", "sqrt", "sin", "cos", "tan", "atan2", "reduced", "power_of_two"),
+    *ir.FUNCTIONS,
+    *("reduced", "power_of_two"),
 }
 
 #: Names that an argument or a local of a routine must not have.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, combinations_with_replacement
@@ -11,6 +12,7 @@ from fkgen.backend.lines import WIDTH, unit_text, units_of, wrapped
 from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI
 from fkgen.estimators.models.weights import LOG_ZERO, TINY
 from fkgen.faults import ActuatorFaults, JumpFaults, SensorFaults, SoftFaults
+from fkgen.problem import Parameter
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.expression import ZERO, Expression, Name, Number, names, to_text
 from fkgen.problem.text.matrix import Matrix
@@ -37,7 +39,7 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
         model=tuple(
             line for title, listings in parts for line in (f" * {title}.", *chain(*listings), " *")
         ),
-        ranges=tuple((item.name, _range(spec, item.name)) for item in spec.parameters),
+        ranges=tuple((item.name, _range(spec, item)) for item in spec.parameters),
         folded=_folded(spec, phases),
     )
 
@@ -185,18 +187,21 @@ def _jump(jump: JumpFaults) -> _Part:
     return text, listings
 
 
-def _range(spec: Spec, name: str) -> str:
+def _range(spec: Spec, item: Parameter) -> str:
     """What is known about a parameter: its range, its unit, and where it stands."""
-    sensor, actuator = spec.faults.sensor, spec.faults.actuator
+    name, sensor, actuator = item.name, spec.faults.sensor, spec.faults.actuator
     if sensor is not None and name not in {item.name for item in spec.stated_parameters}:
         return {
             "gamma": "1: the rows that can fail hold a signal, 0: they hold none",
             "delta": f"1 or {sensor.noise_factor!r}: factor of the variance of their noise",
         }[name]
     rates = () if actuator is None else actuator.success_rate
-    if Name(name) in rates:
+    if Name(name) in rates and not item.is_bounded:
         return "a rate, in [0, 1]"
-    found = [f"keeps {_text(rate)} in [0, 1]" for rate in rates if name in names(rate)]
+    limits = ((">=", item.low), ("<=", item.high))
+    stated = [f"{relation} {limit!r}" for relation, limit in limits if math.isfinite(limit)]
+    found = [" and ".join(stated)] if stated else []
+    found += [f"keeps {_text(rate)} in [0, 1]" for rate in rates if name in names(rate)]
     used = []
     for letter in "ABCDQR":
         matrices = [getattr(plant, letter) for plant in spec.plants]

@@ -9,13 +9,15 @@ straight-line C with a few branches. Work that most samples do without is a phas
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import casadi as ca
 
 from fkgen.problem import Spec
+from fkgen.symbolic.domain import demands
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status
+from fkgen.symbolic.ports import PARAMETER
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,8 @@ class Recursion:
     def __post_init__(self) -> None:
         starts = {port.name: port.start for port in self.ports if port.start}
         object.__setattr__(self, "initial", {**starts, **self.initial})
+        for name in ("update", "predict"):
+            object.__setattr__(self, name, _within_domain(self.spec, getattr(self, name)))
 
     @property
     def phases(self) -> tuple[Phase, ...]:
@@ -117,3 +121,22 @@ class Recursion:
     def port(self, name: str) -> Port:
         """Return the port of this name; KeyError if there is none."""
         return {port.name: port for port in self.ports}[name]
+
+
+#: Title of the block that looks at the run-time parameters.
+_DOMAIN = "run-time parameters in their range"
+
+
+def _within_domain(spec: Spec, phase: Phase) -> Phase:
+    """The phase, which refuses first of all what the spec has no meaning for."""
+    names = [item.name for item in spec.parameters if PARAMETER + item.name in phase.symbols]
+    if len(names) < len(spec.parameters) or phase.blocks[0].title == _DOMAIN:
+        return phase
+    found = demands(spec, {name: phase.symbols[PARAMETER + name] for name in names})
+    if not found:
+        return phase
+    status = Status.PARAMETER_OUT_OF_RANGE
+    guards = tuple(Guard(ca.vertcat(*values), kind, status) for kind, values in found.items())
+    used = {each.name() for guard in guards for each in ca.symvar(guard.values)}
+    reads = tuple(sorted(PARAMETER + name for name in used))
+    return replace(phase, blocks=(Block(_DOMAIN, {}, None, guards, reads), *phase.blocks))
