@@ -110,15 +110,7 @@ class Spec:
             tables=tables,
             file=file,
         )
-        check_float(
-            parameters,
-            tables,
-            float(np.finfo("f4" if spec.code.scalar == "float" else "f8").max),
-            place,
-        )
-        _check_magnitudes(model, place.entry("model"), spec)
-        for plant, at in spec.placed_plants:
-            _check_magnitudes(plant, at, spec)
+        _check_numbers(spec, place)
         family.check_spec(spec)
         return spec
 
@@ -176,6 +168,14 @@ class Spec:
         table = self.to_dict()
         table["parameters"] = [[item.name, item.plain()] for item in self.stated_parameters]
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def _check_numbers(spec: Spec, place: Place) -> None:
+    """Refuse numbers that the scalar type of the code cannot hold, or work with."""
+    largest = float(np.finfo("f4" if spec.code.scalar == "float" else "f8").max)
+    check_float(spec.parameters, spec.tables, largest, place)
+    for plant, at in ((spec.model, place.entry("model")), *spec.placed_plants):
+        _check_magnitudes(plant, at, spec)
 
 
 def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
