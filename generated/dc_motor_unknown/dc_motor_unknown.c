@@ -561,9 +561,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
 {
     double innovation_h4_0 = 0.0;
     double innovation_h4_1 = 0.0;
-    double mean_h4[3] = { 0.0 };
-    double covariance_h4[6] = { 0.0 };
-    double pivot_h4_0 = 0.0;
+    double mean_h4[3];
+    double covariance_h4[6];
+    double pivot_h4_0;
     double quadratic_h4 = 0.0;
     double log_constant_h4 = 0.0;
     double determinant_h4_0 = 1.0;
@@ -618,16 +618,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     log_likelihood_h3 = -0.5 * t3;
     const double t4 = quadratic_h4 + (log_constant_h4 + dc_motor_unknown_log(determinant_h4_0));
     log_likelihood_h4 = -0.5 * t4;
-    weight[0] = mode_probability[0];
-    weight[1] = mode_probability[1];
-    weight[2] = mode_probability[2];
-    weight[3] = mode_probability[3];
-    weight[4] = mode_probability[4];
-    log_weight_now[0] = log_weight[0];
-    log_weight_now[1] = log_weight[1];
-    log_weight_now[2] = log_weight[2];
-    log_weight_now[3] = log_weight[3];
-    log_weight_now[4] = log_weight[4];
+    dc_motor_unknown_copy(mode_probability, weight, 5);
+    dc_motor_unknown_copy(log_weight, log_weight_now, 5);
     if ((present) != 0u)
     {
         log_joint[0] = log_weight[0] + log_likelihood_h0;
@@ -862,8 +854,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(const
     dc_motor_unknown_t *self, const double *u, dc_motor_unknown_t *next)
 {
-    double moved_state[10] = { 0.0 };
-    double moved_covariance[15] = { 0.0 };
+    double moved_state[10];
+    double moved_covariance[15];
     double combined_state[2];
     dc_motor_unknown_status_t status;
     dc_motor_unknown_propagate_3(self->mode_filtered_state, u[0], self->mode_deviation[0],

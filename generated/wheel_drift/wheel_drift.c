@@ -804,17 +804,17 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const d
     const double predicted_window_left, double *window_left, double *collecting,
     double *test_statistic, double *test_dof, double *fault_declared, uint32_t present)
 {
-    double covariance_compression8[3] = { 0.0 };
+    double covariance_compression8[3];
     double deviation_compression8[2] = { 0.0 };
-    double covariance_compression9[3] = { 0.0 };
+    double covariance_compression9[3];
     double deviation_compression9[2] = { 0.0 };
-    double covariance_compression10[3] = { 0.0 };
+    double covariance_compression10[3];
     double deviation_compression10[2] = { 0.0 };
-    double covariance_compression11[3] = { 0.0 };
+    double covariance_compression11[3];
     double deviation_compression11[2] = { 0.0 };
-    double covariance_compression12[3] = { 0.0 };
+    double covariance_compression12[3];
     double deviation_compression12[2] = { 0.0 };
-    double covariance_compression13[3] = { 0.0 };
+    double covariance_compression13[3];
     double deviation_compression13[2] = { 0.0 };
     double innovation_compression14_0 = 0.0;
     double innovation_compression14_1 = 0.0;
@@ -900,9 +900,7 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const d
     /* filter with group 0, 1, 2, 3 */
     mean_compression14[0] = predicted_compression_deviation[12];
     mean_compression14[1] = predicted_compression_deviation[13];
-    covariance_compression14[0] = predicted_compression_covariance[18];
-    covariance_compression14[1] = predicted_compression_covariance[19];
-    covariance_compression14[2] = predicted_compression_covariance[20];
+    wheel_drift_copy(&predicted_compression_covariance[18], covariance_compression14, 3);
 
     /* filter with group 0, 1, 2, 3: row 0 of y, wheel_fl: compression filter */
     status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[18],
@@ -1281,8 +1279,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double innovation_3 = 0.0;
     double innovation_4 = 0.0;
     double innovation_5 = 0.0;
-    double mean_host[2] = { 0.0 };
-    double covariance_host[3] = { 0.0 };
+    double mean_host[2];
+    double covariance_host[3];
     double pivot_host_0;
     double inverse_host_0 = 0.0;
     double quadratic_host = 0.0;
@@ -1290,22 +1288,22 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double determinant_host_0 = 1.0;
     double pivot_host_1;
     double inverse_host_1 = 0.0;
-    double host_state[2] = { 0.0 };
-    double covariance_compression[3] = { 0.0 };
+    double host_state[2];
+    double covariance_compression[3];
     double deviation_compression[2] = { 0.0 };
-    double covariance_compression1[3] = { 0.0 };
+    double covariance_compression1[3];
     double deviation_compression1[2] = { 0.0 };
-    double covariance_compression2[3] = { 0.0 };
+    double covariance_compression2[3];
     double deviation_compression2[2] = { 0.0 };
-    double covariance_compression3[3] = { 0.0 };
+    double covariance_compression3[3];
     double deviation_compression3[2] = { 0.0 };
-    double covariance_compression4[3] = { 0.0 };
+    double covariance_compression4[3];
     double deviation_compression4[2] = { 0.0 };
-    double covariance_compression5[3] = { 0.0 };
+    double covariance_compression5[3];
     double deviation_compression5[2] = { 0.0 };
-    double covariance_compression6[3] = { 0.0 };
+    double covariance_compression6[3];
     double deviation_compression6[2] = { 0.0 };
-    double covariance_compression7[3] = { 0.0 };
+    double covariance_compression7[3];
     double deviation_compression7[2] = { 0.0 };
     wheel_drift_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
@@ -1338,9 +1336,7 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     }
     mean_host[0] = 0.0;
     mean_host[1] = 0.0;
-    covariance_host[0] = self->predicted_covariance[0];
-    covariance_host[1] = self->predicted_covariance[1];
-    covariance_host[2] = self->predicted_covariance[2];
+    wheel_drift_copy(self->predicted_covariance, covariance_host, 3);
 
     /* row 4 of y, ublox: host */
     pivot_host_0 = self->predicted_covariance[0] + 0.25;
@@ -1591,8 +1587,8 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
 WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_t *self,
     const wheel_drift_params_t *params, const double *u, wheel_drift_t *next)
 {
-    double A = 0.0;
-    double Q[2] = { 0.0 };
+    double A;
+    double Q[2];
     double left;
     wheel_drift_status_t status;
     A = -params->dt;
