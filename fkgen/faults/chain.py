@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
+from fkgen.problem.text.expression import ZERO
 from fkgen.problem.text.matrix import Matrix, plain, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
@@ -95,6 +96,16 @@ class ModeChain:
     modes: tuple[Mode, ...]
     transition: Transition  # Pr(j at k+1 | i at k)
     initial: Distribution  # of sample 0
+    law: Matrix | None = None  # the transition where it depends on parameters
+    #: The law of every sample is a row of it, with the parameters of that sample
+    independent: bool = False
+
+    @property
+    def possible(self) -> Transition:
+        """Positive where a mode can follow another one, whatever the parameters are."""
+        if self.law is None:
+            return self.transition
+        return tuple(tuple(float(each != ZERO) for each in row) for row in self.law.rows)
 
     def times(self, channel: Channel) -> ModeChain:
         """The chain of pairs, first all modes of samples that arrive, then all of lost ones."""

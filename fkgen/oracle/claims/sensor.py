@@ -22,9 +22,14 @@ PAPER = "Sigalov & Oshman"
 
 
 def _one_step(spec: Spec, record: Record) -> Ports:
-    system, law = system_of(spec, record), SensorLaw.from_spec(spec)
+    system, law = system_of(spec, record), law_of(spec, record)
     covariance = spec.filter.options.covariance
     return ports(textbook_one_step(system, law, record.y, record.u, covariance=covariance))
+
+
+def law_of(spec: Spec, record: Record) -> SensorLaw:
+    """The law of the sensor with the parameters of a record."""
+    return SensorLaw.over(spec, len(record.y), record.parameters)
 
 
 def _conditions(spec: Spec, record: Record) -> tuple[JumpSystem, Lumping | None]:
@@ -32,9 +37,9 @@ def _conditions(spec: Spec, record: Record) -> tuple[JumpSystem, Lumping | None]
     if spec.faults.jump is not None:
         system = JumpSystem.from_spec(spec, len(record.y), record.parameters)
         return replace(system, P0=record.P0), None
-    law = SensorLaw.from_spec(spec)
+    law, T = law_of(spec, record), len(record.y)
     lumps = spec.filter.option("modes", 4) == 3
-    return sensed_modes(system_of(spec, record), law), silent_lumped(law) if lumps else None
+    return sensed_modes(system_of(spec, record), law), silent_lumped(law, T) if lumps else None
 
 
 def _imm(spec: Spec, record: Record) -> Ports:
