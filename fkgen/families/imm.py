@@ -43,6 +43,9 @@ class ImmOptions(Options):
         if number not in allowed:
             given = number if faults.jump is None else section.table["modes"]
             raise place.error(show(given), expected)
+        if number == 3 and faults.sensor is not None and faults.sensor.law is not None:
+            given = "3 with probabilities that depend on parameters"
+            raise place.error(given, "4: what three modes put together has to be a constant")
         return cls(int(number))
 
 

@@ -52,10 +52,14 @@ def check(spec: Spec) -> None:
     if faults is None:
         return
     if spec.filter.options.form == "augmented":
+        at = place.entry("filter").entry("form")
         if faults.moments is not None:
             given = '"augmented" with problem "moments"'
-            at = place.entry("filter").entry("form")
             raise at.error(given, "a law: problem 1, 2, 3 or 4")
+        if faults.law is not None:
+            given = '"augmented" with probabilities that depend on parameters'
+            expected = '"lemma2", which is exact in problem 1 and 2, or numbers'
+            raise at.error(given, expected)
         return
     if is_white(faults):
         return
@@ -82,7 +86,7 @@ def lemma_2(spec: Spec) -> tuple[Finding, ...]:
         "some rows of y never fail, and gamma depends on its past: their signal does not carry"
         " gamma, so it predicts the others with E[gamma], not with p11"
     )
-    if faults.moments is None:
+    if faults.moments is None and faults.law is None:
         law = SensorLaw.from_spec(spec)
         holds, difference = satisfies_lemma_2(law.kernel, law.initial)
         if not holds:
@@ -111,7 +115,7 @@ def _errors(spec: Spec) -> tuple[float | None, float | None]:
     from fkgen.oracle.textbook.linear_optimal import linear_optimal, true_covariance
 
     faults = spec.faults.sensor
-    if faults is None or not faults.kernel:
+    if faults is None or not faults.kernel or faults.law is not None:
         return None, None
     with np.errstate(all="ignore"):
         system = LinearSystem.from_spec(spec, HORIZON)

@@ -291,6 +291,8 @@ def is_white(faults: SensorFaults) -> bool:
     """Whether gamma is independent of its past: E[gamma_k] = p11(k) for every k."""
     if faults.moments is not None:
         return abs(faults.moments.gamma_rate - faults.moments.gamma_persistence) <= EQUAL
+    if faults.law is not None:  # equal rows at the defaults need not be equal elsewhere
+        return faults.independent
     kernel = np.array(faults.kernel)
     rates = kernel[visited(kernel, faults.initial), :2].sum(axis=1)
     return bool(np.ptp(rates) <= EQUAL)

@@ -79,10 +79,14 @@ def _moment_tolerance(spec: Spec, record: Record) -> float:
     return max(digits_at_stake(spec, record), 1e4 * np.finfo(float).eps * (1.0 + size / noise))
 
 
+def _moments(spec: Spec, record: Record) -> FaultMoments:
+    return FaultMoments.from_spec(spec, len(record.y), record.parameters)
+
+
 def _lemma_2_form(spec: Spec, record: Record) -> Ports | None:
     if spec.filter.options.form != "lemma2":
         return None
-    system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
+    system, moments = system_of(spec, record), _moments(spec, record)
     result = linear_optimal(system, moments, record.y, record.u)
     unused = ["offset", "estimate_second_moment"]
     ranks = np.linalg.matrix_rank(result.innovation_covariance, hermitian=True)
@@ -102,6 +106,8 @@ def lemma_2_holds(spec: Spec) -> bool:
     healthy = len(faults.rows) < spec.model.ny
     if faults.moments is not None:
         return not healthy or faults.moments.gamma_rate == faults.moments.gamma_persistence
+    if faults.law is not None:
+        return is_white(faults)
     law = SensorLaw.from_spec(spec)
     return satisfies_lemma_2(law.kernel, law.initial)[0] and (not healthy or is_white(faults))
 
@@ -109,7 +115,7 @@ def lemma_2_holds(spec: Spec) -> bool:
 def _linear_batch(spec: Spec, record: Record) -> Ports | None:
     if spec.filter.options.form == "lemma2" and not lemma_2_holds(spec):
         return None
-    system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
+    system, moments = system_of(spec, record), _moments(spec, record)
     return ports(batch_uncertain(system, moments, record.y, record.u), *undecided(spec))
 
 

@@ -87,9 +87,7 @@ class SensorLaw:
         )
 
 
-def factors_of(
-    spec: Spec, T: int, params: Mapping[str, Array | float] | None
-) -> Array | None:
+def factors_of(spec: Spec, T: int, params: Mapping[str, Array | float] | None) -> Array | None:
     """C of each of T samples where it depends on parameters."""
     faults = spec.faults.sensor
     if faults is None or faults.factor is None:
