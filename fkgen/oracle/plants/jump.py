@@ -94,7 +94,7 @@ class JumpSystem(Plant):
             name: np.array(
                 [[getattr(mode, name).values(at) for mode in faults.modes] for at in samples]
             )[which]
-            for name in cls.VARYING
+            for name in (*Plant.VARYING, "c")
         }
         plant["c"] = plant["c"][..., 0]
         chain = Matrix.of(faults.transition) if faults.law is None else faults.law

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from fkgen.oracle.exact.gaussian import Array
 from fkgen.oracle.exact.paths import JumpResult
+from fkgen.oracle.plants.actuator import Plant
 from fkgen.oracle.plants.jump import JumpSystem
 from fkgen.oracle.textbook.loss_tests import LossTest, verdict
 from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
@@ -22,7 +23,7 @@ def composite(system: JumpSystem) -> JumpSystem:
     """The plant with modes (mode, gamma), first all that arrive, then all lost: C = 0 and D = 0."""
     twice = {
         name: np.concatenate([each, 0.0 * each if name in "CD" else each], axis=1)
-        for name, each in ((name, getattr(system, name)) for name in system.VARYING)
+        for name, each in ((name, getattr(system, name)) for name in (*Plant.VARYING, "c"))
     }
     lost, arrived = system.arrival_initial
     return replace(
