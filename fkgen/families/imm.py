@@ -16,7 +16,7 @@ from fkgen.faults.sensor import read_sensor_faults
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
-from fkgen.problem.table.place import show
+from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_number
 
 #: Probabilities closer than this are the same.
@@ -70,10 +70,13 @@ def without_channel(table: Table, truth: Spec) -> Table:
     faults = truth.faults.jump
     if faults is None:
         return table
+    if faults.rate is not None:
+        place = Place(truth.file, "faults.jump.arrival_rate")
+        raise place.error("a rate that depends on parameters", "a number, to make modes of it")
     chain = faults.chain(truth.model)
     if faults.arrival == "unknown" and faults.channel is not None:
         chain = chain.times(faults.channel)
-    jump = JumpFaults(chain.transition, chain.initial, chain.modes)
+    jump = JumpFaults(chain.transition, chain.initial, chain.modes, law=chain.law)
     return table | {"faults": {"jump": jump.plain()}}
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
-from fkgen.problem.text.expression import ZERO
+from fkgen.problem.text.expression import ZERO, Number, operation
 from fkgen.problem.text.matrix import Matrix, plain, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
@@ -110,10 +110,20 @@ class ModeChain:
     def times(self, channel: Channel) -> ModeChain:
         """The chain of pairs, first all modes of samples that arrive, then all of lost ones."""
         arrived_first = np.array(channel.transition)[::-1, ::-1]
+        law = None
+        if self.law is not None:
+            law = Matrix(
+                tuple(
+                    tuple(operation("*", Number(a), p) for a in arrival for p in row)
+                    for arrival in arrived_first.tolist()
+                    for row in self.law.rows
+                )
+            )
         return ModeChain(
             (*self.modes, *(mode.silent for mode in self.modes)),
             tuple(map(tuple, np.kron(arrived_first, self.transition).tolist())),
             tuple(np.kron(channel.initial[::-1], self.initial).tolist()),
+            law,
         )
 
     def alike(self, letters: str) -> Groups:

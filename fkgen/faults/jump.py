@@ -5,6 +5,7 @@ Mode and sample go together: mode[k] drives y[k] and the step from x[k] to x[k+1
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -17,6 +18,7 @@ from fkgen.problem.probability import (
     at_defaults,
     read_initial,
     read_transition,
+    rows_of,
     stationary_law,
 )
 from fkgen.problem.table.section import Section, as_list
@@ -73,6 +75,17 @@ class JumpFaults:
         """Every mode is a plant of its own; losses are apart, see `channel`."""
         modes = tuple(replace(mode, title=_title(mode, model)) for mode in self.modes)
         return ModeChain(modes, self.transition, self.initial, self.law)
+
+    def at(self, parameters: Mapping[str, float]) -> JumpFaults:
+        """The faults whose probabilities have these parameters for good."""
+        law, rate = self.law, self.rate
+        return replace(
+            self,
+            transition=self.transition if law is None else rows_of(law.values(parameters)),
+            arrival_rate=self.arrival_rate if rate is None else evaluate(rate, parameters),
+            law=None,
+            rate=None,
+        )
 
     def told(self) -> Mode:
         """The plant of one who is told the mode: parameters are 1 in it and 0 in the others."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,6 +19,7 @@ from fkgen.problem.probability import (
     at_defaults,
     read_initial,
     read_transition,
+    rows_of,
     stationary_law,
     visited,
 )
@@ -95,7 +97,7 @@ class SensorFaults:
 
     def chain(self, model: Model) -> ModeChain:
         """The four conditions as modes of the plant; they all move alike."""
-        noises = ("R", f"noise x {self.noise_factor:g}")
+        noises = ("R", f"noise x {f'{self.noise_factor:g}' if self.factor is None else 'C'}")
         titles = [f"{signal}, {noise}" for signal in ("signal", "no signal") for noise in noises]
         deltas = (ONE, self.factor or Number(self.noise_factor)) * 2
         modes = tuple(
@@ -103,6 +105,19 @@ class SensorFaults:
             for (gamma, _), delta, title in zip(self.conditions, deltas, titles, strict=True)
         )
         return ModeChain(modes, self.kernel, self.initial, self.law, self.independent)
+
+    def at(self, parameters: Mapping[str, float]) -> SensorFaults:
+        """The faults whose law and noise have these parameters for good."""
+        kernel = self.kernel if self.law is None else rows_of(self.law.values(parameters))
+        return replace(
+            self,
+            noise_factor=evaluate(self.factor or Number(self.noise_factor), parameters),
+            kernel=kernel,
+            initial=kernel[0] if self.independent else self.initial,
+            factor=None,
+            law=None,
+            independent=False,
+        )
 
     def lumped(self) -> Lumping:
         """Three modes: (1, 1), (1, C) and gamma = 0, whatever the noise; sec. III and IV."""

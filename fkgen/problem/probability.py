@@ -84,7 +84,12 @@ def read_transition(section: Section, key: str, order: str, count: int) -> Matri
 
 def at_defaults(law: Matrix, section: Section) -> Transition:
     """Return the numbers of a transition matrix at the default parameters."""
-    return tuple(map(tuple, law.values(section.defaults).tolist()))
+    return rows_of(law.values(section.defaults))
+
+
+def rows_of(values: Array) -> Transition:
+    """Return an array as rows of numbers."""
+    return tuple(map(tuple, values.tolist()))
 
 
 def read_initial(

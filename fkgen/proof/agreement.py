@@ -12,7 +12,6 @@ from fkgen.backend.execute import Machine
 from fkgen.backend.ir import FUNCTIONS, CProgram
 from fkgen.backend.lower import generate
 from fkgen.backend.source import Source
-from fkgen.faults.chain import LETTERS
 from fkgen.oracle.claims.claim import Record
 from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Code, Number, Operation, Spec
@@ -170,11 +169,7 @@ def _tolerances(spec: Spec, ports: Sequence[Port]) -> tuple[dict[str, float], st
 
 def _goes_through_functions(spec: Spec) -> bool:
     """Whether entries of the model need functions that are not the same everywhere."""
-    faults = spec.faults.actuator
-    matrices = [getattr(plant, x) for plant in spec.plants for x in LETTERS if hasattr(plant, x)]
-    rates = faults.success_rate if faults is not None else ()
-    entries = [entry for matrix in matrices for row in matrix.rows for entry in row]
-    return any(_is_inexact(entry) for entry in (*entries, *rates))
+    return any(map(_is_inexact, spec.expressions))
 
 
 def _is_inexact(expression: Expression) -> bool:

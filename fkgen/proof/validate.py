@@ -143,6 +143,8 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
     if not all(item.low <= parameters[item.name] <= item.high for item in spec.stated_parameters):
         return False
     try:
+        if not spec.faults.in_domain({**spec.defaults, **parameters}):
+            return False
         for plant in (spec.model, *spec.plants):
             for letter in "ABCDQR":
                 M = getattr(plant, letter).values(parameters)
