@@ -54,9 +54,12 @@ class UncertainFilter:
             raise InternalError("linear_optimal without sensor faults")
         self.spec, self.faults, self.plant = spec, faults, plant_of(spec)
         self.white = is_white(faults)  # gamma does not depend on its past
-        settled = faults.law is None and is_settled(faults.initial, faults.kernel)
         #: The law never changes, or each sample has its own: nothing of it is carried along
-        self.stationary = faults.moments is not None or settled or faults.independent
+        self.stationary = (
+            faults.moments is not None
+            or faults.independent
+            or (faults.law is None and is_settled(faults.initial, faults.kernel))
+        )
         ports = *state_ports(spec), *innovation_ports(spec), *_ports(self.plant)
         self.ports = (*ports, *_law_ports(white=self.white, stationary=self.stationary))
         self.symbols = symbols_of(spec, self.plant, self.ports)

@@ -40,7 +40,7 @@ class FaultMoments:
     def from_law(cls, law: SensorLaw, T: int) -> Self:
         """Follow a chain of modes through T samples."""
         steps = law.steps(T)[: max(0, T - 1)]
-        laws = np.array(list(accumulate(steps, np.matmul, initial=law.initial)))[:T]
+        laws = np.array(list(accumulate(steps, np.matmul, initial=law.initial)))
         if law.kernels is None:
             # Pr(gamma = 1 after `lag` steps | mode), and Pr(gamma_i = 1, gamma_(i + lag) = 1).
             again = (laws * GAMMA) @ _laws(GAMMA, law.kernel.T, T).T
@@ -52,7 +52,7 @@ class FaultMoments:
             for i in range(T):
                 ways = accumulate(steps[i:], np.matmul, initial=laws[i] * GAMMA)
                 pair[i, i:] = pair[i:, i] = [way @ GAMMA for way in ways]
-        factor = np.full(T, law.noise_factor) if law.factors is None else law.factors
+        factor = law.noise_factor if law.factors is None else law.factors
         nominal = laws[:, 0] + laws[:, 2]
         noisier = laws[:, 1] + laws[:, 3]
         return cls(

@@ -62,7 +62,7 @@ class SensorLaw:
         """The law over a record, with the parameters of each sample, (T,)."""
         law, faults = cls.from_spec(spec), spec.faults.sensor
         law = replace(law, factors=factors_of(spec, T, params))
-        if faults is None or faults.law is None:
+        if faults is None or faults.law is None or not T:
             return law
         samples, which = parameter_samples(spec, T, params)
         kernels = np.array([faults.law.values(at) for at in samples])[which]
