@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -88,6 +88,8 @@ class Port:
     #: Of a prediction that updates read: the port that holds the same once an update has been
     corrected: str = ""
     start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
+    #: What it starts as in place of ``start``, repeated: mean or packed covariance of the prior
+    prior: Literal["", "x", "P"] = ""
 
     @property
     def size(self) -> int:
