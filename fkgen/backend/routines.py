@@ -36,8 +36,9 @@ _FILLING = {"a", "and", "by", "every", "for", "in", "of", "s", "the", "what", "w
 
 #: Functions that every filter has.
 _FUNCTIONS = {
-    *("correct", "close_window", "propagate", "init", "fill", "finite", "finite_input", "defect"),
-    *("update", "predict", "step", "selftest", "present_rows", "params_init", "part"),
+    *("correct", "close_window", "propagate", "init", "fill", "finite", "defect"),
+    *("update", "predict", "step", "pass", "renew", "keep", "start", "begin", "all_finite"),
+    *("selftest", "present_rows", "params_init", "finite_params", "part"),
     *("exp", "log", "sqrt", "sin", "cos", "tan", "atan2", "reduced", "power_of_two"),
 }
 
@@ -200,19 +201,20 @@ class Outline:
 
 def outline(program: ir.CProgram) -> Outline:
     """Rewrite the phases of a program with calls."""
-    if sum(lines_of(phase.body) for phase in program.phases) > LARGEST:
-        return Outline(program.phases, ())
+    phases = tuple(program.verbs.values())
+    if sum(lines_of(phase.body) for phase in phases) > LARGEST:
+        return Outline(phases, ())
     functions = [_function(verb, phase) for verb, phase in program.verbs.items()]
     book = _Book(functions)
     while runs := book.repeated():
         book.take(runs)
     for function in list(book.functions):
         book.cut(function)
-    phases = tuple(
+    rewritten = tuple(
         replace(phase, body=function.body, locals=book.locals(function), chunks=())
-        for phase, function in zip(program.phases, functions, strict=True)
+        for phase, function in zip(phases, functions, strict=True)
     )
-    return Outline(phases, book.routines())
+    return Outline(rewritten, book.routines())
 
 
 def _function(verb: str, phase: ir.Phase) -> _Function:
