@@ -873,16 +873,9 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_4(con
     double *predicted_mode_second_moment, double *predicted_mode_law, double *augmented_state,
     double *augmented_covariance, double *predicted_state, double *predicted_covariance)
 {
-<<<<<<< HEAD
-    double moved_state[9];
-    double moved_covariance[45];
-    double carried_9[17];
-    double carried_10[13];
-=======
-    double carried_9[26] = { 0.0 };
-    double carried_10[12] = { 0.0 };
-    double carried_11[17] = { 0.0 };
->>>>>>> 423d79950adf1ce09cc642688ffcdcbcae2bd656
+    double carried_9[26];
+    double carried_10[12];
+    double carried_11[17];
     markov_jump_status_t status;
 
     /* prediction of the next sample */
@@ -1070,24 +1063,15 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_t *self,
     markov_jump_t *next)
 {
-<<<<<<< HEAD
     double moved_moment_0[6];
     double moved_moment_1[6];
     double moved_moment_2[6];
     double plant_noise_0[6];
     double plant_noise_1[6];
     double plant_noise_2[6];
-=======
-    double moved_moment_0[6] = { 0.0 };
-    double moved_moment_1[6] = { 0.0 };
-    double moved_moment_2[6] = { 0.0 };
-    double plant_noise_0[6] = { 0.0 };
-    double plant_noise_1[6] = { 0.0 };
-    double plant_noise_2[6] = { 0.0 };
-    double moved_state[9] = { 0.0 };
-    double moved_covariance[45] = { 0.0 };
+    double moved_state[9];
+    double moved_covariance[45];
     double carried_8[31];
->>>>>>> 423d79950adf1ce09cc642688ffcdcbcae2bd656
     markov_jump_status_t status;
     markov_jump_propagate_3(self->mode_second_moment, moved_moment_0,
         markov_jump_propagate_3_numbers[0]);
