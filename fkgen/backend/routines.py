@@ -36,8 +36,9 @@ _FILLING = {"a", "and", "by", "every", "for", "in", "of", "s", "the", "what", "w
 
 #: Functions that every filter has.
 _FUNCTIONS = {
-    *("correct", "close_window", "propagate", "init", "fill", "finite", "finite_input", "defect"),
-    *("update", "predict", "step", "selftest", "present_rows", "params_init", "part"),
+    *("correct", "close_window", "propagate", "init", "fill", "finite", "defect"),
+    *("update", "predict", "step", "pass", "renew", "keep", "start", "begin", "all_finite"),
+    *("selftest", "present_rows", "params_init", "finite_params", "part"),
     *ir.FUNCTIONS,
     *("reduced", "power_of_two"),
 }
@@ -127,6 +128,8 @@ class _Function:
                 pieces, size = _halves(chunk, name)
                 self.locals.append(ir.Local(name, size, None))
                 _Run(self, at, at + 1).put(pieces)
+                # What crosses may make a part longer again than what it was cut to.
+                at += len(pieces[0]) > LONGEST
             else:
                 at += 1
 
@@ -201,19 +204,20 @@ class Outline:
 
 def outline(program: ir.CProgram) -> Outline:
     """Rewrite the phases of a program with calls."""
-    if sum(lines_of(phase.body) for phase in program.phases) > LARGEST:
-        return Outline(program.phases, ())
+    phases = tuple(program.verbs.values())
+    if sum(lines_of(phase.body) for phase in phases) > LARGEST:
+        return Outline(phases, ())
     functions = [_function(verb, phase) for verb, phase in program.verbs.items()]
     book = _Book(functions)
     while runs := book.repeated():
         book.take(runs)
     for function in list(book.functions):
         book.cut(function)
-    phases = tuple(
+    rewritten = tuple(
         replace(phase, body=function.body, locals=book.locals(function), chunks=())
-        for phase, function in zip(program.phases, functions, strict=True)
+        for phase, function in zip(phases, functions, strict=True)
     )
-    return Outline(phases, book.routines())
+    return Outline(rewritten, book.routines())
 
 
 def _function(verb: str, phase: ir.Phase) -> _Function:
