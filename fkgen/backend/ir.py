@@ -303,7 +303,7 @@ class CProgram:
     states: tuple[Signal, ...]
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
-    sample_time: float | None
+    sample_time: float | str | None  # seconds, or the parameter that holds them
     parameters: tuple[tuple[str, float], ...]
     ports: tuple[Port, ...]
     initial: tuple[tuple[str, tuple[float, ...]], ...]
