@@ -99,7 +99,7 @@ class CompiledFilter:
         DataError
             If shapes, types or names do not fit. Samples that C refuses have a negative ``status``.
         """
-        measured = record.signal("y", y, len(self.layout.outputs), self._dtype)
+        measured = record.measurements(self.layout, y)
         driven = record.inputs(self.layout, u, len(measured))
         given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
         found = self._room((len(measured),), keep)
@@ -247,17 +247,10 @@ class CompiledFilter:
             found.status.ctypes.data,
         )
 
-    def _place(self, what: str, value: ArrayLike | None, place: Array) -> None:
-        """Copy one sample to where C reads it; a number will do for a single row."""
-        if value is None:
-            raise DataError(what, given="nothing", expected=f"numbers of shape {place.shape}")
-        try:
-            sample = np.asarray(value, self._dtype)
-        except (TypeError, ValueError):
-            raise DataError(what, given=repr(value), expected="real numbers") from None
-        if sample.shape != place.shape and (sample.ndim or place.size != 1):
-            raise DataError(what, given=f"shape {sample.shape}", expected=f"shape {place.shape}")
-        place[:] = sample
+    def _place(self, what: str, value: Any, place: Array) -> None:
+        """Copy one sample to where C reads it."""
+        names = self.layout.outputs if what == "y" else self.layout.inputs
+        place[:] = record.sample(what, value, names, place)
 
     def _place_parameters(self, given: Mapping[str, float]) -> None:
         """Parameters of this sample; those not given take their defaults."""
