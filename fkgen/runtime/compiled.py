@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +105,21 @@ class CompiledFilter:
         found = self._room((len(measured),), keep)
         self._filter((measured, driven), given, found)
         return found
+
+    def pieces(self, keep: Sequence[str] | None = None) -> Callable[..., Run]:
+        """A function of (y, u, params) that filters a record piece by piece, as `run` the whole."""
+        instance = self._type()
+        self._init(ctypes.addressof(instance))
+
+        def piece(y: ArrayLike, u: ArrayLike | None, params: Mapping[str, ArrayLike] | None) -> Run:
+            measured = record.measurements(self.layout, y)
+            driven = record.inputs(self.layout, u, len(measured))
+            given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
+            found = self._room((len(measured),), keep)
+            self._record(*self._arguments(instance, (measured, driven), given, found))
+            return found
+
+        return piece
 
     def run_batch(
         self,

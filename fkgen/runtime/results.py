@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,12 @@ class Run:
     def __init__(self, values: Mapping[str, Array], status: NDArray[np.int32]) -> None:
         self._values = dict(values)
         self.status = status
+
+    @classmethod
+    def joined(cls, runs: Sequence[Run]) -> Run:
+        """Pieces of one record as one."""
+        values = {name: np.concatenate([run[name] for run in runs]) for name in runs[0].ports}
+        return cls(values, np.concatenate([run.status for run in runs]))
 
     @property
     def ports(self) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ from fkgen.study.comparisons.ranking import Comparison, Entry, ranked
 from fkgen.study.comparisons.scores import Scores, score
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.filtering import csv_text
+from fkgen.study.records.reading import Reading
 from fkgen.study.records.table import constants_or_record, profile_of
 from fkgen.trials.simulation import Simulation, counted, simulate
 
@@ -179,7 +180,7 @@ def _circumstances(
     spec: Spec,
     *,
     steps: int | None,
-    record: Path | None,
+    record: Reading | None,
     inputs: str,
     profile: Path | None,
     **sizes: Any,
@@ -193,7 +194,7 @@ def _circumstances(
     constants, table = constants_or_record(spec, inputs, record)
     params = {} if table is None else table.params
     if table is not None and record is not None:
-        lengths[len(table.lines)] = record
+        lengths[table.samples] = record.path
         signals |= {"present": np.isfinite(table.y), "u": table.u if spec.model.nu else None}
     elif spec.model.nu and constants is None:
         names = ", ".join(signal.name for signal in spec.model.inputs)

@@ -19,7 +19,7 @@ from fkgen.faults import SoftFaults
 from fkgen.problem import Signal, Spec
 from fkgen.runtime.results import Run
 from fkgen.study.records.files import refuse_format, write_whole
-from fkgen.study.records.table import Table
+from fkgen.study.records.record import Table
 from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]
@@ -65,9 +65,9 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     """
     states, outputs, soft = spec.model.states[:LARGEST], spec.model.outputs, spec.faults.soft
     units = {one.unit: [i for i, s in enumerate(outputs) if s.unit == one.unit] for one in outputs}
-    time, label = np.asarray(table.time, dtype=float), table.time_name or "sample"
+    time, label = np.asarray(table.time, dtype=float), table.time_label or "sample"
     if not table.time_name and spec.period is not None:
-        time, label = time * spec.period, "t_s"
+        time, label = time * spec.period, "time (s)"
     sheet = _Sheet(spec, run, time, np.isfinite(table.y))
     draws = [partial(_draw_state, sheet=sheet, i=i) for i in range(len(states))]
     draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
@@ -77,7 +77,7 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     if soft is not None and "test_statistic" in run.ports:
         draws.append(partial(_draw_verdicts, sheet=sheet, soft=soft))
     heights = [2.1] * len(states) + [HEIGHT] * (len(draws) - len(states))
-    return panels(heights, draws, "time (s)" if label == "t_s" else label)
+    return panels(heights, draws, label)
 
 
 def panels(heights: Sequence[float], draws: Sequence[Callable[[Axes], None]], time: str) -> Figure:

@@ -7,7 +7,7 @@ import pytest
 
 import fkgen
 from fkgen.study.records.filtering import Selection, run_table
-from fkgen.study.records.table import Table
+from fkgen.study.records.record import Table
 from fkgen.study.reports.plots import draw, rendered
 from fkgen.study.reports.starters import starter
 
@@ -18,14 +18,11 @@ def table_of(spec, y, time_name=""):
     samples = len(y)
     return Table(
         file="r",
-        lines=tuple(range(samples)),
         time_name=time_name,
-        time_text=(),
+        time_label={"t_s": "time (s)"}.get(time_name, time_name),
         time=np.arange(samples, dtype=float),
         y=y,
         u=np.ones((samples, spec.model.nu)),
-        params={},
-        notes=(),
     )
 
 
