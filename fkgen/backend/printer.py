@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,16 @@ class StatementPrinter:
     def any_row(self) -> str:
         """Test whether any row of y is present."""
         words = [f"present[{i}]" for i in range(self.words)] if self.words > 1 else ["present"]
+        return f"({' | '.join(words)}) != 0u"
+
+    def any_of(self, rows: Sequence[int]) -> str:
+        """Test whether any of these rows of y is present."""
+        masks: dict[int, int] = {}
+        for row in rows:
+            word, bit = divmod(row, _WORD_BITS)
+            masks[word] = masks.get(word, 0) | 1 << bit
+        place = "present" if self.words == 1 else "present[{}]"
+        words = [f"({place.format(word)} & {mask:#x}u)" for word, mask in masks.items()]
         return f"({' | '.join(words)}) != 0u"
 
     def row(self, row: ir.Row) -> str:
@@ -159,7 +169,7 @@ class StatementPrinter:
     def _fails(self, node: ir.Require) -> str:
         values, zero = [self.operand(value) for value in node.values], self.literal(0.0)
         if node.kind is Kind.FINITE:
-            defects = " + ".join(f"{self.name}_defect({value})" for value in values)
+            defects = summed([f"{self.name}_defect({value})" for value in values])
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
         return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
@@ -267,6 +277,15 @@ class Printer(StatementPrinter):
 def combined(tests: list[str], how: str) -> str:
     """Tests joined by an operator, in parentheses if there are several."""
     return tests[0] if len(tests) == 1 else f" {how} ".join(f"({test})" for test in tests)
+
+
+def summed(terms: list[str]) -> str:
+    """A sum by halves, so that a processor can add several terms at once."""
+    if len(terms) <= 2:
+        return " + ".join(terms)
+    middle = (len(terms) + 1) // 2
+    halves = [summed(half) for half in (terms[:middle], terms[middle:])]
+    return " + ".join(f"({half})" if " " in half else half for half in halves)
 
 
 def _under(test: str, inner: str) -> str:

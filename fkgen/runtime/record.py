@@ -141,7 +141,7 @@ def values_of(
             several = "" if records is None else f" or ({records}, {samples})"
             expected = f"a number or shape ({samples},){several}"
             raise DataError(what, given=f"shape {array.shape}", expected=expected)
-        if not np.isfinite(array).all():
+        if array.size == 1 and not np.isfinite(array).all():  # else the samples are held
             at = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
             raise DataError(place(what, at, ()), given=str(array[at]), expected="a finite number")
         result.append(array)

@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from fkgen.estimators.gaussian.actuation import certain
+from fkgen.estimators.gaussian.decorrelation import correlated_rows
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
@@ -52,7 +53,6 @@ from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
     mode_estimate_ports,
-    prior_of,
     state_ports,
     symbols_of,
     twins,
@@ -193,7 +193,13 @@ class Switching:
             form=update_form(spec, plants[0], augmented=False),
         )
 
-    def recursion(self, source: str, phases: tuple[Phase, Phase], *notes: str) -> Recursion:
+    def recursion(
+        self,
+        source: str,
+        phases: tuple[Phase, Phase],
+        *notes: str,
+        repeats: tuple[tuple[int, ...], ...] | None = None,
+    ) -> Recursion:
         """The recursion of these two phases."""
         return Recursion(
             spec=self.spec,
@@ -203,6 +209,7 @@ class Switching:
             predict=phases[1],
             form=self.form,
             notes=notes,
+            repeats=repeats,
         )
 
     def bound(self, builder: PhaseBuilder, letters: str) -> Modes:
@@ -305,10 +312,10 @@ def one_step_optimal(spec: Spec) -> Recursion:
 
 
 def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
-    n, start = spec.model.nx, prior_of(spec)[1] * count
+    n = spec.model.nx
     shape = (count, n, n) if count > 1 else (n, n)
     what = f"as if gamma were always 1, for delta = 1{' and C' if count > 1 else ''}"
-    covariance = partial(carried, unit="xx", symmetric=True, start=start)
+    covariance = partial(carried, unit="xx", symmetric=True, prior="P")
     ports = (
         covariance("riccati_covariance", shape, f"P(k+1|k) {what}"),
         covariance("riccati_filtered_covariance", shape, f"P(k|k) {what}"),
@@ -369,7 +376,9 @@ def interacting_models(spec: Spec) -> Recursion:
     if spec.faults.jump is not None:
         source = "Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
         notes.append(JUMPING)
-    return filtering.recursion(source, phases, *notes)
+    lumped = any(len(variants) > 1 for variants in filtering.modes.variants)
+    repeats = None if lumped else correlated_rows([plant.R for plant in filtering.plants])
+    return filtering.recursion(source, phases, *notes, repeats=repeats)
 
 
 def _predictions(filtering: Switching) -> Phase:

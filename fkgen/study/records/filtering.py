@@ -226,22 +226,30 @@ class _Refusals:
 
     def __init__(self, name: str) -> None:
         self._name, self._done = name, 0
-        self._found: dict[int, tuple[int, int]] = {}
+        self._found: dict[int, tuple[int, int, int]] = {}
 
     def add(self, table: Table, run: Run) -> None:
         """Count a piece."""
         for value in np.unique(run.status[run.refused]).tolist():
             where = np.flatnonzero(run.status == value)
-            count, first = self._found.get(value, (0, self._done + int(where[0])))
-            self._found[value] = count + where.size, first
+            held = int(run.held[where].sum())
+            count, before, first = self._found.get(value, (0, 0, self._done + int(where[0])))
+            self._found[value] = count + where.size, before + held, first
         self._done += table.samples
 
     def sentences(self, table: Table) -> Iterator[str]:
         """One sentence per reason."""
-        for value, (count, first) in sorted(self._found.items()):
+        for value, (count, held, first) in sorted(self._found.items()):
             status, several = Status(value), f"{count} samples refused, the first in"
             yield (
                 f"{table.file}: {'1 sample refused, in' if count == 1 else several} "
                 f"{table.where(first)}: {f'{self._name}_{status.name}'.upper()}: {status.meaning}; "
-                "the filter went on unchanged"
+                f"{_course(count, held)}"
             )
+
+
+def _course(count: int, held: int) -> str:
+    """What became of samples that were refused."""
+    if held == count:
+        return "held: no time passed there"
+    return "taken for missing" + (f", but for {held} that were held" if held else "")

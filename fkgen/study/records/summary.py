@@ -25,7 +25,8 @@ class Summary:
         self._gated = "rejected" in built.ports
         self._ports = ["nis", *(["rejected"] if self._gated else [])]
         self.ports = tuple(name for name in self._ports if name in built.ports)
-        self.samples = self.rows = self.present = self.gaps = self.refused = self.rejected = 0
+        self.samples = self.rows = self.present = self.gaps = self.rejected = 0
+        self.refused = self.held = 0
         self._degrees, self._sum, self._silent = 0, 0.0, False
         self._longest = self._length = 0
 
@@ -44,6 +45,7 @@ class Summary:
         self.rows += there.size
         self.present += int(used.sum())
         self.refused += int((~accepted).sum())
+        self.held += int(run.held.sum())
         self.rejected += int(out.any(axis=1).sum() if self._gated else rejected.sum())
         self._count_gaps(np.asarray(~there.any(axis=1)))
         if "nis" in self.ports:
@@ -74,7 +76,7 @@ class Summary:
             _several(self.samples, "sample"),
             f"{self.present} of {_several(self.rows, 'row')} used",
             gaps + longest,
-            f"{self.refused} refused",
+            f"{self.refused} refused" + (f" ({self.held} of them held)" if self.held else ""),
             f"{self.rejected} rejected",
         ]
         if self._degrees:
