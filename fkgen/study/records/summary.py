@@ -21,7 +21,7 @@ class Summary:
 
     def __init__(self, spec: Spec, built: CompiledFilter) -> None:
         soft = spec.faults.soft
-        self._host = slice(None) if soft is None else list(soft.host)
+        self._host: slice | list[int] = slice(None) if soft is None else list(soft.host)
         self._gated = "rejected" in built.ports
         self._ports = ["nis", *(["rejected"] if self._gated else [])]
         self.ports = tuple(name for name in self._ports if name in built.ports)
@@ -40,6 +40,8 @@ class Summary:
             out = (np.asarray(run["rejected"]).reshape(there.shape) > 0) & there
         elif rejected.any():
             out[rejected] = there[rejected]
+            if isinstance(self._host, list):  # it is the others that wait for the test
+                out[:, self._host] = False
         used = there & accepted[:, np.newaxis] & ~out
         self.samples += len(there)
         self.rows += there.size
