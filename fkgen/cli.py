@@ -137,7 +137,7 @@ def main() -> None:
     """Kalman filters for systems with faults: described once, proved, printed as C99.
 
     \b
-    fkgen new mkf -o motor.toml      a spec to begin with
+    fkgen new mkf -o motor.toml      a spec to begin with; or --from record.csv
     fkgen check motor.toml           is the model sound?
     fkgen generate motor.toml        C code
     fkgen run motor.toml record.csv  filter a record
@@ -155,13 +155,17 @@ def families() -> None:
 
 
 @main.command()
-@click.argument("family")
+@click.argument("family", required=False)
+@click.option("--from", "record", type=Path, help="Record whose signals and noises it is to have.")
+@click.option("--inputs", default="", help="Columns of it that are inputs: a,b; default: by name.")
 @click.option("-o", "--output", type=Path, help="File to write; never one that exists.")
-def new(family: str, output: Path | None) -> None:
-    """Write a commented spec of FAMILY to begin with."""
-    from fkgen.study.reports.starters import starter
+@_reading
+def new(family: str | None, record: Reading | None, inputs: str, output: Path | None) -> None:
+    """Write a commented spec of FAMILY to begin with, or one of kf from a record."""
+    from fkgen.study.reports.starters import begun
 
-    _write(starter(family), output, f"fkgen check {output}", force=False, err=False)
+    text, then = begun(family, record, inputs, str(output))
+    _write(text, output, then, force=False, err=False)
 
 
 def _write(text: str, output: Path | None, then: str, *, force: bool, err: bool) -> None:

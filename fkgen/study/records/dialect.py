@@ -116,7 +116,7 @@ def _dialect(
         rest = rest[1:]
     if rest and all(len(f) == len(headings) + 1 and not f[-1] for _, f in rest[:_AFTER]):
         headings = [*headings, ""]
-    looked_at = {i for name in names for i in positions(headings, name)}
+    looked_at = {i for name in names for i in positions(headings, name)} or range(len(headings))
     return Dialect(
         encoding=encoding,
         delimiter=delimiter,
