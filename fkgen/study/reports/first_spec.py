@@ -155,7 +155,7 @@ def _lines(
         zeros = f"[{', '.join(['0.0'] * len(inputs))}]"
         yield f"B = [{', '.join([zeros] * p)}]  # what the inputs do is not known from the record"
     yield f"C = {_diagonal(['1.0'] * p)}"
-    yield f"# First guesses, from the differences d of {samples} samples of an output, as if it were"
+    yield f"# First guesses, from the differences d of {samples} samples of each, as if it were"
     yield "# a random walk in white noise: R = -Cov(d[k], d[k+1]), Q = Var(d) - 2 R."
     if clock is not None and varies:
         steps = [f'"{_digits(each.level / clock[0])}*dt"' for each in outputs]
