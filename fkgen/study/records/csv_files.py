@@ -25,7 +25,7 @@ from fkgen.study.records.dialect import HEAD, Dialect, encoding_of, rows_of, sni
 from fkgen.study.records.headings import counted
 from fkgen.study.records.reading import MARKS, SPACES, Reading
 
-BLOCK = 1 << 22  # bytes that Arrow reads at a time
+BLOCK = 1 << 20  # bytes that Arrow reads at a time
 _ROWS = 50_000  # of a piece that is read row by row
 _SHOWN = 40  # characters of a field in an error
 _ENDLESS = 1 << 30  # characters of a field: Python's limit would stop at a quote that is not closed
@@ -49,15 +49,14 @@ class CsvFile:
     def pieces(self, columns: Sequence[int], texts: Collection[int]) -> Iterator[Piece]:
         """The columns from the first sample to the last; those of ``texts`` as they are written."""
         done = 0
-        if self.dialect.delimiter != SPACES:
-            try:
-                for piece in self._fast(columns, texts):
-                    done += len(piece[columns[0]])
-                    yield piece
-            except (pa.ArrowInvalid, UnicodeError):
-                pass  # at this place: go on row by row
-            else:
-                return
+        try:
+            for piece in self._fast(columns, texts):
+                done += len(piece[columns[0]])
+                yield piece
+        except (pa.ArrowInvalid, UnicodeError):
+            pass  # at this place: go on row by row
+        else:
+            return
         yield from self._slow(columns, texts, done)
 
     def where(self, sample: int) -> str:
@@ -87,7 +86,7 @@ class CsvFile:
         ]
         with self._decoded() as text:
             reader = arrow_csv.open_csv(
-                _Bytes(text),
+                _Bytes(text, self.dialect.delimiter),
                 read_options=arrow_csv.ReadOptions(column_names=names, block_size=BLOCK),
                 parse_options=arrow_csv.ParseOptions(
                     delimiter=self.dialect.delimiter, newlines_in_values=True
@@ -192,17 +191,24 @@ class CsvFile:
 class _Bytes(io.RawIOBase):
     """The bytes in UTF-8 of a text, without the zeros that a loss of power leaves in a file."""
 
-    def __init__(self, text: io.TextIOBase) -> None:
-        self._text = text
+    def __init__(self, text: io.TextIOBase, delimiter: str) -> None:
+        self._text, self._blanks, self._rest = text, delimiter == SPACES, b""
 
     def readable(self) -> bool:
         return True
 
     def read(self, size: int = -1) -> bytes:
-        while part := self._text.read(size):
-            if clean := part.replace("\0", ""):
-                return clean.encode("utf-8", "replace")
-        return b""
+        while not self._rest:
+            part = "".join(self._text.readlines(size)) if self._blanks else self._text.read(size)
+            if not part:
+                break
+            part = part.replace("\0", "")
+            if self._blanks:  # one between fields, none before the first and after the last
+                part = "".join(f"{' '.join(line.split())}\n" for line in part.split("\n"))
+            self._rest = part.encode("utf-8", "replace")
+        end = size if size >= 0 else len(self._rest)
+        found, self._rest = self._rest[:end], self._rest[end:]
+        return found
 
 
 def _column(column: pa.Array, is_text: bool) -> Any:  # noqa: FBT001 - the kind of a column
