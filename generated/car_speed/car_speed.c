@@ -336,9 +336,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     variance[9] = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
-    covariance[0] = self->predicted_covariance[0];
-    covariance[1] = self->predicted_covariance[1];
-    covariance[2] = self->predicted_covariance[2];
+    car_speed_copy(self->predicted_covariance, covariance, 3);
 
     /* row 0 of y, wheel_fl */
     cross_0[0] = 0.9921619208254787 * self->predicted_covariance[0];

@@ -604,9 +604,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
 {
     double innovation_h4_0 = 0.0;
     double innovation_h4_1 = 0.0;
-    double mean_h4[3] = { 0.0 };
-    double covariance_h4[6] = { 0.0 };
-    double pivot_h4_0 = 0.0;
+    double mean_h4[3];
+    double covariance_h4[6];
+    double pivot_h4_0;
     double quadratic_h4 = 0.0;
     double log_constant_h4 = 0.0;
     double determinant_h4_0 = 1.0;
@@ -616,8 +616,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     double log_likelihood_h2;
     double log_likelihood_h3;
     double log_likelihood_h4;
-    double weight[5] = { 0.0 };
-    double log_weight_now[5] = { 0.0 };
+    double weight[5];
+    double log_weight_now[5];
     double log_joint[5] = { 0.0 };
     double log_largest = 0.0;
     double share_of_largest[5] = { 0.0 };
@@ -630,11 +630,11 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     double predicted_y_h2[2];
     double predicted_y_h3[2];
     double predicted_y_h4[2];
-    double combined_variance[3] = { 0.0 };
-    double combined_innovation[2] = { 0.0 };
+    double combined_variance[3];
+    double combined_innovation[2];
     double whitening_pivot_combined_0;
     double whitening_inverse_combined_0 = 0.0;
-    double whitening_combined_0_1 = 0.0;
+    double whitening_combined_0_1;
     double whitening_pivot_combined_1;
     double whitening_inverse_combined_1 = 0.0;
     dc_motor_unknown_status_t status;
@@ -661,16 +661,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     log_likelihood_h3 = -0.5 * t3;
     const double t4 = quadratic_h4 + (log_constant_h4 + dc_motor_unknown_log(determinant_h4_0));
     log_likelihood_h4 = -0.5 * t4;
-    weight[0] = held_probability[0];
-    weight[1] = held_probability[1];
-    weight[2] = held_probability[2];
-    weight[3] = held_probability[3];
-    weight[4] = held_probability[4];
-    log_weight_now[0] = held_logarithm[0];
-    log_weight_now[1] = held_logarithm[1];
-    log_weight_now[2] = held_logarithm[2];
-    log_weight_now[3] = held_logarithm[3];
-    log_weight_now[4] = held_logarithm[4];
+    dc_motor_unknown_copy(held_probability, weight, 5);
+    dc_motor_unknown_copy(held_logarithm, log_weight_now, 5);
     if ((present) != 0u)
     {
         log_joint[0] = held_logarithm[0] + log_likelihood_h0;
@@ -811,8 +803,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const dc_motor_unknown_t
     *self, const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
 {
-    double held_probability[5] = { 0.0 };
-    double held_logarithm[5] = { 0.0 };
+    double held_probability[5];
+    double held_logarithm[5];
     double innovation_h0_0 = 0.0;
     double innovation_h0_1 = 0.0;
     double mean_h0[3] = { 0.0 };
@@ -850,16 +842,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     double determinant_h3_0 = 1.0;
     double pivot_h3_1 = 0.0;
     dc_motor_unknown_status_t status;
-    held_probability[0] = self->mode_probability[0];
-    held_probability[1] = self->mode_probability[1];
-    held_probability[2] = self->mode_probability[2];
-    held_probability[3] = self->mode_probability[3];
-    held_probability[4] = self->mode_probability[4];
-    held_logarithm[0] = self->log_weight[0];
-    held_logarithm[1] = self->log_weight[1];
-    held_logarithm[2] = self->log_weight[2];
-    held_logarithm[3] = self->log_weight[3];
-    held_logarithm[4] = self->log_weight[4];
+    dc_motor_unknown_copy(self->mode_probability, held_probability, 5);
+    dc_motor_unknown_copy(self->log_weight, held_logarithm, 5);
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[3] >= 0.0) && (self->mode_covariance[5] >= 0.0) &&
         (self->mode_covariance[6] >= 0.0) && (self->mode_covariance[8] >= 0.0) &&
@@ -918,8 +902,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(const
     dc_motor_unknown_t *self, const double *u, dc_motor_unknown_t *next)
 {
-    double moved_state[10] = { 0.0 };
-    double moved_covariance[15] = { 0.0 };
+    double moved_state[10];
+    double moved_covariance[15];
     double combined_state[2];
     dc_motor_unknown_status_t status;
     dc_motor_unknown_propagate_3(self->mode_filtered_state, u[0], self->mode_deviation[0],

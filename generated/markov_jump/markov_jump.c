@@ -873,9 +873,9 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_4(con
     double *predicted_mode_second_moment, double *predicted_mode_law, double *augmented_state,
     double *augmented_covariance, double *predicted_state, double *predicted_covariance)
 {
-    double carried_9[26] = { 0.0 };
-    double carried_10[12] = { 0.0 };
-    double carried_11[17] = { 0.0 };
+    double carried_9[26];
+    double carried_10[12];
+    double carried_11[17];
     markov_jump_status_t status;
 
     /* prediction of the next sample */
@@ -974,11 +974,11 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_4(con
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t *self,
     const double *y, uint32_t present, markov_jump_t *next)
 {
-    double mean_noise = 0.0;
+    double mean_noise;
     double innovation_0 = 0.0;
-    double mean[9] = { 0.0 };
-    double covariance[45] = { 0.0 };
-    double pivot_0 = 0.0;
+    double mean[9];
+    double covariance[45];
+    double pivot_0;
     double quadratic = 0.0;
     double log_constant = 0.0;
     double determinant_0 = 1.0;
@@ -1063,14 +1063,14 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_t *self,
     markov_jump_t *next)
 {
-    double moved_moment_0[6] = { 0.0 };
-    double moved_moment_1[6] = { 0.0 };
-    double moved_moment_2[6] = { 0.0 };
-    double plant_noise_0[6] = { 0.0 };
-    double plant_noise_1[6] = { 0.0 };
-    double plant_noise_2[6] = { 0.0 };
-    double moved_state[9] = { 0.0 };
-    double moved_covariance[45] = { 0.0 };
+    double moved_moment_0[6];
+    double moved_moment_1[6];
+    double moved_moment_2[6];
+    double plant_noise_0[6];
+    double plant_noise_1[6];
+    double plant_noise_2[6];
+    double moved_state[9];
+    double moved_covariance[45];
     double carried_8[31];
     markov_jump_status_t status;
     markov_jump_propagate_3(self->mode_second_moment, moved_moment_0,

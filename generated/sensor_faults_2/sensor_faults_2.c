@@ -275,14 +275,14 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     *self, const double *y, uint32_t present, sensor_faults_2_t *next)
 {
     double innovation_m0_0 = 0.0;
-    double mean_m0 = 0.0;
-    double covariance_m0 = 0.0;
-    double pivot_m0_0 = 0.0;
+    double mean_m0;
+    double covariance_m0;
+    double pivot_m0_0;
     double log_density_m0 = 0.0;
     double innovation_m1_0 = 0.0;
-    double mean_m1 = 0.0;
-    double covariance_m1 = 0.0;
-    double pivot_m1_0 = 0.0;
+    double mean_m1;
+    double covariance_m1;
+    double pivot_m1_0;
     double log_density_m1 = 0.0;
     double innovation_m2_0 = 0.0;
     double quadratic_m2 = 0.0;

@@ -769,25 +769,16 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture_2(con
     double predicted_y_m0[4];
     double predicted_y_m1[4];
     double predicted_y_m2[4];
-    double whitening_pivot_combined_0 = 0.0;
-    double whitening_pivot_combined_1 = 0.0;
-    double whitening_pivot_combined_2 = 0.0;
-    double whitening_pivot_combined_3 = 0.0;
+    double whitening_pivot_combined_0;
+    double whitening_pivot_combined_1;
+    double whitening_pivot_combined_2;
+    double whitening_pivot_combined_3;
     ship_track_status_t status;
 
     /* innovation of the mixture */
-    predicted_y_m0[0] = mode_state[0];
-    predicted_y_m0[1] = mode_state[1];
-    predicted_y_m0[2] = mode_state[2];
-    predicted_y_m0[3] = mode_state[3];
-    predicted_y_m1[0] = mode_state[4];
-    predicted_y_m1[1] = mode_state[5];
-    predicted_y_m1[2] = mode_state[6];
-    predicted_y_m1[3] = mode_state[7];
-    predicted_y_m2[0] = mode_state[8];
-    predicted_y_m2[1] = mode_state[9];
-    predicted_y_m2[2] = mode_state[10];
-    predicted_y_m2[3] = mode_state[11];
+    ship_track_copy(mode_state, predicted_y_m0, 4);
+    ship_track_copy(&mode_state[4], predicted_y_m1, 4);
+    ship_track_copy(&mode_state[8], predicted_y_m2, 4);
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
     const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
     const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
@@ -1085,23 +1076,23 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double innovation_m0_1 = 0.0;
     double innovation_m0_2 = 0.0;
     double innovation_m0_3 = 0.0;
-    double variance_m0[10] = { 0.0 };
-    double mean_m0[4] = { 0.0 };
-    double covariance_m0[10] = { 0.0 };
+    double variance_m0[10];
+    double mean_m0[4];
+    double covariance_m0[10];
     double log_density_m0 = 0.0;
     double innovation_m1_0 = 0.0;
     double innovation_m1_1 = 0.0;
     double innovation_m1_2 = 0.0;
     double innovation_m1_3 = 0.0;
-    double variance_m1[10] = { 0.0 };
-    double mean_m1[4] = { 0.0 };
-    double covariance_m1[10] = { 0.0 };
+    double variance_m1[10];
+    double mean_m1[4];
+    double covariance_m1[10];
     double log_density_m1 = 0.0;
     double innovation_m2_0 = 0.0;
     double innovation_m2_1 = 0.0;
     double innovation_m2_2 = 0.0;
     double innovation_m2_3 = 0.0;
-    double variance_m2[10] = { 0.0 };
+    double variance_m2[10];
     double mean_m2[4] = { 0.0 };
     double covariance_m2[10] = { 0.0 };
     double quadratic_m2 = 0.0;
@@ -1117,8 +1108,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double share_total = 0.0;
     double share_total_inverse = 0.0;
     double log_share_total = 0.0;
-    double combined_variance[10] = { 0.0 };
-    double combined_innovation[4] = { 0.0 };
+    double combined_variance[10];
+    double combined_innovation[4];
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1 = 0.0;
     double whitening_combined_0_2 = 0.0;
@@ -1177,12 +1168,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + ship_track_log(determinant_m2_0)));
 
     /* probabilities of the modes */
-    weight[0] = self->predicted_mode_probability[0];
-    weight[1] = self->predicted_mode_probability[1];
-    weight[2] = self->predicted_mode_probability[2];
-    log_weight_now[0] = self->predicted_log_weight[0];
-    log_weight_now[1] = self->predicted_log_weight[1];
-    log_weight_now[2] = self->predicted_log_weight[2];
+    ship_track_copy(self->predicted_mode_probability, weight, 3);
+    ship_track_copy(self->predicted_log_weight, log_weight_now, 3);
     if ((present) != 0u)
     {
         log_joint[0] = self->predicted_log_weight[0] + log_density_m0;

@@ -151,6 +151,19 @@ static int soft_fault_dfcf_present_rows(const double *y, uint32_t valid, uint32_
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
 
+/* Copy the elements of an array to another. */
+SOFT_FAULT_DFCF_INLINE void soft_fault_dfcf_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
 SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const soft_fault_dfcf_t
     *self, const double *y, uint32_t present, soft_fault_dfcf_t *next)
@@ -193,9 +206,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     }
     mean_host[0] = 0.0;
     mean_host[1] = 0.0;
-    covariance_host[0] = self->predicted_covariance[0];
-    covariance_host[1] = self->predicted_covariance[1];
-    covariance_host[2] = self->predicted_covariance[2];
+    soft_fault_dfcf_copy(self->predicted_covariance, covariance_host, 3);
 
     /* row 1 of y, measured_velocity: host */
     pivot_host_0 = self->predicted_covariance[2] + 0.01;
@@ -237,9 +248,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     /* filter with group 0 */
     mean_compression[0] = self->predicted_compression_deviation[0];
     mean_compression[1] = self->predicted_compression_deviation[1];
-    covariance_compression[0] = self->predicted_compression_covariance[0];
-    covariance_compression[1] = self->predicted_compression_covariance[1];
-    covariance_compression[2] = self->predicted_compression_covariance[2];
+    soft_fault_dfcf_copy(self->predicted_compression_covariance, covariance_compression, 3);
 
     /* filter with group 0: row 0 of y, measured_position: compression filter */
     pivot_compression_0 = self->predicted_compression_covariance[0] + 100.0;
@@ -323,14 +332,10 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     }
     next->filtered_state[0] = host_state[0];
     next->filtered_state[1] = host_state[1];
-    next->filtered_covariance[0] = covariance_host[0];
-    next->filtered_covariance[1] = covariance_host[1];
-    next->filtered_covariance[2] = covariance_host[2];
+    soft_fault_dfcf_copy(covariance_host, next->filtered_covariance, 3);
     next->compression_deviation[0] = deviation_compression[0];
     next->compression_deviation[1] = deviation_compression[1];
-    next->compression_covariance[0] = covariance_compression[0];
-    next->compression_covariance[1] = covariance_compression[1];
-    next->compression_covariance[2] = covariance_compression[2];
+    soft_fault_dfcf_copy(covariance_compression, next->compression_covariance, 3);
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
     next->innovation_covariance[0] = t30;
@@ -423,9 +428,7 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     }
     closed_state[0] = self->filtered_state[0];
     closed_state[1] = self->filtered_state[1];
-    closed_covariance[0] = self->filtered_covariance[0];
-    closed_covariance[1] = self->filtered_covariance[1];
-    closed_covariance[2] = self->filtered_covariance[2];
+    soft_fault_dfcf_copy(self->filtered_covariance, closed_covariance, 3);
 
     /* the host takes over: group 0 */
     const double t11 = -0.5 + accepted_0;
@@ -433,9 +436,7 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[0];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[1];
-        closed_covariance[0] = self->compression_covariance[0];
-        closed_covariance[1] = self->compression_covariance[1];
-        closed_covariance[2] = self->compression_covariance[2];
+        soft_fault_dfcf_copy(self->compression_covariance, closed_covariance, 3);
     }
 
     /* results of the window */
@@ -448,14 +449,10 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     }
     next->filtered_state[0] = closed_state[0];
     next->filtered_state[1] = closed_state[1];
-    next->filtered_covariance[0] = closed_covariance[0];
-    next->filtered_covariance[1] = closed_covariance[1];
-    next->filtered_covariance[2] = closed_covariance[2];
+    soft_fault_dfcf_copy(closed_covariance, next->filtered_covariance, 3);
     next->compression_deviation[0] = 0.0;
     next->compression_deviation[1] = 0.0;
-    next->compression_covariance[0] = closed_covariance[0];
-    next->compression_covariance[1] = closed_covariance[1];
-    next->compression_covariance[2] = closed_covariance[2];
+    soft_fault_dfcf_copy(closed_covariance, next->compression_covariance, 3);
     next->collecting = 0.0;
     next->test_statistic = statistic_0;
     next->test_dof = dof_0;

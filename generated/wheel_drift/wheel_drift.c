@@ -1422,8 +1422,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double innovation_3 = 0.0;
     double innovation_4 = 0.0;
     double innovation_5 = 0.0;
-    double mean_host[2] = { 0.0 };
-    double covariance_host[3] = { 0.0 };
+    double mean_host[2];
+    double covariance_host[3];
     double quadratic_host = 0.0;
     double log_constant_host = 0.0;
     double determinant_host_0 = 1.0;
@@ -1865,9 +1865,9 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
 WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_t *self,
     const wheel_drift_params_t *params, const double *u, wheel_drift_t *next)
 {
-    double A = 0.0;
-    double Q[2] = { 0.0 };
-    double left = 0.0;
+    double A;
+    double Q[2];
+    double left;
     wheel_drift_status_t status;
     A = -params->dt;
     Q[0] = 0.0225 * params->dt;
