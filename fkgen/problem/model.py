@@ -13,10 +13,10 @@ from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section, check_finite
 from fkgen.problem.text.expression import is_large
 from fkgen.problem.text.foreign import state_space
-from fkgen.problem.text.matrix import Matrix, congruence, plain, plain_fields
+from fkgen.problem.text.matrix import Matrix, congruence, plain_fields
 
 _KEYS = (
-    *("A", "B", "C", "D", "Q", "R", "F", "V", "G", "W", "x0", "P0"),
+    *("A", "B", "C", "D", "Q", "R", "c", "d", "F", "V", "G", "W", "x0", "P0"),
     *("sample_time", "states", "inputs", "outputs", "system"),
 )
 
@@ -27,7 +27,7 @@ class Model:
 
     .. math::
 
-        x_{k+1} = A x_k + B u_k + w_k, \qquad y_k = C x_k + D u_k + v_k
+        x_{k+1} = A x_k + B u_k + c + w_k, \qquad y_k = C x_k + D u_k + d + v_k
     """
 
     A: Matrix  # (n, n)
@@ -38,6 +38,8 @@ class Model:
     #: triangle mirrors the lower
     Q: Matrix
     R: Matrix
+    c: Matrix  # c, d: (n, 1) and (p, 1): known offsets of x and of y
+    d: Matrix
     #: x0, P0: (n, 1) and (n, n): Mean and covariance of the prediction for sample 0; constant
     x0: Matrix
     P0: Matrix
@@ -63,8 +65,10 @@ class Model:
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        table = plain_fields(self) | {"x0": [plain(row[0]) for row in self.x0.rows]}
-        absent = () if self.nu else ("B", "D")
+        absent = [key for key in ("c", "d") if getattr(self, key).is_zero]
+        absent += [] if self.nu else ["B", "D"]
+        columns = {key: getattr(self, key).plain_column() for key in ("x0", "c", "d")}
+        table = plain_fields(self) | columns
         return {key: entry for key, entry in table.items() if key not in absent}
 
 
@@ -96,6 +100,8 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
         D=D,
         Q=_noise(section, ("Q", "F", "V"), n, "state"),
         R=_noise(section, ("R", "G", "W"), p, "measurement"),
+        c=offset(section, "c", n, "state"),
+        d=offset(section, "d", p, "measurement"),
         x0=_constant(section, "x0", section.column("x0", n, "numbers")),
         P0=_constant(section, "P0", section.covariance("P0", n, because)),
         sample_time=sample_time,
@@ -103,6 +109,13 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
         inputs=read_signals(section, "inputs", "u", q),
         outputs=read_signals(section, "outputs", "y", p),
     )
+
+
+def offset(section: Section, key: str, count: int, of: str) -> Matrix:
+    """The known offset of the state or of the measurement that was given, or zeros."""
+    if key not in section:
+        return Matrix.zeros(count, 1)
+    return section.column(key, count, "numbers or expressions", of)
 
 
 def _noise(section: Section, keys: tuple[str, str, str], count: int, target: str) -> Matrix:

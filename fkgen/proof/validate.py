@@ -139,7 +139,7 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
     """Whether all matrices are finite, all covariances positive and all rates probabilities."""
     try:
         for plant in (spec.model, *spec.plants):
-            for letter in "ABCDQR":
+            for letter in "ABCDQRcd":
                 M = getattr(plant, letter).values(parameters)
                 if letter in "QR" and np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
                     return False

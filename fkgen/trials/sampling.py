@@ -163,10 +163,10 @@ def _law(
 def _sample(
     plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX], port: str
 ) -> recursion.Phase:
-    """y[k] = s (C x + D u) + d root(R) v, or x[k+1] = A x + B u + root(Q) w + c."""
+    """y[k] = s (C x + D u + d) + f root(R) v, or x[k+1] = A x + B u + c + root(Q) w."""
     builder, indicator = PhaseBuilder(symbols), symbols["indicator"]
-    letters, noise = ("CDR", "v") if port == "measurement" else ("ABQ", "w")
-    M, N, covariances = ([getattr(plant, letter) for plant in plants] for letter in letters)
+    letters, noise = ("CDRd", "v") if port == "measurement" else ("ABQc", "w")
+    M, N, covariances, offsets = ([getattr(p, letter) for p in plants] for letter in letters)
     for covariance in covariances:
         variances = ca.vertsplit(sparse(ca.diag(covariance)))
         builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
@@ -174,14 +174,14 @@ def _sample(
     root = _moving([roots[id(covariance)] for covariance in covariances], indicator)
     u = symbols["coin"] * symbols["u"] if conditions.coins else symbols["u"]
     value = _moving(M, indicator) @ symbols["x"] + _moving(N, indicator) @ u
-    added = root @ symbols[noise]
+    offset, added = _moving(offsets, indicator), root @ symbols[noise]
     if port == "measurement":
         signal, deviation = ca.SX.ones(plants[0].ny), ca.SX.ones(plants[0].ny)
         for row in conditions.rows:
             signal[row], deviation[row] = ca.vertsplit(indicator[conditions.plants :][:2])
-        value = signal * value + deviation * added
+        value = signal * (value + offset) + deviation * added
     else:
-        value = value + added + _moving([plant.c for plant in plants], indicator)
+        value = value + added + offset
     builder.assign({port: value})
     builder.demand(Kind.FINITE, ca.vertsplit(symbols[port]), Status.RESULT_NOT_FINITE)
     return builder.phase()

@@ -88,7 +88,9 @@ def correct(
         state = ca.vertcat(state, ca.SX.zeros(actuation.size))
         covariance = ca.diagcat(covariance, actuation.covariance)
         C = ca.horzcat(C, plant.D @ actuation.through)
-    measurement = measurement_of(plant, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R)
+    measurement = measurement_of(
+        plant, y=y, C=C, offset=plant.D @ actuation.mean + plant.d, R=plant.R
+    )
     found = condition(
         builder, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
     )

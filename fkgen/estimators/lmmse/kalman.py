@@ -97,9 +97,10 @@ def _update(
     if spec.faults.sensor is not None:
         _demand_indicators(builder, plant, spec.faults.sensor)
         told = spec.faults.sensor.told(spec.model)
-        C, D, R = (lift(matrix, plant.parameters) for matrix in (told.C, told.D, told.R))
-        plant = replace(plant, C=C, D=D, R=R)
-    plant = bound(builder, plant, "CDR")
+        sensed = (told.C, told.D, told.R, told.d)
+        C, D, R, d = (lift(matrix, plant.parameters) for matrix in sensed)
+        plant = replace(plant, C=C, D=D, R=R, d=d)
+    plant = bound(builder, plant, "CDRd")
     found, posterior = correct(
         builder,
         plant,
@@ -129,7 +130,7 @@ def _update(
 def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
     builder = PhaseBuilder(symbols)
     _demand_rates(builder, spec, plant)
-    plant = bound(builder, plant, "ABQ")
+    plant = bound(builder, plant, "ABQc")
     actuation = _actuation(spec, plant, symbols["u"])
     posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
     if "actuation_deviation" in symbols:

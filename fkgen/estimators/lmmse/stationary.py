@@ -141,13 +141,13 @@ def stationary_filter(spec: Spec, source: str) -> Recursion:
 
 def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary) -> Phase:
     builder, prior = PhaseBuilder(symbols), symbols["augmented_state"]
-    L, _ = jump.measured(z, z.plants, symbols["u"])
+    L, known = jump.measured(z, z.plants, symbols["u"])
     nothing = (ca.SX(1, 1), ca.SX(1, 1))
     measurement = measurement_of(
         replace(z.base, noise_free=is_singular(at_rest.innovation)),
         y=symbols["y"],
         C=ca.SX(z.base.ny, 1),
-        offset=sparse(z.rate * L) @ prior,
+        offset=sparse(z.rate * L) @ prior + z.rate * known,
         R=constant(at_rest.innovation),
     )
     found = condition(builder, nothing, measurement, form="short")

@@ -76,10 +76,10 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
         applied = np.zeros((q, size))  # (gamma - rate) u: the same in both lines of eq. (1)
         applied[:, start : start + q] = u[k][:, None] * fault_root[k]
         expected = system.rate[k] * u[k]
-        measurement_mean[k] = system.C[k] @ state_mean[k] + system.D[k] @ expected
+        measurement_mean[k] = system.C[k] @ state_mean[k] + system.D[k] @ expected + system.d[k]
         measurement_root[k] = system.C[k] @ state_root[k] + system.D[k] @ applied
         measurement_root[k, :, start + q + n : start + q + n + p] += measurement_noise[k]
-        state_mean[k + 1] = system.A[k] @ state_mean[k] + system.B[k] @ expected
+        state_mean[k + 1] = system.A[k] @ state_mean[k] + system.B[k] @ expected + system.c[k]
         state_root[k + 1] = system.A[k] @ state_root[k] + system.B[k] @ applied
         state_root[k + 1, :, start + q : start + q + n] += state_noise[k]
     return Joint(

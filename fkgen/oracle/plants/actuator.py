@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import ClassVar, Self
 
@@ -20,7 +20,7 @@ class Plant:
     """Matrices of T samples, (T, ...) or (T, N, ...) where there are N modes."""
 
     #: What has one value for each sample
-    VARYING: ClassVar[tuple[str, ...]] = ("A", "B", "C", "D", "Q", "R")
+    VARYING: ClassVar[tuple[str, ...]] = ("A", "B", "C", "D", "Q", "R", "c", "d")
 
     A: Array  # A, B, C, D: (..., n, n), (..., n, q), (..., p, n), (..., p, q); q may be 0
     B: Array
@@ -30,6 +30,15 @@ class Plant:
     R: Array
     x0: Array  # x0, P0: (n,), (n, n): Mean and covariance of x[0], eq. (2)
     P0: Array
+    #: c, d: (..., n), (..., p): Known offsets; zeros if left out
+    c: Array = field(default_factory=lambda: np.zeros(0))
+    d: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Put zeros in place of offsets that are left out."""
+        for name, like in (("c", self.A), ("d", self.C)):
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, np.zeros(like.shape[:-1]))
 
     @property
     def length(self) -> int:
@@ -58,7 +67,7 @@ class Plant:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinearSystem(Plant):
-    """x[k+1] = A x + B g u + v,  y[k] = C x + D g u + w with one g = diag(gamma) for both.
+    """x[k+1] = A x + B g u + c + v,  y[k] = C x + D g u + d + w with one g = diag(gamma) for both.
 
     Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, (1).
     """
@@ -70,10 +79,12 @@ class LinearSystem(Plant):
 
     def __post_init__(self) -> None:
         """Refuse shapes that do not fit, which NumPy would broadcast in silence."""
+        super().__post_init__()
         T, n, p, q = self.length, self.nx, self.ny, self.nu
         for name, expected in {
             "A": (T, n, n), "B": (T, n, q), "C": (T, p, n), "D": (T, p, q),
             "Q": (T, n, n), "R": (T, p, p), "x0": (n,), "P0": (n, n),
+            "c": (T, n), "d": (T, p),
             "rate": (T, q), "fault_covariance": (T, q, q),
         }.items():  # fmt: skip
             actual = getattr(self, name).shape
@@ -105,6 +116,7 @@ class LinearSystem(Plant):
             name: np.array([getattr(model, name).values(sample) for sample in samples])[which]
             for name in Plant.VARYING
         }
+        plant |= {name: plant[name][..., 0] for name in ("c", "d")}
         faults = [
             _fault_moments(spec.faults.actuator, model.nu, sample, rates) for sample in samples
         ]
@@ -163,8 +175,8 @@ def simulate(
     x = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
     y = np.empty((T, p))
     for k in range(T):
-        y[k] = system.C[k] @ x + system.D[k] @ effective[k] + w[k]
-        x = system.A[k] @ x + system.B[k] @ effective[k] + v[k]
+        y[k] = system.C[k] @ x + system.D[k] @ effective[k] + system.d[k] + w[k]
+        x = system.A[k] @ x + system.B[k] @ effective[k] + system.c[k] + v[k]
     y[rng.random(y.shape) < missing] = np.nan
     return y
 
