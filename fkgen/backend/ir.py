@@ -311,6 +311,8 @@ class CProgram:
     predict: Phase
     closing: Phase | None = None
     outcomes: tuple[Outcome, ...] = ()
+    #: Rows with correlated noises; None where an update after an update is refused
+    repeats: tuple[tuple[int, ...], ...] | None = None
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
     shares_functions: bool = False
@@ -331,6 +333,18 @@ class CProgram:
     def phases(self) -> tuple[Phase, ...]:
         """Update, closing (if there is one) and predict, in this order."""
         return tuple(self.verbs.values())
+
+    def written(self, *phases: Phase | None) -> tuple[Port, ...]:
+        """The ports that phases write."""
+        nodes = (node for phase in phases if phase for node in every(Assign, phase.body))
+        names = {node.target.name for node in nodes if node.target.space is Space.NEXT}
+        return tuple(port for port in self.ports if port.name in names)
+
+    @property
+    def twins(self) -> tuple[tuple[Port, Port], ...]:
+        """Predictions that updates read, with what an update makes of them."""
+        known = {port.name: port for port in self.ports}
+        return tuple((p, known[p.corrected]) for p in self.ports if p.corrected in known)
 
     @property
     def functions(self) -> frozenset[Operator]:

@@ -62,6 +62,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             parameters=tuple((p.name, p.default) for p in spec.parameters),
             ports=recursion.ports,
             outcomes=recursion.outcomes,
+            repeats=recursion.repeats,
             initial=tuple(sorted(recursion.initial.items())),
             constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",
@@ -235,7 +236,26 @@ def verify(program: ir.CProgram) -> ir.CProgram:
         read = {e.name for e in ir.read(Element, later.body) if e.space is Space.SELF}
         for name in read - updated:
             raise InternalError(f"{program.name}: {what} reads {name}, which no update writes")
+    if program.repeats is not None:
+        _check_repeats(program)
     return program
+
+
+def _check_repeats(program: ir.CProgram) -> None:
+    """An update after an update finds all that it reads, and may work on one instance in place."""
+    updated = {port.name for port in program.written(program.update)}
+    twins = {port.name for port, twin in program.twins if twin.name in updated}
+    begun: set[str] = set()  # ports of which something is written
+    for node in ir.walk(program.update.body):
+        for operand in ir.operands(node):
+            if not (isinstance(operand, Element) and operand.space is Space.SELF):
+                continue
+            if operand.name in begun or operand.name not in updated | twins:
+                raise InternalError(f"{program.name}: no second update: it reads {operand.name}")
+        if isinstance(node, ir.Assign) and node.target.space is Space.NEXT:
+            begun.add(node.target.name)
+    if program.closing is not None:
+        raise InternalError(f"{program.name}: no second update: something ends with the first")
 
 
 def _check_phase(name: str, phase: ir.Phase) -> set[tuple[str, int | None]]:

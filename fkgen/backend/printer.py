@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,16 @@ class StatementPrinter:
     def any_row(self) -> str:
         """Test whether any row of y is present."""
         words = [f"present[{i}]" for i in range(self.words)] if self.words > 1 else ["present"]
+        return f"({' | '.join(words)}) != 0u"
+
+    def any_of(self, rows: Sequence[int]) -> str:
+        """Test whether any of these rows of y is present."""
+        masks: dict[int, int] = {}
+        for row in rows:
+            word, bit = divmod(row, _WORD_BITS)
+            masks[word] = masks.get(word, 0) | 1 << bit
+        place = "present" if self.words == 1 else "present[{}]"
+        words = [f"({place.format(word)} & {mask:#x}u)" for word, mask in masks.items()]
         return f"({' | '.join(words)}) != 0u"
 
     def row(self, row: ir.Row) -> str:

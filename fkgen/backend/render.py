@@ -18,7 +18,7 @@ from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, 
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import outline
 from fkgen.backend.source import Source, with_manifest
-from fkgen.symbolic.interface import Port, Status
+from fkgen.symbolic.interface import Port, Role, Status
 from fkgen.version import API_VERSION, __version__
 
 #: Operations per step up to which update and predict are compiled into step: a copy of the instance
@@ -94,6 +94,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "modes": next(modes, 0),
         "cost": cost(program),
         "scalars": sum(port.size for port in program.ports),
+        "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
         "statuses": program.statuses,
         "positive": [c.status(status) for status in program.statuses if status.value >= 0],
         "Status": Status,
@@ -111,8 +112,9 @@ def _context(program: CProgram) -> dict[str, object]:
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
+        "order": _order(c),
         "vectors": vectors,
-        "members": [
+        "compared": [
             f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
             for port in program.ports
         ],
@@ -163,30 +165,48 @@ def _phases(c: Printer, phases: Iterable[Phase]) -> list[dict[str, Any]]:
 
 
 def _functions(c: Printer) -> dict[str, dict[str, Any]]:
-    """Update, predict and step: what each calls, maybe under a condition, and what it returns."""
-
-    def call(verb: str, source: str = "&next", when: str = "") -> dict[str, str]:
-        given = ", ".join([source, *_given(c, verb), "&next"])
-        return {"text": f"{c.name}_{verb}({given})", "when": when}
-
-    correct, closing = [call("correct", "self")], c.program.closing
-    if closing is not None:
-        ends = f"!(next.{closing.unless} > {c.literal(0.0)})"
-        correct.append(call("close_window", when=ends))
-    move, step = [call("propagate", "self")], [*correct, call("propagate")]
+    """Update, predict and step: what each is called with, and what it returns."""
     outcome = f"({c.any_row}) ? {c.outcome} : {c.status(Status.SKIPPED)}"
     functions = {}
-    for name, calls in (("update", correct), ("predict", move), ("step", step)):
+    for name in ("update", "predict", "step"):
         arguments = _arguments(c, name)
         pointers = [each for each in arguments if each != "valid" or c.words > 1]
         functions[name] = {
             "signature": f"{c.name}_status_t {c.name}_{name}({', '.join(arguments.values())})",
-            "calls": calls,
             "reads_y": "y" in arguments,
             "null": combined([f"{pointer} == NULL" for pointer in pointers], "||"),
             "result": outcome if "y" in arguments else c.status(Status.OK),
         }
     return functions
+
+
+def _order(c: Printer) -> dict[str, Any]:
+    """What the order of calls needs: calls of the phases, and ports that are carried over."""
+    program, given = c.program, {verb: _given(c, verb) for verb in c.program.verbs}
+    updated, closing = program.written(program.update), program.closing
+    absent = {"y": "NULL", "present": "0u" if c.words == 1 else "none"}
+    given["renew"] = given["correct"]
+    given["pass"] = {name: text for name, text in given["correct"].items() if name not in absent}
+
+    def call(verb: str, source: str, to: str = "&next", **other: str) -> str:
+        arguments = [other.get(name, name) for name in given[verb]]
+        return f"{c.name}_{verb}({', '.join([source, *arguments, to])})"
+
+    def declared(name: str) -> str:
+        own = [f"const {c.name}_t *self", *given[name].values(), f"{c.name}_t *next"]
+        return f"static {c.name}_status_t {c.name}_{name}({', '.join(own)})"
+
+    own = program.written(closing)
+    return {
+        "call": call,
+        "declared": declared,
+        "absent": absent,
+        "closing": closing and f"{{}}{closing.unless} > {c.literal(0.0)}",
+        "predicted": program.written(program.predict),
+        "kept": [port for port in updated if port.role is Role.OUTPUT and port not in own],
+        "twins": [(port, twin, port not in updated) for port, twin in program.twins],
+        "groups": [c.any_of(rows) for rows in program.repeats or ()],
+    }
 
 
 def _shared_context(scalar: Scalar) -> dict[str, object]:

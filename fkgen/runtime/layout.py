@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fkgen.backend.ir import CProgram
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import CORRELATED, UPDATED, Port, Role
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +25,7 @@ class Layout:
     outputs: tuple[str, ...]
     parameters: tuple[tuple[str, float], ...]  # Run-time parameters with their defaults
     ports: tuple[Port, ...]  # Members of the C instance, in order
+    groups: int  # Of rows with correlated noises, one more member for each
     flops: int  # Operations per step
     claims: tuple[str, ...]  # What was proved before the code was generated
 
@@ -37,6 +38,8 @@ class Layout:
         """The C instance as a ctypes structure."""
         real: Any = ctypes.c_double if self.scalar == "double" else ctypes.c_float
         fields = [(port.name, real * port.size if port.shape else real) for port in self.ports]
+        fields.append((UPDATED, real))
+        fields += [(CORRELATED, real * self.groups)] if self.groups else []
         return type(f"{self.name}_t", (ctypes.Structure,), {"_fields_": fields})
 
     def to_json(self) -> str:
@@ -62,4 +65,4 @@ def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
     facts: dict[str, Any] = {key: getattr(program, key) for key in same}
     for key in ("states", "inputs", "outputs"):
         facts[key] = tuple(signal.name for signal in getattr(program, key))
-    return Layout(claims=claims, **facts)
+    return Layout(claims=claims, groups=len(program.repeats or ()), **facts)

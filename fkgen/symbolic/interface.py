@@ -43,7 +43,12 @@ class Status(Enum):
     )
     RESULT_NOT_FINITE = -5, "the result would not be finite"
     SELFTEST_FAILED = -6, "the self-test does not give the recorded bits on this target"
+    WRONG_ORDER = -7, "a second update of this sample, which this filter cannot take: predict first"
 
+
+#: Members of an instance beside its ports: 1 after an update and 0 after a prediction, which tells
+#: the latest estimate; 1 for each group of rows with correlated noises of which one was used since.
+UPDATED, CORRELATED = "updated", "correlated"
 
 #: Statuses that only filters have which test their samples.
 VERDICTS = (Status.FAULT_DECLARED, Status.LOCKED_OUT)
@@ -80,6 +85,8 @@ class Port:
     per_row: bool = False  # One entry per row of y, NaN in Python where the row is missing
     #: A port of the same shape: where it is 0, this one says nothing and is NaN in Python
     given: str = ""
+    #: Of a prediction that updates read: the port that holds the same once an update has been
+    corrected: str = ""
     start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
 
     @property

@@ -28,13 +28,19 @@ def estimate_ports(
     *,
     state: str = "state",
     start: tuple[Start, Start] = ((), ()),
+    corrected: str = "",
 ) -> tuple[Port, Port]:
-    """An estimate of this shape, one or several, and its covariance; each starts as ``start``."""
+    """An estimate of this shape, one or several, and its covariance; each starts as ``start``.
+
+    ``corrected`` is the prefix of what an update makes of it.
+    """
     count, square = math.prod(shape[:-1]), (*shape, shape[-1])
     mean, packed = (values * count for values in start)
-    matrix = partial(carried, unit="xx", symmetric=True, start=packed)
+    names = state, "covariance"
+    twin = [corrected and f"{corrected}{name}" for name in names]
+    matrix = partial(carried, unit="xx", symmetric=True, start=packed, corrected=twin[1])
     return (
-        carried(f"{prefix}{state}", shape, meanings[0], unit="x", start=mean),
+        carried(f"{prefix}{state}", shape, meanings[0], unit="x", start=mean, corrected=twin[0]),
         matrix(f"{prefix}covariance", square, meanings[1]),
     )
 
@@ -45,7 +51,7 @@ def state_ports(spec: Spec) -> tuple[Port, ...]:
     filtered = "x(k|k): mean of the state given y[0..k]", "P(k|k): its error covariance"
     shape, start = (spec.model.nx,), prior_of(spec)
     return (
-        *estimate_ports("predicted_", shape, predicted, start=start),
+        *estimate_ports("predicted_", shape, predicted, start=start, corrected="filtered_"),
         *estimate_ports("filtered_", shape, filtered, start=start),
     )
 
@@ -53,17 +59,18 @@ def state_ports(spec: Spec) -> tuple[Port, ...]:
 def mode_estimate_ports(spec: Spec, count: int, means: tuple[str, str]) -> tuple[Port, ...]:
     """Predicted and filtered state under each of several modes, with their covariances."""
     shape, start, covariance = (count, spec.model.nx), prior_of(spec), "its error covariance"
+    later = "mode_filtered_"
     return (
-        *estimate_ports("mode_", shape, (means[0], covariance), start=start),
-        *estimate_ports("mode_filtered_", shape, (means[1], covariance), start=start),
+        *estimate_ports("mode_", shape, (means[0], covariance), start=start, corrected=later),
+        *estimate_ports(later, shape, (means[1], covariance), start=start),
     )
 
 
 def twins(name: str, shape: tuple[int, ...], meaning: str, start: Start = ()) -> tuple[Port, Port]:
     """A number of sample k and its prediction; {of} and {k} in the meaning tell them apart."""
     now, later = (
-        carried(of + name, shape, meaning.format(of=of, k=k), start=start)
-        for of, k in (("", "k"), ("predicted_", "k+1"))
+        carried(of + name, shape, meaning.format(of=of, k=k), start=start, corrected=twin)
+        for of, k, twin in (("", "k", ""), ("predicted_", "k+1", name))
     )
     return now, later
 

@@ -101,6 +101,9 @@ class Recursion:
     notes: tuple[str, ...] = ()  # Other decisions that the header repeats
     #: Statuses in place of OK, the first that applies
     outcomes: tuple[Outcome, ...] = ()
+    #: Rows of y with correlated noises, in groups: an update that follows an update may take rows of
+    #: other groups than those before it. None where no update may follow an update.
+    repeats: tuple[tuple[int, ...], ...] | None = None
     #: Start values in place of those that ports have; complete once this is made
     initial: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 

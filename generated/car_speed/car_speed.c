@@ -471,6 +471,7 @@ car_speed_status_t car_speed_init(car_speed_t *self)
     car_speed_fill(self->innovation_covariance, 21, car_speed_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
+    self->updated = 0.0;
     return CAR_SPEED_OK;
 }
 
@@ -482,6 +483,44 @@ car_speed_status_t car_speed_params_init(car_speed_params_t *params)
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void car_speed_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static car_speed_status_t car_speed_pass(const car_speed_t *self, car_speed_t *next)
+{
+    return car_speed_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static car_speed_status_t car_speed_renew(const car_speed_t *self, const double *y,
+    uint32_t present, car_speed_t *next)
+{
+    car_speed_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        car_speed_keep(self->filtered_state, next->predicted_state, 2);
+        car_speed_keep(self->filtered_covariance, next->predicted_covariance, 3);
+    }
+    status = car_speed_correct(next, y, present, next);
+    if (again)
+    {
+        car_speed_keep(self->predicted_state, next->predicted_state, 2);
+        car_speed_keep(self->predicted_covariance, next->predicted_covariance, 3);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t *params,
     const double u[1], const double y[6], uint32_t valid)
@@ -495,8 +534,7 @@ car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t 
     }
     if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
     if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
-    next = *self;
-    status = car_speed_correct(self, y, present, &next);
+    status = car_speed_renew(self, y, present, &next);
     if (status != CAR_SPEED_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
@@ -506,13 +544,21 @@ car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t
     const double u[1])
 {
     car_speed_t next;
+    const car_speed_t *latest = self;
     car_speed_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL)) { return CAR_SPEED_NULL_POINTER; }
     if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
-    next = *self;
-    status = car_speed_propagate(self, params, u, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = car_speed_pass(self, &next);
+        if (status != CAR_SPEED_OK) { return status; }
+        latest = &next;
+    }
+    status = car_speed_propagate(latest, params, u, &next);
     if (status != CAR_SPEED_OK) { return status; }
-    *self = next;
+    car_speed_keep(next.predicted_state, self->predicted_state, 2);
+    car_speed_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    self->updated = 0.0;
     return CAR_SPEED_OK;
 }
 
@@ -528,10 +574,18 @@ car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *p
     }
     if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
     if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
-    status = car_speed_correct(self, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = car_speed_renew(self, y, present, &next);
+    }
+    else
+    {
+        status = car_speed_correct(self, y, present, &next);
+    }
     if (status != CAR_SPEED_OK) { return status; }
     status = car_speed_propagate(&next, params, u, &next);
     if (status != CAR_SPEED_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
 }

@@ -299,6 +299,7 @@ dc_motor_known_status_t dc_motor_known_init(dc_motor_known_t *self)
     self->log_likelihood = 0.0;
     dc_motor_known_fill(self->gain, 2, dc_motor_known_zero_0, 1);
     dc_motor_known_fill(self->filtered_gain, 2, dc_motor_known_zero_0, 1);
+    self->updated = 0.0;
     return DC_MOTOR_KNOWN_OK;
 }
 
@@ -310,6 +311,46 @@ dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *para
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void dc_motor_known_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static dc_motor_known_status_t dc_motor_known_pass(const dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, dc_motor_known_t *next)
+{
+    return dc_motor_known_correct(self, params, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static dc_motor_known_status_t dc_motor_known_renew(const dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double *y, uint32_t present,
+    dc_motor_known_t *next)
+{
+    dc_motor_known_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        dc_motor_known_keep(self->filtered_state, next->predicted_state, 2);
+        dc_motor_known_keep(self->filtered_covariance, next->predicted_covariance, 3);
+    }
+    status = dc_motor_known_correct(next, params, y, present, next);
+    if (again)
+    {
+        dc_motor_known_keep(self->predicted_state, next->predicted_state, 2);
+        dc_motor_known_keep(self->predicted_covariance, next->predicted_covariance, 3);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
@@ -326,8 +367,7 @@ dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self,
     {
         return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = dc_motor_known_correct(self, params, y, present, &next);
+    status = dc_motor_known_renew(self, params, y, present, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
@@ -337,13 +377,22 @@ dc_motor_known_status_t dc_motor_known_predict(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1])
 {
     dc_motor_known_t next;
+    const dc_motor_known_t *latest = self;
     dc_motor_known_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL)) { return DC_MOTOR_KNOWN_NULL_POINTER; }
     if (!dc_motor_known_finite_input(u)) { return DC_MOTOR_KNOWN_INPUT_NOT_FINITE; }
-    next = *self;
-    status = dc_motor_known_propagate(self, params, u, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = dc_motor_known_pass(self, params, &next);
+        if (status != DC_MOTOR_KNOWN_OK) { return status; }
+        latest = &next;
+    }
+    status = dc_motor_known_propagate(latest, params, u, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
-    *self = next;
+    dc_motor_known_keep(next.predicted_state, self->predicted_state, 2);
+    dc_motor_known_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    dc_motor_known_keep(next.gain, self->gain, 2);
+    self->updated = 0.0;
     return DC_MOTOR_KNOWN_OK;
 }
 
@@ -362,10 +411,18 @@ dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
     {
         return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
     }
-    status = dc_motor_known_correct(self, params, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = dc_motor_known_renew(self, params, y, present, &next);
+    }
+    else
+    {
+        status = dc_motor_known_correct(self, params, y, present, &next);
+    }
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
     status = dc_motor_known_propagate(&next, params, u, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
 }

@@ -545,7 +545,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     const double determinant_h1_0, const double log_constant_h1, const double quadratic_h1,
     const double determinant_h2_0, const double log_constant_h2, const double quadratic_h2,
     const double determinant_h3_0, const double log_constant_h3, const double quadratic_h3,
-    const double *mode_probability, const double *log_weight, const double pivot_h0_0,
+    const double *held_probability, const double *held_logarithm, const double pivot_h0_0,
     const double pivot_h1_0, const double pivot_h2_0, const double pivot_h3_0,
     const double pivot_h0_1, const double pivot_h1_1, const double pivot_h2_1,
     const double pivot_h3_1, const double innovation_h0_0, const double innovation_h1_0,
@@ -557,7 +557,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     double *filtered_state, double *filtered_covariance, double *paper_state,
     double *success_rate_estimate, double *mode_filtered_state, double *mode_filtered_covariance,
     double *mode_deviation, double *mode_deviation_covariance, double *mode_deviation_cross,
-    double *mode_probability_2, double *log_weight_2, double *log_likelihood, uint32_t present)
+    double *mode_probability, double *log_weight, double *log_likelihood, uint32_t present)
 {
     double innovation_h4_0 = 0.0;
     double innovation_h4_1 = 0.0;
@@ -618,23 +618,23 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     log_likelihood_h3 = -0.5 * t3;
     const double t4 = quadratic_h4 + (log_constant_h4 + dc_motor_unknown_log(determinant_h4_0));
     log_likelihood_h4 = -0.5 * t4;
-    weight[0] = mode_probability[0];
-    weight[1] = mode_probability[1];
-    weight[2] = mode_probability[2];
-    weight[3] = mode_probability[3];
-    weight[4] = mode_probability[4];
-    log_weight_now[0] = log_weight[0];
-    log_weight_now[1] = log_weight[1];
-    log_weight_now[2] = log_weight[2];
-    log_weight_now[3] = log_weight[3];
-    log_weight_now[4] = log_weight[4];
+    weight[0] = held_probability[0];
+    weight[1] = held_probability[1];
+    weight[2] = held_probability[2];
+    weight[3] = held_probability[3];
+    weight[4] = held_probability[4];
+    log_weight_now[0] = held_logarithm[0];
+    log_weight_now[1] = held_logarithm[1];
+    log_weight_now[2] = held_logarithm[2];
+    log_weight_now[3] = held_logarithm[3];
+    log_weight_now[4] = held_logarithm[4];
     if ((present) != 0u)
     {
-        log_joint[0] = log_weight[0] + log_likelihood_h0;
-        log_joint[1] = log_weight[1] + log_likelihood_h1;
-        log_joint[2] = log_weight[2] + log_likelihood_h2;
-        log_joint[3] = log_weight[3] + log_likelihood_h3;
-        log_joint[4] = log_weight[4] + log_likelihood_h4;
+        log_joint[0] = held_logarithm[0] + log_likelihood_h0;
+        log_joint[1] = held_logarithm[1] + log_likelihood_h1;
+        log_joint[2] = held_logarithm[2] + log_likelihood_h2;
+        log_joint[3] = held_logarithm[3] + log_likelihood_h3;
+        log_joint[4] = held_logarithm[4] + log_likelihood_h4;
         const double t5 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
         const double t6 = (t5 > log_joint[2]) ? t5 : log_joint[2];
         const double t7 = (t6 > log_joint[3]) ? t6 : log_joint[3];
@@ -683,61 +683,61 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     predicted_y_h3[0] = mode_state[7];
     predicted_y_h4[1] = 0.9 * u;
     predicted_y_h4[0] = mode_state[9];
-    const double t15 = (mode_probability[0] * pivot_h0_0) + (mode_probability[1] * pivot_h1_0);
-    const double t16 = t15 + (mode_probability[2] * pivot_h2_0);
-    const double t17 = t16 + (mode_probability[3] * pivot_h3_0);
-    const double t18 = t17 + (mode_probability[4] * pivot_h4_0);
-    const double t19 = mode_probability[0] * predicted_y_h0[0];
-    const double t20 = t19 + (mode_probability[1] * predicted_y_h1[0]);
-    const double t21 = t20 + (mode_probability[2] * predicted_y_h2[0]);
-    const double t22 = t21 + (mode_probability[3] * predicted_y_h3[0]);
-    const double t23 = t22 + (mode_probability[4] * predicted_y_h4[0]);
+    const double t15 = (held_probability[0] * pivot_h0_0) + (held_probability[1] * pivot_h1_0);
+    const double t16 = t15 + (held_probability[2] * pivot_h2_0);
+    const double t17 = t16 + (held_probability[3] * pivot_h3_0);
+    const double t18 = t17 + (held_probability[4] * pivot_h4_0);
+    const double t19 = held_probability[0] * predicted_y_h0[0];
+    const double t20 = t19 + (held_probability[1] * predicted_y_h1[0]);
+    const double t21 = t20 + (held_probability[2] * predicted_y_h2[0]);
+    const double t22 = t21 + (held_probability[3] * predicted_y_h3[0]);
+    const double t23 = t22 + (held_probability[4] * predicted_y_h4[0]);
     const double t24 = predicted_y_h0[0] - t23;
-    const double t25 = mode_probability[0] * t24 * t24;
+    const double t25 = held_probability[0] * t24 * t24;
     const double t26 = predicted_y_h1[0] - t23;
-    const double t27 = t25 + (mode_probability[1] * t26 * t26);
+    const double t27 = t25 + (held_probability[1] * t26 * t26);
     const double t28 = predicted_y_h2[0] - t23;
-    const double t29 = t27 + (mode_probability[2] * t28 * t28);
+    const double t29 = t27 + (held_probability[2] * t28 * t28);
     const double t30 = predicted_y_h3[0] - t23;
-    const double t31 = t29 + (mode_probability[3] * t30 * t30);
+    const double t31 = t29 + (held_probability[3] * t30 * t30);
     const double t32 = predicted_y_h4[0] - t23;
-    combined_variance[0] = t18 + (t31 + (mode_probability[4] * t32 * t32));
-    const double t33 = mode_probability[0] * predicted_y_h0[1];
-    const double t34 = t33 + (mode_probability[1] * predicted_y_h1[1]);
-    const double t35 = t34 + (mode_probability[2] * predicted_y_h2[1]);
-    const double t36 = t35 + (mode_probability[3] * predicted_y_h3[1]);
-    const double t37 = t36 + (mode_probability[4] * predicted_y_h4[1]);
+    combined_variance[0] = t18 + (t31 + (held_probability[4] * t32 * t32));
+    const double t33 = held_probability[0] * predicted_y_h0[1];
+    const double t34 = t33 + (held_probability[1] * predicted_y_h1[1]);
+    const double t35 = t34 + (held_probability[2] * predicted_y_h2[1]);
+    const double t36 = t35 + (held_probability[3] * predicted_y_h3[1]);
+    const double t37 = t36 + (held_probability[4] * predicted_y_h4[1]);
     const double t38 = predicted_y_h0[1] - t37;
-    const double t39 = mode_probability[0] * t38;
+    const double t39 = held_probability[0] * t38;
     const double t40 = t39 * t24;
     const double t41 = predicted_y_h1[1] - t37;
-    const double t42 = mode_probability[1] * t41;
+    const double t42 = held_probability[1] * t41;
     const double t43 = t40 + (t42 * t26);
     const double t44 = predicted_y_h2[1] - t37;
-    const double t45 = mode_probability[2] * t44;
+    const double t45 = held_probability[2] * t44;
     const double t46 = t43 + (t45 * t28);
     const double t47 = predicted_y_h3[1] - t37;
-    const double t48 = mode_probability[3] * t47;
+    const double t48 = held_probability[3] * t47;
     const double t49 = t46 + (t48 * t30);
     const double t50 = predicted_y_h4[1] - t37;
-    const double t51 = mode_probability[4] * t50;
+    const double t51 = held_probability[4] * t50;
     combined_variance[1] = t49 + (t51 * t32);
-    const double t52 = (mode_probability[0] * pivot_h0_1) + (mode_probability[1] * pivot_h1_1);
-    const double t53 = t52 + (mode_probability[2] * pivot_h2_1);
-    const double t54 = t53 + (mode_probability[3] * pivot_h3_1);
-    const double t55 = t54 + (mode_probability[4] * pivot_h4_1);
+    const double t52 = (held_probability[0] * pivot_h0_1) + (held_probability[1] * pivot_h1_1);
+    const double t53 = t52 + (held_probability[2] * pivot_h2_1);
+    const double t54 = t53 + (held_probability[3] * pivot_h3_1);
+    const double t55 = t54 + (held_probability[4] * pivot_h4_1);
     const double t56 = (t39 * t38) + (t42 * t41) + (t45 * t44) + (t48 * t47);
     combined_variance[2] = t55 + (t56 + (t51 * t50));
-    const double t57 = mode_probability[0] * innovation_h0_0;
-    const double t58 = t57 + (mode_probability[1] * innovation_h1_0);
-    const double t59 = t58 + (mode_probability[2] * innovation_h2_0);
-    const double t60 = t59 + (mode_probability[3] * innovation_h3_0);
-    combined_innovation[0] = t60 + (mode_probability[4] * innovation_h4_0);
-    const double t61 = mode_probability[0] * innovation_h0_1;
-    const double t62 = t61 + (mode_probability[1] * innovation_h1_1);
-    const double t63 = t62 + (mode_probability[2] * innovation_h2_1);
-    const double t64 = t63 + (mode_probability[3] * innovation_h3_1);
-    combined_innovation[1] = t64 + (mode_probability[4] * innovation_h4_1);
+    const double t57 = held_probability[0] * innovation_h0_0;
+    const double t58 = t57 + (held_probability[1] * innovation_h1_0);
+    const double t59 = t58 + (held_probability[2] * innovation_h2_0);
+    const double t60 = t59 + (held_probability[3] * innovation_h3_0);
+    combined_innovation[0] = t60 + (held_probability[4] * innovation_h4_0);
+    const double t61 = held_probability[0] * innovation_h0_1;
+    const double t62 = t61 + (held_probability[1] * innovation_h1_1);
+    const double t63 = t62 + (held_probability[2] * innovation_h2_1);
+    const double t64 = t63 + (held_probability[3] * innovation_h3_1);
+    combined_innovation[1] = t64 + (held_probability[4] * innovation_h4_1);
     whitening_pivot_combined_0 = combined_variance[0];
     if ((present & 0x1u) != 0u)
     {
@@ -758,7 +758,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
         mode_state, innovation, combined_variance, innovation_covariance, nis, filtered_state,
         filtered_covariance, paper_state, success_rate_estimate, mode_filtered_state,
         mode_filtered_covariance, mode_deviation, mode_deviation_covariance, mode_deviation_cross,
-        mode_probability_2, log_weight_now, log_weight_2, log_evidence, log_likelihood);
+        mode_probability, log_weight_now, log_weight, log_evidence, log_likelihood);
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -766,6 +766,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const dc_motor_unknown_t
     *self, const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
 {
+    double held_probability[5] = { 0.0 };
+    double held_logarithm[5] = { 0.0 };
     double innovation_h0_0 = 0.0;
     double innovation_h0_1 = 0.0;
     double mean_h0[3] = { 0.0 };
@@ -803,6 +805,16 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     double determinant_h3_0 = 1.0;
     double pivot_h3_1 = 0.0;
     dc_motor_unknown_status_t status;
+    held_probability[0] = self->mode_probability[0];
+    held_probability[1] = self->mode_probability[1];
+    held_probability[2] = self->mode_probability[2];
+    held_probability[3] = self->mode_probability[3];
+    held_probability[4] = self->mode_probability[4];
+    held_logarithm[0] = self->log_weight[0];
+    held_logarithm[1] = self->log_weight[1];
+    held_logarithm[2] = self->log_weight[2];
+    held_logarithm[3] = self->log_weight[3];
+    held_logarithm[4] = self->log_weight[4];
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[3] >= 0.0) && (self->mode_covariance[5] >= 0.0) &&
         (self->mode_covariance[6] >= 0.0) && (self->mode_covariance[8] >= 0.0) &&
@@ -844,16 +856,15 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     status = dc_motor_unknown_hypothesis_3(y, self->mode_state, u[0], &self->mode_covariance[12],
         determinant_h0_0, log_constant_h0, quadratic_h0, determinant_h1_0, log_constant_h1,
         quadratic_h1, determinant_h2_0, log_constant_h2, quadratic_h2, determinant_h3_0,
-        log_constant_h3, quadratic_h3, self->mode_probability, self->log_weight, pivot_h0_0,
-        pivot_h1_0, pivot_h2_0, pivot_h3_0, pivot_h0_1, pivot_h1_1, pivot_h2_1, pivot_h3_1,
-        innovation_h0_0, innovation_h1_0, innovation_h2_0, innovation_h3_0, innovation_h0_1,
-        innovation_h1_1, innovation_h2_1, innovation_h3_1, mean_h0, mean_h1, mean_h2, mean_h3,
-        covariance_h0, covariance_h1, covariance_h2, covariance_h3, next->innovation,
-        next->innovation_covariance, &next->nis, next->filtered_state, next->filtered_covariance,
-        next->paper_state, &next->success_rate_estimate, next->mode_filtered_state,
-        next->mode_filtered_covariance, next->mode_deviation, next->mode_deviation_covariance,
-        next->mode_deviation_cross, next->mode_probability, next->log_weight, &next->log_likelihood,
-        present);
+        log_constant_h3, quadratic_h3, held_probability, held_logarithm, pivot_h0_0, pivot_h1_0,
+        pivot_h2_0, pivot_h3_0, pivot_h0_1, pivot_h1_1, pivot_h2_1, pivot_h3_1, innovation_h0_0,
+        innovation_h1_0, innovation_h2_0, innovation_h3_0, innovation_h0_1, innovation_h1_1,
+        innovation_h2_1, innovation_h3_1, mean_h0, mean_h1, mean_h2, mean_h3, covariance_h0,
+        covariance_h1, covariance_h2, covariance_h3, next->innovation, next->innovation_covariance,
+        &next->nis, next->filtered_state, next->filtered_covariance, next->paper_state,
+        &next->success_rate_estimate, next->mode_filtered_state, next->mode_filtered_covariance,
+        next->mode_deviation, next->mode_deviation_covariance, next->mode_deviation_cross,
+        next->mode_probability, next->log_weight, &next->log_likelihood, present);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     return DC_MOTOR_UNKNOWN_OK;
 }
@@ -1009,10 +1020,40 @@ dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self)
     dc_motor_unknown_fill(self->mode_deviation, 5, dc_motor_unknown_zero_0, 1);
     dc_motor_unknown_fill(self->mode_deviation_covariance, 5, dc_motor_unknown_zero_0, 1);
     dc_motor_unknown_fill(self->mode_deviation_cross, 10, dc_motor_unknown_zero_0, 1);
+    self->updated = 0.0;
     return DC_MOTOR_UNKNOWN_OK;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void dc_motor_unknown_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static dc_motor_unknown_status_t dc_motor_unknown_pass(const dc_motor_unknown_t *self,
+    const double *u, dc_motor_unknown_t *next)
+{
+    return dc_motor_unknown_correct(self, u, NULL, 0u, next);
+}
+
+/* Correct the latest estimate. */
+static dc_motor_unknown_status_t dc_motor_unknown_renew(const dc_motor_unknown_t *self,
+    const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
+{
+    dc_motor_unknown_status_t status;
+    if (self->updated > 0.0) { return DC_MOTOR_UNKNOWN_WRONG_ORDER; }
+    *next = *self;
+    status = dc_motor_unknown_correct(self, u, y, present, next);
+    next->updated = 1.0;
+    return status;
+}
 
 dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, const double u[1],
     const double y[2], uint32_t valid)
@@ -1026,8 +1067,7 @@ dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, cons
     {
         return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = dc_motor_unknown_correct(self, u, y, present, &next);
+    status = dc_motor_unknown_renew(self, u, y, present, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_UNKNOWN_OK : DC_MOTOR_UNKNOWN_SKIPPED;
@@ -1036,13 +1076,23 @@ dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, cons
 dc_motor_unknown_status_t dc_motor_unknown_predict(dc_motor_unknown_t *self, const double u[1])
 {
     dc_motor_unknown_t next;
+    const dc_motor_unknown_t *latest = self;
     dc_motor_unknown_status_t status;
     if ((self == NULL) || (u == NULL)) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
     if (!dc_motor_unknown_finite_input(u)) { return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE; }
-    next = *self;
-    status = dc_motor_unknown_propagate(self, u, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = dc_motor_unknown_pass(self, u, &next);
+        if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+        latest = &next;
+    }
+    status = dc_motor_unknown_propagate(latest, u, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    *self = next;
+    dc_motor_unknown_keep(next.predicted_state, self->predicted_state, 2);
+    dc_motor_unknown_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    dc_motor_unknown_keep(next.mode_state, self->mode_state, 10);
+    dc_motor_unknown_keep(next.mode_covariance, self->mode_covariance, 15);
+    self->updated = 0.0;
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -1058,10 +1108,12 @@ dc_motor_unknown_status_t dc_motor_unknown_step(dc_motor_unknown_t *self, const 
     {
         return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
     }
+    if (self->updated > 0.0) { return DC_MOTOR_UNKNOWN_WRONG_ORDER; }
     status = dc_motor_unknown_correct(self, u, y, present, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     status = dc_motor_unknown_propagate(&next, u, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_UNKNOWN_OK : DC_MOTOR_UNKNOWN_SKIPPED;
 }

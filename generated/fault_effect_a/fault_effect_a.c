@@ -340,10 +340,50 @@ fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self)
     fault_effect_a_fill(self->innovation_covariance, 3, fault_effect_a_zero_0, 1);
     self->nis = 0.0;
     self->log_likelihood = 0.0;
+    self->updated = 0.0;
     return FAULT_EFFECT_A_OK;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void fault_effect_a_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static fault_effect_a_status_t fault_effect_a_pass(const fault_effect_a_t *self,
+    fault_effect_a_t *next)
+{
+    return fault_effect_a_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static fault_effect_a_status_t fault_effect_a_renew(const fault_effect_a_t *self, const double *y,
+    uint32_t present, fault_effect_a_t *next)
+{
+    fault_effect_a_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        fault_effect_a_keep(self->filtered_state, next->predicted_state, 3);
+        fault_effect_a_keep(self->filtered_covariance, next->predicted_covariance, 6);
+    }
+    status = fault_effect_a_correct(next, y, present, next);
+    if (again)
+    {
+        fault_effect_a_keep(self->predicted_state, next->predicted_state, 3);
+        fault_effect_a_keep(self->predicted_covariance, next->predicted_covariance, 6);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const double u[1],
     const double y[2], uint32_t valid)
@@ -357,8 +397,7 @@ fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const doub
     {
         return FAULT_EFFECT_A_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = fault_effect_a_correct(self, y, present, &next);
+    status = fault_effect_a_renew(self, y, present, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_SKIPPED;
@@ -367,13 +406,21 @@ fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const doub
 fault_effect_a_status_t fault_effect_a_predict(fault_effect_a_t *self, const double u[1])
 {
     fault_effect_a_t next;
+    const fault_effect_a_t *latest = self;
     fault_effect_a_status_t status;
     if ((self == NULL) || (u == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
     if (!fault_effect_a_finite_input(u)) { return FAULT_EFFECT_A_INPUT_NOT_FINITE; }
-    next = *self;
-    status = fault_effect_a_propagate(self, u, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = fault_effect_a_pass(self, &next);
+        if (status != FAULT_EFFECT_A_OK) { return status; }
+        latest = &next;
+    }
+    status = fault_effect_a_propagate(latest, u, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
-    *self = next;
+    fault_effect_a_keep(next.predicted_state, self->predicted_state, 3);
+    fault_effect_a_keep(next.predicted_covariance, self->predicted_covariance, 6);
+    self->updated = 0.0;
     return FAULT_EFFECT_A_OK;
 }
 
@@ -389,10 +436,18 @@ fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double
     {
         return FAULT_EFFECT_A_INPUT_NOT_FINITE;
     }
-    status = fault_effect_a_correct(self, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = fault_effect_a_renew(self, y, present, &next);
+    }
+    else
+    {
+        status = fault_effect_a_correct(self, y, present, &next);
+    }
     if (status != FAULT_EFFECT_A_OK) { return status; }
     status = fault_effect_a_propagate(&next, u, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_SKIPPED;
 }

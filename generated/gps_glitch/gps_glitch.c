@@ -1231,6 +1231,7 @@ gps_glitch_status_t gps_glitch_init(gps_glitch_t *self)
     gps_glitch_fill(self->mode_covariance, 24, gps_glitch_predicted_covariance_0, 6);
     gps_glitch_fill(self->mode_filtered_state, 12, gps_glitch_predicted_state_0, 3);
     gps_glitch_fill(self->mode_filtered_covariance, 24, gps_glitch_predicted_covariance_0, 6);
+    self->updated = 0.0;
     return GPS_GLITCH_OK;
 }
 
@@ -1243,6 +1244,52 @@ gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params)
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
 
+/* Copy an array. */
+static void gps_glitch_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static gps_glitch_status_t gps_glitch_pass(const gps_glitch_t *self, gps_glitch_t *next)
+{
+    return gps_glitch_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static gps_glitch_status_t gps_glitch_renew(const gps_glitch_t *self, const double *y,
+    uint32_t present, gps_glitch_t *next)
+{
+    gps_glitch_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        gps_glitch_keep(self->filtered_state, next->predicted_state, 3);
+        gps_glitch_keep(self->filtered_covariance, next->predicted_covariance, 6);
+        gps_glitch_keep(self->mode_probability, next->predicted_mode_probability, 4);
+        gps_glitch_keep(self->log_weight, next->predicted_log_weight, 4);
+        gps_glitch_keep(self->mode_filtered_state, next->mode_state, 12);
+        gps_glitch_keep(self->mode_filtered_covariance, next->mode_covariance, 24);
+    }
+    status = gps_glitch_correct(next, y, present, next);
+    if (again)
+    {
+        gps_glitch_keep(self->predicted_state, next->predicted_state, 3);
+        gps_glitch_keep(self->predicted_covariance, next->predicted_covariance, 6);
+        gps_glitch_keep(self->predicted_mode_probability, next->predicted_mode_probability, 4);
+        gps_glitch_keep(self->predicted_log_weight, next->predicted_log_weight, 4);
+        gps_glitch_keep(self->mode_state, next->mode_state, 12);
+        gps_glitch_keep(self->mode_covariance, next->mode_covariance, 24);
+    }
+    next->updated = 1.0;
+    return status;
+}
+
 gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_params_t *params,
     const double y[3], uint32_t valid)
 {
@@ -1251,8 +1298,7 @@ gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_param
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
     if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
-    next = *self;
-    status = gps_glitch_correct(self, y, present, &next);
+    status = gps_glitch_renew(self, y, present, &next);
     if (status != GPS_GLITCH_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
@@ -1261,12 +1307,24 @@ gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_param
 gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_params_t *params)
 {
     gps_glitch_t next;
+    const gps_glitch_t *latest = self;
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL)) { return GPS_GLITCH_NULL_POINTER; }
-    next = *self;
-    status = gps_glitch_propagate(self, params, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = gps_glitch_pass(self, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        latest = &next;
+    }
+    status = gps_glitch_propagate(latest, params, &next);
     if (status != GPS_GLITCH_OK) { return status; }
-    *self = next;
+    gps_glitch_keep(next.predicted_state, self->predicted_state, 3);
+    gps_glitch_keep(next.predicted_covariance, self->predicted_covariance, 6);
+    gps_glitch_keep(next.predicted_mode_probability, self->predicted_mode_probability, 4);
+    gps_glitch_keep(next.predicted_log_weight, self->predicted_log_weight, 4);
+    gps_glitch_keep(next.mode_state, self->mode_state, 12);
+    gps_glitch_keep(next.mode_covariance, self->mode_covariance, 24);
+    self->updated = 0.0;
     return GPS_GLITCH_OK;
 }
 
@@ -1278,10 +1336,18 @@ gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
     if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
-    status = gps_glitch_correct(self, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = gps_glitch_renew(self, y, present, &next);
+    }
+    else
+    {
+        status = gps_glitch_correct(self, y, present, &next);
+    }
     if (status != GPS_GLITCH_OK) { return status; }
     status = gps_glitch_propagate(&next, params, &next);
     if (status != GPS_GLITCH_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
 }

@@ -6,9 +6,10 @@
  * Covariance update: short form.
  * Modes: 0 = signal, R; 1 = signal, noise x 400; 2 = no signal, R; 3 = no signal, noise x 400.
  *
- * Time: the instance holds the prediction for sample k. gps_glitch_update() corrects it with y[k],
+ * Time: the instance holds one latest estimate. gps_glitch_update() corrects it with y[k],
  * gps_glitch_predict() moves it to k + 1, gps_glitch_step() does both. Sample 0 corrects the prior;
- * no prediction comes before it.
+ * no prediction comes before it. A prediction after a prediction passes a sample without a
+ * measurement, an update after an update takes more rows of the same sample.
  *
  * Model: x[k+1] = A x[k] + w[k], w ~ (0, Q); y[k] = C x[k] + v[k], v ~ (0, R); x[0] ~ (x0, P0).
  *   A = [[1.0,  dt, 0.0],
@@ -47,7 +48,7 @@
  *   y[2]  gps_climb, m/s
  *
  * Cost of one step with every row present: 1345 floating-point operations and 8 exp and 9 log.
- * An instance is 117 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
+ * An instance is 118 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
  * libm.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
@@ -83,8 +84,10 @@ typedef enum
     GPS_GLITCH_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or an
                                                  indicator with another value */
     GPS_GLITCH_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    GPS_GLITCH_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                         target */
+    GPS_GLITCH_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                          target */
+    GPS_GLITCH_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
+                                     predict first */
 } gps_glitch_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -118,6 +121,7 @@ typedef struct
     double mode_filtered_state[12]; /**< x(k|k) under each mode (4 x 3), [m, m/s, m] */
     double mode_filtered_covariance[24]; /**< its error covariance (4 x symmetric 3 x 3),
                                               [m, m/s, m] squared */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } gps_glitch_t;
 
 /** Start from the prior: the prediction for sample 0. Call it before anything else. */
@@ -126,7 +130,7 @@ gps_glitch_status_t gps_glitch_init(gps_glitch_t *self);
 /** Set every parameter to its default. */
 gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params);
 
-/** Correct the prediction with sample k.
+/** Correct the latest estimate with sample k.
  *  @param params  run-time parameters of this sample
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
@@ -135,7 +139,8 @@ gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params);
 gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_params_t *params,
     const double y[3], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_params_t *params);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

@@ -1177,10 +1177,39 @@ markov_jump_status_t markov_jump_init(markov_jump_t *self)
         45);
     markov_jump_fill(self->mode_second_moment, 18, markov_jump_mode_second_moment_0, 18);
     markov_jump_fill(self->predicted_mode_second_moment, 18, markov_jump_mode_second_moment_0, 18);
+    self->updated = 0.0;
     return MARKOV_JUMP_OK;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void markov_jump_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static markov_jump_status_t markov_jump_pass(const markov_jump_t *self, markov_jump_t *next)
+{
+    return markov_jump_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate. */
+static markov_jump_status_t markov_jump_renew(const markov_jump_t *self, const double *y,
+    uint32_t present, markov_jump_t *next)
+{
+    markov_jump_status_t status;
+    if (self->updated > 0.0) { return MARKOV_JUMP_WRONG_ORDER; }
+    *next = *self;
+    status = markov_jump_correct(self, y, present, next);
+    next->updated = 1.0;
+    return status;
+}
 
 markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], uint32_t valid)
 {
@@ -1189,8 +1218,7 @@ markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], 
     markov_jump_status_t status;
     if ((self == NULL) || (y == NULL)) { return MARKOV_JUMP_NULL_POINTER; }
     if (!markov_jump_present_rows(y, valid, &present)) { return MARKOV_JUMP_INPUT_NOT_FINITE; }
-    next = *self;
-    status = markov_jump_correct(self, y, present, &next);
+    status = markov_jump_renew(self, y, present, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
@@ -1201,12 +1229,24 @@ markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], 
 markov_jump_status_t markov_jump_predict(markov_jump_t *self)
 {
     markov_jump_t next;
+    const markov_jump_t *latest = self;
     markov_jump_status_t status;
     if (self == NULL) { return MARKOV_JUMP_NULL_POINTER; }
-    next = *self;
-    status = markov_jump_propagate(self, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = markov_jump_pass(self, &next);
+        if (status != MARKOV_JUMP_OK) { return status; }
+        latest = &next;
+    }
+    status = markov_jump_propagate(latest, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
-    *self = next;
+    markov_jump_keep(next.predicted_state, self->predicted_state, 3);
+    markov_jump_keep(next.predicted_covariance, self->predicted_covariance, 6);
+    markov_jump_keep(next.predicted_mode_law, self->predicted_mode_law, 3);
+    markov_jump_keep(next.augmented_state, self->augmented_state, 9);
+    markov_jump_keep(next.augmented_covariance, self->augmented_covariance, 45);
+    markov_jump_keep(next.predicted_mode_second_moment, self->predicted_mode_second_moment, 18);
+    self->updated = 0.0;
     return MARKOV_JUMP_OK;
 }
 
@@ -1217,10 +1257,12 @@ markov_jump_status_t markov_jump_step(markov_jump_t *self, const double y[1], ui
     markov_jump_status_t status;
     if ((self == NULL) || (y == NULL)) { return MARKOV_JUMP_NULL_POINTER; }
     if (!markov_jump_present_rows(y, valid, &present)) { return MARKOV_JUMP_INPUT_NOT_FINITE; }
+    if (self->updated > 0.0) { return MARKOV_JUMP_WRONG_ORDER; }
     status = markov_jump_correct(self, y, present, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
     status = markov_jump_propagate(&next, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
         : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK))

@@ -8,9 +8,10 @@
  * A sample that the test llr rejects is replaced by its prediction; status LOCKED_OUT from 10 in a
  * row on.
  *
- * Time: the instance holds the prediction for sample k. markov_jump_update() corrects it with y[k],
+ * Time: the instance holds one latest estimate. markov_jump_update() corrects it with y[k],
  * markov_jump_predict() moves it to k + 1, markov_jump_step() does both. Sample 0 corrects the
- * prior; no prediction comes before it.
+ * prior; no prediction comes before it. A prediction after a prediction passes a sample without a
+ * measurement; an update after an update is refused.
  * Sample time: 1.0 s.
  *
  * Model: x[k+1] = A x[k] + w[k], w ~ (0, Q); y[k] = C x[k] + v[k], v ~ (0, R); x[0] ~ (x0, P0).
@@ -62,7 +63,7 @@
  *   y[0]  measured_position, m
  *
  * Cost of one step with every row present: 1302 floating-point operations and 3 log.
- * An instance is 177 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
+ * An instance is 178 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
  * libm.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
@@ -101,8 +102,10 @@ typedef enum
     MARKOV_JUMP_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or
                                                   an indicator with another value */
     MARKOV_JUMP_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    MARKOV_JUMP_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                          target */
+    MARKOV_JUMP_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                           target */
+    MARKOV_JUMP_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
+                                      predict first */
 } markov_jump_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -138,12 +141,13 @@ typedef struct
     double mode_second_moment[18]; /**< E[x x' 1{mode}] at k, unconditional (3 x symmetric 3 x 3) */
     double predicted_mode_second_moment[18]; /**< E[x x' 1{mode}] at k+1, unconditional
                                                   (3 x symmetric 3 x 3) */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } markov_jump_t;
 
 /** Start from the prior: the prediction for sample 0. Call it before anything else. */
 markov_jump_status_t markov_jump_init(markov_jump_t *self);
 
-/** Correct the prediction with sample k.
+/** Correct the latest estimate with sample k.
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
  *  @return MARKOV_JUMP_OK, MARKOV_JUMP_SKIPPED, MARKOV_JUMP_FAULT_DECLARED, MARKOV_JUMP_LOCKED_OUT,
@@ -151,7 +155,8 @@ markov_jump_status_t markov_jump_init(markov_jump_t *self);
  */
 markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 markov_jump_status_t markov_jump_predict(markov_jump_t *self);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

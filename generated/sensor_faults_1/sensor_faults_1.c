@@ -509,10 +509,40 @@ sensor_faults_1_status_t sensor_faults_1_init(sensor_faults_1_t *self)
         2);
     sensor_faults_1_fill(self->log_weight, 4, sensor_faults_1_log_weight_0, 2);
     sensor_faults_1_fill(self->predicted_log_weight, 4, sensor_faults_1_log_weight_0, 2);
+    self->updated = 0.0;
     return SENSOR_FAULTS_1_OK;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void sensor_faults_1_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static sensor_faults_1_status_t sensor_faults_1_pass(const sensor_faults_1_t *self,
+    sensor_faults_1_t *next)
+{
+    return sensor_faults_1_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate. */
+static sensor_faults_1_status_t sensor_faults_1_renew(const sensor_faults_1_t *self,
+    const double *y, uint32_t present, sensor_faults_1_t *next)
+{
+    sensor_faults_1_status_t status;
+    if (self->updated > 0.0) { return SENSOR_FAULTS_1_WRONG_ORDER; }
+    *next = *self;
+    status = sensor_faults_1_correct(self, y, present, next);
+    next->updated = 1.0;
+    return status;
+}
 
 sensor_faults_1_status_t sensor_faults_1_update(sensor_faults_1_t *self, const double y[1],
     uint32_t valid)
@@ -525,8 +555,7 @@ sensor_faults_1_status_t sensor_faults_1_update(sensor_faults_1_t *self, const d
     {
         return SENSOR_FAULTS_1_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = sensor_faults_1_correct(self, y, present, &next);
+    status = sensor_faults_1_renew(self, y, present, &next);
     if (status != SENSOR_FAULTS_1_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? SENSOR_FAULTS_1_OK : SENSOR_FAULTS_1_SKIPPED;
@@ -535,12 +564,22 @@ sensor_faults_1_status_t sensor_faults_1_update(sensor_faults_1_t *self, const d
 sensor_faults_1_status_t sensor_faults_1_predict(sensor_faults_1_t *self)
 {
     sensor_faults_1_t next;
+    const sensor_faults_1_t *latest = self;
     sensor_faults_1_status_t status;
     if (self == NULL) { return SENSOR_FAULTS_1_NULL_POINTER; }
-    next = *self;
-    status = sensor_faults_1_propagate(self, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = sensor_faults_1_pass(self, &next);
+        if (status != SENSOR_FAULTS_1_OK) { return status; }
+        latest = &next;
+    }
+    status = sensor_faults_1_propagate(latest, &next);
     if (status != SENSOR_FAULTS_1_OK) { return status; }
-    *self = next;
+    sensor_faults_1_keep(next.predicted_state, self->predicted_state, 1);
+    sensor_faults_1_keep(next.predicted_covariance, self->predicted_covariance, 1);
+    sensor_faults_1_keep(next.predicted_mode_probability, self->predicted_mode_probability, 4);
+    sensor_faults_1_keep(next.predicted_log_weight, self->predicted_log_weight, 4);
+    self->updated = 0.0;
     return SENSOR_FAULTS_1_OK;
 }
 
@@ -555,10 +594,12 @@ sensor_faults_1_status_t sensor_faults_1_step(sensor_faults_1_t *self, const dou
     {
         return SENSOR_FAULTS_1_INPUT_NOT_FINITE;
     }
+    if (self->updated > 0.0) { return SENSOR_FAULTS_1_WRONG_ORDER; }
     status = sensor_faults_1_correct(self, y, present, &next);
     if (status != SENSOR_FAULTS_1_OK) { return status; }
     status = sensor_faults_1_propagate(&next, &next);
     if (status != SENSOR_FAULTS_1_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? SENSOR_FAULTS_1_OK : SENSOR_FAULTS_1_SKIPPED;
 }

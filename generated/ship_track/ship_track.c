@@ -1400,6 +1400,7 @@ ship_track_status_t ship_track_init(ship_track_t *self)
     ship_track_fill(self->mode_covariance, 30, ship_track_predicted_covariance_0, 10);
     ship_track_fill(self->mode_filtered_state, 12, ship_track_zero_0, 1);
     ship_track_fill(self->mode_filtered_covariance, 30, ship_track_predicted_covariance_0, 10);
+    self->updated = 0.0;
     return SHIP_TRACK_OK;
 }
 
@@ -1413,6 +1414,52 @@ ship_track_status_t ship_track_params_init(ship_track_params_t *params)
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
 
+/* Copy an array. */
+static void ship_track_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static ship_track_status_t ship_track_pass(const ship_track_t *self, ship_track_t *next)
+{
+    return ship_track_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static ship_track_status_t ship_track_renew(const ship_track_t *self, const double *y,
+    uint32_t present, ship_track_t *next)
+{
+    ship_track_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        ship_track_keep(self->filtered_state, next->predicted_state, 4);
+        ship_track_keep(self->filtered_covariance, next->predicted_covariance, 10);
+        ship_track_keep(self->mode_probability, next->predicted_mode_probability, 3);
+        ship_track_keep(self->log_weight, next->predicted_log_weight, 3);
+        ship_track_keep(self->mode_filtered_state, next->mode_state, 12);
+        ship_track_keep(self->mode_filtered_covariance, next->mode_covariance, 30);
+    }
+    status = ship_track_correct(next, y, present, next);
+    if (again)
+    {
+        ship_track_keep(self->predicted_state, next->predicted_state, 4);
+        ship_track_keep(self->predicted_covariance, next->predicted_covariance, 10);
+        ship_track_keep(self->predicted_mode_probability, next->predicted_mode_probability, 3);
+        ship_track_keep(self->predicted_log_weight, next->predicted_log_weight, 3);
+        ship_track_keep(self->mode_state, next->mode_state, 12);
+        ship_track_keep(self->mode_covariance, next->mode_covariance, 30);
+    }
+    next->updated = 1.0;
+    return status;
+}
+
 ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_params_t *params,
     const double y[4], uint32_t valid)
 {
@@ -1421,8 +1468,7 @@ ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_param
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
     if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
-    next = *self;
-    status = ship_track_correct(self, y, present, &next);
+    status = ship_track_renew(self, y, present, &next);
     if (status != SHIP_TRACK_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
@@ -1431,12 +1477,24 @@ ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_param
 ship_track_status_t ship_track_predict(ship_track_t *self, const ship_track_params_t *params)
 {
     ship_track_t next;
+    const ship_track_t *latest = self;
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL)) { return SHIP_TRACK_NULL_POINTER; }
-    next = *self;
-    status = ship_track_propagate(self, params, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = ship_track_pass(self, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        latest = &next;
+    }
+    status = ship_track_propagate(latest, params, &next);
     if (status != SHIP_TRACK_OK) { return status; }
-    *self = next;
+    ship_track_keep(next.predicted_state, self->predicted_state, 4);
+    ship_track_keep(next.predicted_covariance, self->predicted_covariance, 10);
+    ship_track_keep(next.predicted_mode_probability, self->predicted_mode_probability, 3);
+    ship_track_keep(next.predicted_log_weight, self->predicted_log_weight, 3);
+    ship_track_keep(next.mode_state, self->mode_state, 12);
+    ship_track_keep(next.mode_covariance, self->mode_covariance, 30);
+    self->updated = 0.0;
     return SHIP_TRACK_OK;
 }
 
@@ -1448,10 +1506,18 @@ ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
     if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
-    status = ship_track_correct(self, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = ship_track_renew(self, y, present, &next);
+    }
+    else
+    {
+        status = ship_track_correct(self, y, present, &next);
+    }
     if (status != SHIP_TRACK_OK) { return status; }
     status = ship_track_propagate(&next, params, &next);
     if (status != SHIP_TRACK_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
 }

@@ -7,9 +7,10 @@
  * Modes: 0 = the model; 1 = with its own A, Q; 2 = with its own A, Q.
  * The mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k).
  *
- * Time: the instance holds the prediction for sample k. ship_track_update() corrects it with y[k],
+ * Time: the instance holds one latest estimate. ship_track_update() corrects it with y[k],
  * ship_track_predict() moves it to k + 1, ship_track_step() does both. Sample 0 corrects the prior;
- * no prediction comes before it.
+ * no prediction comes before it. A prediction after a prediction passes a sample without a
+ * measurement, an update after an update takes more rows of the same sample.
  *
  * Model: x[k+1] = A x[k] + w[k], w ~ (0, Q); y[k] = C x[k] + v[k], v ~ (0, R); x[0] ~ (x0, P0).
  *   A = [[1.0, 0.0,  dt, 0.0],
@@ -74,7 +75,7 @@
  *
  * Cost of one step with every row present: 1703 floating-point operations and 1 cos and 7 exp and 7
  * log and 1 sin.
- * An instance is 140 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
+ * An instance is 141 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
  * libm.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
@@ -110,8 +111,10 @@ typedef enum
     SHIP_TRACK_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or an
                                                  indicator with another value */
     SHIP_TRACK_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    SHIP_TRACK_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                         target */
+    SHIP_TRACK_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                          target */
+    SHIP_TRACK_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
+                                     predict first */
 } ship_track_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -148,6 +151,7 @@ typedef struct
     double mode_filtered_state[12]; /**< x(k|k) under each mode (3 x 4), [m, m, m/s, m/s] */
     double mode_filtered_covariance[30]; /**< its error covariance (3 x symmetric 4 x 4),
                                               [m, m, m/s, m/s] squared */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } ship_track_t;
 
 /** Start from the prior: the prediction for sample 0. Call it before anything else. */
@@ -156,7 +160,7 @@ ship_track_status_t ship_track_init(ship_track_t *self);
 /** Set every parameter to its default. */
 ship_track_status_t ship_track_params_init(ship_track_params_t *params);
 
-/** Correct the prediction with sample k.
+/** Correct the latest estimate with sample k.
  *  @param params  run-time parameters of this sample
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
@@ -165,7 +169,8 @@ ship_track_status_t ship_track_params_init(ship_track_params_t *params);
 ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_params_t *params,
     const double y[4], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 ship_track_status_t ship_track_predict(ship_track_t *self, const ship_track_params_t *params);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

@@ -499,10 +499,49 @@ soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self)
     soft_fault_cpcf_fill(self->predicted_compressed_measurement, 1, soft_fault_cpcf_zero_0, 1);
     soft_fault_cpcf_fill(self->predicted_compressed_noise, 1, soft_fault_cpcf_zero_0, 1);
     soft_fault_cpcf_fill(self->predicted_compressed_cross_covariance, 2, soft_fault_cpcf_zero_0, 1);
+    self->updated = 0.0;
     return SOFT_FAULT_CPCF_OK;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void soft_fault_cpcf_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static soft_fault_cpcf_status_t soft_fault_cpcf_pass(const soft_fault_cpcf_t *self,
+    soft_fault_cpcf_t *next)
+{
+    soft_fault_cpcf_status_t status = soft_fault_cpcf_correct(self, NULL, 0u, next);
+    if ((status == SOFT_FAULT_CPCF_OK) && !(next->window_left > 0.0))
+    {
+        status = soft_fault_cpcf_close_window(next, next);
+    }
+    return status;
+}
+
+/* Correct the latest estimate. */
+static soft_fault_cpcf_status_t soft_fault_cpcf_renew(const soft_fault_cpcf_t *self,
+    const double *y, uint32_t present, soft_fault_cpcf_t *next)
+{
+    soft_fault_cpcf_status_t status;
+    if (self->updated > 0.0) { return SOFT_FAULT_CPCF_WRONG_ORDER; }
+    *next = *self;
+    status = soft_fault_cpcf_correct(self, y, present, next);
+    if ((status == SOFT_FAULT_CPCF_OK) && !(next->window_left > 0.0))
+    {
+        status = soft_fault_cpcf_close_window(next, next);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const double y[2],
     uint32_t valid)
@@ -515,13 +554,7 @@ soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const d
     {
         return SOFT_FAULT_CPCF_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = soft_fault_cpcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_CPCF_OK) { return status; }
-    if (!(next.window_left > 0.0))
-    {
-        status = soft_fault_cpcf_close_window(&next, &next);
-    }
+    status = soft_fault_cpcf_renew(self, y, present, &next);
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
@@ -531,12 +564,37 @@ soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const d
 soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self)
 {
     soft_fault_cpcf_t next;
+    const soft_fault_cpcf_t *latest = self;
     soft_fault_cpcf_status_t status;
     if (self == NULL) { return SOFT_FAULT_CPCF_NULL_POINTER; }
-    next = *self;
-    status = soft_fault_cpcf_propagate(self, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = soft_fault_cpcf_pass(self, &next);
+        if (status != SOFT_FAULT_CPCF_OK) { return status; }
+        latest = &next;
+    }
+    status = soft_fault_cpcf_propagate(latest, &next);
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
-    *self = next;
+    if ((latest == &next) && !(next.window_left > 0.0))
+    {
+        soft_fault_cpcf_keep(self->innovation, next.innovation, 2);
+        soft_fault_cpcf_keep(self->innovation_covariance, next.innovation_covariance, 3);
+        next.nis = self->nis;
+        next.log_likelihood = self->log_likelihood;
+        next.updated = 0.0;
+        *self = next;
+        return SOFT_FAULT_CPCF_OK;
+    }
+    soft_fault_cpcf_keep(next.predicted_state, self->predicted_state, 2);
+    soft_fault_cpcf_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    self->predicted_window_left = next.predicted_window_left;
+    self->predicted_collecting = next.predicted_collecting;
+    soft_fault_cpcf_keep(next.predicted_compressed_measurement,
+        self->predicted_compressed_measurement, 1);
+    soft_fault_cpcf_keep(next.predicted_compressed_noise, self->predicted_compressed_noise, 1);
+    soft_fault_cpcf_keep(next.predicted_compressed_cross_covariance,
+        self->predicted_compressed_cross_covariance, 2);
+    self->updated = 0.0;
     return SOFT_FAULT_CPCF_OK;
 }
 
@@ -551,15 +609,16 @@ soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const dou
     {
         return SOFT_FAULT_CPCF_INPUT_NOT_FINITE;
     }
+    if (self->updated > 0.0) { return SOFT_FAULT_CPCF_WRONG_ORDER; }
     status = soft_fault_cpcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_CPCF_OK) { return status; }
-    if (!(next.window_left > 0.0))
+    if ((status == SOFT_FAULT_CPCF_OK) && !(next.window_left > 0.0))
     {
         status = soft_fault_cpcf_close_window(&next, &next);
     }
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
     status = soft_fault_cpcf_propagate(&next, &next);
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
         : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;

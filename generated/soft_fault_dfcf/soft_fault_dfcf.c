@@ -517,10 +517,49 @@ soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self)
     self->collecting = 0.0;
     self->predicted_window_left = 150.0;
     self->predicted_collecting = 0.0;
+    self->updated = 0.0;
     return SOFT_FAULT_DFCF_OK;
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void soft_fault_dfcf_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static soft_fault_dfcf_status_t soft_fault_dfcf_pass(const soft_fault_dfcf_t *self,
+    soft_fault_dfcf_t *next)
+{
+    soft_fault_dfcf_status_t status = soft_fault_dfcf_correct(self, NULL, 0u, next);
+    if ((status == SOFT_FAULT_DFCF_OK) && !(next->window_left > 0.0))
+    {
+        status = soft_fault_dfcf_close_window(next, next);
+    }
+    return status;
+}
+
+/* Correct the latest estimate. */
+static soft_fault_dfcf_status_t soft_fault_dfcf_renew(const soft_fault_dfcf_t *self,
+    const double *y, uint32_t present, soft_fault_dfcf_t *next)
+{
+    soft_fault_dfcf_status_t status;
+    if (self->updated > 0.0) { return SOFT_FAULT_DFCF_WRONG_ORDER; }
+    *next = *self;
+    status = soft_fault_dfcf_correct(self, y, present, next);
+    if ((status == SOFT_FAULT_DFCF_OK) && !(next->window_left > 0.0))
+    {
+        status = soft_fault_dfcf_close_window(next, next);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const double y[2],
     uint32_t valid)
@@ -533,13 +572,7 @@ soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const d
     {
         return SOFT_FAULT_DFCF_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = soft_fault_dfcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_DFCF_OK) { return status; }
-    if (!(next.window_left > 0.0))
-    {
-        status = soft_fault_dfcf_close_window(&next, &next);
-    }
+    status = soft_fault_dfcf_renew(self, y, present, &next);
     if (status != SOFT_FAULT_DFCF_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED
@@ -549,12 +582,36 @@ soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const d
 soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self)
 {
     soft_fault_dfcf_t next;
+    const soft_fault_dfcf_t *latest = self;
     soft_fault_dfcf_status_t status;
     if (self == NULL) { return SOFT_FAULT_DFCF_NULL_POINTER; }
-    next = *self;
-    status = soft_fault_dfcf_propagate(self, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = soft_fault_dfcf_pass(self, &next);
+        if (status != SOFT_FAULT_DFCF_OK) { return status; }
+        latest = &next;
+    }
+    status = soft_fault_dfcf_propagate(latest, &next);
     if (status != SOFT_FAULT_DFCF_OK) { return status; }
-    *self = next;
+    if ((latest == &next) && !(next.window_left > 0.0))
+    {
+        soft_fault_dfcf_keep(self->innovation, next.innovation, 2);
+        soft_fault_dfcf_keep(self->innovation_covariance, next.innovation_covariance, 3);
+        next.nis = self->nis;
+        next.log_likelihood = self->log_likelihood;
+        next.updated = 0.0;
+        *self = next;
+        return SOFT_FAULT_DFCF_OK;
+    }
+    soft_fault_dfcf_keep(next.predicted_state, self->predicted_state, 2);
+    soft_fault_dfcf_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    soft_fault_dfcf_keep(next.predicted_compression_deviation,
+        self->predicted_compression_deviation, 2);
+    soft_fault_dfcf_keep(next.predicted_compression_covariance,
+        self->predicted_compression_covariance, 3);
+    self->predicted_window_left = next.predicted_window_left;
+    self->predicted_collecting = next.predicted_collecting;
+    self->updated = 0.0;
     return SOFT_FAULT_DFCF_OK;
 }
 
@@ -569,15 +626,16 @@ soft_fault_dfcf_status_t soft_fault_dfcf_step(soft_fault_dfcf_t *self, const dou
     {
         return SOFT_FAULT_DFCF_INPUT_NOT_FINITE;
     }
+    if (self->updated > 0.0) { return SOFT_FAULT_DFCF_WRONG_ORDER; }
     status = soft_fault_dfcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_DFCF_OK) { return status; }
-    if (!(next.window_left > 0.0))
+    if ((status == SOFT_FAULT_DFCF_OK) && !(next.window_left > 0.0))
     {
         status = soft_fault_dfcf_close_window(&next, &next);
     }
     if (status != SOFT_FAULT_DFCF_OK) { return status; }
     status = soft_fault_dfcf_propagate(&next, &next);
     if (status != SOFT_FAULT_DFCF_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED
         : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;

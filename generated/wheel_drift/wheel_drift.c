@@ -1695,6 +1695,7 @@ wheel_drift_status_t wheel_drift_init(wheel_drift_t *self)
     wheel_drift_fill(self->collecting, 4, wheel_drift_zero_0, 1);
     self->predicted_window_left = 98.0;
     wheel_drift_fill(self->predicted_collecting, 4, wheel_drift_zero_0, 1);
+    self->updated = 0.0;
     return WHEEL_DRIFT_OK;
 }
 
@@ -1706,6 +1707,43 @@ wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params)
 }
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void wheel_drift_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static wheel_drift_status_t wheel_drift_pass(const wheel_drift_t *self, wheel_drift_t *next)
+{
+    wheel_drift_status_t status = wheel_drift_correct(self, NULL, 0u, next);
+    if ((status == WHEEL_DRIFT_OK) && !(next->window_left > 0.0))
+    {
+        status = wheel_drift_close_window(next, next);
+    }
+    return status;
+}
+
+/* Correct the latest estimate. */
+static wheel_drift_status_t wheel_drift_renew(const wheel_drift_t *self, const double *y,
+    uint32_t present, wheel_drift_t *next)
+{
+    wheel_drift_status_t status;
+    if (self->updated > 0.0) { return WHEEL_DRIFT_WRONG_ORDER; }
+    *next = *self;
+    status = wheel_drift_correct(self, y, present, next);
+    if ((status == WHEEL_DRIFT_OK) && !(next->window_left > 0.0))
+    {
+        status = wheel_drift_close_window(next, next);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_params_t *params,
     const double u[1], const double y[6], uint32_t valid)
@@ -1719,13 +1757,7 @@ wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_p
     }
     if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
     if (!wheel_drift_present_rows(y, valid, &present)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
-    next = *self;
-    status = wheel_drift_correct(self, y, present, &next);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    if (!(next.window_left > 0.0))
-    {
-        status = wheel_drift_close_window(&next, &next);
-    }
+    status = wheel_drift_renew(self, y, present, &next);
     if (status != WHEEL_DRIFT_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
@@ -1738,13 +1770,37 @@ wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_
     const double u[1])
 {
     wheel_drift_t next;
+    const wheel_drift_t *latest = self;
     wheel_drift_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL)) { return WHEEL_DRIFT_NULL_POINTER; }
     if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
-    next = *self;
-    status = wheel_drift_propagate(self, params, u, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = wheel_drift_pass(self, &next);
+        if (status != WHEEL_DRIFT_OK) { return status; }
+        latest = &next;
+    }
+    status = wheel_drift_propagate(latest, params, u, &next);
     if (status != WHEEL_DRIFT_OK) { return status; }
-    *self = next;
+    if ((latest == &next) && !(next.window_left > 0.0))
+    {
+        wheel_drift_keep(self->innovation, next.innovation, 6);
+        wheel_drift_keep(self->innovation_covariance, next.innovation_covariance, 21);
+        next.nis = self->nis;
+        next.log_likelihood = self->log_likelihood;
+        next.updated = 0.0;
+        *self = next;
+        return WHEEL_DRIFT_OK;
+    }
+    wheel_drift_keep(next.predicted_state, self->predicted_state, 2);
+    wheel_drift_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    wheel_drift_keep(next.predicted_compression_deviation, self->predicted_compression_deviation,
+        30);
+    wheel_drift_keep(next.predicted_compression_covariance, self->predicted_compression_covariance,
+        45);
+    self->predicted_window_left = next.predicted_window_left;
+    wheel_drift_keep(next.predicted_collecting, self->predicted_collecting, 4);
+    self->updated = 0.0;
     return WHEEL_DRIFT_OK;
 }
 
@@ -1760,15 +1816,16 @@ wheel_drift_status_t wheel_drift_step(wheel_drift_t *self, const wheel_drift_par
     }
     if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
     if (!wheel_drift_present_rows(y, valid, &present)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (self->updated > 0.0) { return WHEEL_DRIFT_WRONG_ORDER; }
     status = wheel_drift_correct(self, y, present, &next);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    if (!(next.window_left > 0.0))
+    if ((status == WHEEL_DRIFT_OK) && !(next.window_left > 0.0))
     {
         status = wheel_drift_close_window(&next, &next);
     }
     if (status != WHEEL_DRIFT_OK) { return status; }
     status = wheel_drift_propagate(&next, params, u, &next);
     if (status != WHEEL_DRIFT_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
         (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) ||

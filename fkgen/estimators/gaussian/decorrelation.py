@@ -8,6 +8,7 @@ skipped, which is the elimination of the R that is left without it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -55,6 +56,19 @@ class Row:
     innovation: ca.SX  # with respect to the prior
     variance: ca.SX  # of its noise
     of_y: ca.SX  # (p, 1), the combination of the rows of y that it is
+
+
+def correlated_rows(covariances: Sequence[ca.SX]) -> tuple[tuple[int, ...], ...]:
+    """Rows of y whose noises depend on each other in any of these R, in groups of two or more."""
+    groups = [{i} for i in range(covariances[0].shape[0])]
+    for R in covariances:
+        for i, j in zip(*R.sparsity().get_triplet(), strict=True):
+            if groups[i] is not groups[j]:
+                groups[i] |= groups[j]
+                for row in groups[i]:
+                    groups[row] = groups[i]
+    distinct = {min(group): tuple(sorted(group)) for group in groups if len(group) > 1}
+    return tuple(distinct.values())
 
 
 def decorrelate(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.estimators.gaussian.actuation import Actuation, certain, intermittent, rates_of
+from fkgen.estimators.gaussian.decorrelation import correlated_rows
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
@@ -44,6 +45,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=_predict(spec, plant, symbols, with_gain=with_gain),
         form=form,
+        repeats=None if size else correlated_rows((plant.R,)),
     )
 
 

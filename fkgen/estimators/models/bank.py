@@ -13,7 +13,7 @@ import casadi as ca
 
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import Actuation, intermittent
-from fkgen.estimators.gaussian.decorrelation import whiten
+from fkgen.estimators.gaussian.decorrelation import correlated_rows, whiten
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
@@ -115,6 +115,7 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         update=_update(bank),
         predict=_predict(bank),
         form=bank.form,
+        repeats=None if any(random) else correlated_rows((plant.R,)),
         notes=(
             f"likelihood: {'mixture' if bank.mixture else 'Gaussian'}",
             f"weight floor: {options.weight_floor:g}",
@@ -137,7 +138,7 @@ def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
         carried("mode_probability", (count,), held, start=options.prior),
         shown("success_rate_estimate", rate, "mean success rate given y[0..k]"),
         shown("paper_state", (n,), paper, unit="x"),
-        carried("log_weight", (count,), "logarithm of mode_probability", start=logarithms),
+        *_weight_ports(logarithms, floored=options.weight_floor > 0.0 and not any(random)),
         *mode_estimate_ports(spec, count, means),
     )
     about = "of gamma[k] minus its mean under each hypothesis, given y[0..k]"
@@ -150,9 +151,25 @@ def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
     return (*ports, *deviations) if r else ports
 
 
+def _weight_ports(start: tuple[float, ...], *, floored: bool) -> tuple[Port, ...]:
+    """Logarithms of the weights; what a second update goes on from has no floor yet."""
+    weight, shape = "logarithm of mode_probability", (len(start),)
+    if not floored:
+        return (carried("log_weight", shape, weight, start=start),)
+    return (
+        carried("log_weight", shape, weight, start=start, corrected="log_weight_unfloored"),
+        carried("log_weight_unfloored", shape, f"{weight} before the floor", start=start),
+    )
+
+
 def _update(bank: Bank) -> Phase:
     builder, symbols, spec = PhaseBuilder(bank.symbols), bank.symbols, bank.spec
-    y, held = symbols["y"], (symbols["mode_probability"], symbols["log_weight"])
+    y = symbols["y"]
+    with builder.titled("probabilities before this sample"):
+        held = (
+            builder.define("held_probability", symbols["mode_probability"]),
+            builder.define("held_logarithm", symbols["log_weight"]),
+        )
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
         demand_positive(builder, packed, bank.plant.nx)
@@ -192,6 +209,8 @@ def _update(bank: Bank) -> Phase:
             "mode_deviation_cross": ca.vertcat(*(by_rows(p.cross_covariance) for p in posteriors)),
             **weights.ports(),
         }
+        if "log_weight_unfloored" in symbols:
+            results["log_weight_unfloored"] = weights.unfloored
         builder.assign({name: value for name, value in results.items() if value.numel()})
     return builder.phase()
 

@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from fkgen.estimators.gaussian.actuation import certain
+from fkgen.estimators.gaussian.decorrelation import correlated_rows
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
@@ -193,7 +194,13 @@ class Switching:
             form=update_form(spec, plants[0], augmented=False),
         )
 
-    def recursion(self, source: str, phases: tuple[Phase, Phase], *notes: str) -> Recursion:
+    def recursion(
+        self,
+        source: str,
+        phases: tuple[Phase, Phase],
+        *notes: str,
+        repeats: tuple[tuple[int, ...], ...] | None = None,
+    ) -> Recursion:
         """The recursion of these two phases."""
         return Recursion(
             spec=self.spec,
@@ -203,6 +210,7 @@ class Switching:
             predict=phases[1],
             form=self.form,
             notes=notes,
+            repeats=repeats,
         )
 
     def bound(self, builder: PhaseBuilder, letters: str) -> Modes:
@@ -369,7 +377,9 @@ def interacting_models(spec: Spec) -> Recursion:
     if spec.faults.jump is not None:
         source = "Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
         notes.append(JUMPING)
-    return filtering.recursion(source, phases, *notes)
+    lumped = any(len(variants) > 1 for variants in filtering.modes.variants)
+    repeats = None if lumped else correlated_rows([plant.R for plant in filtering.plants])
+    return filtering.recursion(source, phases, *notes, repeats=repeats)
 
 
 def _predictions(filtering: Switching) -> Phase:
