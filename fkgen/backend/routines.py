@@ -37,7 +37,18 @@ _FILLING = {"a", "and", "by", "every", "for", "in", "of", "s", "the", "what", "w
 #: Functions that every filter has.
 _FUNCTIONS = {
     *("correct", "close_window", "propagate", "init", "fill", "finite", "finite_input", "defect"),
-    *("update", "predict", "step", "pass", "renew", "keep", "selftest", "present_rows", "params_init", "part"),
+    *(
+        "update",
+        "predict",
+        "step",
+        "pass",
+        "renew",
+        "keep",
+        "selftest",
+        "present_rows",
+        "params_init",
+        "part",
+    ),
     *("exp", "log", "sqrt", "sin", "cos", "tan", "atan2", "reduced", "power_of_two"),
 }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from fkgen.families.family import Family, built_by, proved_by
 from fkgen.problem.filter import Traits
+from fkgen.problem.gate import GateOptions
 
 FAMILY = Family(
     name="kf",
@@ -19,5 +20,6 @@ FAMILY = Family(
     ),
     proof=proved_by("gaussian", "BATCH", "RICCATI"),
     traits=Traits(linear=True),
+    options=GateOptions,
     starter="starter_kf.toml",
 )

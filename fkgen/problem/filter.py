@@ -51,6 +51,10 @@ class Options:
         """The keys that a spec file would hold; None is left out."""
         return plain_fields(self)
 
+    def adapted(self, traits: Traits) -> Traits:
+        """What of the traits of the family these options change."""
+        return traits
+
 
 @dataclass(frozen=True, slots=True)
 class Filter:
@@ -62,7 +66,7 @@ class Filter:
     @property
     def traits(self) -> Traits:
         """What the family is like."""
-        traits: Traits = registry().family(self.family).traits
+        traits: Traits = self.options.adapted(registry().family(self.family).traits)
         return traits
 
     def option(self, name: str, default: Any) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 from fkgen.estimators.gaussian.actuation import Actuation
 from fkgen.estimators.gaussian.decorrelation import Measurement
+from fkgen.estimators.gaussian.gate import Gate
 from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
     RANK_TOLERANCE,
@@ -80,6 +81,7 @@ def correct(
     form: Form,
     tag: str = "",
     with_gain: bool = False,
+    gate: Gate | None = None,
 ) -> tuple[Conditioned, Posterior]:
     """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11)."""
     state, packed = prior
@@ -92,7 +94,13 @@ def correct(
         plant, y=y, C=C, offset=plant.D @ actuation.mean + plant.d, R=plant.R
     )
     found = condition(
-        builder, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
+        builder,
+        (state, covariance),
+        measurement,
+        tag=tag,
+        form=form,
+        with_gain=with_gain,
+        gate=gate,
     )
     P = unpack(found.covariance, state.numel())
     posterior = Posterior(

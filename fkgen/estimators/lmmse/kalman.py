@@ -20,6 +20,13 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
+from fkgen.estimators.gaussian.gate import (
+    Gate,
+    gate_notes,
+    gate_outcomes,
+    gate_ports,
+    gate_results,
+)
 from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
@@ -45,6 +52,8 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=_predict(spec, plant, symbols, with_gain=with_gain),
         form=form,
+        outcomes=gate_outcomes(spec),
+        notes=gate_notes(spec),
         repeats=None if size else correlated_rows((plant.R,)),
     )
 
@@ -66,7 +75,8 @@ def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, 
         shown("actuation_gain", (r, p), f"d E[gamma[k] | y[0..k]] / d y[k]; {missing}"),
     )
     shared = innovation_ports(spec)
-    ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()))
+    gated = gate_ports(spec)
+    ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
     return tuple(port for port in ports if port.size)
 
 
@@ -111,6 +121,7 @@ def _update(
         y=symbols["y"],
         form=form,
         with_gain=with_gain,
+        gate=Gate.of(spec),
     )
     demand_finite(builder, posterior.state)
     assign = {
@@ -120,6 +131,7 @@ def _update(
         "actuation_covariance": posterior.deviation_covariance,
         "actuation_cross_covariance": by_rows(posterior.cross_covariance),
         **innovation_results(found),
+        **gate_results(found.rejected),
     }
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: plant.nx, :])

@@ -9,6 +9,7 @@ import numpy as np
 from fkgen.faults.chain import Mode
 from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record, ports
 from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.gate import batch_gated
 from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.sampled import informed
@@ -71,8 +72,19 @@ def _growth(spec: Spec) -> float:
 
 
 def _batch(spec: Spec, record: Record) -> Ports:
-    result = batch_lmmse(system_of(spec, record), record.y, record.u)
+    system, gate = system_of(spec, record), spec.filter.option("gate", None)
+    result = batch_lmmse(system, record.y, record.u)
+    if gate is not None:
+        together = spec.filter.options.gate_by == "sample"
+        result = batch_gated(system, record.y, record.u, gate, together=together)
     return ports(result, *undecided(spec))
+
+
+def used(spec: Spec, record: Record) -> Array:
+    """The measurements of a record that a gate lets pass, the others NaN."""
+    if spec.filter.option("gate", None) is None:
+        return record.y
+    return np.where(_batch(spec, record)["rejected"] > 0.0, np.nan, record.y)
 
 
 def _stationary(spec: Spec, record: Record) -> dict[str, Array]:
@@ -87,6 +99,8 @@ def _stationary(spec: Spec, record: Record) -> dict[str, Array]:
 
 
 def _fixed_point(spec: Spec, record: Record) -> Ports | None:
+    if spec.filter.option("gate", None) is not None:
+        return None  # the covariance does not rest where rows are left out
     repeated = (len(record.y), 1, 1)
     return {name: np.tile(P, repeated) for name, P in _stationary(spec, record).items()} or None
 
@@ -104,11 +118,11 @@ def _riccati_tolerance(spec: Spec, record: Record) -> float:
 
 def _optimal_gain(spec: Spec, record: Record) -> Ports | None:
     """Solve (11), K Om = A P C' + B N D', with P from the batch estimate of the past."""
-    system = system_of(spec, record)
-    batch = batch_lmmse(system, record.y, record.u)
+    system, measured = system_of(spec, record), used(spec, record)
+    batch = batch_lmmse(system, measured, record.u)
     P = np.concatenate([record.P0[np.newaxis], batch.predicted_covariance[:-1]])
     gains = np.zeros((len(record.y), system.nx, system.ny))
-    for k, y in enumerate(record.y):
+    for k, y in enumerate(measured):
         rows = np.flatnonzero(~np.isnan(y))
         _, R, S = constant_input_noise(system, record.u[k], k)
         C = system.C[k][rows]

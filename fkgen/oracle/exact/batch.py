@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,13 +98,15 @@ def batch_lmmse(system: LinearSystem, y: Array, u: Array | None) -> BatchResult:
     return BatchResult.of(project(joint_distribution(system, u), y))
 
 
-Judge: TypeAlias = Callable[[int, Array, Array], tuple[dict[str, ArrayLike], slice]]
+#: Ports of one sample, and an index of the entries of the record that are not used any longer.
+Judged: TypeAlias = tuple[dict[str, ArrayLike], Any]
+Judge: TypeAlias = Callable[[int, Array, Array], Judged]
 
 
 def project(joint: Joint, y: Array, judge: Judge | None = None) -> list[dict[str, ArrayLike]]:
     """Ports of each sample: the state projected on the finite measurements up to its time.
 
-    `judge(k, innovation, covariance)` adds ports, and says which samples are not used any longer.
+    `judge(k, innovation, covariance)` adds ports, and says what is not used any longer.
     """
     used, rows = y.copy(), []
     past, z = _past(joint, y[:0])
