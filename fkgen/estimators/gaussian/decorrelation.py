@@ -91,6 +91,11 @@ class Decorrelation:
             variance = ca.fmax(variance, 0)
         return Row(self.C[i], self.e[i], variance, self.of_y[i])
 
+    def eliminate_all(self) -> None:
+        """Take the noise of every row out of those below."""
+        for j in range(len(self.C)):
+            self.eliminate(j)
+
     def eliminate(self, j: int, kept: ca.SX | None = None) -> None:
         """Take the noise of row j out of the rows below, where ``kept`` is positive."""
         builder, measurement, R, tag = self.builder, self.measurement, self.R, self.tag

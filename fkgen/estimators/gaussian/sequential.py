@@ -69,13 +69,12 @@ def condition(
     An ``innovation`` that is there already is zero where its row is missing.
     """
     (mean, covariance), (p, m) = prior, measurement.C.shape
-    if innovation is None:
-        innovation = innovations(builder, mean, measurement, tag)
+    innovation = innovation or innovations(builder, mean, measurement, tag)
     variance = _variance(builder, covariance, measurement, tag)
     by_row = gate if gate is not None and not gate.together else None
     noise = Decorrelation(builder, measurement, innovation, tag)
-    for j in range(p if by_row is None else 0):
-        noise.eliminate(j)
+    if by_row is None:
+        noise.eliminate_all()
     update = SequentialUpdate(
         builder=builder,
         rows=[noise.row(i) for i in range(p)],
@@ -91,20 +90,18 @@ def condition(
         gate=by_row,
     )
     _update_rows(builder, update, noise)
-    logarithms = [ca.log(product) for product in update.determinant]
     found = Conditioned(
         mean=update.mean,
         covariance=update.covariance,
         innovation=column(innovation),
         innovation_covariance=update.innovation_covariance() if variance is None else variance,
         nis=update.nis,
-        log_likelihood=-0.5 * (update.nis + total([update.log_constant, *logarithms])),
+        log_likelihood=-0.5
+        * (update.nis + total([update.log_constant, *map(ca.log, update.determinant)])),
         gain=update.gain,
         rejected=update.rejected,
     )
-    if gate is None or by_row is not None:
-        return found
-    return _gated(builder, gate, found, (mean, pack(covariance)))
+    return found if gate is None or by_row else _gated(builder, gate, found, prior)
 
 
 def _update_rows(builder: PhaseBuilder, update: SequentialUpdate, noise: Decorrelation) -> None:
@@ -123,7 +120,7 @@ def _gated(
     """What all rows say together, or the prior where they do not fit it."""
     values = {
         "mean": (found.mean, prior[0]),
-        "covariance": (found.covariance, prior[1]),
+        "covariance": (found.covariance, pack(prior[1])),
         "nis": (found.nis, ca.SX(0)),
         "log_likelihood": (found.log_likelihood, ca.SX(0)),
     }

@@ -91,12 +91,13 @@ def stationary_of(z: AugmentedState) -> Stationary:
     return Stationary(predicted=X, filtered=X - gain @ L @ X, innovation=S, noise=noise, gain=gain)
 
 
-def riccati(F: Array, L: Array, W: Array, R: Array) -> Array:
-    """Solve X = F X F' + W - F X L' (L X L' + R)^-1 L X F' for a stable F.
+def riccati(F: Array, L: Array, W: Array, R: Array, start: Array | None = None) -> Array:
+    """Solve X = F X F' + W - F X L' (L X L' + R)^-1 L X F' for a stable F, or from a start.
 
-    Newton's method from the gain zero, which descends to the solution (Kleinman 1968, Hewer 1971).
+    Newton's method from the gain zero, which descends to the solution (Kleinman 1968, Hewer 1971),
+    or from a start whose gain stabilises.
     """
-    X = _lyapunov(F, W)
+    X = _lyapunov(F, W) if start is None else start
     for _ in range(100):
         K = F @ X @ L.T @ _innovation(X, L, R)[1]
         following = _lyapunov(F - K @ L, W + K @ R @ K.T)
