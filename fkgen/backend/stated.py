@@ -18,7 +18,7 @@ from fkgen.problem.text.matrix import Matrix
 
 #: Units of the entries of each matrix.
 _UNITS = {"A": "x/x", "B": "x/u", "C": "y/x", "D": "y/u", "Q": "xx", "R": "yy"}
-_UNITS |= {"x0": "x", "P0": "xx", "c": "x", "d": "y"}
+_UNITS |= {"x0": "x", "P0": "xx", "c": "x", "d": "y", "S": "x/y"}
 #: Widest matrix whose entries stand below each other.
 _ALIGNED = 80
 
@@ -53,8 +53,10 @@ def _model(spec: Spec) -> _Part:
     move = f"x[k+1] = A x[k]{' + B u[k]' if inputs else ''}{c} + w[k], w ~ (0, Q)"
     see = f"y[k] = C x[k]{' + D u[k]' if inputs else ''}{d} + v[k], v ~ (0, R)"
     letters = (*(letter for letter in LETTERS if letter not in absent), "x0", "P0")
+    letters += () if spec.model.S.is_zero else ("S",)
+    both = "" if spec.model.S.is_zero else "; Cov(w[k], v[k]) = S"
     listings = [_matrix(spec, letter, getattr(spec.model, letter)) for letter in letters]
-    return f"Model: {move}; {see}; x[0] ~ (x0, P0)", listings
+    return f"Model: {move}; {see}; x[0] ~ (x0, P0){both}", listings
 
 
 def _modes(spec: Spec) -> Iterator[_Part]:

@@ -57,7 +57,7 @@ def check(spec: Spec) -> None:
     from fkgen.oracle.textbook.riccati import stationary_prediction
 
     place, model, instead = Place(spec.file), spec.model, "use gain = 'time_varying'"
-    for letter in "ACQR":
+    for letter in "ACQRS":
         if not getattr(model, letter).is_constant:
             moving = ", ".join(sorted(getattr(model, letter).names))
             raise (
@@ -65,10 +65,10 @@ def check(spec: Spec) -> None:
                 .entry("gain")
                 .error(
                     f"'stationary' with a model.{letter} that depends on {moving}",
-                    f"constant A, C, Q and R; {instead}",
+                    f"constant A, C, Q, R and S; {instead}",
                 )
             )
-    found = stationary_prediction(*(getattr(model, letter).values() for letter in "ACQR"))
+    found = stationary_prediction(*(getattr(model, letter).values() for letter in "ACQRS"))
     if found is None:
         raise (
             place.entry("filter")
@@ -86,7 +86,7 @@ FAMILY = Family(
     title="Kalman filter, no faults: missing samples, time-varying models",
     build=build,
     proof=proved_by("gaussian", "BATCH", "RICCATI", "CONSTANT_GAIN"),
-    traits=Traits(linear=True),
+    traits=Traits(linear=True, correlated=True),
     options=KalmanOptions,
     check=check,
     starter="starter_kf.toml",

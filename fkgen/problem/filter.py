@@ -29,6 +29,7 @@ class Traits:
     #: "one"; "bank": several side by side, combined by weights; "merged": several from one
     #: Gaussian, merged again; "mixed": several estimates, mixed before every sample
     models: Literal["one", "bank", "merged", "mixed"] = "one"
+    correlated: bool = False  # Noise of the state may be correlated with that of y
     densities: bool = False  # It compares densities of y, so R has to be positive definite
     moments: bool = False  # Gains follow from unconditional second moments, P0 among them
     #: "none"; rows of y wait for the end of a window as an estimate of the whole state

@@ -158,7 +158,7 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
     """Refuse entries beyond `LIMITS`; parameters have their default values."""
     scalar = spec.code.scalar
     smallest, largest = LIMITS[scalar]
-    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c", "d"):
+    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c", "d", "S"):
         values = getattr(plant, name).values(spec.defaults) if hasattr(plant, name) else ()
         for at, value in np.ndenumerate(values):
             expected = ""

@@ -15,6 +15,7 @@ from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
+from fkgen.problem.model import joint_noise
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.recursion import Recursion
 from fkgen.symbolic.validated import Claim, Validated
@@ -161,6 +162,9 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
                 if letter in "QR" and np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
                     return False
         system = LinearSystem.from_spec(spec, 1, dict(parameters), spec.first_rates)
+        noise = joint_noise(spec.model.Q, spec.model.S, spec.model.R).values(parameters)
+        if np.linalg.eigvalsh(noise)[0] < -1e-12 * np.abs(noise).max():
+            return False
     except ArithmeticError:
         return False
     return bool(np.all((system.rate >= 0.0) & (system.rate <= 1.0)))

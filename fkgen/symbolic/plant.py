@@ -29,6 +29,7 @@ class Plant:
     R: ca.SX
     c: ca.SX  # (n, 1), (p, 1), known offsets
     d: ca.SX
+    S: ca.SX  # (n, p), covariance of the noise of x with that of y
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
     scalar: str  # Of the C code, for tolerances
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
@@ -55,7 +56,7 @@ def plant_of(spec: Spec) -> Plant:
     parameters, model = {p.name: ca.SX.sym(p.name) for p in spec.parameters}, spec.model
     return Plant(
         parameters=parameters,
-        **{letter: lift(getattr(model, letter), parameters) for letter in LETTERS},
+        **{letter: lift(getattr(model, letter), parameters) for letter in (*LETTERS, "S")},
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
         noise_free=_is_noise_free(model.R),

@@ -173,6 +173,7 @@ def _sample(
     roots = {id(covariance): lower_root(covariance) for covariance in covariances}
     root = _moving([roots[id(covariance)] for covariance in covariances], indicator)
     u = symbols["coin"] * symbols["u"] if conditions.coins else symbols["u"]
+    shared = plants[0].S if port == "state" else ca.SX(0, 0)
     value = _moving(M, indicator) @ symbols["x"] + _moving(N, indicator) @ u
     offset, added = _moving(offsets, indicator), root @ symbols[noise]
     if port == "measurement":
@@ -181,6 +182,10 @@ def _sample(
             signal[row], deviation[row] = ca.vertsplit(indicator[conditions.plants :][:2])
         value = signal * (value + offset) + deviation * added
     else:
+        if shared.nnz():  # w given v, which y[k] was drawn with
+            R = plants[0].R
+            joint = lower_root(ca.blockcat(R, shared.T, shared, plants[0].Q))
+            added = joint[R.shape[0] :, :] @ ca.vertcat(symbols["v"], symbols["w"])
         value = value + added + offset
     builder.assign({port: value})
     builder.demand(Kind.FINITE, ca.vertsplit(symbols[port]), Status.RESULT_NOT_FINITE)

@@ -33,6 +33,7 @@ class Measurement:
     at: tuple[int, ...]  # which rows of y these are
     rank_tolerance: float | None  # for a singular R: rows that bring nothing new are left out
     pivots_per_log: int  # so many may be multiplied before their logarithm
+    S: ca.SX | None = None  # (m, p), covariance of z with w, if it has any
 
     def only(self, rows: tuple[int, ...]) -> Measurement:
         """Some of the rows, as if there were no others."""
@@ -56,6 +57,7 @@ class Row:
     innovation: ca.SX  # with respect to the prior
     variance: ca.SX  # of its noise
     of_y: ca.SX  # (p, 1), the combination of the rows of y that it is
+    shared: ca.SX | None = None  # (m, 1), covariance of its noise with the state
 
 
 def correlated_rows(covariances: Sequence[ca.SX]) -> tuple[tuple[int, ...], ...]:
@@ -82,6 +84,8 @@ class Decorrelation:
         self.C = [sparse(measurement.C[i, :].T) for i in range(p)]
         self.of_y = [ca.SX.eye(p)[:, i] for i in range(p)]
         self.e = list(innovation)
+        S = measurement.S
+        self.shared = [] if S is None else [sparse(S[:, i]) for i in range(p)]
         self.R = {(i, j): measurement.R[i, j] for i in range(p) for j in range(i + 1)}
 
     def row(self, i: int) -> Row:
@@ -89,7 +93,8 @@ class Decorrelation:
         variance = self.R[i, i]
         if self.measurement.rank_tolerance is not None and not variance.is_constant():
             variance = ca.fmax(variance, 0)
-        return Row(self.C[i], self.e[i], variance, self.of_y[i])
+        shared = self.shared[i] if self.shared else None
+        return Row(self.C[i], self.e[i], variance, self.of_y[i], shared)
 
     def eliminate_all(self) -> None:
         """Take the noise of every row out of those below."""
@@ -115,12 +120,11 @@ class Decorrelation:
             for i in later:
                 name = f"{tag}_{j}_{i}"
                 share = builder.define(f"share{name}", coupling[i] / pivot)
-                for values, what, own in (
-                    (self.C, "sensed", self.C[j]),
-                    (self.e, "decorrelated", self.e[j]),
-                    (self.of_y, "combined", self.of_y[j]),
-                ):
-                    values[i] = revised(f"{what}{name}", values[i], values[i] - share * own)
+                columns = [(self.C, "sensed"), (self.e, "decorrelated"), (self.of_y, "combined")]
+                columns += [(self.shared, "shared_noise")] if self.shared else []
+                for values, what in columns:
+                    new = values[i] - share * values[j]
+                    values[i] = revised(f"{what}{name}", values[i], new)
                 for k in [k for k in later if k <= i]:
                     R[i, k] = revised(f"noise{name}_{k}", R[i, k], R[i, k] - share * coupling[k])
 

@@ -206,6 +206,8 @@ class SequentialUpdate:
         """Take row i in: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
         row, builder, tag, significant = self.rows[i], self.builder, self.tag, None
         cross = unpack(self.covariance, self.mean.numel()) @ row.c
+        if row.shared is not None:
+            cross = cross + row.shared
         if not all(each.is_leaf() for each in ca.vertsplit(cross)):
             cross = builder.define(f"cross{tag}_{i}", cross)
         later = self.rows[i + 1 :] if self.variance is None else []
@@ -300,6 +302,8 @@ class SequentialUpdate:
         if self.form == "short":
             return short
         residual = row.variance * k - unpack(short, cross.numel()) @ row.c
+        if row.shared is not None:
+            residual = residual - row.shared
         reduced = short + outer_lower(residual, k)
         if self.rank_tolerance is None:
             return reduced

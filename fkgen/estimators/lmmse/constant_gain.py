@@ -37,7 +37,7 @@ from fkgen.problem.covariance import is_singular
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.linalg import pack
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
+from fkgen.symbolic.ports import carried, innovation_ports, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 NOTES = (
@@ -54,28 +54,34 @@ class AtRest:
     filtered: Array  # (n, n): P(k|k)
     innovation: Array  # (p, p): S
     gain: Array  # (n, p): K of x(k|k)
+    noise_gain: Array  # (n, p): from the innovation to the noise of the state
 
     @classmethod
     def of(cls, spec: Spec) -> AtRest:
         """Refine SciPy's solution, which has some ten digits, by Newton's method."""
         from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - slow to import
 
-        A, C, Q, R = (getattr(spec.model, letter).values() for letter in "ACQR")
-        start = np.asarray(solve_discrete_are(A.T, C.T, Q, R), float)
-        P = riccati(A, C, Q, R, start)
+        A, C, Q, R, cross = (getattr(spec.model, letter).values() for letter in "ACQRS")
+        P = np.asarray(solve_discrete_are(A.T, C.T, Q, R, s=cross), float)
+        P = 0.5 * (P + P.T) if cross.any() else riccati(A, C, Q, R, P)
         S = C @ P @ C.T + R
-        gain = P @ C.T @ np.linalg.pinv(S, hermitian=True)
-        if np.abs(np.linalg.eigvals(A - A @ gain @ C)).max() >= 1.0:
+        inverse = np.linalg.pinv(S, hermitian=True)
+        gain, noise_gain = P @ C.T @ inverse, cross @ inverse
+        if np.abs(np.linalg.eigvals(A - (A @ gain + noise_gain) @ C)).max() >= 1.0:
             raise InternalError("a stationary gain that does not stabilise")
         rest = np.eye(len(A)) - gain @ C
         filtered = rest @ P @ rest.T + gain @ R @ gain.T
-        return cls(predicted=P, filtered=filtered, innovation=S, gain=gain)
+        limits = {"predicted": P, "filtered": filtered, "innovation": S}
+        return cls(**limits, gain=gain, noise_gain=noise_gain)
 
 
 def constant_gain_filter(spec: Spec, source: str) -> Recursion:
     """Build the recursion of ``kf`` with ``gain = "stationary"``."""
     at_rest, plant = AtRest.of(spec), plant_of(spec)
     ports = (*state_ports(spec), *innovation_ports(spec), *gate_ports(spec))
+    if plant.S.nnz():
+        meaning = "E[w[k] | y[k]]: noise of the state that v[k] tells of"
+        ports = (*ports, carried("noise_mean", (plant.nx,), meaning, unit="x"))
     symbols = symbols_of(spec, plant, ports)
     return Recursion(
         spec=spec,
@@ -116,6 +122,8 @@ def _update(plant: Plant, symbols: dict[str, ca.SX], at_rest: AtRest, gate: Gate
             **innovation_results(found),
             **gate_results(found.rejected),
         }
+        if plant.S.nnz():
+            results["noise_mean"] = constant(at_rest.noise_gain) @ used
         builder.assign(results)
     return builder.phase()
 
@@ -125,6 +133,8 @@ def _predict(plant: Plant, symbols: dict[str, ca.SX], at_rest: AtRest) -> Phase:
     plant = bound(builder, plant, "ABc")
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, _, _ = propagate(plant, certain(symbols["u"]), filtered)
+    if plant.S.nnz():
+        state = state + symbols["noise_mean"]
     covariance = _packed(at_rest.predicted)
     with builder.titled("prediction of the next sample"):
         results = {"predicted_state": state, "predicted_covariance": covariance}

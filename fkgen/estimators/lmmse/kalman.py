@@ -17,6 +17,7 @@ from fkgen.estimators.gaussian.estimate import (
     demand_finite,
     demand_positive,
     finite,
+    moved_by_noise,
     propagate,
     update_form,
 )
@@ -54,7 +55,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         form=form,
         outcomes=gate_outcomes(spec),
         notes=gate_notes(spec),
-        repeats=None if size else correlated_rows((plant.R,)),
+        repeats=None if size or plant.S.nnz() else correlated_rows((plant.R,)),
     )
 
 
@@ -74,10 +75,23 @@ def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, 
         shown("filtered_gain", (n, p), f"Kf: d x(k|k) / d y[k]; {missing}", unit="x/y"),
         shown("actuation_gain", (r, p), f"d E[gamma[k] | y[0..k]] / d y[k]; {missing}"),
     )
-    shared = innovation_ports(spec)
+    r = len(moved_by_noise(plant))
+    noises = (
+        carried("noise_mean", (r,), "E[w[k] | y[k]] of the states whose noise v[k] tells of"),
+        carried("noise_covariance", (r, r), "covariance of the same", symmetric=True),
+        carried("noise_cross_covariance", (r, n), "covariance of the same with the state"),
+    )
+    shared = (*noises, *innovation_ports(spec))
     gated = gate_ports(spec)
     ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
     return tuple(port for port in ports if port.size)
+
+
+def _deviation_ports(plant: Plant) -> tuple[str, str, str]:
+    """Where mean, covariance and covariance with x of what y tells of beside x are kept."""
+    if plant.S.nnz():
+        return "noise_mean", "noise_covariance", "noise_cross_covariance"
+    return "actuation_deviation", "actuation_covariance", "actuation_cross_covariance"
 
 
 def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
@@ -112,7 +126,7 @@ def _update(
         sensed = (told.C, told.D, told.R, told.d)
         C, D, R, d = (lift(matrix, plant.parameters) for matrix in sensed)
         plant = replace(plant, C=C, D=D, R=R, d=d)
-    plant = bound(builder, plant, "CDRd")
+    plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
     found, posterior = correct(
         builder,
         plant,
@@ -124,12 +138,12 @@ def _update(
         gate=Gate.of(spec),
     )
     demand_finite(builder, posterior.state)
+    of_both = by_rows(posterior.cross_covariance)
+    deviation = posterior.deviation, posterior.deviation_covariance, of_both
     assign = {
         "filtered_state": posterior.state,
         "filtered_covariance": posterior.covariance,
-        "actuation_deviation": posterior.deviation,
-        "actuation_covariance": posterior.deviation_covariance,
-        "actuation_cross_covariance": by_rows(posterior.cross_covariance),
+        **dict(zip(_deviation_ports(plant), deviation, strict=True)),
         **innovation_results(found),
         **gate_results(found.rejected),
     }
@@ -147,13 +161,14 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
     plant = bound(builder, plant, "ABQc")
     actuation = _actuation(spec, plant, symbols["u"])
     posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
-    if "actuation_deviation" in symbols:
-        r = symbols["actuation_deviation"].numel()
+    deviation, own, cross = _deviation_ports(plant)
+    if deviation in symbols:
+        r = symbols[deviation].numel()
         posterior = replace(
             posterior,
-            deviation=symbols["actuation_deviation"],
-            deviation_covariance=symbols["actuation_covariance"],
-            cross_covariance=from_rows(symbols["actuation_cross_covariance"], r),
+            deviation=symbols[deviation],
+            deviation_covariance=symbols[own],
+            cross_covariance=from_rows(symbols[cross], r),
         )
     state, covariance, through = propagate(plant, actuation, posterior)
     assign = {"predicted_state": state, "predicted_covariance": covariance}

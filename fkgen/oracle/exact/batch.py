@@ -70,6 +70,7 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
     fault_root, state_noise, measurement_noise = map(
         square_root, (system.fault_covariance, system.Q, system.R)
     )
+    roots = system.noise_root() if system.S.any() else None
     state_mean[0], state_root[0, :, :n] = system.x0, square_root(system.P0)
     for k in range(T):
         start = n + k * (q + n + p)
@@ -78,10 +79,13 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
         expected = system.rate[k] * u[k]
         measurement_mean[k] = system.C[k] @ state_mean[k] + system.D[k] @ expected + system.d[k]
         measurement_root[k] = system.C[k] @ state_root[k] + system.D[k] @ applied
-        measurement_root[k, :, start + q + n : start + q + n + p] += measurement_noise[k]
+        noise = slice(start + q, start + q + n + p)
+        measurement_root[k, :, start + q + n : noise.stop] += measurement_noise[k]
         state_mean[k + 1] = system.A[k] @ state_mean[k] + system.B[k] @ expected + system.c[k]
         state_root[k + 1] = system.A[k] @ state_root[k] + system.B[k] @ applied
         state_root[k + 1, :, start + q : start + q + n] += state_noise[k]
+        if roots is not None:  # one root for both, since they are correlated
+            measurement_root[k, :, noise], state_root[k + 1, :, noise] = roots[k, n:], roots[k, :n]
     return Joint(
         state_mean=state_mean,
         state_root=state_root,

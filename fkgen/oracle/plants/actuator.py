@@ -72,19 +72,23 @@ class LinearSystem(Plant):
     Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, (1).
     """
 
-    VARYING = (*Plant.VARYING, "rate", "fault_covariance")
+    VARYING = (*Plant.VARYING, "rate", "fault_covariance", "S")
 
+    #: (T, n, p): Covariance of the noise of x[k+1] with that of y[k]; zeros if left out
+    S: Array = field(default_factory=lambda: np.zeros(0))
     rate: Array  # (T, q): Mean of gamma; ones where nothing fails
     fault_covariance: Array  # (T, q, q): Covariance of gamma; zeros where nothing fails
 
     def __post_init__(self) -> None:
         """Refuse shapes that do not fit, which NumPy would broadcast in silence."""
         super().__post_init__()
+        if not self.S.size:
+            object.__setattr__(self, "S", np.zeros((self.length, self.nx, self.ny)))
         T, n, p, q = self.length, self.nx, self.ny, self.nu
         for name, expected in {
             "A": (T, n, n), "B": (T, n, q), "C": (T, p, n), "D": (T, p, q),
             "Q": (T, n, n), "R": (T, p, p), "x0": (n,), "P0": (n, n),
-            "c": (T, n), "d": (T, p),
+            "c": (T, n), "d": (T, p), "S": (T, n, p),
             "rate": (T, q), "fault_covariance": (T, q, q),
         }.items():  # fmt: skip
             actual = getattr(self, name).shape
@@ -92,6 +96,12 @@ class LinearSystem(Plant):
                 raise DataError(
                     f"{name} of a LinearSystem", given=f"shape {actual}", expected=f"{expected}"
                 )
+
+    def noise_root(self) -> Array:
+        """Square roots of the joint covariance of both noises, (T, n + p, n + p)."""
+        above = np.concatenate([self.Q, self.S], axis=2)
+        below = np.concatenate([self.S.transpose(0, 2, 1), self.R], axis=2)
+        return square_root(np.concatenate([above, below], axis=1))
 
     def inputs(self, u: Array | None) -> Array:
         """Inputs of a record as checked, (T, q); supplied for a plant that has none."""
@@ -114,7 +124,7 @@ class LinearSystem(Plant):
         model = spec.model
         plant = {
             name: np.array([getattr(model, name).values(sample) for sample in samples])[which]
-            for name in Plant.VARYING
+            for name in (*Plant.VARYING, "S")
         }
         plant |= {name: plant[name][..., 0] for name in ("c", "d")}
         faults = [
@@ -172,6 +182,9 @@ def simulate(
     effective = draw_gamma(system, rng) * system.inputs(u)
     v = np.einsum("kij,kj->ki", square_root(system.Q), rng.standard_normal((T, n)))
     w = np.einsum("kij,kj->ki", square_root(system.R), rng.standard_normal((T, p)))
+    if system.S.any():
+        both = np.einsum("kij,kj->ki", system.noise_root(), rng.standard_normal((T, n + p)))
+        v, w = both[:, :n], both[:, n:]
     x = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
     y = np.empty((T, p))
     for k in range(T):

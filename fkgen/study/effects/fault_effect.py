@@ -125,7 +125,7 @@ def fault_effect(
     """
     scenario = _checked(spec, (sensor, input, u, y), params or {}, mode, steps)
     traits = spec.filter.traits
-    if traits.linear:
+    if traits.linear and spec.model.S.is_zero:
         return _linear_response(scenario)
     if traits.moments and spec.faults.sensor is not None and not scenario.anomaly.any():
         return _differenced_response(scenario)
@@ -285,6 +285,7 @@ def _with_lost_commands(spec: Spec, roots: Array) -> tuple[Spec, dict[str, Array
         B=_blocks((model.B,), (Matrix.zeros(r, model.nu),)),
         C=_blocks((model.C, into_y)),
         Q=_blocks((model.Q, above), (below, noise)),
+        S=Matrix.zeros(n + r, model.ny),
         c=_blocks((model.c,), (Matrix.zeros(r, 1),)),
         P0=_blocks((model.P0, above), (below, noise)),
         x0=Matrix.zeros(n + r, 1),
