@@ -82,7 +82,7 @@ class LinearSystem(Plant):
     def __post_init__(self) -> None:
         """Refuse shapes that do not fit, which NumPy would broadcast in silence."""
         super().__post_init__()
-        if not self.S.size:
+        if not self.S.any():
             object.__setattr__(self, "S", np.zeros((self.length, self.nx, self.ny)))
         T, n, p, q = self.length, self.nx, self.ny, self.nu
         for name, expected in {
