@@ -306,10 +306,12 @@ class CProgram:
     sample_time: float | None
     parameters: tuple[tuple[str, float], ...]
     ports: tuple[Port, ...]
+    prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed
     initial: tuple[tuple[str, tuple[float, ...]], ...]
     update: Phase
     predict: Phase
     closing: Phase | None = None
+    start: Phase | None = None
     outcomes: tuple[Outcome, ...] = ()
     #: Rows with correlated noises; None where an update after an update is refused
     repeats: tuple[tuple[int, ...], ...] | None = None
@@ -325,14 +327,16 @@ class CProgram:
 
     @property
     def verbs(self) -> dict[str, Phase]:
-        """Update, closing (if there is one) and predict by the names of their functions."""
+        """Update, closing, predict and start by the names of their functions, those there are."""
         phases = {"correct": self.update, "close_window": self.closing, "propagate": self.predict}
+        phases["begin"] = self.start
         return {verb: phase for verb, phase in phases.items() if phase is not None}
 
     @property
     def phases(self) -> tuple[Phase, ...]:
         """Update, closing (if there is one) and predict, in this order."""
-        return tuple(self.verbs.values())
+        closing = () if self.closing is None else (self.closing,)
+        return self.update, *closing, self.predict
 
     def written(self, *phases: Phase | None) -> tuple[Port, ...]:
         """The ports that phases write."""
@@ -349,7 +353,7 @@ class CProgram:
     @property
     def functions(self) -> frozenset[Operator]:
         """Elementary functions that the program needs."""
-        return frozenset(op for op in _operations(*self.phases) if op.is_function)
+        return frozenset(op for op in _operations(*self.verbs.values()) if op.is_function)
 
     @property
     def operations(self) -> Counter[Operator]:

@@ -18,7 +18,7 @@ from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.ports import PARAMETER
+from fkgen.symbolic.ports import PARAMETER, prior_of
 from fkgen.symbolic.validated import Validated
 from fkgen.version import API_VERSION
 
@@ -48,6 +48,8 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
         for name in ("update", "closing", "predict")
         if (phase := getattr(recursion, name)) is not None
     }
+    if recursion.start is not None:
+        lowered["start"] = lower_phase(recursion.ports, recursion.start, ("x", "P"))
     phases = list(lowered.values())
     form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
     return verify(
@@ -63,6 +65,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             ports=recursion.ports,
             outcomes=recursion.outcomes,
             repeats=recursion.repeats,
+            prior=prior_of(spec),
             initial=tuple(sorted(recursion.initial.items())),
             constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",

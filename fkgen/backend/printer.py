@@ -170,7 +170,7 @@ class StatementPrinter:
     def _fails(self, node: ir.Require) -> str:
         values, zero = [self.operand(value) for value in node.values], self.literal(0.0)
         if node.kind is Kind.FINITE:
-            defects = " + ".join(f"{self.name}_defect({value})" for value in values)
+            defects = summed([f"{self.name}_defect({value})" for value in values])
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
         return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
@@ -287,6 +287,15 @@ class Printer(StatementPrinter):
 def combined(tests: list[str], how: str) -> str:
     """Tests joined by an operator, in parentheses if there are several."""
     return tests[0] if len(tests) == 1 else f" {how} ".join(f"({test})" for test in tests)
+
+
+def summed(terms: list[str]) -> str:
+    """A sum by halves, so that a processor can add several terms at once."""
+    if len(terms) <= 2:
+        return " + ".join(terms)
+    middle = (len(terms) + 1) // 2
+    halves = [summed(half) for half in (terms[:middle], terms[middle:])]
+    return " + ".join(f"({half})" if " " in half else half for half in halves)
 
 
 def _under(test: str, inner: str) -> str:

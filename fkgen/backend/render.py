@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ _COMMENTS = {
     "correct": "Condition on y[k]",
     "close_window": "At the end of a window",
     "propagate": "Move to k + 1",
+    "begin": "Compute what follows from a prior",
 }
 
 
@@ -106,7 +107,9 @@ def _context(program: CProgram) -> dict[str, object]:
         "listed": filled_lines,
         "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
         "starts": starts,
-        "tables": {owner: values for values, owner in starts.values()},
+        "tables": {owner: values for values, owner in starts.values()}
+        | dict(zip(("x", "P"), program.prior, strict=True)),
+        "period": dict(zip(("x", "P"), map(len, program.prior), strict=True)),
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
         "phases": _phases(c, outlined.phases),
@@ -143,6 +146,8 @@ def _given(c: Printer, verb: str) -> dict[str, str]:
     phase, given = c.program.verbs[verb], {}
     if phase.reads_parameters:
         given["params"] = f"const {c.name}_params_t *params"
+    if verb == "begin":
+        return given | {name: f"const {c.real} *{name}" for name in ("x", "P")}
     if phase.reads_input:
         given["u"] = f"const {c.real} *u"
     if verb == "correct":
@@ -157,10 +162,14 @@ def _phases(c: Printer, phases: Iterable[Phase]) -> list[dict[str, Any]]:
             "verb": verb,
             "comment": _COMMENTS[verb],
             "arguments": ", ".join(
-                [f"const {c.name}_t *self", *_given(c, verb).values(), f"{c.name}_t *next"]
+                [
+                    *([] if verb == "begin" else [f"const {c.name}_t *self"]),
+                    *_given(c, verb).values(),
+                    f"{c.name}_t *next",
+                ]
             ),
             "program": phase,
-            "inlined": c.program.flops <= INLINED and verb != "close_window",
+            "inlined": c.program.flops <= INLINED and verb in {"correct", "propagate"},
         }
         for verb, phase in zip(c.program.verbs, phases, strict=True)
     ]
@@ -192,14 +201,14 @@ def _order(c: Printer) -> dict[str, Any]:
 
     def call(verb: str, source: str, to: str = "&next", **other: str) -> str:
         arguments = [other.get(name, name) for name in given[verb]]
-        return f"{c.name}_{verb}({', '.join([source, *arguments, to])})"
+        return f"{c.name}_{verb}({', '.join([*filter(None, [source]), *arguments, to])})"
 
     def declared(name: str) -> str:
         own = [f"const {c.name}_t *self", *given[name].values(), f"{c.name}_t *next"]
         return f"static {c.name}_status_t {c.name}_{name}({', '.join(own)})"
 
-    own = program.written(closing)
-    return {
+    own, start = program.written(closing), _starting(c, given.get("begin", {}))
+    return start | {
         "call": call,
         "declared": declared,
         "absent": absent,
@@ -208,6 +217,24 @@ def _order(c: Printer) -> dict[str, Any]:
         "kept": [port for port in updated if port.role is Role.OUTPUT and port not in own],
         "twins": [(port, twin, port not in updated) for port, twin in program.twins],
         "groups": [c.any_of(rows) for rows in program.repeats or ()],
+    }
+
+
+def _starting(c: Printer, given: Mapping[str, str]) -> dict[str, Any]:
+    """What the functions need that start a filter; ``given`` is what computes with the prior."""
+    program = c.program
+    first = [f"{c.name}_t *self", *([given["params"]] if "params" in given else [])]
+    sizes = zip(("x", "P"), map(len, program.prior), strict=True)
+    prior = [f"const {c.real} {name}[{size}]" for name, size in sizes]
+    pointers = [text.split("*")[-1].split("[")[0].split()[-1] for text in (*first, *prior)]
+    head = f"{c.name}_status_t {c.name}_"
+    return {
+        "init": f"{head}init({', '.join(first)})",
+        "start": f"{head}start({', '.join([*first, *prior])})",
+        "absent_start": combined([f"{pointer} == NULL" for pointer in pointers], "||"),
+        "start_reads_params": "params" in given,
+        "begins": program.start is not None,
+        "computed": program.written(program.start),
     }
 
 
@@ -277,9 +304,9 @@ def _starts(program: CProgram) -> dict[str, tuple[tuple[float, ...], str]]:
     """Start values of every array without repetitions, and the port whose table holds them."""
     result: dict[str, tuple[tuple[float, ...], str]] = {}
     owners: dict[tuple[str, ...], str] = {}
-    initial = dict(program.initial)
+    initial, computed = dict(program.initial), program.written(program.start)
     for port in program.ports:
-        if port.shape:
+        if port.shape and not port.prior and port not in computed:
             values = _period(initial.get(port.name, (0.0,)))
             own = "zero" if values == (0.0,) else port.name
             owner = owners.setdefault(tuple(map(repr, values)), own)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -90,6 +90,8 @@ class Port:
     #: 1 or 0 for each row of y, which C also shows as the bits of words, and Python as booleans
     flags: bool = False
     start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
+    #: What it starts as in place of ``start``, repeated: mean or packed covariance of the prior
+    prior: Literal["", "x", "P"] = ""
 
     @property
     def member(self) -> str:

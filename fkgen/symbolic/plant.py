@@ -9,11 +9,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from fkgen.errors import InternalError
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
 from fkgen.problem.covariance import is_singular
+
+#: Variances of which four may be multiplied, with some room for those that follow from them.
+TAME = 1e-60, 1e60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +38,8 @@ class Plant:
     scalar: str  # Of the C code, for tolerances
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
+    #: Variances follow parameters or are so large or small that products of some overflow
+    wide: bool
 
     @property
     def nx(self) -> int:
@@ -60,6 +66,7 @@ def plant_of(spec: Spec) -> Plant:
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
         noise_free=_is_noise_free(model.R),
+        wide=_is_wide(model.R) or _is_wide(model.P0),
     )
 
 
@@ -75,13 +82,22 @@ def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
             if key not in known:
                 known[key] = lift(key[1], base.parameters)
             lifted[letter] = known[key]
-        plants.append(replace(base, noise_free=_is_noise_free(mode.R), **lifted))
+        wide = base.wide or _is_wide(mode.R)
+        plants.append(replace(base, noise_free=_is_noise_free(mode.R), wide=wide, **lifted))
     return tuple(plants)
 
 
 def _is_noise_free(R: Matrix) -> bool:
     """Whether a constant R is singular."""
     return R.is_constant and is_singular(R.values())
+
+
+def _is_wide(covariance: Matrix) -> bool:
+    """Whether variances may be beyond what products of four of them can hold in double."""
+    if not covariance.is_constant:
+        return True
+    variances = np.diag(covariance.values())
+    return any(not TAME[0] <= value <= TAME[1] for value in variances[variances > 0.0])
 
 
 def lift(matrix: Matrix, parameters: Mapping[str, ca.SX]) -> ca.SX:

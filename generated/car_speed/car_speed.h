@@ -110,8 +110,16 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } car_speed_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or car_speed_start(),
+ *  before anything else. */
 car_speed_status_t car_speed_init(car_speed_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return CAR_SPEED_OK, or negative: refused, the instance is unchanged.
+ */
+car_speed_status_t car_speed_start(car_speed_t *self, const double x[2], const double P[3]);
 
 /** Set every parameter to its default. */
 car_speed_status_t car_speed_params_init(car_speed_params_t *params);

@@ -109,8 +109,17 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } dc_motor_known_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  dc_motor_known_start(), before anything else. */
 dc_motor_known_status_t dc_motor_known_init(dc_motor_known_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return DC_MOTOR_KNOWN_OK, or negative: refused, the instance is unchanged.
+ */
+dc_motor_known_status_t dc_motor_known_start(dc_motor_known_t *self, const double x[2],
+    const double P[3]);
 
 /** Set every parameter to its default. */
 dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *params);

@@ -128,8 +128,17 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } dc_motor_unknown_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  dc_motor_unknown_start(), before anything else. */
 dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return DC_MOTOR_UNKNOWN_OK, or negative: refused, the instance is unchanged.
+ */
+dc_motor_unknown_status_t dc_motor_unknown_start(dc_motor_unknown_t *self, const double x[2],
+    const double P[3]);
 
 /** Correct the latest estimate with sample k.
  *  @param u       inputs of this sample, finite

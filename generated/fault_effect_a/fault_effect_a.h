@@ -99,8 +99,17 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } fault_effect_a_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  fault_effect_a_start(), before anything else. */
 fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return FAULT_EFFECT_A_OK, or negative: refused, the instance is unchanged.
+ */
+fault_effect_a_status_t fault_effect_a_start(fault_effect_a_t *self, const double x[3],
+    const double P[6]);
 
 /** Correct the latest estimate with sample k.
  *  @param u       inputs of this sample, finite

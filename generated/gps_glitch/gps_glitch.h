@@ -124,8 +124,16 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } gps_glitch_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or gps_glitch_start(),
+ *  before anything else. */
 gps_glitch_status_t gps_glitch_init(gps_glitch_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return GPS_GLITCH_OK, or negative: refused, the instance is unchanged.
+ */
+gps_glitch_status_t gps_glitch_start(gps_glitch_t *self, const double x[3], const double P[6]);
 
 /** Set every parameter to its default. */
 gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params);

@@ -144,8 +144,16 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } markov_jump_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or markov_jump_start(),
+ *  before anything else. */
 markov_jump_status_t markov_jump_init(markov_jump_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return MARKOV_JUMP_OK, or negative: refused, the instance is unchanged.
+ */
+markov_jump_status_t markov_jump_start(markov_jump_t *self, const double x[3], const double P[6]);
 
 /** Correct the latest estimate with sample k.
  *  @param y       measurements; NaN = missing, an infinity is refused

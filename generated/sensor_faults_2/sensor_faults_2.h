@@ -102,8 +102,17 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } sensor_faults_2_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  sensor_faults_2_start(), before anything else. */
 sensor_faults_2_status_t sensor_faults_2_init(sensor_faults_2_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return SENSOR_FAULTS_2_OK, or negative: refused, the instance is unchanged.
+ */
+sensor_faults_2_status_t sensor_faults_2_start(sensor_faults_2_t *self, const double x[1],
+    const double P[1]);
 
 /** Correct the latest estimate with sample k.
  *  @param y       measurements; NaN = missing, an infinity is refused

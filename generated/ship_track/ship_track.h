@@ -154,8 +154,16 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } ship_track_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or ship_track_start(),
+ *  before anything else. */
 ship_track_status_t ship_track_init(ship_track_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return SHIP_TRACK_OK, or negative: refused, the instance is unchanged.
+ */
+ship_track_status_t ship_track_start(ship_track_t *self, const double x[4], const double P[10]);
 
 /** Set every parameter to its default. */
 ship_track_status_t ship_track_params_init(ship_track_params_t *params);

@@ -118,8 +118,17 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } soft_fault_cpcf_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  soft_fault_cpcf_start(), before anything else. */
 soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return SOFT_FAULT_CPCF_OK, or negative: refused, the instance is unchanged.
+ */
+soft_fault_cpcf_status_t soft_fault_cpcf_start(soft_fault_cpcf_t *self, const double x[2],
+    const double P[3]);
 
 /** Correct the latest estimate with sample k.
  *  @param y       measurements; NaN = missing, an infinity is refused

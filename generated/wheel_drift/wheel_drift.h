@@ -134,8 +134,16 @@ typedef struct
     double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } wheel_drift_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or wheel_drift_start(),
+ *  before anything else. */
 wheel_drift_status_t wheel_drift_init(wheel_drift_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return WHEEL_DRIFT_OK, or negative: refused, the instance is unchanged.
+ */
+wheel_drift_status_t wheel_drift_start(wheel_drift_t *self, const double x[2], const double P[3]);
 
 /** Set every parameter to its default. */
 wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params);

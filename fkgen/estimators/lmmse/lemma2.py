@@ -35,10 +35,17 @@ from fkgen.estimators.models.weights import TINY
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import congruence, is_zero, pack, sparse, unpack
+from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.linalg import congruence, is_zero, outer_lower, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    carried,
+    innovation_ports,
+    prior_symbols,
+    shown,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: Moments that the prediction moves on and y[k] does not change.
@@ -60,14 +67,23 @@ class UncertainFilter:
         self.symbols = symbols_of(spec, self.plant, self.ports)
         self.form = update_form(spec, self.plant, augmented=False)
 
-    def start(self) -> dict[str, tuple[float, ...]]:
+    def start(self) -> Phase:
+        """The moments of the prior; without a constant term its mean has to be 0."""
+        prior = prior_symbols(self.plant.nx)
+        builder, x = PhaseBuilder({**self.symbols, **prior}), prior["x"]
+        if not self.white:
+            squares = [-x[i] * x[i] for i in range(self.plant.nx)]
+            builder.demand(Kind.NONNEGATIVE, squares, Status.PARAMETER_OUT_OF_RANGE)
+        results = {"predicted_state_second_moment": prior["P"] + outer_lower(x, x)}
+        if self.plant.nu:
+            results["predicted_state_mean"] = x
+        builder.assign(results)
+        return builder.phase()
+
+    def initial(self) -> dict[str, tuple[float, ...]]:
         """Start values; at sample 0 nothing came before: E[gamma] takes the place of p11."""
-        n, model, law = self.plant.nx, self.spec.model, self.faults.initial
-        x0 = model.x0.values().ravel()
-        second = model.P0.values() + np.outer(x0, x0)
+        n, law = self.plant.nx, self.faults.initial
         start = {
-            "predicted_state_second_moment": tuple(second[np.tril_indices(n)].tolist()),
-            "predicted_state_mean": tuple(x0.tolist()),
             "transition": tuple(np.eye(n).ravel().tolist()),
             "predicted_mode_law": law,
             "predicted_signal_law": law,
@@ -148,7 +164,8 @@ def uncertain_filter(spec: Spec, source: str) -> Recursion:
         spec=spec,
         source=source,
         ports=design.ports,
-        initial=design.start(),
+        start=design.start(),
+        initial=design.initial(),
         update=_update(design),
         predict=_predict(design),
         form=design.form,

@@ -53,7 +53,6 @@ from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
     mode_estimate_ports,
-    prior_of,
     state_ports,
     symbols_of,
     twins,
@@ -313,10 +312,10 @@ def one_step_optimal(spec: Spec) -> Recursion:
 
 
 def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
-    n, start = spec.model.nx, prior_of(spec)[1] * count
+    n = spec.model.nx
     shape = (count, n, n) if count > 1 else (n, n)
     what = f"as if gamma were always 1, for delta = 1{' and C' if count > 1 else ''}"
-    covariance = partial(carried, unit="xx", symmetric=True, start=start)
+    covariance = partial(carried, unit="xx", symmetric=True, prior="P")
     ports = (
         covariance("riccati_covariance", shape, f"P(k+1|k) {what}"),
         covariance("riccati_filtered_covariance", shape, f"P(k|k) {what}"),
