@@ -193,8 +193,7 @@ def _update(bank: Bank) -> Phase:
             for i, (mean, _) in enumerate(priors)
         ]
         results = combined_innovation(builder, held[0], predicted, found)
-        w = weights.probability
-        parts = [(each.state, each.covariance) for each in posteriors]
+        w, parts = weights.probability, [(each.state, each.covariance) for each in posteriors]
         state = weighted_sum(w, [mean for mean, _ in parts])
         rates = [ca.SX(list(rates)) for rates in spec.filter.options.hypotheses]
         results |= {
