@@ -11,7 +11,7 @@ import numpy as np
 from fkgen.errors import SpecError
 from fkgen.problem.covariance import checked_covariance
 from fkgen.problem.signals import Signal, read_signals
-from fkgen.problem.table.place import Place
+from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.table.section import Section, check_finite
 from fkgen.problem.text.expression import is_large
 from fkgen.problem.text.foreign import state_space
@@ -46,7 +46,7 @@ class Model:
     #: x0, P0: (n, 1) and (n, n): Mean and covariance of the prediction for sample 0; constant
     x0: Matrix
     P0: Matrix
-    sample_time: float | None  # In seconds
+    sample_time: float | str | None  # In seconds, or the parameter that holds it
     states: tuple[Signal, ...]  # states, inputs, outputs: n, q and p of them
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
@@ -193,12 +193,25 @@ def _constant(section: Section, key: str, matrix: Matrix) -> Matrix:
     return matrix
 
 
-def _expand_system(section: Section) -> float | None:
+def _sample_time(section: Section) -> float | str | None:
+    """A number of seconds, or the name of a parameter whose default is one."""
+    expected = "a positive number of seconds, or the name of a parameter"
+    given = section.table.get("sample_time", 1.0)
+    if not isinstance(given, str):
+        number = section.number("sample_time", expected, lambda number: number > 0.0, 1.0)
+        return number if "sample_time" in section else None
+    if given not in section.defaults:
+        hint = suggestion(given, section.defaults)
+        raise section.error("sample_time", show(given), f"{expected} in [parameters]{hint}")
+    if not section.defaults[given] > 0.0:
+        shown = f"{show(given)}, whose default is {section.defaults[given]!r}"
+        raise section.error("sample_time", shown, "a parameter with a positive default")
+    return given
+
+
+def _expand_system(section: Section) -> float | str | None:
     """Replace ``system`` by its matrices and return the sample time."""
-    stated = None
-    if "sample_time" in section:
-        expected = "a positive number of seconds"
-        stated = section.number("sample_time", expected, lambda number: number > 0.0)
+    stated = _sample_time(section)
     if "system" not in section:
         return stated
     for key in ("A", "B", "C", "D"):

@@ -51,7 +51,7 @@ def excitation(model: Subject) -> None:
 
 def steady_state(model: Subject) -> None:
     """The steady state of the filter, and how fast it gets there."""
-    steady, period, seconds = model.steady, model.spec.model.sample_time, ""
+    steady, period, seconds = model.steady, model.spec.period, ""
     if steady is None:
         model.add("no_stationary_filter")
         return
