@@ -175,7 +175,7 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
     """Refuse entries beyond `LIMITS`; parameters have their default values."""
     scalar = spec.code.scalar
     smallest, largest = LIMITS[scalar]
-    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c"):
+    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c", "d", "S"):
         values = getattr(plant, name).values(spec.defaults) if hasattr(plant, name) else ()
         for at, value in np.ndenumerate(values):
             expected = ""
@@ -184,7 +184,7 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
             elif name in {"Q", "R", "P0"} and at[0] == at[1] and 0.0 < value < smallest:
                 expected = f"0 or at least {smallest:g}"
             if expected:
-                indices = at[:1] if name in {"x0", "c"} else at
+                indices = at[:1] if name in {"x0", "c", "d"} else at
                 where = place.entry(name).item(*indices)
                 raise where.error(f"{value:g}", f"{expected} with scalar {scalar!r}")
 

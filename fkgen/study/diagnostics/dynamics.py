@@ -81,7 +81,7 @@ def silence(model: Subject) -> None:
     shown = "CD" if model.has_faults else "C"
     for code, letters, names in (
         ("silent_output", shown, model.outputs),
-        ("idle_state", "ABQ", model.states),
+        ("idle_state", "ABQc", model.states),
     ):
         matrices = [getattr(model.spec.model, letter) for letter in letters]
         for i, name in enumerate(names):

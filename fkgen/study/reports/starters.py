@@ -18,12 +18,13 @@ def begun(family: str | None, record: Reading | None, inputs: str, output: str) 
             expected = f"the name of a family ({', '.join(NAMES)}), or --from RECORD"
             raise DataError("FAMILY", given="nothing", expected=expected)
         return starter(family), f"fkgen check {output}"
-    if family not in {None, "kf"}:
-        expected = "kf: the spec from a record is a Kalman filter to begin with"
-        raise DataError("FAMILY", given=f"{family!r} beside --from", expected=expected)
     from fkgen.study.reports.first_spec import first_spec  # noqa: PLC0415 - slow to import
 
-    return first_spec(record, inputs), f"fkgen run {output} {record.path}"
+    text = first_spec(record, inputs)
+    if family is not None and f'family = "{family}"' not in text:
+        expected = "none: the spec from a record is a Kalman filter to begin with"
+        raise DataError("FAMILY", given=f"{family!r} beside --from", expected=expected)
+    return text, f"fkgen run {output} {record.path}"
 
 
 def starter(family: str) -> str:

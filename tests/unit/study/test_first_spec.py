@@ -81,6 +81,10 @@ def test_a_spec_from_a_record_runs_on_it(tmp_path, monkeypatch):
     assert "300 samples, 900 of 900 rows used" in result.stderr
     result = CliRunner().invoke(main, ["new", "--from", "for.csv", "--inputs", "y"])
     assert 'inputs = [{name = "y"}]' in result.stdout
+    assert CliRunner().invoke(main, ["new", "kf", "--from", "for.csv"]).exit_code == 0
+    result = CliRunner().invoke(main, ["new", "imm", "--from", "for.csv"])
+    assert result.exit_code == 2
+    assert "error: FAMILY: given 'imm' beside --from; expected none" in result.stderr
 
 
 def test_headings_of_any_kind_give_names_that_a_spec_takes(tmp_path):
