@@ -12,7 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.problem.model import plain_source
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
+from fkgen.problem.text.discretise import Continuous
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
@@ -38,6 +40,7 @@ class Mode:
     c: Matrix  # (n, 1)
     d: Matrix  # (p, 1)
     title: str = field(default="", compare=False)
+    source: Continuous | None = None  # What A, B, c and Q were computed from, if time is continuous
 
     @property
     def is_constant(self) -> bool:
@@ -53,7 +56,9 @@ class Mode:
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table = plain_fields(self) | {key: getattr(self, key).plain_column() for key in "cd"}
-        absent = ("title",) if self.B.shape[1] else ("title", "B", "D")
+        if self.source is not None:
+            table |= plain_source(self.source)
+        absent = ("title", "source") if self.B.shape[1] else ("title", "source", "B", "D")
         return {key: entry for key, entry in table.items() if key not in absent}
 
 

@@ -6,10 +6,10 @@ Mode and sample go together: mode[k] drives y[k] and the step from x[k] to x[k+1
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from fkgen.faults.chain import LETTERS, Channel, Mode, ModeChain
-from fkgen.problem.model import Model, offset
+from fkgen.problem.model import Model, discretised, offset
 from fkgen.problem.probability import (
     Distribution,
     Transition,
@@ -18,6 +18,7 @@ from fkgen.problem.probability import (
     stationary_law,
 )
 from fkgen.problem.table.section import Section, as_list
+from fkgen.problem.text.discretise import OF_TIME
 from fkgen.problem.text.expression import Expression, Name, operation, total
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
@@ -73,7 +74,8 @@ class JumpFaults:
 
             return matrices[0].mapped(entry)
 
-        return replace(self.modes[0], title="", **{letter: chosen(letter) for letter in LETTERS})
+        told: dict[str, Any] = {letter: chosen(letter) for letter in LETTERS}
+        return replace(self.modes[0], title="", source=None, **told)
 
     @property
     def channel(self) -> Channel | None:
@@ -132,7 +134,11 @@ def _mode(section: Section, model: Model) -> Mode:
         if key in section and not model.nu:
             expected = "model.B first (zeros will do): it says how many inputs there are"
             raise section.error(key, f"{key} where model.B is missing", expected)
-    found = {letter: getattr(model, letter) for letter in LETTERS}
+    source = model.source
+    found = {
+        letter: getattr(model if source is None or letter not in OF_TIME else source, letter)
+        for letter in LETTERS
+    }
     for key, own in found.items():
         because = f"all modes share the states, inputs and rows of y; so is model.{key}"
         if key in {"c", "d"} and key in section:
@@ -142,7 +148,12 @@ def _mode(section: Section, model: Model) -> Mode:
             found[key] = section.covariance(key, len(own.rows), because)
         elif key in section:
             found[key] = section.matrix(key, own.shape, because)
-    return Mode(**found)
+    if source is not None:
+        stated: dict[str, Any] = {letter: found[letter] for letter in OF_TIME}
+        source = replace(source, **stated)
+        moved = discretised(source, section.place, section)
+        found |= dict(zip(OF_TIME, moved, strict=True))
+    return Mode(**found, source=source)
 
 
 def _channel(section: Section) -> tuple[Arrival, float | None, Transition]:
