@@ -320,7 +320,7 @@ class CompiledFilter:
             return [own_bytes(self.layout, start)]
         prior = None if start is None else priors(self.layout, start, records)
         of_each = [len(values) for values in parameters if values.ndim == 2]
-        count = max([1 if prior is None else len(prior[0]), *of_each])
+        count = max([1, *map(len, prior or ()), *of_each])
         instance, first = self._type(), self._parameters.copy()
         call = (ctypes.c_void_p * 4)(ctypes.addressof(instance), first.ctypes.data)
         found = []

@@ -162,14 +162,18 @@ def _weight_ports(start: tuple[float, ...], *, floored: bool) -> tuple[Port, ...
     )
 
 
-def _update(bank: Bank) -> Phase:
-    builder, symbols, spec = PhaseBuilder(bank.symbols), bank.symbols, bank.spec
-    y = symbols["y"]
+def _held(builder: PhaseBuilder, symbols: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Probabilities before this sample and their logarithms: copies, as the ports change."""
     with builder.titled("probabilities before this sample"):
-        held = (
+        return (
             builder.define("held_probability", symbols["mode_probability"]),
             builder.define("held_logarithm", symbols["log_weight"]),
         )
+
+
+def _update(bank: Bank) -> Phase:
+    builder, symbols, spec = PhaseBuilder(bank.symbols), bank.symbols, bank.spec
+    y, held = symbols["y"], _held(builder, symbols)
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
         demand_positive(builder, packed, bank.plant.nx)
