@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, combinations_with_replacement
+from typing import Any
 
 from fkgen.backend.ir import Constant, Literal, Phase, Scalar, Stated, read
 from fkgen.backend.lines import WIDTH, unit_text, units_of, wrapped
@@ -13,7 +14,8 @@ from fkgen.estimators.models.weights import LOG_ZERO, TINY
 from fkgen.faults import ActuatorFaults, JumpFaults, SensorFaults, SoftFaults
 from fkgen.faults.chain import LETTERS
 from fkgen.problem.spec import Spec
-from fkgen.problem.text.expression import ZERO, Expression, Name, Number, names, to_text
+from fkgen.problem.text.discretise import OF_TIME
+from fkgen.problem.text.expression import ZERO, Computed, Expression, Name, Number, names, to_text
 from fkgen.problem.text.matrix import Matrix
 
 #: Units of the entries of each matrix.
@@ -55,7 +57,14 @@ def _model(spec: Spec) -> _Part:
     letters = (*(letter for letter in LETTERS if letter not in absent), "x0", "P0")
     letters += () if spec.model.S.is_zero else ("S",)
     both = "" if spec.model.S.is_zero else "; Cov(w[k], v[k]) = S"
-    listings = [_matrix(spec, letter, getattr(spec.model, letter)) for letter in letters]
+    source: Any = spec.model
+    if spec.model.source is not None and any(
+        isinstance(entry, Computed) for row in spec.model.A.rows for entry in row
+    ):
+        source, T = spec.model.source, spec.model.source.sample_time
+        move = f"dx/dt = A x{' + B u' if inputs else ''}{c} + w, w white of density Q, for {T} s"
+    own = [(x, getattr(source if x in OF_TIME else spec.model, x)) for x in letters]
+    listings = [_matrix(spec, letter, matrix) for letter, matrix in own]
     return f"Model: {move}; {see}; x[0] ~ (x0, P0){both}", listings
 
 

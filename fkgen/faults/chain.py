@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.problem.model import plain_source
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
+from fkgen.problem.text.discretise import Continuous
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
@@ -38,6 +41,8 @@ class Mode:
     c: Matrix  # (n, 1)
     d: Matrix  # (p, 1)
     title: str = field(default="", compare=False)
+    kept: tuple[int, ...] | None = None  # States that the mode has, if not all; the others are 0
+    source: Continuous | None = None  # What A, B, c and Q were computed from, if time is continuous
 
     @property
     def is_constant(self) -> bool:
@@ -53,8 +58,19 @@ class Mode:
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table = plain_fields(self) | {key: getattr(self, key).plain_column() for key in "cd"}
-        absent = ("title",) if self.B.shape[1] else ("title", "B", "D")
+        if self.source is not None:
+            table |= plain_source(self.source)
+        if self.kept is not None:
+            table |= {key: _cut(table[key], key, self.kept) for key in "ABCQc"}
+            table["states"] = list(self.kept)
+        absent = ["title", "source", "kept", *([] if self.B.shape[1] else ["B", "D"])]
         return {key: entry for key, entry in table.items() if key not in absent}
+
+
+def _cut(table: Any, letter: str, kept: tuple[int, ...]) -> object:
+    """The rows and columns of some states."""
+    rows = table if letter == "C" else [table[i] for i in kept]
+    return [[row[j] for j in kept] for row in rows] if letter in "ACQ" else rows
 
 
 @dataclass(frozen=True, slots=True)

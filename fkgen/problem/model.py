@@ -13,13 +13,14 @@ from fkgen.problem.covariance import checked_covariance
 from fkgen.problem.signals import Signal, read_signals
 from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.table.section import Section, check_finite
+from fkgen.problem.text.discretise import OF_TIME, Continuous
 from fkgen.problem.text.expression import is_large
 from fkgen.problem.text.foreign import state_space
 from fkgen.problem.text.matrix import Matrix, congruence, plain_fields
 
 _KEYS = (
     *("A", "B", "C", "D", "Q", "R", "c", "d", "S", "F", "V", "G", "W", "x0", "P0"),
-    *("sample_time", "states", "inputs", "outputs", "system"),
+    *("sample_time", "time", "states", "inputs", "outputs", "system"),
 )
 
 
@@ -50,6 +51,7 @@ class Model:
     states: tuple[Signal, ...]  # states, inputs, outputs: n, q and p of them
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
+    source: Continuous | None = None  # What A, B, c and Q were computed from, if the time was
 
     @property
     def nx(self) -> int:
@@ -72,6 +74,10 @@ class Model:
         absent += [] if self.nu else ["B", "D"]
         columns = {key: getattr(self, key).plain_column() for key in ("x0", "c", "d")}
         table = plain_fields(self) | columns
+        if self.source is not None:
+            table |= {"time": "continuous"} | plain_source(self.source)
+            absent = ["source", *(key for key in absent if key != "c")]
+            absent += ["c"] if self.source.c.is_zero else []
         return {key: entry for key, entry in table.items() if key not in absent}
 
 
@@ -98,7 +104,13 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
     because = "P0 is the covariance of the error of x0"
     Q = _noise(section, ("Q", "F", "V"), n, "state")
     R = _noise(section, ("R", "G", "W"), p, "measurement")
+    c = offset(section, "c", n, "state")
+    source = None
+    if section.choice("time", ("discrete", "continuous"), "discrete") == "continuous":
+        source = _continuous(section, (A, B, c, Q), sample_time)
+        A, B, c, Q = discretised(source, section.place.entry("sample_time"), section)
     return Model(
+        source=source,
         A=A,
         B=B,
         C=C,
@@ -106,7 +118,7 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
         Q=Q,
         R=R,
         S=_cross_covariance(section, Q, R),
-        c=offset(section, "c", n, "state"),
+        c=c,
         d=offset(section, "d", p, "measurement"),
         x0=_constant(section, "x0", section.column("x0", n, "numbers")),
         P0=_constant(section, "P0", section.covariance("P0", n, because)),
@@ -193,6 +205,42 @@ def _constant(section: Section, key: str, matrix: Matrix) -> Matrix:
     return matrix
 
 
+def _continuous(
+    section: Section, stated: tuple[Matrix, Matrix, Matrix, Matrix], sample_time: float | str | None
+) -> Continuous:
+    """What a continuous plant is discretised from."""
+    if sample_time is None:
+        given = 'nothing (the key is missing) beside time = "continuous"'
+        expected = "the seconds from sample to sample, or the name of a parameter"
+        raise section.error("sample_time", given, expected)
+    return Continuous(*stated, sample_time)
+
+
+def discretised(
+    source: Continuous, place: Place, section: Section
+) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """A, B, c and Q from sample to sample."""
+    try:
+        found = source.discrete
+    except ArithmeticError as fault:
+        given = f"{source.sample_time!r} for a continuous plant"
+        raise place.error(given, f"a sample over which A stays finite, but {fault}") from None
+    for matrix in found.values():
+        for expression in itertools.chain(*matrix.rows):
+            if is_large(expression):
+                raise place.error("very large expressions once discretised", "simpler entries")
+            check_finite(expression, place, section.defaults)
+    A, B, c, Q = (found[letter] for letter in OF_TIME)
+    return A, B, c, Q
+
+
+def plain_source(source: Continuous) -> dict[str, object]:
+    """The matrices of dx/dt as a spec file writes them."""
+    return {letter: getattr(source, letter).plain() for letter in "ABQ"} | {
+        "c": source.c.plain_column()
+    }
+
+
 def _sample_time(section: Section) -> float | str | None:
     """A number of seconds, or the name of a parameter whose default is one."""
     expected = "a positive number of seconds, or the name of a parameter"
@@ -217,7 +265,8 @@ def _expand_system(section: Section) -> float | str | None:
     for key in ("A", "B", "C", "D"):
         if key in section:
             raise section.error(key, f"{key} beside system", f"either system or {key}")
-    matrices, own = state_space(section.table.pop("system"), section.place.entry("system"))
+    system, where = section.table.pop("system"), section.place.entry("system")
+    matrices, own = state_space(system, where, continuous="time" in section)
     if stated is not None and own is not None and stated != own:
         expected = f"{own!r}, the sample time of system"
         raise section.error("sample_time", f"{stated!r}", expected)

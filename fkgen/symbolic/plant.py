@@ -15,6 +15,9 @@ from fkgen.errors import InternalError
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
 from fkgen.problem.covariance import is_singular
+from fkgen.problem.text.discretise import OF_TIME, Continuous
+from fkgen.problem.text.expression import Computed
+from fkgen.symbolic.discretise import discretised, doublings
 
 #: Variances of which four may be multiplied, with some room for those that follow from them.
 TAME = 1e-60, 1e60
@@ -34,6 +37,7 @@ class Plant:
     c: ca.SX  # (n, 1), (p, 1), known offsets
     d: ca.SX
     S: ca.SX  # (n, p), covariance of the noise of x with that of y
+    limits: tuple[ca.SX, ...] = ()  # What must not be negative where A, B, c and Q are computed
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
     scalar: str  # Of the C code, for tolerances
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
@@ -60,9 +64,11 @@ class Plant:
 def plant_of(spec: Spec) -> Plant:
     """Lift the matrices of a spec to CasADi."""
     parameters, model = {p.name: ca.SX.sym(p.name) for p in spec.parameters}, spec.model
+    wholes = Wholes(spec, parameters)
     return Plant(
         parameters=parameters,
-        **{letter: lift(getattr(model, letter), parameters) for letter in (*LETTERS, "S")},
+        **{letter: lift(getattr(model, letter), parameters, wholes) for letter in (*LETTERS, "S")},
+        limits=tuple(wholes.limits),
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
         noise_free=_is_noise_free(model.R),
@@ -73,6 +79,7 @@ def plant_of(spec: Spec) -> Plant:
 def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
     """Lift modes of a spec to CasADi: one set of parameters, and equal matrices are one object."""
     base = plant_of(spec)
+    wholes = Wholes(spec, base.parameters)
     known: dict[tuple[str, Matrix], ca.SX] = {}
     plants = []
     for mode in modes:
@@ -80,11 +87,11 @@ def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
         for letter in LETTERS:
             key = letter, getattr(mode, letter)
             if key not in known:
-                known[key] = lift(key[1], base.parameters)
+                known[key] = lift(key[1], base.parameters, wholes)
             lifted[letter] = known[key]
         wide = base.wide or _is_wide(mode.R)
         plants.append(replace(base, noise_free=_is_noise_free(mode.R), wide=wide, **lifted))
-    return tuple(plants)
+    return tuple(replace(plant, limits=tuple(wholes.limits)) for plant in plants)
 
 
 def _is_noise_free(R: Matrix) -> bool:
@@ -100,17 +107,41 @@ def _is_wide(covariance: Matrix) -> bool:
     return any(not TAME[0] <= value <= TAME[1] for value in variances[variances > 0.0])
 
 
-def lift(matrix: Matrix, parameters: Mapping[str, ca.SX]) -> ca.SX:
+class Wholes:
+    """Matrices that are computed as a whole, each once, and what must not be negative for them."""
+
+    def __init__(self, spec: Spec, parameters: Mapping[str, ca.SX]) -> None:
+        self.spec, self.parameters = spec, parameters
+        self.limits: list[ca.SX] = []
+        self._known: dict[Continuous, dict[str, ca.SX]] = {}
+
+    def entry(self, entry: Computed) -> ca.SX:
+        """One entry of one of them."""
+        source = entry.whole
+        if not isinstance(source, Continuous):
+            raise InternalError(f"no expression: {entry!r}")
+        if source not in self._known:
+            matrices = {x: lift(getattr(source, x), self.parameters) for x in OF_TIME}
+            T = lift_expression(source.T, self.parameters)
+            count = doublings(self.spec, source)
+            self._known[source], limits = discretised(source, matrices, T, count)
+            self.limits += limits
+        return self._known[source][entry.letter][entry.row, entry.column]
+
+
+def lift(matrix: Matrix, parameters: Mapping[str, ca.SX], wholes: Wholes | None = None) -> ca.SX:
     """A matrix of expressions as SX; entries that are zero are not stored."""
     result = ca.SX(*matrix.shape)
     for i, row in enumerate(matrix.rows):
         for j, entry in enumerate(row):
             if entry != Number(0.0):
-                result[i, j] = lift_expression(entry, parameters)
+                result[i, j] = lift_expression(entry, parameters, wholes)
     return result
 
 
-def lift_expression(expression: Expression, parameters: Mapping[str, ca.SX]) -> ca.SX:
+def lift_expression(
+    expression: Expression, parameters: Mapping[str, ca.SX], wholes: Wholes | None = None
+) -> ca.SX:
     """One expression of a spec as SX."""
     match expression:
         case Number(value):
@@ -118,7 +149,9 @@ def lift_expression(expression: Expression, parameters: Mapping[str, ca.SX]) -> 
         case Name(identifier):
             return parameters[identifier]
         case Operation(symbol, arguments):
-            return _OPERATIONS[symbol](*(lift_expression(a, parameters) for a in arguments))
+            return _OPERATIONS[symbol](*(lift_expression(a, parameters, wholes) for a in arguments))
+        case Computed() if wholes is not None:
+            return wholes.entry(expression)
     raise InternalError(f"no expression: {expression!r}")
 
 

@@ -168,6 +168,8 @@ def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
 def bound_all(builder: PhaseBuilder, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
     """The same for several plants; a matrix that is the same object in some is named once."""
     named: dict[int, Any] = {}
+    if "A" in letters and plants[0].limits:
+        builder.demand(Kind.NONNEGATIVE, plants[0].limits, Status.PARAMETER_OUT_OF_RANGE)
     for letter in letters:
         own = {id(matrix): matrix for matrix in (getattr(plant, letter) for plant in plants)}
         named |= zip(own, builder.name_all(letter, [*own.values()]), strict=True)

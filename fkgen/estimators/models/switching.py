@@ -47,7 +47,15 @@ from fkgen.problem import Spec
 from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import column, split_estimates, split_packed, total, weighted_sum
+from fkgen.symbolic.linalg import (
+    column,
+    pack,
+    split_estimates,
+    split_packed,
+    total,
+    unpack,
+    weighted_sum,
+)
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,
@@ -371,6 +379,9 @@ def interacting_models(spec: Spec) -> Recursion:
 
     symbols = filtering.symbols
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], spec.model.nx)
+    if spec.faults.jump is not None:
+        pairs = zip(priors, spec.faults.jump.modes, strict=True)
+        priors = [_of_states(prior, mode.kept) for prior, mode in pairs]
     phases = filtering.update(priors, combined), _predictions(filtering)
     source, notes = "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)", [filtering.modes.note]
     if spec.faults.jump is not None:
@@ -379,6 +390,17 @@ def interacting_models(spec: Spec) -> Recursion:
     lumped = any(len(variants) > 1 for variants in filtering.modes.variants)
     repeats = None if lumped else correlated_rows([plant.R for plant in filtering.plants])
     return filtering.recursion(source, phases, *notes, repeats=repeats)
+
+
+def _of_states(prior: Gaussian, kept: tuple[int, ...] | None) -> Gaussian:
+    """A prediction with 0, known, in place of the states that its mode does not have."""
+    if kept is None:
+        return prior
+    which, n = list(kept), prior[0].numel()
+    state, covariance = ca.SX(n, 1), ca.SX(n, n)
+    state[which] = prior[0][which]
+    covariance[which, which] = unpack(prior[1], n)[which, which]
+    return ca.densify(state), pack(covariance)
 
 
 def _predictions(filtering: Switching) -> Phase:

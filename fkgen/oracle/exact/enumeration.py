@@ -80,7 +80,7 @@ def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult
     if len(mode) * N ** (T - 1) > MOST_HISTORIES:
         longest = next(t for t in range(T, 0, -1) if len(mode) * N ** (t - 1) <= MOST_HISTORIES)
         raise DataError("y", given=f"{T} samples", expected=f"at most {longest}")
-    prior = [np.repeat(each[None], len(mode), axis=0) for each in (system.x0, system.P0)]
+    prior = [each[mode] for each in system.priors]
     histories, rows = _Histories(mode, np.log(system.initial[mode]), *prior), []
     for k in range(T):
         histories, row = _update(system, k, histories, y[k], u[k])

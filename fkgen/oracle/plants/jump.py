@@ -26,6 +26,7 @@ class JumpSystem(Plant):
     #: the modes
     arrival: Array
     arrival_initial: Array
+    kept: Array | None = None  # (N, n): 1 for the states that a mode has; None for all
 
     @property
     def count(self) -> int:
@@ -36,6 +37,12 @@ class JumpSystem(Plant):
         """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u + d_i, (T, N, p)."""
         added, sensed = (np.einsum("kiab,kb->kia", each, u) for each in (self.B, self.D))
         return added + self.c, sensed + self.d
+
+    @property
+    def priors(self) -> tuple[Array, Array]:
+        """Mean and covariance of x[0] in each mode, (N, n) and (N, n, n)."""
+        kept = np.ones((self.count, self.nx)) if self.kept is None else self.kept
+        return kept * self.x0, kept[:, :, None] * self.P0 * kept[:, None, :]
 
     def mode_law(self) -> Array:
         """Law of mode[k] by powers of the transition matrix, (T, N)."""
@@ -69,8 +76,11 @@ class JumpSystem(Plant):
         rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
         arrival = np.array(faults.arrival_chain or [[1.0 - rate, rate]] * 2)
         start = lasting_law(arrival) if faults.arrival_chain else arrival[0]
+        every = tuple(range(spec.model.nx))
+        has = [every if mode.kept is None else mode.kept for mode in faults.modes]
         return cls(
             **plant,
+            kept=np.array([[float(i in states) for i in every] for states in has]),
             x0=spec.model.x0.values()[:, 0],
             P0=spec.model.P0.values(),
             transition=np.array(faults.transition),
@@ -109,6 +119,7 @@ def simulate_jumps(system: JumpSystem, u: Array, rng: np.random.Generator) -> Ju
     x, y = np.empty((T + 1, n)), np.empty((T, p))
     x[0] = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
     at = (np.arange(T), mode)
+    x[0] *= 1.0 if system.kept is None else system.kept[mode[0]]
     roots = {name: square_root(getattr(system, name)[at]) for name in ("Q", "R")}
     for k, i in enumerate(mode):
         noise = roots["R"][k] @ rng.standard_normal(p)

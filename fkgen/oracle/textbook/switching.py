@@ -93,7 +93,9 @@ def interacting(
     own = of == np.arange(M)[:, None]
     log_share = _log(np.where(own, lumping.shares[of, condition], 0.0))
     moving = (lumping.shares != 0.0).argmax(axis=1)
-    held, log_held, rows = _repeated((system.x0, system.P0), M), _log(lumping.initial), []
+    of_mode = [int(np.flatnonzero(each)[0]) for each in lumping.shares]
+    held = tuple(each[of_mode] for each in system.priors)
+    log_held, rows = _log(lumping.initial), []
     for k, now in enumerate(y):
         C, D, R, d = (each[k, condition] for each in (system.C, system.D, system.R, system.d))
         plant = C, R, D @ u[k] + d
