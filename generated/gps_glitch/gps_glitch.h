@@ -47,7 +47,7 @@
  *   y[1]  gps_height, m
  *   y[2]  gps_climb, m/s
  *
- * Cost of one step with every row present: 1345 floating-point operations and 8 exp and 9 log.
+ * Cost of one step with every row present: 1327 floating-point operations and 8 exp and 9 log.
  * An instance is 118 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
  * libm.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same

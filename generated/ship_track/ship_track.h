@@ -73,7 +73,7 @@
  *   y[2]  report_speed_east, m/s
  *   y[3]  report_speed_north, m/s
  *
- * Cost of one step with every row present: 1703 floating-point operations and 1 cos and 7 exp and 7
+ * Cost of one step with every row present: 1687 floating-point operations and 1 cos and 7 exp and 7
  * log and 1 sin.
  * An instance is 141 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
  * libm.

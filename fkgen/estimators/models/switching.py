@@ -47,7 +47,7 @@ from fkgen.problem import Spec
 from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import column, split_estimates, split_packed, total, weighted_sum
+from fkgen.symbolic.linalg import column, split_estimates, split_packed, weighted_sum
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,
@@ -400,8 +400,7 @@ def _predictions(filtering: Switching) -> Phase:
                 "mode_covariance": ca.vertcat(*(moved[at][1] for at in which)),
                 "predicted_state": combined[0],
                 "predicted_covariance": combined[1],
-            },
-            [finite(total(x for x, _ in moved), total(P for _, P in moved))],
+            }
         )
     return builder.phase()
 

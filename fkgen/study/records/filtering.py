@@ -173,6 +173,15 @@ def _refusals(built: CompiledFilter, table: Table, result: Run) -> list[str]:
         sentences.append(
             f"{table.file}: {'1 sample refused, in' if where.size == 1 else several} line "
             f"{table.lines[where[0]]}: {f'{built.name}_{status.name}'.upper()}: {status.meaning}; "
-            "the filter went on unchanged"
+            f"{_passage(result.held[where])}"
         )
     return sentences
+
+
+def _passage(held: NDArray[np.bool_]) -> str:
+    """What became of samples that were refused."""
+    if not held.any():
+        return "it counts as missing" if held.size == 1 else "they count as missing"
+    if held.all():
+        return "no time passed for the filter"
+    return f"they count as missing, but for {np.count_nonzero(held)} at which no time passed"
