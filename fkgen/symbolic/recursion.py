@@ -15,7 +15,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from fkgen.problem import Spec
+from fkgen.problem import Matrix, Number, Spec
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status, triangle
 from fkgen.symbolic.ports import prior_of
 
@@ -122,10 +122,11 @@ class Recursion:
         }
         computed = {} if self.start is None else _evaluated(self.start, prior)
         object.__setattr__(self, "initial", {**starts, **computed, **self.initial})
+        bounded = all(_is_bounded(getattr(plant, x)) for plant in self.spec.plants for x in "QR")
         for name in ("update", "predict", "closing", "start"):
             phase = getattr(self, name)
             if phase is not None:
-                sound = _guarded(phase, self.ports, bounded=not self.spec.stated_parameters)
+                sound = _guarded(phase, self.ports, bounded=bounded)
                 object.__setattr__(self, name, sound)
 
     @property
@@ -173,6 +174,14 @@ def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
         for name in block.assign:
             sound -= {e.element_hash() for e in ca.symvar(phase.symbols[name])}
     return replace(phase, blocks=tuple(blocks))
+
+
+def _is_bounded(covariance: Matrix) -> bool:
+    """Whether a covariance is finite where its variances are: parameters change nothing else."""
+    entries = enumerate(covariance.rows)
+    return all(
+        isinstance(entry, Number) for i, row in entries for j, entry in enumerate(row) if i != j
+    )
 
 
 def _places(port: Port, *, bounded: bool) -> list[int]:

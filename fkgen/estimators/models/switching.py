@@ -52,7 +52,6 @@ from fkgen.symbolic.linalg import (
     pack,
     split_estimates,
     split_packed,
-    total,
     unpack,
     weighted_sum,
 )
@@ -422,8 +421,7 @@ def _predictions(filtering: Switching) -> Phase:
                 "mode_covariance": ca.vertcat(*(moved[at][1] for at in which)),
                 "predicted_state": combined[0],
                 "predicted_covariance": combined[1],
-            },
-            [finite(total(x for x, _ in moved), total(P for _, P in moved))],
+            }
         )
     return builder.phase()
 
