@@ -94,6 +94,8 @@ def _context(program: CProgram) -> dict[str, object]:
         "title": _title(program),
         "modes": next(modes, 0),
         "cost": cost(program),
+        "padded": c.padded,
+        "flags": [port for port in program.ports if port.flags],
         "scalars": sum(port.size for port in program.ports),
         "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
         "statuses": program.statuses,
@@ -118,7 +120,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "order": _order(c),
         "vectors": vectors,
         "compared": [
-            f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
+            f"{{ {'' if port.shape else '&'}filter.{port.member}, {port.size} }}"
             for port in program.ports
         ],
         "masks": [_mask(c, row) for row in vectors.y],

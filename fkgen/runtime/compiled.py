@@ -293,7 +293,7 @@ class CompiledFilter:
         """Writable view of one stored member of the instance, packed as in C."""
         if name not in self.ports:
             raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
-        field = getattr(self._type, name)
+        field = getattr(self._type, next(p.member for p in self.layout.ports if p.name == name))
         view: Array = np.frombuffer(memoryview(self._instance), self._dtype)
         size = np.dtype(self._dtype).itemsize
         return view[field.offset // size : (field.offset + field.size) // size]
@@ -304,7 +304,9 @@ class CompiledFilter:
 
     def _room(self, shape: tuple[int, ...], keep: Sequence[str] | None) -> Run:
         ports = record.kept(self.layout, keep)
-        values = {port.name: np.empty((*shape, *port.shape), self._dtype) for port in ports}
+        values = {
+            port.name: np.empty((*shape, *port.shape), self.layout.dtype_of(port)) for port in ports
+        }
         return Run(values, np.empty(shape, np.int32), np.empty(shape, np.bool_))
 
     def _starts(

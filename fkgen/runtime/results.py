@@ -73,12 +73,14 @@ class Snapshot:
     def __init__(self, layout: Layout, data: bytes, status: int) -> None:
         self.layout, self.data, self.status = layout, data, status
 
-    def __getitem__(self, name: str) -> Array:
+    def __getitem__(self, name: str) -> NDArray[Any]:
         dtype = np.dtype(self.layout.dtype)
         offset = 0
         for port in self.layout.ports:
             if port.name == name:
                 value = port.unpacked(np.frombuffer(self.data, dtype, port.size, offset))
+                if port.flags:
+                    return value > 0
                 return np.where(self[port.given] > 0, value, np.nan) if port.given else value
             offset += port.size * dtype.itemsize
         names = [port.name for port in self.layout.ports]

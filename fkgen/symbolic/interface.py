@@ -87,9 +87,16 @@ class Port:
     given: str = ""
     #: Of a prediction that updates read: the port that holds the same once an update has been
     corrected: str = ""
+    #: 1 or 0 for each row of y, which C also shows as the bits of words, and Python as booleans
+    flags: bool = False
     start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
     #: What it starts as in place of ``start``, repeated: mean or packed covariance of the prior
     prior: Literal["", "x", "P"] = ""
+
+    @property
+    def member(self) -> str:
+        """The member of the C instance that holds the values."""
+        return f"{self.name}_rows" if self.flags else self.name
 
     @property
     def size(self) -> int:

@@ -22,7 +22,7 @@ TAME = 1e-60, 1e60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """x[k+1] = A x + B g u + c + v, y = C x + D g u + w, with Cov(v) = Q and Cov(w) = R."""
+    """x[k+1] = A x + B g u + c + v, y = C x + D g u + d + w, with Cov(v) = Q and Cov(w) = R."""
 
     parameters: Mapping[str, ca.SX]  # Symbols of the run-time parameters
     A: ca.SX  # A, B, C, D, Q, R: (n, n), (n, q), (p, n), (p, q), (n, n), (p, p)
@@ -31,7 +31,9 @@ class Plant:
     D: ca.SX
     Q: ca.SX
     R: ca.SX
-    c: ca.SX  # (n, 1), a known offset: nothing but in modes of jump faults
+    c: ca.SX  # (n, 1), (p, 1), known offsets
+    d: ca.SX
+    S: ca.SX  # (n, p), covariance of the noise of x with that of y
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
     scalar: str  # Of the C code, for tolerances
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
@@ -60,8 +62,7 @@ def plant_of(spec: Spec) -> Plant:
     parameters, model = {p.name: ca.SX.sym(p.name) for p in spec.parameters}, spec.model
     return Plant(
         parameters=parameters,
-        **{letter: lift(getattr(model, letter), parameters) for letter in "ABCDQR"},
-        c=ca.SX(model.nx, 1),
+        **{letter: lift(getattr(model, letter), parameters) for letter in (*LETTERS, "S")},
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
         noise_free=_is_noise_free(model.R),

@@ -177,7 +177,7 @@ def _update(bank: Bank) -> Phase:
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
         demand_positive(builder, packed, bank.plant.nx)
-    bank = replace(bank, plant=bound(builder, bank.plant, "CDR"))
+    bank = replace(bank, plant=bound(builder, bank.plant, "CDRd"))
     found, posteriors = [], []
     for i, prior in enumerate(priors):
         with builder.titled(f"hypothesis {i}"):
@@ -191,14 +191,13 @@ def _update(bank: Bank) -> Phase:
         logs = [_log_likelihood(builder, bank, i, priors[i], each) for i, each in enumerate(found)]
         weights = reweigh(builder, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
     with builder.titled("combination"):
-        C, D = bank.plant.C, bank.plant.D
+        C, D, d = bank.plant.C, bank.plant.D, bank.plant.d
         predicted = [
-            builder.define(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean)
+            builder.define(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean + d)
             for i, (mean, _) in enumerate(priors)
         ]
         results = combined_innovation(builder, held[0], predicted, found)
-        w = weights.probability
-        parts = [(each.state, each.covariance) for each in posteriors]
+        w, parts = weights.probability, [(each.state, each.covariance) for each in posteriors]
         state = weighted_sum(w, [mean for mean, _ in parts])
         rates = [ca.SX(list(rates)) for rates in spec.filter.options.hypotheses]
         results |= {
@@ -245,7 +244,7 @@ def _log_likelihood(
 
 def _predict(bank: Bank) -> Phase:
     builder = PhaseBuilder(bank.symbols)
-    plant = bound(builder, bank.plant, "ABQ")
+    plant = bound(builder, bank.plant, "ABQc")
     moved = [propagate(plant, bank.actuation(i), bank.filtered(i)) for i in range(len(bank.random))]
     with builder.titled("prediction of every hypothesis"):
         states = builder.define("moved_state", ca.vertcat(*(state for state, _, _ in moved)))

@@ -226,7 +226,7 @@ class Switching:
         builder, symbols = PhaseBuilder(self.symbols), self.symbols
         for packed in {id(packed): packed for _, packed in priors}.values():
             demand_positive(builder, packed, self.spec.model.nx)
-        modes = self.bound(builder, "CDR")
+        modes = self.bound(builder, "CDRd")
         each = [self.corrected(builder, modes, j, prior) for j, prior in enumerate(priors)]
         held = (symbols["predicted_mode_probability"], symbols["predicted_log_weight"])
         with builder.titled("probabilities of the modes"):
@@ -236,7 +236,7 @@ class Switching:
             predicted = []
             for j, (prior, variants) in enumerate(zip(priors, modes.variants, strict=True)):
                 plant = variants[0].plant
-                y = plant.C @ prior[0] + plant.D @ symbols["u"]
+                y = plant.C @ prior[0] + plant.D @ symbols["u"] + plant.d
                 predicted.append(builder.define(f"predicted_y_m{j}", y))
             results = combined_innovation(builder, held[0], predicted, each)
         with builder.titled("combination"):
@@ -325,7 +325,7 @@ def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
 
 def _one_prediction(filtering: Switching, beside: int) -> Phase:
     builder, symbols, spec = PhaseBuilder(filtering.symbols), filtering.symbols, filtering.spec
-    plant = bound(builder, filtering.plants[0], "ABQ")
+    plant = bound(builder, filtering.plants[0], "ABQc")
     now = (symbols["mode_probability"], symbols["log_weight"])
     with builder.titled("law of the next mode"):
         law = advance(builder, filtering.modes.kernel, now, spec.code.scalar, mixing=False)
