@@ -19,7 +19,7 @@ import soft_plants
 import spread
 from imm_plants import ALIKE, any_modes, jumping
 from jump_plants import EXAMPLE_A, EXAMPLE_S, random_table, spec_of
-from plants import PARAMETERS, VARYING, independent, motor, random_model, spec
+from plants import PARAMETERS, VARYING, independent, random_model, spec
 from toolchain import needs_compiler
 
 import fkgen
@@ -81,7 +81,7 @@ def plants():
         "mkf_sensed": spec(spread.TWO_ALONE, family="mkf", actuator=independent([0.7, 0.4])),
         "mme": spec(UNDRIVEN, family="mme", weight_floor=1e-3, **bank),
         "mme_no_floor": spec(UNDRIVEN, family="mme", weight_floor=0.0, **bank),
-        "mme_sensed": motor("mme"),
+        "mme_sensed": spec(spread.TWO_ALONE, family="mme", **bank),
         "genie": sensor_specs.sensed(FOUR, {"rows": [0, 1]}, family="genie"),
         "imm": sensor_specs.sensed(DIAGONAL, LAW, family="imm"),
         "imm_jump": jumping(jumps, modes, transition=ALIKE),
