@@ -35,6 +35,9 @@ _HOLDS: dict[Kind, Callable[[Number], Any]] = {
 #: Samples of the self-test.
 SAMPLES = 6
 
+#: In this sample row 0 is missing: C marks it as measured and gives NaN.
+MARKED = 4
+
 #: At most so many samples before a closing, so that the self-test comes across one.
 CLOSED_AFTER = 3
 
@@ -155,7 +158,7 @@ def self_test_vectors(program: ir.CProgram) -> ir.Vectors:
     u = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, q)), 2).tolist()
     y = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, p)), 2)
     y[2] = np.nan
-    y[4, 0] = np.nan
+    y[MARKED, 0] = np.nan
     trace = []
     for inputs, outputs in zip(u, y.tolist(), strict=True):
         status = machine.step(inputs, outputs, dict(program.parameters))

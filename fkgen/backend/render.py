@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 
 from fkgen.backend.elementary import FORMATS
-from fkgen.backend.execute import self_test_vectors
+from fkgen.backend.execute import MARKED, self_test_vectors
 from fkgen.backend.expressions import joined
 from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
 from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, units_of
@@ -85,6 +85,8 @@ def _context(program: CProgram) -> dict[str, object]:
     c.take(outlined.routines)
     units = units_of(program)
     vectors, starts = self_test_vectors(program), _starts(program)
+    form = FORMATS[program.scalar]
+    infinite = (2 * form.bias + 1) << form.mantissa
     modes = (port.shape[0] for port in program.ports if port.name == "mode_probability")
     return elementary_context(c, program.functions) | {
         "program": program,
@@ -116,7 +118,10 @@ def _context(program: CProgram) -> dict[str, object]:
             f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
             for port in program.ports
         ],
-        "masks": [_mask(c, row) for row in vectors.y],
+        "masks": [_mask(c, row, k) for k, row in enumerate(vectors.y)],
+        "marked": MARKED,
+        "infinite": infinite,
+        "not_a_number": infinite | (1 << (form.mantissa - 1)),
     }
 
 
@@ -239,8 +244,10 @@ def _calls(program: CProgram) -> dict[str, int]:
     return dict(sorted(calls.items()))
 
 
-def _mask(c: Printer, row: tuple[float, ...]) -> str:
+def _mask(c: Printer, row: tuple[float, ...], k: int) -> str:
+    """Bits of the rows that are measured; row 0 of one sample is marked although it is not."""
     bits = sum(1 << i for i, value in enumerate(row) if not math.isnan(value))
+    bits |= int(k == MARKED)
     words = [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
     return words[0] if c.words == 1 else "{ " + ", ".join(words) + " }"
 
