@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from functools import cache
-from pathlib import Path
 from typing import Any
-
-import jinja2
 
 from fkgen.backend.elementary import FORMATS
 from fkgen.backend.execute import MARKED, self_test_vectors
 from fkgen.backend.expressions import joined
 from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
-from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, units_of
+from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import outline
-from fkgen.backend.source import Source, with_manifest
+from fkgen.backend.source import SHARED, Source, complete
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
 
@@ -25,29 +21,11 @@ from fkgen.version import API_VERSION, __version__
 #: between them costs more than the code.
 INLINED = 2500
 
-#: Name of the files that hold the functions for all filters of a program, by scalar.
-SHARED = "fkgen_elementary_{}"
-
 _COMMENTS = {
     "correct": "Condition on y[k]",
     "close_window": "At the end of a window",
     "propagate": "Move to k + 1",
 }
-
-
-@cache
-def environment() -> jinja2.Environment:
-    """Templates from the wheel, or from the source tree."""
-    here = Path(__file__).resolve().parents[1]
-    folders = [here / "templates", here.parent / "templates"]
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folders),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # noqa: S701 - C, not HTML
-    )
 
 
 def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
@@ -59,25 +37,13 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         f"{name}.c": filled("source.c.j2", context),
         f"{name}_selftest.c": filled("selftest.c.j2", context),
         f"{name}_selftest_main.c": filled("selftest_main.c.j2", context),
-        "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
     if context["shared"]:
         shared = _shared_context(program.scalar) | {"version": __version__}
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
-    complete = with_manifest(files, _facts(program, claims))
+    files = complete(files, _facts(program, claims))
     record = filled("record.c.j2", context)
-    return Source(program=program, files=complete, record=record, claims=claims)
-
-
-def filled(template: str, context: dict[str, object]) -> str:
-    """A template filled in, without gaps, blanks at the end of lines and long lines."""
-    text = environment().get_template(template).render(context)
-    code = template.endswith((".c.j2", ".h.j2"))
-    lines = [line.rstrip() for line in (guards_joined(text) if code else text).splitlines()]
-    if code:
-        lines = [part for line in lines for part in folded(line)]
-    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
-    return "\n".join(kept).rstrip() + "\n"
+    return Source(program=program, files=files, record=record, claims=claims)
 
 
 def _context(program: CProgram) -> dict[str, object]:
@@ -198,7 +164,7 @@ def _shared_context(scalar: Scalar) -> dict[str, object]:
     """What the templates of the shared files read: every function, whatever a filter needs."""
     c = StatementPrinter(SHARED_PREFIX.format(scalar), scalar, 1)
     functions = frozenset(operator for operator in Operator if operator.is_function)
-    return elementary_context(c, functions) | {"storage": "", "file": SHARED.format(scalar)}
+    return elementary_context(c, functions) | {"storage": "", "file": f"{SHARED}{scalar}"}
 
 
 def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> dict[str, object]:
@@ -218,7 +184,7 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
         "f": FORMATS[c.real],
         "needs": needs,
         "needs_elementary": bool(functions),
-        "shared": SHARED.format(c.real) if functions and c.elementary != c.name else "",
+        "shared": f"{SHARED}{c.real}" if functions and c.elementary != c.name else "",
         "root2": math.sqrt(2.0),
         "ln2": math.log(2.0),
         "pi": math.pi,
