@@ -13,6 +13,7 @@ import casadi as ca
 from fkgen.backend import ir
 from fkgen.backend.ir import Copy, Element, Literal, Operand, Operate, Operator, Space, Temp
 from fkgen.backend.render import render
+from fkgen.backend.size.selection import selected
 from fkgen.backend.source import Source
 from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError
@@ -48,7 +49,11 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
         for name in ("update", "closing", "predict")
         if (phase := getattr(recursion, name)) is not None
     }
-    phases = list(lowered.values())
+    ports = recursion.ports
+    if spec.code.ports is not None:
+        shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
+        ports, lowered = selected(ports, lowered, shown)
+    names, phases = {port.name for port in ports}, list(lowered.values())
     form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
     return verify(
         ir.CProgram(
@@ -60,9 +65,9 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             digest=hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16],
             sample_time=model.sample_time,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
-            ports=recursion.ports,
+            ports=ports,
             outcomes=recursion.outcomes,
-            initial=tuple(sorted(recursion.initial.items())),
+            initial=tuple(sorted((k, v) for k, v in recursion.initial.items() if k in names)),
             constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",
             stated=stated(spec, phases),

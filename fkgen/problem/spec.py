@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,6 +135,11 @@ class Spec:
         """The parameters of the file, without those that the family brings along."""
         told = self.filter.traits.told
         return tuple(item for item in self.parameters if item not in told)
+
+    @property
+    def whole(self) -> Spec:
+        """The same filter with all its ports, for those who look into it."""
+        return replace(self, code=replace(self.code, ports=None))
 
     def to_dict(self) -> dict[str, object]:
         """Return plain dicts, lists, numbers and texts; `from_dict` gives an equal spec back."""

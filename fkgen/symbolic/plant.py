@@ -30,6 +30,7 @@ class Plant:
     c: ca.SX  # (n, 1), a known offset: nothing but in modes of jump faults
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
     scalar: str  # Of the C code, for tolerances
+    shows_variance: bool  # The covariance of the innovation is shown
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
 
@@ -58,6 +59,7 @@ def plant_of(spec: Spec) -> Plant:
         c=ca.SX(model.nx, 1),
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
+        shows_variance=spec.code.shows("innovation_covariance"),
         noise_free=_is_noise_free(model.R),
     )
 

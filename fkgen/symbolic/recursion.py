@@ -15,6 +15,7 @@ from typing import Literal
 import casadi as ca
 
 from fkgen.problem import Spec
+from fkgen.problem.table.place import Place, suggestion
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status
 
 
@@ -107,6 +108,12 @@ class Recursion:
     def __post_init__(self) -> None:
         starts = {port.name: port.start for port in self.ports if port.start}
         object.__setattr__(self, "initial", {**starts, **self.initial})
+        names = [port.name for port in self.ports]
+        for i, name in enumerate(self.spec.code.ports or ()):
+            if name not in names:
+                expected = f"one of {', '.join(names)}{suggestion(name, names)}"
+                place = Place(self.spec.file, "code").entry("ports").item(i)
+                raise place.error(f"{name!r}, which {self.spec.filter.family} has not", expected)
 
     @property
     def phases(self) -> tuple[Phase, ...]:

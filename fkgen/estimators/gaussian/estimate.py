@@ -113,6 +113,7 @@ def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX)
         rows=plant.rows,
         at=tuple(range(plant.ny)),
         rank_tolerance=RANK_TOLERANCE[plant.scalar] if plant.noise_free else None,
+        shows_variance=plant.shows_variance,
         pivots_per_log=PIVOTS_PER_LOG[plant.scalar],
     )
 

@@ -81,7 +81,7 @@ def compare(
     SpecError, DataError
         If a family does not fit the faults, a number is out of range, or the plant overflows.
     """
-    given = (specs,) if isinstance(specs, Spec) else tuple(specs)
+    given = tuple(each.whole for each in ((specs,) if isinstance(specs, Spec) else specs))
     ready = counted("steps", steps) // 4 if skip is None else counted("skip", skip, least=0)
     size = {"runs": runs, "steps": steps, "skip": ready, "seed": seed}
     signals = {"u": u, "params": params, "sensor": sensor, "input": input, "present": present}

@@ -158,7 +158,7 @@ def _checked(
         expected = f"shape ({T}, {model.nu}): {names}; the gain of {family} depends on u"
         raise DataError("u", given="nothing", expected=expected)
     return _Scenario(
-        spec=replace(spec, code=replace(spec.code, scalar="double")),
+        spec=replace(spec.whole, code=replace(spec.whole.code, scalar="double")),
         sensor=_record("sensor", sensor, model.outputs, T),
         anomaly=_record("input", anomaly, model.inputs, T),
         mode=mode,
