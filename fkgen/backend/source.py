@@ -18,7 +18,7 @@ from typing import Any
 
 from fkgen.backend.ir import CProgram
 from fkgen.backend.lines import filled
-from fkgen.errors import OutputError
+from fkgen.errors import OutputError, of_type
 
 MANIFEST, BUILD = "manifest.json", "CMakeLists.txt"
 
@@ -66,6 +66,7 @@ class Source:
             If a generated file was edited, if a file of others has the name of one that would be
             written, or if the folder cannot be written.
         """
+        of_type("directory", directory, (str, os.PathLike), "the path of a folder")
         target = Path(directory)
         try:
             if target.exists() and not target.is_dir():
@@ -73,6 +74,9 @@ class Source:
             files, gone = _planned(target, self.files)
             with _scratch(target) as scratch:
                 _exchange(target, scratch, files, gone)
+        except ValueError:
+            given = "a path with a null character"
+            raise OutputError(repr(directory), given=given, expected="a path") from None
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
             expected = "a folder that can be written"

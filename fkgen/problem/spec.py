@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fkgen.errors import of_type
 from fkgen.problem.code import Code, read_code
 from fkgen.problem.filter import Filter, Parameter, registry
 from fkgen.problem.model import Model, read_model
 from fkgen.problem.signals import PARAMETER, PREFIX, check_distinct, read_name
-from fkgen.problem.table.place import Place
+from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_number, as_table
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
@@ -77,7 +78,7 @@ class Spec:
         SpecError
             If anything in it is missing, unknown, of the wrong type or shape, or impossible.
         """
-        place = Place(file)
+        place = Place(of_type("file", file, str, "a text, for messages"))
         if not as_table(table, place, "a table (a dict) with a spec in it"):
             raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
         whole = Section(table, place, known=_KEYS)
@@ -159,6 +160,19 @@ class Spec:
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
+def as_spec(value: object, what: str = "spec") -> Spec:
+    """Return what was given as a spec.
+
+    Raises
+    ------
+    DataError
+        If it is none.
+    """
+    expected = "a Spec: fkgen.load(path) or fkgen.Spec.from_dict(table)"
+    spec: Spec = of_type(what, value, Spec, expected)
+    return spec
+
+
 def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
     """Refuse entries beyond `LIMITS`; parameters have their default values."""
     scalar = spec.code.scalar
@@ -212,6 +226,8 @@ def load(path: str | os.PathLike[str]) -> Spec:
     SpecError
         If the file cannot be read, is not UTF-8 or not TOML, or does not hold a spec.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise Place().entry("path").error(describe(path), "the path of a spec file")
     file = str(path)
     place = Place(file, "file")
     try:

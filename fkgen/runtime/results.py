@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.errors import DataError
+from fkgen.errors import DataError, of_type
 from fkgen.runtime import record
 from fkgen.runtime.layout import Layout
 
@@ -38,11 +38,10 @@ class Run:
         return np.asarray(self.status < 0)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        if name == "status":
-            return self.status
-        if name not in self._values:
+        of_type("port", name, str, "the name of a port")
+        if name not in (*self._values, "status"):
             raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
-        return self._values[name]
+        return self.status if name == "status" else self._values[name]
 
     def __getattr__(self, name: str) -> Array:
         values: dict[str, Array] = self.__dict__.get("_values", {})
@@ -71,6 +70,7 @@ class Snapshot:
         self._layout, self._bytes, self.status = layout, data, status
 
     def __getitem__(self, name: str) -> Array:
+        of_type("port", name, str, "the name of a port")
         dtype = np.dtype(self._layout.dtype)
         offset = 0
         for port in self._layout.ports:

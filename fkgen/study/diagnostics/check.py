@@ -12,6 +12,7 @@ from fkgen.backend.lower import lower
 from fkgen.families import family
 from fkgen.problem import Spec
 from fkgen.problem.finding import Finding, Severity
+from fkgen.problem.spec import as_spec
 from fkgen.runtime.compiler import LARGE
 from fkgen.study.diagnostics import digits, dynamics, faults, jumps, visibility
 from fkgen.study.diagnostics.subject import Subject, listed
@@ -106,7 +107,7 @@ def check(spec: Spec) -> Report:
     Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with the
     conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
     """
-    model = Subject(spec)
+    model = Subject(as_spec(spec))
     for diagnose in _DIAGNOSTICS if spec.faults.jump is None else _OF_JUMPS:
         diagnose(model)
     worst_first = sorted(model.findings, key=lambda finding: _ORDER.index(finding.severity))
