@@ -26,7 +26,7 @@ ARITHMETIC: dict[Operator, Callable[..., Number]] = {
     Operator.MIN: lambda a, b: min(b, a),
 }
 
-_HOLDS: dict[Kind, Callable[[Number], Any]] = {
+HOLDS: dict[Kind, Callable[[Number], Any]] = {
     Kind.POSITIVE: lambda value: value > 0,
     Kind.NONNEGATIVE: lambda value: value >= 0,
     Kind.FINITE: np.isfinite,
@@ -129,7 +129,7 @@ class _Run:
             case ir.Copy(to, value) | ir.Assign(to, value):
                 self.memory[to] = self.value(value)
             case ir.Require(required, kind, status):
-                if not all(_HOLDS[kind](self.value(value)) for value in required):
+                if not all(HOLDS[kind](self.value(value)) for value in required):
                     return status
             case ir.IfPresent(row, body) if not isinstance(row, ir.RowArgument):
                 if any(self.present) if row is None else self.present[row]:
