@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from fkgen.backend.elementary import FORMATS
@@ -12,7 +12,8 @@ from fkgen.backend.expressions import joined
 from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
-from fkgen.backend.routines import outline
+from fkgen.backend.routines import Outline, outline
+from fkgen.backend.size.stack import BYTES, stack_of
 from fkgen.backend.source import SHARED, Source, complete
 from fkgen.symbolic.interface import Port, Status
 from fkgen.version import API_VERSION, __version__
@@ -41,7 +42,7 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
     if context["shared"]:
         shared = _shared_context(program.scalar) | {"version": __version__}
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
-    files = complete(files, _facts(program, claims))
+    files = complete(files, _facts(program, claims) | {"bytes": context["bytes"]})
     record = filled("record.c.j2", context)
     return Source(program=program, files=files, record=record, claims=claims)
 
@@ -62,6 +63,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "modes": next(modes, 0),
         "cost": cost(program),
         "scalars": sum(port.size for port in program.ports),
+        "bytes": _bytes(program, outlined, starts),
         "statuses": program.statuses,
         "positive": [c.status(status) for status in program.statuses if status.value >= 0],
         "Status": Status,
@@ -88,6 +90,22 @@ def _context(program: CProgram) -> dict[str, object]:
         "marked": MARKED,
         "infinite": infinite,
         "not_a_number": infinite | (1 << (form.mantissa - 1)),
+    }
+
+
+def _bytes(
+    program: CProgram, outlined: Outline, starts: Mapping[str, tuple[tuple[float, ...], str]]
+) -> dict[str, int]:
+    """Sizes in bytes: instance, tables of constants, and bounds on the stack of a call."""
+    size = BYTES[program.scalar]
+    tables = {owner: len(values) for values, owner in starts.values()}
+    numbers = [len(row) for each in outlined.routines for row in each.constants]
+    stack = stack_of(program, outlined, inlined=program.flops <= INLINED)
+    return {
+        "instance": size * sum(port.size for port in program.ports),
+        "constants": size * (sum(tables.values()) + sum(numbers)),
+        "stack_O0": stack.plain,
+        "stack_Os": stack.small,
     }
 
 

@@ -44,8 +44,9 @@
  *   y[5]  qcom, m/s
  *
  * Cost of one step with every row present: 190 floating-point operations and 2 log.
- * An instance is 39 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 39 doubles, 312 bytes; nothing else is kept. Tables of constants: 80 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 2320 bytes at -O0, 1104 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

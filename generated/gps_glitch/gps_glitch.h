@@ -47,8 +47,9 @@
  *   y[2]  gps_climb, m/s
  *
  * Cost of one step with every row present: 1345 floating-point operations and 8 exp and 9 log.
- * An instance is 117 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 117 doubles, 936 bytes; nothing else is kept. Tables of constants: 368 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 14976 bytes at -O0, 4352 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

@@ -62,8 +62,9 @@
  *   y[0]  measured_position, m
  *
  * Cost of one step with every row present: 1302 floating-point operations and 3 log.
- * An instance is 177 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 177 doubles, 1416 bytes; nothing else is kept. Tables of constants: 1264 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 11296 bytes at -O0, 4352 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

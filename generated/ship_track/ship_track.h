@@ -74,8 +74,9 @@
  *
  * Cost of one step with every row present: 1703 floating-point operations and 1 cos and 7 exp and 7
  * log and 1 sin.
- * An instance is 140 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 140 doubles, 1120 bytes; nothing else is kept. Tables of constants: 136 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 14688 bytes at -O0, 4976 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

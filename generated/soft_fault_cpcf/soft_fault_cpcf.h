@@ -36,8 +36,9 @@
  *
  * Cost of one step with every row present: 82 floating-point operations and 1 log; at the end of a
  * window 35 more.
- * An instance is 32 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 32 doubles, 256 bytes; nothing else is kept. Tables of constants: 32 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 1712 bytes at -O0, 1136 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

@@ -35,8 +35,9 @@
  *
  * Cost of one step with every row present: 117 floating-point operations and 1 log; at the end of a
  * window 28 more.
- * An instance is 34 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 34 doubles, 272 bytes; nothing else is kept. Tables of constants: 32 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 1872 bytes at -O0, 1136 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

@@ -49,8 +49,9 @@
  *
  * Cost of one step with every row present: 2237 floating-point operations and 1 log; at the end of
  * a window 190 more.
- * An instance is 211 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 211 doubles, 1688 bytes; nothing else is kept. Tables of constants: 528 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 29600 bytes at -O0, 3904 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
