@@ -62,8 +62,8 @@ def test_no_call_takes_more_stack_than_the_header_says(name, scalar, target, tmp
         found = deepest(TARGETS[target], level, tmp_path, source.program.name)
         bound = stated[f"stack_{level[1:]}"]
         assert found <= bound, level
-        # a bound that says nothing is none: small filters have frames of their own size
-        assert bound <= 2.5 * found + 400, level
+        # a bound that says nothing is none: at -Os arrays that never live together share a place
+        assert bound <= 3.0 * found + 450, level
 
 
 @pytest.mark.parametrize("name", [*FEW, "mkf_rate"])

@@ -88,8 +88,8 @@ def _pruned(phase: ir.Phase, kept: frozenset[str]) -> ir.Phase:
     chunks = list(zip(phase.chunks, ends, strict=False))
     found: list[tuple[str, ir.Body]] = []
     for (start, section), end in reversed(chunks):
-        found.insert(0, (section, pruning.body(phase.body[start:end])))
-    return _with_bodies(phase, _without_empty_headings(found))
+        found.append((section, pruning.body(phase.body[start:end])))
+    return _with_bodies(phase, _without_empty_headings(found[::-1]))
 
 
 def _without_empty_headings(chunks: list[tuple[str, ir.Body]]) -> list[tuple[str, ir.Body]]:
@@ -100,19 +100,20 @@ def _without_empty_headings(chunks: list[tuple[str, ir.Body]]) -> list[tuple[str
         nodes: list[ir.Statement] = []
         for node in reversed(body):
             if filled or not isinstance(node, ir.Heading):
-                nodes.insert(0, node)
+                nodes.append(node)
             filled = not isinstance(node, ir.Heading)
-        left.insert(0, (section, tuple(nodes)))
-    return [chunk for chunk in left if chunk[1]]
+        left.append((section, tuple(reversed(nodes))))
+    return [chunk for chunk in reversed(left) if chunk[1]]
 
 
 def _with_bodies(phase: ir.Phase, chunks: list[tuple[str, ir.Body]]) -> ir.Phase:
     """A phase of these chunks, with the locals that they use."""
-    body: ir.Body = ()
+    everything: list[ir.Statement] = []
     begins = []
     for section, nodes in chunks:
-        begins.append((len(body), section))
-        body += nodes
+        begins.append((len(everything), section))
+        everything += nodes
+    body = tuple(everything)
     used = {e.name for e in ir.elements(body) if e.space is Space.LOCAL}
     read = [*ir.read(Element, body)]
     return replace(
