@@ -63,6 +63,14 @@ class Machine:
             port.name: [self.real(v) for v in initial.get(port.name, (0.0,) * port.size)]
             for port in self.program.ports
         }
+        if self.program.start is not None:
+            prior = zip(("x", "P"), self.program.prior, strict=True)
+            given = {
+                Element(Space.INPUT, name, i): self.real(value)
+                for name, values in prior
+                for i, value in enumerate(values)
+            }
+            self._run(self.program.start, given, self.ports, [])
 
     def step(
         self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
@@ -79,16 +87,27 @@ class Machine:
             for phase in self.program.phases:
                 if phase.unless is not None and state[phase.unless][0] > 0:
                     continue
-                run = _Run(self, given | dict(self._elements(phase, state)), present)
-                status = run.body(phase.body)
+                status = self._run(phase, given, state, present)
                 if status is not Status.OK:
                     return status
-                for element, value in run.memory.items():
-                    if isinstance(element, Element) and element.space is Space.NEXT:
-                        state[element.name][element.index or 0] = value
         self.ports = state
         applies = (o.status for o in self.program.outcomes if max(state[o.port]) > o.level)
         return next(applies, Status.OK) if any(present) else Status.SKIPPED
+
+    def _run(
+        self,
+        phase: ir.Phase,
+        given: Mapping[Any, Number],
+        state: dict[str, list[Number]],
+        present: list[bool],
+    ) -> Status:
+        """Run one phase on an instance, which it changes."""
+        run = _Run(self, {**given, **dict(self._elements(phase, state))}, present)
+        status = run.body(phase.body)
+        for element, value in run.memory.items():
+            if isinstance(element, Element) and element.space is Space.NEXT:
+                state[element.name][element.index or 0] = value
+        return status
 
     def _elements(
         self, phase: ir.Phase, state: Mapping[str, list[Number]]

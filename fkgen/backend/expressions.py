@@ -14,9 +14,8 @@ from fkgen.backend import ir
 from fkgen.backend.ir import Assign, Body, Element, Expression, Operate, Operator, Statement, Temp
 from fkgen.backend.routines import Outline
 
-#: Elements in a row that are worth a call: results, and what is read again soon.
+#: Elements in a row that are worth a call.
 LEAST_COPIED = 3
-LEAST_KEPT = 6
 #: Lines that copies of arrays have to save, which need a function.
 COPY_LINES = 15
 
@@ -114,8 +113,7 @@ def _copied(body: Body) -> Body:
     run: list[tuple[Element, Element]] = []
 
     def close() -> None:
-        kept = bool(run) and run[0][0].space is ir.Space.LOCAL
-        long = len(run) >= (LEAST_KEPT if kept else LEAST_COPIED)
+        long = len(run) >= LEAST_COPIED
         nodes.extend([ir.CopyArray(*run[0], len(run))] if long else [Assign(*pair) for pair in run])
         run.clear()
 

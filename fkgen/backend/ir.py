@@ -303,14 +303,18 @@ class CProgram:
     states: tuple[Signal, ...]
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
-    sample_time: float | None
+    sample_time: float | str | None  # seconds, or the parameter that holds them
     parameters: tuple[tuple[str, float], ...]
     ports: tuple[Port, ...]
+    prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed
     initial: tuple[tuple[str, tuple[float, ...]], ...]
     update: Phase
     predict: Phase
     closing: Phase | None = None
+    start: Phase | None = None
     outcomes: tuple[Outcome, ...] = ()
+    #: Rows with correlated noises; None where an update after an update is refused
+    repeats: tuple[tuple[int, ...], ...] | None = None
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
     shares_functions: bool = False
@@ -323,19 +327,33 @@ class CProgram:
 
     @property
     def verbs(self) -> dict[str, Phase]:
-        """Update, closing (if there is one) and predict by the names of their functions."""
+        """Update, closing, predict and start by the names of their functions, those there are."""
         phases = {"correct": self.update, "close_window": self.closing, "propagate": self.predict}
+        phases["begin"] = self.start
         return {verb: phase for verb, phase in phases.items() if phase is not None}
 
     @property
     def phases(self) -> tuple[Phase, ...]:
         """Update, closing (if there is one) and predict, in this order."""
-        return tuple(self.verbs.values())
+        closing = () if self.closing is None else (self.closing,)
+        return self.update, *closing, self.predict
+
+    def written(self, *phases: Phase | None) -> tuple[Port, ...]:
+        """The ports that phases write."""
+        nodes = (node for phase in phases if phase for node in every(Assign, phase.body))
+        names = {node.target.name for node in nodes if node.target.space is Space.NEXT}
+        return tuple(port for port in self.ports if port.name in names)
+
+    @property
+    def twins(self) -> tuple[tuple[Port, Port], ...]:
+        """Predictions that updates read, with what an update makes of them."""
+        known = {port.name: port for port in self.ports}
+        return tuple((p, known[p.corrected]) for p in self.ports if p.corrected in known)
 
     @property
     def functions(self) -> frozenset[Operator]:
         """Elementary functions that the program needs."""
-        return frozenset(op for op in _operations(*self.phases) if op.is_function)
+        return frozenset(op for op in _operations(*self.verbs.values()) if op.is_function)
 
     @property
     def operations(self) -> Counter[Operator]:

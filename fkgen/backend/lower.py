@@ -19,7 +19,7 @@ from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.ports import PARAMETER
+from fkgen.symbolic.ports import PARAMETER, prior_of
 from fkgen.symbolic.validated import Validated
 from fkgen.version import API_VERSION
 
@@ -49,6 +49,8 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
         for name in ("update", "closing", "predict")
         if (phase := getattr(recursion, name)) is not None
     }
+    if recursion.start is not None:
+        lowered["start"] = lower_phase(recursion.ports, recursion.start, ("x", "P"))
     ports = recursion.ports
     if spec.code.ports is not None:
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
@@ -67,6 +69,8 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             parameters=tuple((p.name, p.default) for p in spec.parameters),
             ports=ports,
             outcomes=recursion.outcomes,
+            repeats=recursion.repeats,
+            prior=prior_of(spec),
             initial=tuple(sorted((k, v) for k, v in recursion.initial.items() if k in names)),
             constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",
@@ -240,7 +244,26 @@ def verify(program: ir.CProgram) -> ir.CProgram:
         read = {e.name for e in ir.read(Element, later.body) if e.space is Space.SELF}
         for name in read - updated:
             raise InternalError(f"{program.name}: {what} reads {name}, which no update writes")
+    if program.repeats is not None:
+        _check_repeats(program)
     return program
+
+
+def _check_repeats(program: ir.CProgram) -> None:
+    """An update after an update finds all that it reads, and may work on one instance in place."""
+    updated = {port.name for port in program.written(program.update)}
+    twins = {port.name for port, twin in program.twins if twin.name in updated}
+    begun: set[str] = set()  # ports of which something is written
+    for node in ir.walk(program.update.body):
+        for operand in ir.operands(node):
+            if not (isinstance(operand, Element) and operand.space is Space.SELF):
+                continue
+            if operand.name in begun or operand.name not in updated | twins:
+                raise InternalError(f"{program.name}: no second update: it reads {operand.name}")
+        if isinstance(node, ir.Assign) and node.target.space is Space.NEXT:
+            begun.add(node.target.name)
+    if program.closing is not None:
+        raise InternalError(f"{program.name}: no second update: something ends with the first")
 
 
 def _check_phase(name: str, phase: ir.Phase) -> set[tuple[str, int | None]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ class StatementPrinter:
         self.real = scalar
         self.upper = name.upper()
         self.names: dict[float, str] = {}
+        self.members: dict[str, str] = {}  # Of ports that the instance holds under another name
         self.routines: dict[str, ir.Routine] = {}
         self.needs: dict[str, set[str]] = {}
         #: The largest finite number, and the smallest normal one
@@ -80,6 +81,16 @@ class StatementPrinter:
     def any_row(self) -> str:
         """Test whether any row of y is present."""
         words = [f"present[{i}]" for i in range(self.words)] if self.words > 1 else ["present"]
+        return f"({' | '.join(words)}) != 0u"
+
+    def any_of(self, rows: Sequence[int]) -> str:
+        """Test whether any of these rows of y is present."""
+        masks: dict[int, int] = {}
+        for row in rows:
+            word, bit = divmod(row, _WORD_BITS)
+            masks[word] = masks.get(word, 0) | 1 << bit
+        place = "present" if self.words == 1 else "present[{}]"
+        words = [f"({place.format(word)} & {mask:#x}u)" for word, mask in masks.items()]
         return f"({' | '.join(words)}) != 0u"
 
     def row(self, row: ir.Row) -> str:
@@ -159,7 +170,7 @@ class StatementPrinter:
     def _fails(self, node: ir.Require) -> str:
         values, zero = [self.operand(value) for value in node.values], self.literal(0.0)
         if node.kind is Kind.FINITE:
-            defects = " + ".join(f"{self.name}_defect({value})" for value in values)
+            defects = summed([f"{self.name}_defect({value})" for value in values])
             return f"!{self.name}_finite({defects})"
         relation = ">" if node.kind is Kind.POSITIVE else ">="
         return f"!({combined([f'{value} {relation} {zero}' for value in values], '&&')})"
@@ -198,7 +209,8 @@ class StatementPrinter:
                 return text if operator.is_function else f"({text})"
             case Element(space, name, index):
                 place = "" if index is None else f"[{index}]"
-                return f"{_PREFIX.get(space, '')}{name}{place}"
+                own = self.members.get(name, name) if space in {Space.SELF, Space.NEXT} else name
+                return f"{_PREFIX.get(space, '')}{own}{place}"
 
 
 class Printer(StatementPrinter):
@@ -209,6 +221,7 @@ class Printer(StatementPrinter):
         self.program = program
         if program.shares_functions:
             self.elementary = SHARED_PREFIX.format(program.scalar)
+        self.members = {port.name: port.member for port in program.ports if port.flags}
         self.names = {each.value: f"{self.upper}_{each.name}" for each in program.constants}
 
     def take(self, routines: Iterable[ir.Routine]) -> None:
@@ -252,14 +265,21 @@ class Printer(StatementPrinter):
         return f"{head}({', '.join(arguments) or 'void'})"
 
     @property
+    def padded(self) -> bool:
+        """Whether the words of flags leave room at the end of an instance, of doubles."""
+        words = self.words * len(self.members)
+        return self.real == "double" and words % 2 > 0
+
+    @property
     def outcome(self) -> str:
         """Status of a sample with a row: that of the first outcome that applies."""
         text = self.status(Status.OK)
         sizes = {port.name: port.size for port in self.program.ports if port.shape}
         for outcome in reversed(self.program.outcomes):
             places = [f"[{i}]" for i in range(sizes.get(outcome.port, 0))] or [""]
-            level = self.literal(outcome.level)
-            above = combined([f"self->{outcome.port}{place} > {level}" for place in places], "||")
+            level, port = self.literal(outcome.level), outcome.port
+            member = self.members.get(port, port)
+            above = combined([f"self->{member}{place} > {level}" for place in places], "||")
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
 
@@ -267,6 +287,15 @@ class Printer(StatementPrinter):
 def combined(tests: list[str], how: str) -> str:
     """Tests joined by an operator, in parentheses if there are several."""
     return tests[0] if len(tests) == 1 else f" {how} ".join(f"({test})" for test in tests)
+
+
+def summed(terms: list[str]) -> str:
+    """A sum by halves, so that a processor can add several terms at once."""
+    if len(terms) <= 2:
+        return " + ".join(terms)
+    middle = (len(terms) + 1) // 2
+    halves = [summed(half) for half in (terms[:middle], terms[middle:])]
+    return " + ".join(f"({half})" if " " in half else half for half in halves)
 
 
 def _under(test: str, inner: str) -> str:

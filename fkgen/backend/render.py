@@ -13,9 +13,9 @@ from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import Outline, outline
-from fkgen.backend.size.stack import BYTES, stack_of
+from fkgen.backend.size.stack import BYTES, instance_of, stack_of
 from fkgen.backend.source import SHARED, Source, complete
-from fkgen.symbolic.interface import Port, Status
+from fkgen.symbolic.interface import Port, Role, Status
 from fkgen.version import API_VERSION, __version__
 
 #: Operations per step up to which update and predict are compiled into step: a copy of the instance
@@ -26,6 +26,7 @@ _COMMENTS = {
     "correct": "Condition on y[k]",
     "close_window": "At the end of a window",
     "propagate": "Move to k + 1",
+    "begin": "Compute what follows from a prior",
 }
 
 
@@ -62,8 +63,11 @@ def _context(program: CProgram) -> dict[str, object]:
         "title": _title(program),
         "modes": next(modes, 0),
         "cost": cost(program),
+        "padded": c.padded,
+        "flags": [port for port in program.ports if port.flags],
         "scalars": sum(port.size for port in program.ports),
         "bytes": _bytes(program, outlined, starts),
+        "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
         "statuses": program.statuses,
         "positive": [c.status(status) for status in program.statuses if status.value >= 0],
         "Status": Status,
@@ -73,7 +77,9 @@ def _context(program: CProgram) -> dict[str, object]:
         "listed": filled_lines,
         "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
         "starts": starts,
-        "tables": {owner: values for values, owner in starts.values()},
+        "tables": {owner: values for values, owner in starts.values()}
+        | dict(zip(("x", "P"), program.prior, strict=True)),
+        "period": dict(zip(("x", "P"), map(len, program.prior), strict=True)),
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
         "phases": _phases(c, outlined.phases),
@@ -81,9 +87,10 @@ def _context(program: CProgram) -> dict[str, object]:
         "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
+        "order": _order(c),
         "vectors": vectors,
-        "members": [
-            f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
+        "compared": [
+            f"{{ {'' if port.shape else '&'}filter.{port.member}, {port.size} }}"
             for port in program.ports
         ],
         "masks": [_mask(c, row, k) for k, row in enumerate(vectors.y)],
@@ -102,8 +109,8 @@ def _bytes(
     numbers = [len(row) for each in outlined.routines for row in each.constants]
     stack = stack_of(program, outlined, inlined=program.flops <= INLINED)
     return {
-        "instance": size * sum(port.size for port in program.ports),
-        "constants": size * (sum(tables.values()) + sum(numbers)),
+        "instance": instance_of(program),
+        "constants": size * (sum(tables.values()) + sum(map(len, program.prior)) + sum(numbers)),
         "stack_O0": stack.plain,
         "stack_Os": stack.small,
     }
@@ -128,6 +135,8 @@ def _given(c: Printer, verb: str) -> dict[str, str]:
     phase, given = c.program.verbs[verb], {}
     if phase.reads_parameters:
         given["params"] = f"const {c.name}_params_t *params"
+    if verb == "begin":
+        return given | {name: f"const {c.real} *{name}" for name in ("x", "P")}
     if phase.reads_input:
         given["u"] = f"const {c.real} *u"
     if verb == "correct":
@@ -142,40 +151,80 @@ def _phases(c: Printer, phases: Iterable[Phase]) -> list[dict[str, Any]]:
             "verb": verb,
             "comment": _COMMENTS[verb],
             "arguments": ", ".join(
-                [f"const {c.name}_t *self", *_given(c, verb).values(), f"{c.name}_t *next"]
+                [
+                    *([] if verb == "begin" else [f"const {c.name}_t *self"]),
+                    *_given(c, verb).values(),
+                    f"{c.name}_t *next",
+                ]
             ),
             "program": phase,
-            "inlined": c.program.flops <= INLINED and verb != "close_window",
+            "inlined": c.program.flops <= INLINED and verb in {"correct", "propagate"},
         }
         for verb, phase in zip(c.program.verbs, phases, strict=True)
     ]
 
 
 def _functions(c: Printer) -> dict[str, dict[str, Any]]:
-    """Update, predict and step: what each calls, maybe under a condition, and what it returns."""
-
-    def call(verb: str, source: str = "&next", when: str = "") -> dict[str, str]:
-        given = ", ".join([source, *_given(c, verb), "&next"])
-        return {"text": f"{c.name}_{verb}({given})", "when": when}
-
-    correct, closing = [call("correct", "self")], c.program.closing
-    if closing is not None:
-        ends = f"!(next.{closing.unless} > {c.literal(0.0)})"
-        correct.append(call("close_window", when=ends))
-    move, step = [call("propagate", "self")], [*correct, call("propagate")]
+    """Update, predict and step: what each is called with, and what it returns."""
     outcome = f"({c.any_row}) ? {c.outcome} : {c.status(Status.SKIPPED)}"
     functions = {}
-    for name, calls in (("update", correct), ("predict", move), ("step", step)):
+    for name in ("update", "predict", "step"):
         arguments = _arguments(c, name)
         pointers = [each for each in arguments if each != "valid" or c.words > 1]
         functions[name] = {
             "signature": f"{c.name}_status_t {c.name}_{name}({', '.join(arguments.values())})",
-            "calls": calls,
             "reads_y": "y" in arguments,
             "null": combined([f"{pointer} == NULL" for pointer in pointers], "||"),
             "result": outcome if "y" in arguments else c.status(Status.OK),
         }
     return functions
+
+
+def _order(c: Printer) -> dict[str, Any]:
+    """What the order of calls needs: calls of the phases, and ports that are carried over."""
+    program, given = c.program, {verb: _given(c, verb) for verb in c.program.verbs}
+    updated, closing = program.written(program.update), program.closing
+    absent = {"y": "NULL", "present": "0u" if c.words == 1 else "none"}
+    given["renew"] = given["correct"]
+    given["pass"] = {name: text for name, text in given["correct"].items() if name not in absent}
+
+    def call(verb: str, source: str, to: str = "&next", **other: str) -> str:
+        arguments = [other.get(name, name) for name in given[verb]]
+        return f"{c.name}_{verb}({', '.join([*filter(None, [source]), *arguments, to])})"
+
+    def declared(name: str) -> str:
+        own = [f"const {c.name}_t *self", *given[name].values(), f"{c.name}_t *next"]
+        return f"static {c.name}_status_t {c.name}_{name}({', '.join(own)})"
+
+    own, start = program.written(closing), _starting(c, given.get("begin", {}))
+    return start | {
+        "call": call,
+        "declared": declared,
+        "absent": absent,
+        "closing": closing and f"{{}}{closing.unless} > {c.literal(0.0)}",
+        "predicted": program.written(program.predict),
+        "kept": [port for port in updated if port.role is Role.OUTPUT and port not in own],
+        "twins": [(port, twin, port not in updated) for port, twin in program.twins],
+        "groups": [c.any_of(rows) for rows in program.repeats or ()],
+    }
+
+
+def _starting(c: Printer, given: Mapping[str, str]) -> dict[str, Any]:
+    """What the functions need that start a filter; ``given`` is what computes with the prior."""
+    program = c.program
+    first = [f"{c.name}_t *self", *([given["params"]] if "params" in given else [])]
+    sizes = zip(("x", "P"), map(len, program.prior), strict=True)
+    prior = [f"const {c.real} {name}[{size}]" for name, size in sizes]
+    pointers = [text.split("*")[-1].split("[")[0].split()[-1] for text in (*first, *prior)]
+    head = f"{c.name}_status_t {c.name}_"
+    return {
+        "init": f"{head}init({', '.join(first)})",
+        "start": f"{head}start({', '.join([*first, *prior])})",
+        "absent_start": combined([f"{pointer} == NULL" for pointer in pointers], "||"),
+        "start_reads_params": "params" in given,
+        "begins": program.start is not None,
+        "computed": program.written(program.start),
+    }
 
 
 def _shared_context(scalar: Scalar) -> dict[str, object]:
@@ -246,9 +295,9 @@ def _starts(program: CProgram) -> dict[str, tuple[tuple[float, ...], str]]:
     """Start values of every array without repetitions, and the port whose table holds them."""
     result: dict[str, tuple[tuple[float, ...], str]] = {}
     owners: dict[tuple[str, ...], str] = {}
-    initial = dict(program.initial)
+    initial, computed = dict(program.initial), program.written(program.start)
     for port in program.ports:
-        if port.shape:
+        if port.shape and not port.prior and port not in computed:
             values = _period(initial.get(port.name, (0.0,)))
             own = "zero" if values == (0.0,) else port.name
             owner = owners.setdefault(tuple(map(repr, values)), own)

@@ -36,8 +36,9 @@ _FILLING = {"a", "and", "by", "every", "for", "in", "of", "s", "the", "what", "w
 
 #: Functions that every filter has.
 _FUNCTIONS = {
-    *("correct", "close_window", "propagate", "init", "fill", "finite", "finite_input", "defect"),
-    *("update", "predict", "step", "selftest", "present_rows", "params_init", "part"),
+    *("correct", "close_window", "propagate", "init", "fill", "finite", "defect"),
+    *("update", "predict", "step", "pass", "renew", "keep", "start", "begin", "all_finite"),
+    *("selftest", "present_rows", "params_init", "finite_params", "part"),
     *("exp", "log", "sqrt", "sin", "cos", "tan", "atan2", "reduced", "power_of_two"),
 }
 
@@ -200,19 +201,20 @@ class Outline:
 
 def outline(program: ir.CProgram) -> Outline:
     """Rewrite the phases of a program with calls."""
-    if sum(lines_of(phase.body) for phase in program.phases) > LARGEST:
-        return Outline(program.phases, ())
+    phases = tuple(program.verbs.values())
+    if sum(lines_of(phase.body) for phase in phases) > LARGEST:
+        return Outline(phases, ())
     functions = [_function(verb, phase) for verb, phase in program.verbs.items()]
     book = _Book(functions)
     while runs := book.repeated():
         book.take(runs)
     for function in list(book.functions):
         book.cut(function)
-    phases = tuple(
+    rewritten = tuple(
         replace(phase, body=function.body, locals=book.locals(function), chunks=())
-        for phase, function in zip(program.phases, functions, strict=True)
+        for phase, function in zip(phases, functions, strict=True)
     )
-    return Outline(phases, book.routines())
+    return Outline(rewritten, book.routines())
 
 
 def _function(verb: str, phase: ir.Phase) -> _Function:
@@ -383,13 +385,33 @@ class _Book:
         )
 
     def locals(self, function: _Function) -> tuple[ir.Local, ...]:
-        """Locals; what a call writes that may refuse begins at 0: compilers do not follow it."""
-        calls = (call for call in ir.every(ir.Call, function.body) if self._refuses((call,)))
-        passed = {e.name for call in calls for e in call.arguments if e.space is Space.LOCAL}
+        """Locals; what a refusal may leave unwritten begins at 0: compilers do not follow it."""
+        left = {e.name for call in ir.every(ir.Call, function.body) for e in self._left(call)}
         return tuple(
-            replace(local, initial=0.0) if local.name in passed and local.initial is None else local
+            replace(local, initial=0.0) if local.name in left and local.initial is None else local
             for local in function.locals
         )
+
+    def _left(self, call: ir.Call) -> list[Element]:
+        """What a call leaves unwritten, in part or as a whole, where it refuses."""
+        routine, function = self.bodies[call.routine]
+        body = function.body
+        refusing = (i for i, node in enumerate(body) if self._refuses((node,)))
+        first = next(refusing, len(body))
+        always = tuple(node for node in body[:first] if not isinstance(node, ir.Condition))
+        before, after = self._written(always), self._written(body[first:])
+        known = before | {replace(element, index=None) for element in before}
+        late = {e.name for e in after - known if replace(e, index=None) not in before}
+        pairs = zip(routine.arguments, call.arguments, strict=True)
+        return [own for argument, own in pairs if argument.name in late]
+
+    def _written(self, body: ir.Body) -> set[Element]:
+        """Elements that statements write; of what calls write, the whole array."""
+        found = {node.target for node in ir.every(ir.Assign, body)}
+        for call in ir.every(ir.Call, body):
+            pairs = zip(self.bodies[call.routine][0].arguments, call.arguments, strict=True)
+            found |= {replace(own, index=None) for argument, own in pairs if argument.written}
+        return found
 
     def routines(self) -> tuple[ir.Routine, ...]:
         """All routines, callees first."""

@@ -67,6 +67,9 @@ def check(spec: Spec) -> None:
         raise place.entry("model").entry("x0").error("a start that is not zero", f"zero {because}")
     if spec.model.nu:
         raise place.entry("model").entry("B").error("known inputs", f"none {because}")
+    for key in "cd":
+        if not getattr(spec.model, key).is_zero:
+            raise place.entry("model").entry(key).error("a known offset", f"none {because}")
 
 
 def lemma_2(spec: Spec) -> tuple[Finding, ...]:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
-from fkgen.problem.text.matrix import Matrix, plain, plain_fields
+from fkgen.problem.text.matrix import Matrix, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
-LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
+LETTERS = ("A", "B", "C", "D", "Q", "R", "c", "d")
 
 #: Mean-square radii closer to one than this are not told from one.
 MARGIN = 1e-9
@@ -27,7 +27,7 @@ Groups = tuple[tuple[int, ...], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mode:
-    """x[k+1] = A x + B u + c + w and y[k] = C x + D u + v, with Cov(w) = Q and Cov(v) = R."""
+    """x[k+1] = A x + B u + c + w and y[k] = C x + D u + d + v, with Cov(w) = Q and Cov(v) = R."""
 
     A: Matrix
     B: Matrix
@@ -36,6 +36,7 @@ class Mode:
     Q: Matrix
     R: Matrix
     c: Matrix  # (n, 1)
+    d: Matrix  # (p, 1)
     title: str = field(default="", compare=False)
 
     @property
@@ -46,12 +47,12 @@ class Mode:
     @property
     def silent(self) -> Mode:
         """The mode of a lost sample: y is noise alone."""
-        C, D = Matrix.zeros(*self.C.shape), Matrix.zeros(*self.D.shape)
-        return replace(self, C=C, D=D, title=f"{self.title}, lost")
+        C, D, d = (Matrix.zeros(*each.shape) for each in (self.C, self.D, self.d))
+        return replace(self, C=C, D=D, d=d, title=f"{self.title}, lost")
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        table = plain_fields(self) | {"c": [plain(row[0]) for row in self.c.rows]}
+        table = plain_fields(self) | {key: getattr(self, key).plain_column() for key in "cd"}
         absent = ("title",) if self.B.shape[1] else ("title", "B", "D")
         return {key: entry for key, entry in table.items() if key not in absent}
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from fkgen.faults.chain import LETTERS, Channel, Mode, ModeChain
-from fkgen.problem.model import Model
+from fkgen.problem.model import Model, offset
 from fkgen.problem.probability import (
     Distribution,
     Transition,
@@ -90,8 +90,7 @@ class JumpFaults:
 
 def _title(mode: Mode, model: Model) -> str:
     """What tells a mode from the model."""
-    own = [letter for letter in "ABCDQR" if getattr(mode, letter) != getattr(model, letter)]
-    own += ["c"] if mode.c != Matrix.zeros(model.nx, 1) else []
+    own = [letter for letter in LETTERS if getattr(mode, letter) != getattr(model, letter)]
     return "with its own " + ", ".join(own) if own else "the model"
 
 
@@ -133,16 +132,17 @@ def _mode(section: Section, model: Model) -> Mode:
         if key in section and not model.nu:
             expected = "model.B first (zeros will do): it says how many inputs there are"
             raise section.error(key, f"{key} where model.B is missing", expected)
-    found = {letter: getattr(model, letter) for letter in LETTERS if letter != "c"}
+    found = {letter: getattr(model, letter) for letter in LETTERS}
     for key, own in found.items():
         because = f"all modes share the states, inputs and rows of y; so is model.{key}"
-        if key in section and key in {"Q", "R"}:
+        if key in {"c", "d"} and key in section:
+            of = "state" if key == "c" else "measurement"
+            found[key] = offset(section, key, len(own.rows), of)
+        elif key in section and key in {"Q", "R"}:
             found[key] = section.covariance(key, len(own.rows), because)
         elif key in section:
             found[key] = section.matrix(key, own.shape, because)
-    n = model.nx
-    c = section.column("c", n, "numbers or expressions") if "c" in section else Matrix.zeros(n, 1)
-    return Mode(**found, c=c)
+    return Mode(**found)
 
 
 def _channel(section: Section) -> tuple[Arrival, float | None, Transition]:

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from fkgen.problem.table.place import Place
 from fkgen.problem.text.matrix import Matrix, mirrored
 
+#: What is expected of every covariance.
+SEMIDEFINITE = "a positive semidefinite matrix, as every covariance is"
+
 #: Largest difference of mirrored entries, relative to the largest entry.
 SYMMETRY_TOLERANCE = 1e-12
 
@@ -29,7 +32,8 @@ def checked_covariance(matrix: Matrix, place: Place, defaults: Mapping[str, floa
     result = mirrored(matrix)
     if matrix != result:
         _check_symmetry(matrix, place, defaults)
-    _check_sign(result.values(defaults), place)
+    if given := negative_direction(result.values(defaults)):
+        raise place.error(given, SEMIDEFINITE)
     return result
 
 
@@ -82,7 +86,8 @@ def _check_symmetry(matrix: Matrix, place: Place, defaults: Mapping[str, float])
             )
 
 
-def _check_sign(values: NDArray[np.float64], place: Place) -> None:
+def negative_direction(values: NDArray[np.float64]) -> str:
+    """Say where a symmetric matrix is no covariance; empty if it is one."""
     given = ""
     variances = np.diag(values)
     smallest = f"smallest eigenvalue {np.linalg.eigvalsh(values)[0]:.6g}"
@@ -98,8 +103,7 @@ def _check_sign(values: NDArray[np.float64], place: Place) -> None:
         eigenvalues = _correlation_eigenvalues(values[np.ix_(present, present)])
         if eigenvalues[0] < -NEGATIVE_TOLERANCE * eigenvalues[-1]:
             given = f"a matrix with {smallest} ({eigenvalues[0]:.6g} when scaled to unit diagonal)"
-    if given:
-        raise place.error(given, "a positive semidefinite matrix, as every covariance is")
+    return given
 
 
 def _correlation_eigenvalues(values: NDArray[np.float64]) -> NDArray[np.float64]:

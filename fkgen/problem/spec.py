@@ -15,6 +15,7 @@ from fkgen.errors import of_type
 from fkgen.problem.code import Code, read_code
 from fkgen.problem.filter import Filter, Parameter, registry
 from fkgen.problem.model import Model, read_model
+from fkgen.problem.record import Columns, read_record
 from fkgen.problem.signals import PARAMETER, PREFIX, check_distinct, read_name
 from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_number, as_table
@@ -25,7 +26,7 @@ if TYPE_CHECKING:  # types alone: faults are read by their families
 #: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
 LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 
-_KEYS = ("name", "model", "parameters", "faults", "filter", "code")
+_KEYS = ("name", "model", "parameters", "faults", "filter", "code", "record")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,8 @@ class Spec:
         The family and its options.
     code : Code
         Options of the generated code.
+    record : Columns
+        Names of columns in record files.
     file : str
         Where it comes from.
     """
@@ -58,6 +61,7 @@ class Spec:
     faults: Faults
     filter: Filter
     code: Code
+    record: Columns = field(default_factory=Columns)
     file: str = field(default="<dict>", compare=False)
 
     @classmethod
@@ -99,6 +103,11 @@ class Spec:
             faults=faults,
             filter=Filter(options.table["family"], family.options.read(options, faults, model)),
             code=read_code(whole.table.get("code", {}), place.entry("code")),
+            record=read_record(
+                whole.table.get("record", {}),
+                place.entry("record"),
+                [*(s.name for s in (*model.outputs, *model.inputs)), *defaults],
+            ),
             file=file,
         )
         _check_magnitudes(model, place.entry("model"), spec)
@@ -111,6 +120,12 @@ class Spec:
     def defaults(self) -> dict[str, float]:
         """The default value of every parameter."""
         return {parameter.name: parameter.default for parameter in self.parameters}
+
+    @property
+    def period(self) -> float | None:
+        """The sample time in seconds; that of the defaults where it is a parameter."""
+        stated = self.model.sample_time
+        return self.defaults[stated] if isinstance(stated, str) else stated
 
     @property
     def placed_plants(self) -> tuple[tuple[Model | Mode, Place], ...]:
@@ -144,7 +159,7 @@ class Spec:
 
     def to_dict(self) -> dict[str, object]:
         """Return plain dicts, lists, numbers and texts; `from_dict` gives an equal spec back."""
-        return {
+        table: dict[str, object] = {
             "name": self.name,
             "model": self.model.plain(),
             "parameters": {item.name: item.default for item in self.stated_parameters},
@@ -152,6 +167,8 @@ class Spec:
             "filter": self.filter.plain(),
             "code": self.code.plain(),
         }
+        record = self.record.plain()
+        return table | {"record": record} if record else table
 
     def canonical(self) -> str:
         """Return a JSON text that is equal for equal specs and different for different ones."""
@@ -177,7 +194,7 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
     """Refuse entries beyond `LIMITS`; parameters have their default values."""
     scalar = spec.code.scalar
     smallest, largest = LIMITS[scalar]
-    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c"):
+    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c", "d", "S"):
         values = getattr(plant, name).values(spec.defaults) if hasattr(plant, name) else ()
         for at, value in np.ndenumerate(values):
             expected = ""
@@ -186,7 +203,7 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
             elif name in {"Q", "R", "P0"} and at[0] == at[1] and 0.0 < value < smallest:
                 expected = f"0 or at least {smallest:g}"
             if expected:
-                indices = at[:1] if name in {"x0", "c"} else at
+                indices = at[:1] if name in {"x0", "c", "d"} else at
                 where = place.entry(name).item(*indices)
                 raise where.error(f"{value:g}", f"{expected} with scalar {scalar!r}")
 

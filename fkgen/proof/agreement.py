@@ -96,6 +96,8 @@ def _machine(program: CProgram, record: Record) -> dict[str, Array]:
 
 def _difference(found: Array, expected: Array) -> float:
     """0 if all bits are the same (any NaN is one), else the relative distance, never 0."""
+    if found.dtype == np.bool_:
+        return 0.0 if np.array_equal(found, expected > 0) else float("inf")
     expected = expected.astype(found.dtype)
     word = np.uint32 if found.dtype == np.float32 else np.uint64
     same = np.ascontiguousarray(found).view(word) == np.ascontiguousarray(expected).view(word)

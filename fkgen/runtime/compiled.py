@@ -16,6 +16,7 @@ from fkgen.runtime import cache, record
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
+from fkgen.runtime.start import own_bytes, priors
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.floating]
@@ -45,29 +46,40 @@ class CompiledFilter:
         self.ports = tuple(port.name for port in layout.ports)
         self.claims = layout.claims
         self._library = ctypes.CDLL(str(entry / cache.LIBRARY))
-        self._record = self._library[f"{layout.name}_record"]
-        self._record.argtypes = [ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 6]
+        pointer = ctypes.c_void_p
+        self._record = self._function("record", pointer, ctypes.c_int64, *[pointer] * 7)
         self._record.restype = None
-        self._init = self._library[f"{layout.name}_record_init"]
-        self._init.argtypes = [ctypes.c_void_p]
+        self._init, self._start = (self._call("init"), self._call("start", pointer, pointer))
+        self._step, self._update, self._predict = map(self._call, ("step", "update", "predict"))
         self._type = layout.structure()
-        if self._library[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
+        if self._function("record_size")() != ctypes.sizeof(self._type):
             raise InternalError(f"{layout.name}: the C instance has another size than its layout")
         self._dtype = layout.dtype
+        self._prepare()
+        self.reset()
+
+    def _function(self, name: str, *arguments: Any) -> Any:
+        """A function of the library."""
+        function = self._library[f"{self.name}_{name}"]
+        function.argtypes = arguments
+        return function
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        """A function that works on one instance."""
+        return self._function(f"call_{name}", ctypes.c_void_p, *arguments)
+
+    def _prepare(self) -> None:
+        """An instance, and buffers that stay where they are, so that a call has one argument."""
+        layout = self.layout
         self._instance = self._type()
-        # Buffers and pointers that stay where they are, so that a step costs one call.
         self._y = np.zeros(len(layout.outputs), self._dtype)
         self._u = np.zeros(len(layout.inputs), self._dtype)
-        self._parameters = [np.zeros(1, self._dtype) for _ in layout.parameters]
-        self._status = np.zeros(1, np.int32)
-        nothing = Run({}, self._status)
-        data = (self._y[np.newaxis], self._u[np.newaxis])
-        self._alive = self._arguments(self._instance, data, self._parameters, nothing)
-        self._step_arguments = tuple(
-            ctypes.addressof(each) if isinstance(each, ctypes.Array) else each
-            for each in self._alive
-        )
-        self.reset()
+        self._parameters = np.array([value for _, value in layout.parameters], self._dtype)
+        arrays = self._parameters, self._u, self._y
+        addresses = [ctypes.addressof(self._instance), *(each.ctypes.data for each in arrays)]
+        self._given = (ctypes.c_void_p * len(addresses))(*addresses)
+        self._at = ctypes.addressof(self._given)
+        self._varied = False
 
     def run(
         self,
@@ -76,8 +88,9 @@ class CompiledFilter:
         params: Mapping[str, ArrayLike] | None = None,
         *,
         keep: Sequence[str] | None = None,
+        start: Snapshot | Mapping[str, ArrayLike] | None = None,
     ) -> Run:
-        """Filter a whole record in C, from the prior; the instance of `step` is not touched.
+        """Filter a whole record in C; the instance of `step` is not touched.
 
         Parameters
         ----------
@@ -89,6 +102,9 @@ class CompiledFilter:
             Run-time parameters; those left out keep their defaults.
         keep : sequence of str
             Ports to store; all by default.
+        start : Snapshot or mapping
+            Where to go on, or the prior of sample 0 as ``{"x0": (n,), "P0": (n, n)}``; what is left
+            out is that of the spec.
 
         Returns
         -------
@@ -103,7 +119,8 @@ class CompiledFilter:
         driven = record.inputs(self.layout, u, len(measured))
         given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
         found = self._room((len(measured),), keep)
-        self._filter((measured, driven), given, found)
+        instance = self._starts(start, given)[0]
+        self._filter(instance, (measured, driven), given, found)
         return found
 
     def run_batch(
@@ -113,9 +130,10 @@ class CompiledFilter:
         params: Mapping[str, ArrayLike] | None = None,
         *,
         keep: Sequence[str] | None = None,
+        start: Snapshot | Mapping[str, ArrayLike] | None = None,
         advance: Advance | None = None,
     ) -> Run:
-        """Filter M independent records, each from the prior, on all cores.
+        """Filter M independent records on all cores.
 
         Parameters
         ----------
@@ -126,6 +144,8 @@ class CompiledFilter:
             As for `run`, the same for all records, or one row per record.
         keep : sequence of str
             Ports to store; all by default.
+        start : Snapshot or mapping
+            As for `run`; ``x0`` may be (M, n) and ``P0`` (M, n, n), one for each record.
         advance : callable, optional
             Called with the number of records that were finished since the last call.
 
@@ -140,14 +160,16 @@ class CompiledFilter:
             self.layout.parameters, params, shape[1], self._dtype, records=shape[0]
         )
         found = self._room(shape, keep)
+        instances = self._starts(start, given, shape[0])
 
         def work(start: int, stop: int) -> None:
             for m in range(start, stop):
                 each = driven[m] if driven is not None and driven.ndim == 3 else driven
                 ready = record.inputs(self.layout, each, shape[1])
                 told = [p[m] if p.ndim == 2 else p for p in given]
-                part = Run({name: found[name][m] for name in found}, found.status[m])
-                self._filter((records[m], ready), told, part)
+                ports = {name: found[name][m] for name in found}
+                part = Run(ports, found.status[m], found.held[m])
+                self._filter(instances[m % len(instances)], (records[m], ready), told, part)
 
         in_blocks(work, shape[0], max(1, BLOCK // max(1, shape[1])), advance)
         return found
@@ -176,38 +198,103 @@ class CompiledFilter:
         DataError
             If shapes or names do not fit.
         """
-        if type(y) is np.ndarray and y.dtype is self._y.dtype and y.shape == self._y.shape:
-            self._y[:] = y  # the fast way: nothing to check
-        else:
-            self._place("y", y, self._y)
-        if type(u) is np.ndarray and u.dtype is self._u.dtype and u.shape == self._u.shape:
-            self._u[:] = u
-        elif u is not None or self._u.size:
-            self._place("u", u, self._u)
-        if params is not None or self._varied:
-            self._place_parameters(params or {})
-        self._record(*self._step_arguments)
-        status = int(self._status[0])
-        if status < 0:
-            found = Status(status)
-            raise StepRefused(status, f"{self.name.upper()}_{found.name}", found.meaning)
+        self._measure(y)
+        if u is not None or params is not None or self._varied or self._u.size:
+            self._drive(u, params)
+        status = self._told(self._step(self._at))
         return Snapshot(self.layout, bytes(self._instance), status)
 
-    def reset(self) -> None:
-        """Return the instance to the prior, and parameters to their defaults."""
-        self._init(ctypes.addressof(self._instance))
+    def update(
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        params: Mapping[str, float] | None = None,
+    ) -> Snapshot:
+        """Correct the latest estimate with a sample; several in a row are several sensors.
+
+        Parameters and errors are those of `step`. A filter that can take one update per sample
+        refuses the second one.
+        """
+        self._measure(y)
+        if u is not None or params is not None or self._varied or self._u.size:
+            self._drive(u, params)
+        status = self._told(self._update(self._at))
+        return Snapshot(self.layout, bytes(self._instance), status)
+
+    def predict(
+        self, u: ArrayLike | None = None, params: Mapping[str, float] | None = None
+    ) -> Snapshot:
+        """Move the latest estimate to the next sample; after a prediction, without a measurement.
+
+        Parameters and errors are those of `step`.
+        """
+        if u is not None or params is not None or self._varied or self._u.size:
+            self._drive(u, params)
+        status = self._told(self._predict(self._at))
+        return Snapshot(self.layout, bytes(self._instance), status)
+
+    def reset(
+        self,
+        x0: ArrayLike | None = None,
+        P0: ArrayLike | None = None,
+        params: Mapping[str, float] | None = None,
+    ) -> None:
+        """Return the instance to a prior, by default to that of the spec.
+
+        Raises
+        ------
+        DataError
+            If a shape is wrong or P0 is no covariance.
+        StepRefused
+            If C refuses the prior; the instance is unchanged.
+        """
+        self._place_parameters(params or {})
+        given = {name: value for name, value in (("x0", x0), ("P0", P0)) if value is not None}
+        prior = tuple(each[0] for each in priors(self.layout, given)) if given else None
+        self._begin(self._at, prior)
         self._place_parameters({})
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return the instance to where a snapshot of the same filter was taken.
+
+        Raises
+        ------
+        DataError
+            If it is the snapshot of another filter.
+        """
+        data = own_bytes(self.layout, snapshot)
+        ctypes.memmove(ctypes.addressof(self._instance), data, len(data))
 
     def snapshot(self) -> Snapshot:
         """The instance as it is now."""
         return Snapshot(self.layout, bytes(self._instance), 0)
+
+    def __copy__(self) -> CompiledFilter:
+        """A filter with an instance of its own, where this one is."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other._prepare()
+        other.restore(self.snapshot())
+        return other
+
+    def __deepcopy__(self, _: object) -> CompiledFilter:
+        """The same: nothing but the library is shared, and nothing changes that."""
+        return self.__copy__()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Rebuild from the cache, or from the generated C where that is gone, and restore."""
+        from fkgen.runtime.compiler import revived  # noqa: PLC0415 - it imports this module
+
+        files = self.folder.glob("*.[chj]*")
+        texts = {path.name: path.read_text(encoding="utf-8") for path in files}
+        return revived, (self.folder.name, texts, self.snapshot())
 
     def state(self, name: str) -> Array:
         """Writable view of one stored member of the instance, packed as in C."""
         of_type("port", name, str, "the name of a port")
         if name not in self.ports:
             raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
-        field = getattr(self._type, name)
+        field = getattr(self._type, next(p.member for p in self.layout.ports if p.name == name))
         view: Array = np.frombuffer(memoryview(self._instance), self._dtype)
         size = np.dtype(self._dtype).itemsize
         return view[field.offset // size : (field.offset + field.size) // size]
@@ -218,26 +305,48 @@ class CompiledFilter:
 
     def _room(self, shape: tuple[int, ...], keep: Sequence[str] | None) -> Run:
         ports = record.kept(self.layout, keep)
-        values = {port.name: np.empty((*shape, *port.shape), self._dtype) for port in ports}
-        return Run(values, np.empty(shape, np.int32))
+        values = {
+            port.name: np.empty((*shape, *port.shape), self.layout.dtype_of(port)) for port in ports
+        }
+        return Run(values, np.empty(shape, np.int32), np.empty(shape, np.bool_))
 
-    def _filter(self, data: tuple[Array, Array], parameters: list[Array], found: Run) -> None:
-        """Filter y and u from the prior."""
-        instance = self._type()
-        self._init(ctypes.addressof(instance))
-        self._record(*self._arguments(instance, data, parameters, found))
-
-    def _arguments(
+    def _starts(
         self,
-        instance: ctypes.Structure,
-        data: tuple[Array, Array],
+        start: Snapshot | Mapping[str, ArrayLike] | None,
         parameters: list[Array],
-        found: Run,
-    ) -> tuple[Any, ...]:
-        """What C takes: arrays of pointers, and addresses in arrays that have to live on."""
+        records: int | None = None,
+    ) -> list[bytes]:
+        """Instances to start from: one, or one for each record."""
+        if isinstance(start, Snapshot):
+            return [own_bytes(self.layout, start)]
+        prior = None if start is None else priors(self.layout, start, records)
+        of_each = [len(values) for values in parameters if values.ndim == 2]
+        count = max([1, *map(len, prior or ()), *of_each])
+        instance, first = self._type(), self._parameters.copy()
+        call = (ctypes.c_void_p * 4)(ctypes.addressof(instance), first.ctypes.data)
+        found = []
+        for m in range(count):
+            for i, values in enumerate(parameters):
+                of_m = values[m] if values.ndim == 2 else values
+                first[i : i + 1] = of_m[:1]
+            own = None if prior is None else tuple(each[m % len(each)] for each in prior)
+            self._begin(ctypes.addressof(call), own)
+            found.append(bytes(instance))
+        return found
+
+    def _begin(self, call: int, prior: tuple[Array, ...] | None) -> None:
+        """Start the instance of a call from the prior of the spec, or from another one."""
+        places = () if prior is None else tuple(each.ctypes.data for each in prior)
+        self._told(self._start(call, *places) if places else self._init(call))
+
+    def _filter(
+        self, start: bytes, data: tuple[Array, Array], parameters: list[Array], found: Run
+    ) -> None:
+        """Filter y and u."""
+        instance = self._type.from_buffer_copy(start)
         count = max(1, len(parameters))
         out = [found[p.name].ctypes.data if p.name in found else None for p in self.layout.ports]
-        return (
+        self._record(
             ctypes.addressof(instance),
             len(data[0]),
             (ctypes.c_void_p * count)(*[values.ctypes.data for values in parameters]),
@@ -246,7 +355,33 @@ class CompiledFilter:
             data[0].ctypes.data,
             (ctypes.c_void_p * len(out))(*out),
             found.status.ctypes.data,
+            found.held.ctypes.data,
         )
+
+    def _told(self, status: int) -> int:
+        """The status of a call, unless it is a refusal."""
+        if status < 0:
+            found = Status(status)
+            raise StepRefused(status, f"{self.name.upper()}_{found.name}", found.meaning)
+        return status
+
+    def _measure(self, y: ArrayLike) -> None:
+        """Put a sample where C reads it."""
+        place = self._y
+        if type(y) is np.ndarray and y.dtype is place.dtype and y.shape == place.shape:
+            place[:] = y  # the fast way: nothing to check
+        else:
+            self._place("y", y, place)
+
+    def _drive(self, u: ArrayLike | None, params: Mapping[str, float] | None) -> None:
+        """The same with inputs and parameters."""
+        place = self._u
+        if type(u) is np.ndarray and u.dtype is place.dtype and u.shape == place.shape:
+            place[:] = u
+        elif u is not None or place.size:
+            self._place("u", u, place)
+        if params is not None or self._varied:
+            self._place_parameters(params or {})
 
     def _place(self, what: str, value: ArrayLike | None, place: Array) -> None:
         """Copy one sample to where C reads it; a number will do for a single row."""
@@ -264,5 +399,5 @@ class CompiledFilter:
         """Parameters of this sample; those not given take their defaults."""
         self._varied = bool(given)
         values = record.values_of(self.layout.parameters, given, 1, self._dtype)
-        for place, value in zip(self._parameters, values, strict=True):
-            place[:] = value
+        for i, value in enumerate(values):
+            self._parameters[i] = value[0]

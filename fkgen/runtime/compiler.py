@@ -14,10 +14,13 @@ from typing import TYPE_CHECKING
 from fkgen.errors import CompilerError, of_type
 from fkgen.runtime import cache
 from fkgen.runtime.compiled import CompiledFilter
-from fkgen.runtime.layout import layout_of
+from fkgen.runtime.layout import Layout, layout_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from fkgen.backend.source import Source
+    from fkgen.runtime.results import Snapshot
 
 #: Operations per step beyond which -O2 takes longer to compile than anyone waits.
 LARGE = 8000
@@ -86,17 +89,31 @@ def compile_shared(compiler: Compiler, source: Path, library: Path, *, flops: in
 def make(key: str, source: Source, compiler: Compiler) -> Path:
     """Compile generated code into the cache; the folder of the finished entry."""
     program = source.program
+    layout = layout_of(program, source.claims)
+    texts = {**source.files, f"{program.name}_record.c": source.record}
+    return _made(key, texts | {cache.LAYOUT: layout.to_json()}, layout, compiler)
 
+
+def _made(key: str, texts: Mapping[str, str], layout: Layout, compiler: Compiler) -> Path:
     def fill(folder: Path) -> None:
-        for name, text in source.files.items():
+        for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
-        record = folder / f"{program.name}_record.c"
-        record.write_text(source.record, encoding="utf-8")
-        compile_shared(compiler, record, folder / cache.LIBRARY, flops=program.flops)
-        layout = layout_of(program, source.claims)
-        (folder / cache.LAYOUT).write_text(layout.to_json(), encoding="utf-8")
+        record = folder / f"{layout.name}_record.c"
+        compile_shared(compiler, record, folder / cache.LIBRARY, flops=layout.flops)
 
     return cache.store(key, fill)
+
+
+def revived(key: str, texts: Mapping[str, str], snapshot: Snapshot) -> CompiledFilter:
+    """A filter that was pickled: from the cache, else compiled from its text anew."""
+    entry = cache.find(key)
+    if entry is None:
+        compiler = find_compiler()
+        key = cache.key_of(*texts.values(), compiler.identity)
+        entry = cache.find(key) or _made(key, texts, snapshot.layout, compiler)
+    found = CompiledFilter(entry)
+    found.restore(snapshot)
+    return found
 
 
 def compile_source(source: Source) -> CompiledFilter:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fkgen.backend.ir import CProgram
-from fkgen.symbolic.interface import Port, Role
+from fkgen.symbolic.interface import CORRELATED, UPDATED, Port, Role
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,6 +18,7 @@ class Layout:
     """Names, sizes and ports of a compiled filter."""
 
     name: str
+    spec: str  # Digest of what the filter was built from
     family: str
     scalar: str
     states: tuple[str, ...]  # states, inputs, outputs: Names of the signals
@@ -25,6 +26,8 @@ class Layout:
     outputs: tuple[str, ...]
     parameters: tuple[tuple[str, float], ...]  # Run-time parameters with their defaults
     ports: tuple[Port, ...]  # Members of the C instance, in order
+    prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed
+    groups: int  # Of rows with correlated noises, one more member for each
     flops: int  # Operations per step
     claims: tuple[str, ...]  # What was proved before the code was generated
 
@@ -33,10 +36,21 @@ class Layout:
         """The NumPy scalar."""
         return np.float64 if self.scalar == "double" else np.float32
 
+    def dtype_of(self, port: Port) -> type[np.generic]:
+        """The NumPy scalar of a port in Python."""
+        return np.bool_ if port.flags else self.dtype
+
     def structure(self) -> type[ctypes.Structure]:
         """The C instance as a ctypes structure."""
         real: Any = ctypes.c_double if self.scalar == "double" else ctypes.c_float
-        fields = [(port.name, real * port.size if port.shape else real) for port in self.ports]
+        fields = [(port.member, real * port.size if port.shape else real) for port in self.ports]
+        fields.append((UPDATED, real))
+        fields += [(CORRELATED, real * self.groups)] if self.groups else []
+        words = -(-len(self.outputs) // 32)
+        flags = [port.name for port in self.ports if port.flags]
+        fields += [(name, ctypes.c_uint32 * words) for name in flags]
+        if self.scalar == "double" and words * len(flags) % 2:
+            fields.append(("unused", ctypes.c_uint32))
         return type(f"{self.name}_t", (ctypes.Structure,), {"_fields_": fields})
 
     def to_json(self) -> str:
@@ -51,15 +65,18 @@ class Layout:
             Port(**{**port, "role": Role(port["role"]), "shape": tuple(port["shape"])})
             for port in facts.pop("ports")
         )
+        x0, P0 = facts.pop("prior")
         parameters = tuple((name, value) for name, value in facts.pop("parameters"))
         rest: Any = {key: tuple(v) if isinstance(v, list) else v for key, v in facts.items()}
-        return cls(ports=ports, parameters=parameters, **rest)
+        prior = tuple(x0), tuple(P0)
+        return cls(ports=ports, parameters=parameters, prior=prior, **rest)
 
 
 def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
     """The layout of a program."""
-    same = ("name", "family", "scalar", "parameters", "ports", "flops")
+    same = ("name", "family", "scalar", "parameters", "ports", "prior", "flops")
     facts: dict[str, Any] = {key: getattr(program, key) for key in same}
+    facts["spec"] = program.digest
     for key in ("states", "inputs", "outputs"):
         facts[key] = tuple(signal.name for signal in getattr(program, key))
-    return Layout(claims=claims, **facts)
+    return Layout(claims=claims, groups=len(program.repeats or ()), **facts)

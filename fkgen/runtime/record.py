@@ -93,7 +93,7 @@ def values_of(
                 given=f"shape {array.shape}",
                 expected=f"a number or shape ({samples},){several}",
             )
-        if not np.isfinite(array).all():
+        if array.size == 1 and not np.isfinite(array).all():  # else the samples are held
             at = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
             where = ", ".join(map(str, at))
             raise DataError(

@@ -19,13 +19,16 @@ class Run:
     """What a filter said about a record: every kept port is an attribute of shape (T, ...).
 
     ``run["name"]`` is the same as ``run.name``; ``run.ports`` lists the names. ``status`` is int32:
-    0 used, 1 no row present, 2 and 3 rejected by a test for faults, negative refused (the instance
-    was unchanged, so ports repeat).
+    0 used, 1 no row present, 2 and 3 rejected by a test for faults, negative refused. Time passes
+    at a refused sample as if all of y were missing; where it could not, ``held`` is true and the
+    ports are those of the sample before.
     """
 
-    def __init__(self, values: Mapping[str, Array], status: NDArray[np.int32]) -> None:
+    def __init__(
+        self, values: Mapping[str, Array], status: NDArray[np.int32], held: NDArray[np.bool_]
+    ) -> None:
         self._values = dict(values)
-        self.status = status
+        self.status, self.held = status, held
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -39,9 +42,11 @@ class Run:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         of_type("port", name, str, "the name of a port")
-        if name not in (*self._values, "status"):
+        if name in {"status", "held"}:
+            return np.asarray(getattr(self, name))
+        if name not in self._values:
             raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
-        return self.status if name == "status" else self._values[name]
+        return self._values[name]
 
     def __getattr__(self, name: str) -> Array:
         values: dict[str, Array] = self.__dict__.get("_values", {})
@@ -64,40 +69,44 @@ class Run:
 class Snapshot:
     """The instance after a sample, frozen: every port is an attribute; equal if all bits are."""
 
-    __slots__ = ("_bytes", "_layout", "status")
+    __slots__ = ("data", "layout", "status")
 
     def __init__(self, layout: Layout, data: bytes, status: int) -> None:
-        self._layout, self._bytes, self.status = layout, data, status
+        self.layout, self.data, self.status = layout, data, status
 
-    def __getitem__(self, name: str) -> Array:
+    def __getitem__(self, name: str) -> NDArray[Any]:
         of_type("port", name, str, "the name of a port")
-        dtype = np.dtype(self._layout.dtype)
+        dtype = np.dtype(self.layout.dtype)
         offset = 0
-        for port in self._layout.ports:
+        for port in self.layout.ports:
             if port.name == name:
-                value = port.unpacked(np.frombuffer(self._bytes, dtype, port.size, offset))
+                value = port.unpacked(np.frombuffer(self.data, dtype, port.size, offset))
+                if port.flags:
+                    return value > 0
                 return np.where(self[port.given] > 0, value, np.nan) if port.given else value
             offset += port.size * dtype.itemsize
-        names = [port.name for port in self._layout.ports]
+        names = [port.name for port in self.layout.ports]
         raise DataError("port", given=repr(name), expected=record.choice(name, names))
 
     def __getattr__(self, name: str) -> Array:
         if name in Snapshot.__slots__:  # not set yet: while being copied
             raise AttributeError(name)
-        if any(port.name == name for port in self._layout.ports):
+        if any(port.name == name for port in self.layout.ports):
             return self[name]
         raise AttributeError(f"no port {name!r}")
 
     @property
     def ports(self) -> tuple[str, ...]:
         """Names of the ports."""
-        return tuple(port.name for port in self._layout.ports)
+        return tuple(port.name for port in self.layout.ports)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Snapshot) and self._bytes == other._bytes
+        if not isinstance(other, Snapshot) or self.data != other.data:
+            return False
+        return self.layout == other.layout
 
     def __hash__(self) -> int:
-        return hash(self._bytes)
+        return hash(self.data)
 
     def __repr__(self) -> str:
-        return f"<Snapshot of {self._layout.name}: filtered_state {self['filtered_state']}>"
+        return f"<Snapshot of {self.layout.name}: filtered_state {self['filtered_state']}>"

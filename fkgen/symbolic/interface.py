@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,7 +43,12 @@ class Status(Enum):
     )
     RESULT_NOT_FINITE = -5, "the result would not be finite"
     SELFTEST_FAILED = -6, "the self-test does not give the recorded bits on this target"
+    WRONG_ORDER = -7, "a second update of this sample, which this filter cannot take: predict first"
 
+
+#: Members of an instance beside its ports: 1 after an update and 0 after a prediction, which tells
+#: the latest estimate; 1 for each group of rows with correlated noises of which one was used since.
+UPDATED, CORRELATED = "updated", "correlated"
 
 #: Statuses that only filters have which test their samples.
 VERDICTS = (Status.FAULT_DECLARED, Status.LOCKED_OUT)
@@ -80,7 +85,18 @@ class Port:
     per_row: bool = False  # One entry per row of y, NaN in Python where the row is missing
     #: A port of the same shape: where it is 0, this one says nothing and is NaN in Python
     given: str = ""
+    #: Of a prediction that updates read: the port that holds the same once an update has been
+    corrected: str = ""
+    #: 1 or 0 for each row of y, which C also shows as the bits of words, and Python as booleans
+    flags: bool = False
     start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
+    #: What it starts as in place of ``start``, repeated: mean or packed covariance of the prior
+    prior: Literal["", "x", "P"] = ""
+
+    @property
+    def member(self) -> str:
+        """The member of the C instance that holds the values."""
+        return f"{self.name}_rows" if self.flags else self.name
 
     @property
     def size(self) -> int:

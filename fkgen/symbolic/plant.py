@@ -9,16 +9,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from fkgen.errors import InternalError
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
 from fkgen.problem.covariance import is_singular
 
+#: Variances of which four may be multiplied, with some room for those that follow from them.
+TAME = 1e-60, 1e60
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """x[k+1] = A x + B g u + c + v, y = C x + D g u + w, with Cov(v) = Q and Cov(w) = R."""
+    """x[k+1] = A x + B g u + c + v, y = C x + D g u + d + w, with Cov(v) = Q and Cov(w) = R."""
 
     parameters: Mapping[str, ca.SX]  # Symbols of the run-time parameters
     A: ca.SX  # A, B, C, D, Q, R: (n, n), (n, q), (p, n), (p, q), (n, n), (p, p)
@@ -27,12 +31,16 @@ class Plant:
     D: ca.SX
     Q: ca.SX
     R: ca.SX
-    c: ca.SX  # (n, 1), a known offset: nothing but in modes of jump faults
+    c: ca.SX  # (n, 1), (p, 1), known offsets
+    d: ca.SX
+    S: ca.SX  # (n, p), covariance of the noise of x with that of y
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
     scalar: str  # Of the C code, for tolerances
     shows_variance: bool  # The covariance of the innovation is shown
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
+    #: Variances follow parameters or are so large or small that products of some overflow
+    wide: bool
 
     @property
     def nx(self) -> int:
@@ -55,12 +63,12 @@ def plant_of(spec: Spec) -> Plant:
     parameters, model = {p.name: ca.SX.sym(p.name) for p in spec.parameters}, spec.model
     return Plant(
         parameters=parameters,
-        **{letter: lift(getattr(model, letter), parameters) for letter in "ABCDQR"},
-        c=ca.SX(model.nx, 1),
+        **{letter: lift(getattr(model, letter), parameters) for letter in (*LETTERS, "S")},
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
         shows_variance=spec.code.shows("innovation_covariance"),
         noise_free=_is_noise_free(model.R),
+        wide=_is_wide(model.R) or _is_wide(model.P0),
     )
 
 
@@ -76,13 +84,22 @@ def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
             if key not in known:
                 known[key] = lift(key[1], base.parameters)
             lifted[letter] = known[key]
-        plants.append(replace(base, noise_free=_is_noise_free(mode.R), **lifted))
+        wide = base.wide or _is_wide(mode.R)
+        plants.append(replace(base, noise_free=_is_noise_free(mode.R), wide=wide, **lifted))
     return tuple(plants)
 
 
 def _is_noise_free(R: Matrix) -> bool:
     """Whether a constant R is singular."""
     return R.is_constant and is_singular(R.values())
+
+
+def _is_wide(covariance: Matrix) -> bool:
+    """Whether variances may be beyond what products of four of them can hold in double."""
+    if not covariance.is_constant:
+        return True
+    variances = np.diag(covariance.values())
+    return any(not TAME[0] <= value <= TAME[1] for value in variances[variances > 0.0])
 
 
 def lift(matrix: Matrix, parameters: Mapping[str, ca.SX]) -> ca.SX:

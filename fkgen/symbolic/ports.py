@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
+from typing import Literal
 
 import casadi as ca
 
@@ -19,6 +19,7 @@ PARAMETER = "params."
 carried, shown = partial(Port, role=Role.STATE), partial(Port, role=Role.OUTPUT)
 
 Start = tuple[float, ...]
+Priors = tuple[Literal["", "x"], Literal["", "P"]]
 
 
 def estimate_ports(
@@ -27,14 +28,19 @@ def estimate_ports(
     meanings: tuple[str, str],
     *,
     state: str = "state",
-    start: tuple[Start, Start] = ((), ()),
+    priors: Priors = ("x", "P"),
+    corrected: str = "",
 ) -> tuple[Port, Port]:
-    """An estimate of this shape, one or several, and its covariance; each starts as ``start``."""
-    count, square = math.prod(shape[:-1]), (*shape, shape[-1])
-    mean, packed = (values * count for values in start)
-    matrix = partial(carried, unit="xx", symmetric=True, start=packed)
+    """An estimate of this shape, one or several, and its covariance; each starts as the prior.
+
+    ``corrected`` is the prefix of what an update makes of it.
+    """
+    names, square = (state, "covariance"), (*shape, shape[-1])
+    twin = [corrected and f"{corrected}{name}" for name in names]
+    vector = partial(carried, unit="x", prior=priors[0], corrected=twin[0])
+    matrix = partial(carried, unit="xx", symmetric=True, prior=priors[1], corrected=twin[1])
     return (
-        carried(f"{prefix}{state}", shape, meanings[0], unit="x", start=mean),
+        vector(f"{prefix}{state}", shape, meanings[0]),
         matrix(f"{prefix}covariance", square, meanings[1]),
     )
 
@@ -43,27 +49,28 @@ def state_ports(spec: Spec) -> tuple[Port, ...]:
     """Predicted and filtered state with their covariances."""
     predicted = "x(k+1|k): mean of the next state given y[0..k]", "P(k+1|k): its error covariance"
     filtered = "x(k|k): mean of the state given y[0..k]", "P(k|k): its error covariance"
-    shape, start = (spec.model.nx,), prior_of(spec)
+    shape = (spec.model.nx,)
     return (
-        *estimate_ports("predicted_", shape, predicted, start=start),
-        *estimate_ports("filtered_", shape, filtered, start=start),
+        *estimate_ports("predicted_", shape, predicted, corrected="filtered_"),
+        *estimate_ports("filtered_", shape, filtered),
     )
 
 
 def mode_estimate_ports(spec: Spec, count: int, means: tuple[str, str]) -> tuple[Port, ...]:
     """Predicted and filtered state under each of several modes, with their covariances."""
-    shape, start, covariance = (count, spec.model.nx), prior_of(spec), "its error covariance"
+    shape, covariance = (count, spec.model.nx), "its error covariance"
+    later = "mode_filtered_"
     return (
-        *estimate_ports("mode_", shape, (means[0], covariance), start=start),
-        *estimate_ports("mode_filtered_", shape, (means[1], covariance), start=start),
+        *estimate_ports("mode_", shape, (means[0], covariance), corrected=later),
+        *estimate_ports(later, shape, (means[1], covariance)),
     )
 
 
 def twins(name: str, shape: tuple[int, ...], meaning: str, start: Start = ()) -> tuple[Port, Port]:
     """A number of sample k and its prediction; {of} and {k} in the meaning tell them apart."""
     now, later = (
-        carried(of + name, shape, meaning.format(of=of, k=k), start=start)
-        for of, k in (("", "k"), ("predicted_", "k+1"))
+        carried(of + name, shape, meaning.format(of=of, k=k), start=start, corrected=twin)
+        for of, k, twin in (("", "k", ""), ("predicted_", "k+1", name))
     )
     return now, later
 
@@ -86,6 +93,11 @@ def prior_of(spec: Spec) -> tuple[Start, Start]:
     P0 = spec.model.P0.values()
     state = tuple(float(v) for v in spec.model.x0.values().ravel())
     return state, tuple(float(P0[i, j]) for i, j in triangle(spec.model.nx))
+
+
+def prior_symbols(n: int) -> dict[str, ca.SX]:
+    """What the phase that starts a filter reads: mean and packed covariance of the prior."""
+    return {"x": ca.SX.sym("x", n), "P": ca.SX.sym("P", len(triangle(n)))}
 
 
 def symbols_of(spec: Spec, plant: Plant, ports: Sequence[Port]) -> dict[str, ca.SX]:

@@ -8,15 +8,17 @@ straight-line C with a few branches. Work that most samples do without is a phas
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import casadi as ca
+import numpy as np
 
 from fkgen.problem import Spec
 from fkgen.problem.table.place import Place, suggestion
-from fkgen.symbolic.interface import Kind, Outcome, Port, Status
+from fkgen.symbolic.interface import Kind, Outcome, Port, Status, triangle
+from fkgen.symbolic.ports import prior_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +104,30 @@ class Recursion:
     notes: tuple[str, ...] = ()  # Other decisions that the header repeats
     #: Statuses in place of OK, the first that applies
     outcomes: tuple[Outcome, ...] = ()
+    #: Rows of y with correlated noises, in groups: an update that follows an update may take rows
+    #: of other groups than those before it. None where no update may follow an update.
+    repeats: tuple[tuple[int, ...], ...] | None = None
+    #: Writes start values that are computed from the prior, its mean ``x`` and covariance ``P``
+    start: Phase | None = None
     #: Start values in place of those that ports have; complete once this is made
     initial: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        starts = {port.name: port.start for port in self.ports if port.start}
-        object.__setattr__(self, "initial", {**starts, **self.initial})
+        prior = dict(zip(("x", "P"), prior_of(self.spec), strict=True))
+        starts = {
+            port.name: prior[port.prior] * (port.size // len(prior[port.prior]))
+            if port.prior
+            else port.start
+            for port in self.ports
+            if port.prior or port.start
+        }
+        computed = {} if self.start is None else _evaluated(self.start, prior)
+        object.__setattr__(self, "initial", {**starts, **computed, **self.initial})
+        for name in ("update", "predict", "closing", "start"):
+            phase = getattr(self, name)
+            if phase is not None:
+                sound = _guarded(phase, self.ports, bounded=not self.spec.stated_parameters)
+                object.__setattr__(self, name, sound)
         names = [port.name for port in self.ports]
         for i, name in enumerate(self.spec.code.ports or ()):
             if name not in names:
@@ -124,3 +144,48 @@ class Recursion:
     def port(self, name: str) -> Port:
         """Return the port of this name; KeyError if there is none."""
         return {port.name: port for port in self.ports}[name]
+
+
+def _evaluated(
+    phase: Phase, given: Mapping[str, tuple[float, ...]]
+) -> dict[str, tuple[float, ...]]:
+    """What a phase without conditions assigns."""
+    values: dict[str, ca.DM] = {name: ca.DM(list(value)) for name, value in given.items()}
+    for block in phase.blocks:
+        found = block.function(phase.symbols).call([values[name] for name in block.reads])
+        values |= dict(zip(block.assign, found, strict=False))
+    written = (values.keys() - given.keys()) - {variable.name for variable in phase.variables}
+    return {name: tuple(np.asarray(values[name]).ravel().tolist()) for name in written}
+
+
+def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
+    """The phase with a guard on what it writes to ports, unless it is a copy or guarded already."""
+    places = {port.name: _places(port, bounded=bounded) for port in ports}
+    copied = {e.element_hash() for name in places for e in ca.symvar(phase.symbols[name])}
+    sound: set[int] = set()  # locals that a guard has seen since they were assigned
+    blocks = []
+    for block in phase.blocks:
+        finite = [guard.values for guard in block.guards if guard.kind is Kind.FINITE]
+        seen = {value.element_hash() for values in finite for value in ca.vertsplit(values)}
+        written = [
+            block.assign[name][i] for name in block.assign if name in places for i in places[name]
+        ]
+        values = {value.element_hash(): value for value in written if not value.is_constant()}
+        left = [value for key, value in values.items() if key not in seen | copied | sound]
+        guards = block.guards
+        if left:
+            guards += (Guard(ca.vertcat(*left), Kind.FINITE, Status.RESULT_NOT_FINITE),)
+        blocks.append(replace(block, guards=guards))
+        sound |= seen if block.when is None else set()
+        for name in block.assign:
+            sound -= {e.element_hash() for e in ca.symvar(phase.symbols[name])}
+    return replace(phase, blocks=tuple(blocks))
+
+
+def _places(port: Port, *, bounded: bool) -> list[int]:
+    """Where to look; in covariances whose other entries are ``bounded`` by them, at variances."""
+    if not (port.symmetric and bounded):
+        return list(range(port.size))
+    n = port.shape[-1]
+    size = len(triangle(n))
+    return [at + i * (i + 3) // 2 for at in range(0, port.size, size) for i in range(n)]

@@ -103,7 +103,11 @@ static const double car_speed_zero_0[1] = {
     0.0
 };
 
-static const double car_speed_predicted_covariance_0[3] = {
+static const double car_speed_x_0[2] = {
+    0.0, 0.0
+};
+
+static const double car_speed_P_0[3] = {
     900.0, 0.0, 1.0
 };
 
@@ -121,15 +125,21 @@ static int car_speed_finite(double defects)
     return defects >= 0.0;
 }
 
-/* Nonzero if every input is finite. */
-static int car_speed_finite_input(const double *u)
+/* Nonzero if all numbers of an array are finite. */
+static int car_speed_all_finite(const double *values, int size)
 {
     int i;
-    for (i = 0; i < CAR_SPEED_NU; ++i)
+    for (i = 0; i < size; ++i)
     {
-        if (!car_speed_finite(car_speed_defect(u[i]))) { return 0; }
+        if (!car_speed_finite(car_speed_defect(values[i]))) { return 0; }
     }
     return 1;
+}
+
+/* Nonzero if every parameter is finite. */
+static int car_speed_finite_params(const car_speed_params_t *params)
+{
+    return car_speed_finite(car_speed_defect(params->dt));
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -331,9 +341,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     variance[9] = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
     mean[0] = self->predicted_state[0];
     mean[1] = self->predicted_state[1];
-    covariance[0] = self->predicted_covariance[0];
-    covariance[1] = self->predicted_covariance[1];
-    covariance[2] = self->predicted_covariance[2];
+    car_speed_copy(self->predicted_covariance, covariance, 3);
 
     /* row 0 of y, wheel_fl */
     cross_0[0] = 0.9921619208254787 * self->predicted_covariance[0];
@@ -407,7 +415,26 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
 
     /* results of the update */
     const double t6 = log_constant + car_speed_log(determinant_0) + car_speed_log(determinant_1);
-    next->log_likelihood = -0.5 * (quadratic + t6);
+    const double t7 = -0.5 * (quadratic + t6);
+    if (!car_speed_finite(((((car_speed_defect(covariance[0]) + car_speed_defect(covariance[1])) +
+        (car_speed_defect(covariance[2]) + car_speed_defect(innovation_0))) +
+        ((car_speed_defect(innovation_1) + car_speed_defect(innovation_2)) +
+        (car_speed_defect(innovation_3) + car_speed_defect(innovation_4)))) +
+        (((car_speed_defect(innovation_5) + car_speed_defect(variance[0])) +
+        (car_speed_defect(variance[1]) + car_speed_defect(variance[2]))) +
+        ((car_speed_defect(variance[3]) + car_speed_defect(variance[4])) +
+        (car_speed_defect(variance[5]) + car_speed_defect(variance[6]))))) +
+        ((((car_speed_defect(variance[7]) + car_speed_defect(variance[8])) +
+        (car_speed_defect(variance[9]) + car_speed_defect(variance[10]))) +
+        ((car_speed_defect(variance[11]) + car_speed_defect(variance[12])) +
+        (car_speed_defect(variance[13]) + car_speed_defect(variance[14])))) +
+        (((car_speed_defect(variance[15]) + car_speed_defect(variance[16])) +
+        (car_speed_defect(variance[17]) + car_speed_defect(variance[18]))) +
+        ((car_speed_defect(variance[19]) + car_speed_defect(variance[20])) +
+        (car_speed_defect(quadratic) + car_speed_defect(t7)))))))
+    {
+        return CAR_SPEED_RESULT_NOT_FINITE;
+    }
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     car_speed_copy(covariance, next->filtered_covariance, 3);
@@ -419,6 +446,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     next->innovation[5] = innovation_5;
     car_speed_copy(variance, next->innovation_covariance, 21);
     next->nis = quadratic;
+    next->log_likelihood = t7;
     return CAR_SPEED_OK;
 }
 
@@ -438,17 +466,17 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     const double t1 = self->filtered_covariance[0] + (A * self->filtered_covariance[1]);
     const double t2 = (self->filtered_covariance[1] + (A * self->filtered_covariance[2])) * A;
     const double t3 = t1 + t2 + Q[0];
-    const double t4 = self->filtered_covariance[2] * A;
-    next->predicted_covariance[1] = self->filtered_covariance[1] + t4;
+    const double t4 = self->filtered_covariance[1] + (self->filtered_covariance[2] * A);
     const double t5 = self->filtered_covariance[2] + Q[1];
-    if (!car_speed_finite(car_speed_defect(t0) + car_speed_defect(self->filtered_state[1]) +
-        car_speed_defect(t3) + car_speed_defect(t5)))
+    if (!car_speed_finite(((car_speed_defect(t0) + car_speed_defect(self->filtered_state[1])) +
+        car_speed_defect(t3)) + (car_speed_defect(t5) + car_speed_defect(t4))))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
     next->predicted_state[0] = t0;
     next->predicted_state[1] = self->filtered_state[1];
     next->predicted_covariance[0] = t3;
+    next->predicted_covariance[1] = t4;
     next->predicted_covariance[2] = t5;
     return CAR_SPEED_OK;
 }
@@ -465,18 +493,35 @@ static void car_speed_fill(double *to, int size, const double *from, int period)
     }
 }
 
+car_speed_status_t car_speed_start(car_speed_t *self, const double x[2], const double P[3])
+{
+    car_speed_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return CAR_SPEED_NULL_POINTER; }
+    if (!car_speed_all_finite(x, 2) || !car_speed_all_finite(P, 3))
+    {
+        return CAR_SPEED_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < CAR_SPEED_NX; ++i)
+    {
+        if (P[CAR_SPEED_P(i, i)] < 0.0) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
+    }
+    car_speed_fill(next.predicted_state, 2, x, 2);
+    car_speed_fill(next.predicted_covariance, 3, P, 3);
+    car_speed_fill(next.filtered_state, 2, x, 2);
+    car_speed_fill(next.filtered_covariance, 3, P, 3);
+    car_speed_fill(next.innovation, 6, car_speed_zero_0, 1);
+    car_speed_fill(next.innovation_covariance, 21, car_speed_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    next.updated = 0.0;
+    *self = next;
+    return CAR_SPEED_OK;
+}
+
 car_speed_status_t car_speed_init(car_speed_t *self)
 {
-    if (self == NULL) { return CAR_SPEED_NULL_POINTER; }
-    car_speed_fill(self->predicted_state, 2, car_speed_zero_0, 1);
-    car_speed_fill(self->predicted_covariance, 3, car_speed_predicted_covariance_0, 3);
-    car_speed_fill(self->filtered_state, 2, car_speed_zero_0, 1);
-    car_speed_fill(self->filtered_covariance, 3, car_speed_predicted_covariance_0, 3);
-    car_speed_fill(self->innovation, 6, car_speed_zero_0, 1);
-    car_speed_fill(self->innovation_covariance, 21, car_speed_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    return CAR_SPEED_OK;
+    return car_speed_start(self, car_speed_x_0, car_speed_P_0);
 }
 
 car_speed_status_t car_speed_params_init(car_speed_params_t *params)
@@ -488,6 +533,44 @@ car_speed_status_t car_speed_params_init(car_speed_params_t *params)
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
 
+/* Copy an array. */
+static void car_speed_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static car_speed_status_t car_speed_pass(const car_speed_t *self, car_speed_t *next)
+{
+    return car_speed_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static car_speed_status_t car_speed_renew(const car_speed_t *self, const double *y,
+    uint32_t present, car_speed_t *next)
+{
+    car_speed_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        car_speed_keep(self->filtered_state, next->predicted_state, 2);
+        car_speed_keep(self->filtered_covariance, next->predicted_covariance, 3);
+    }
+    status = car_speed_correct(next, y, present, next);
+    if (again)
+    {
+        car_speed_keep(self->predicted_state, next->predicted_state, 2);
+        car_speed_keep(self->predicted_covariance, next->predicted_covariance, 3);
+    }
+    next->updated = 1.0;
+    return status;
+}
+
 car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t *params,
     const double u[1], const double y[6], uint32_t valid)
 {
@@ -498,10 +581,10 @@ car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t 
     {
         return CAR_SPEED_NULL_POINTER;
     }
-    if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
+    if (!car_speed_all_finite(u, CAR_SPEED_NU)) { return CAR_SPEED_INPUT_NOT_FINITE; }
+    if (!car_speed_finite_params(params)) { return CAR_SPEED_PARAMETER_OUT_OF_RANGE; }
     if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
-    next = *self;
-    status = car_speed_correct(self, y, present, &next);
+    status = car_speed_renew(self, y, present, &next);
     if (status != CAR_SPEED_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
@@ -511,13 +594,22 @@ car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t
     const double u[1])
 {
     car_speed_t next;
+    const car_speed_t *latest = self;
     car_speed_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL)) { return CAR_SPEED_NULL_POINTER; }
-    if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
-    next = *self;
-    status = car_speed_propagate(self, params, u, &next);
+    if (!car_speed_all_finite(u, CAR_SPEED_NU)) { return CAR_SPEED_INPUT_NOT_FINITE; }
+    if (!car_speed_finite_params(params)) { return CAR_SPEED_PARAMETER_OUT_OF_RANGE; }
+    if (!(self->updated > 0.0))
+    {
+        status = car_speed_pass(self, &next);
+        if (status != CAR_SPEED_OK) { return status; }
+        latest = &next;
+    }
+    status = car_speed_propagate(latest, params, u, &next);
     if (status != CAR_SPEED_OK) { return status; }
-    *self = next;
+    car_speed_keep(next.predicted_state, self->predicted_state, 2);
+    car_speed_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    self->updated = 0.0;
     return CAR_SPEED_OK;
 }
 
@@ -531,12 +623,21 @@ car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *p
     {
         return CAR_SPEED_NULL_POINTER;
     }
-    if (!car_speed_finite_input(u)) { return CAR_SPEED_INPUT_NOT_FINITE; }
+    if (!car_speed_all_finite(u, CAR_SPEED_NU)) { return CAR_SPEED_INPUT_NOT_FINITE; }
+    if (!car_speed_finite_params(params)) { return CAR_SPEED_PARAMETER_OUT_OF_RANGE; }
     if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
-    status = car_speed_correct(self, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = car_speed_renew(self, y, present, &next);
+    }
+    else
+    {
+        status = car_speed_correct(self, y, present, &next);
+    }
     if (status != CAR_SPEED_OK) { return status; }
     status = car_speed_propagate(&next, params, u, &next);
     if (status != CAR_SPEED_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? CAR_SPEED_OK : CAR_SPEED_SKIPPED;
 }

@@ -5,9 +5,10 @@
  * Equations: Anderson & Moore 1979, Optimal Filtering, sec. 3.1 and 6.5.
  * Covariance update: short form.
  *
- * Time: the instance holds the prediction for sample k. car_speed_update() corrects it with y[k],
+ * Time: the instance holds one latest estimate. car_speed_update() corrects it with y[k],
  * car_speed_predict() moves it to k + 1, car_speed_step() does both. Sample 0 corrects the prior;
- * no prediction comes before it.
+ * no prediction comes before it. A prediction after a prediction passes a sample without a
+ * measurement, an update after an update takes more rows of the same sample.
  *
  * Model: x[k+1] = A x[k] + B u[k] + w[k], w ~ (0, Q); y[k] = C x[k] + D u[k] + v[k], v ~ (0, R);
  * x[0] ~ (x0, P0).
@@ -44,9 +45,9 @@
  *   y[5]  qcom, m/s
  *
  * Cost of one step with every row present: 190 floating-point operations and 2 log.
- * An instance is 39 doubles, 312 bytes; nothing else is kept. Tables of constants: 80 bytes. No
+ * An instance is 40 doubles, 320 bytes; nothing else is kept. Tables of constants: 96 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 2320 bytes at -O0, 1104 at -Os.
+ * Stack of one call, interrupts left out: at most 2976 bytes at -O0, 1120 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -80,8 +81,10 @@ typedef enum
     CAR_SPEED_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or an
                                                 indicator with another value */
     CAR_SPEED_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    CAR_SPEED_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                        target */
+    CAR_SPEED_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                         target */
+    CAR_SPEED_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
+                                    predict first */
 } car_speed_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -105,15 +108,24 @@ typedef struct
                                            (symmetric 6 x 6), [m/s] squared */
     double nis; /**< normalised innovation squared over the rows present */
     double log_likelihood; /**< log density of the rows present given y[0..k-1] */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } car_speed_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or car_speed_start(),
+ *  before anything else. */
 car_speed_status_t car_speed_init(car_speed_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return CAR_SPEED_OK, or negative: refused, the instance is unchanged.
+ */
+car_speed_status_t car_speed_start(car_speed_t *self, const double x[2], const double P[3]);
 
 /** Set every parameter to its default. */
 car_speed_status_t car_speed_params_init(car_speed_params_t *params);
 
-/** Correct the prediction with sample k.
+/** Correct the latest estimate with sample k.
  *  @param params  run-time parameters of this sample
  *  @param u       inputs of this sample, finite
  *  @param y       measurements; NaN = missing, an infinity is refused
@@ -123,7 +135,8 @@ car_speed_status_t car_speed_params_init(car_speed_params_t *params);
 car_speed_status_t car_speed_update(car_speed_t *self, const car_speed_params_t *params,
     const double u[1], const double y[6], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 car_speed_status_t car_speed_predict(car_speed_t *self, const car_speed_params_t *params,
     const double u[1]);
 

@@ -109,8 +109,12 @@ static const double dc_motor_known_zero_0[1] = {
     0.0
 };
 
-static const double dc_motor_known_predicted_covariance_0[1] = {
-    1.0
+static const double dc_motor_known_x_0[2] = {
+    0.0, 0.0
+};
+
+static const double dc_motor_known_P_0[3] = {
+    1.0, 1.0, 1.0
 };
 
 /* ---- what may be used of a sample ---- */
@@ -127,15 +131,21 @@ static int dc_motor_known_finite(double defects)
     return defects >= 0.0;
 }
 
-/* Nonzero if every input is finite. */
-static int dc_motor_known_finite_input(const double *u)
+/* Nonzero if all numbers of an array are finite. */
+static int dc_motor_known_all_finite(const double *values, int size)
 {
     int i;
-    for (i = 0; i < DC_MOTOR_KNOWN_NU; ++i)
+    for (i = 0; i < size; ++i)
     {
-        if (!dc_motor_known_finite(dc_motor_known_defect(u[i]))) { return 0; }
+        if (!dc_motor_known_finite(dc_motor_known_defect(values[i]))) { return 0; }
     }
     return 1;
+}
+
+/* Nonzero if every parameter is finite. */
+static int dc_motor_known_finite_params(const dc_motor_known_params_t *params)
+{
+    return dc_motor_known_finite(dc_motor_known_defect(params->xi));
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -222,7 +232,15 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     }
 
     /* results of the update */
-    next->log_likelihood = -0.5 * (quadratic + (log_constant + dc_motor_known_log(determinant_0)));
+    const double t4 = -0.5 * (quadratic + (log_constant + dc_motor_known_log(determinant_0)));
+    if (!dc_motor_known_finite((((dc_motor_known_defect(covariance[0]) +
+        dc_motor_known_defect(covariance[1])) + dc_motor_known_defect(covariance[2])) +
+        (dc_motor_known_defect(innovation_0) + dc_motor_known_defect(pivot_0))) +
+        ((dc_motor_known_defect(quadratic) + dc_motor_known_defect(t4)) +
+        (dc_motor_known_defect(update_gain[0]) + dc_motor_known_defect(update_gain[1])))))
+    {
+        return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
+    }
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_covariance[0] = covariance[0];
@@ -231,6 +249,7 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     next->innovation[0] = innovation_0;
     next->innovation_covariance[0] = pivot_0;
     next->nis = quadratic;
+    next->log_likelihood = t4;
     next->filtered_gain[0] = update_gain[0];
     next->filtered_gain[1] = update_gain[1];
     return DC_MOTOR_KNOWN_OK;
@@ -260,22 +279,26 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t14 = t13 + (-0.00018096000000000003 * self->filtered_covariance[2]);
     const double t15 = 0.0001 * u[0];
     const double t16 = t15 * t10;
-    next->predicted_covariance[1] = t14 + (t16 * t9);
-    const double t17 = 8.836e-05 * self->filtered_covariance[0];
-    const double t18 = t17 + (0.017010240000000003 * self->filtered_covariance[1]);
-    const double t19 = t18 + (0.8186630400000001 * self->filtered_covariance[2]) + 0.0001;
-    const double t20 = t19 + (t16 * t15);
-    next->gain[0] = (0.9802 * self->filtered_gain[0]) + (-0.0002 * self->filtered_gain[1]);
-    next->gain[1] = (0.0094 * self->filtered_gain[0]) + (0.9048 * self->filtered_gain[1]);
-    if (!dc_motor_known_finite(dc_motor_known_defect(t3) + dc_motor_known_defect(t5) +
-        dc_motor_known_defect(t11) + dc_motor_known_defect(t20)))
+    const double t17 = t14 + (t16 * t9);
+    const double t18 = 8.836e-05 * self->filtered_covariance[0];
+    const double t19 = t18 + (0.017010240000000003 * self->filtered_covariance[1]);
+    const double t20 = t19 + (0.8186630400000001 * self->filtered_covariance[2]) + 0.0001;
+    const double t21 = t20 + (t16 * t15);
+    const double t22 = (0.9802 * self->filtered_gain[0]) + (-0.0002 * self->filtered_gain[1]);
+    const double t23 = (0.0094 * self->filtered_gain[0]) + (0.9048 * self->filtered_gain[1]);
+    if (!dc_motor_known_finite(((dc_motor_known_defect(t3) + dc_motor_known_defect(t5)) +
+        (dc_motor_known_defect(t11) + dc_motor_known_defect(t21))) + ((dc_motor_known_defect(t17) +
+        dc_motor_known_defect(t22)) + dc_motor_known_defect(t23))))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
     next->predicted_state[0] = t3;
     next->predicted_state[1] = t5;
     next->predicted_covariance[0] = t11;
-    next->predicted_covariance[2] = t20;
+    next->predicted_covariance[1] = t17;
+    next->predicted_covariance[2] = t21;
+    next->gain[0] = t22;
+    next->gain[1] = t23;
     return DC_MOTOR_KNOWN_OK;
 }
 
@@ -291,20 +314,38 @@ static void dc_motor_known_fill(double *to, int size, const double *from, int pe
     }
 }
 
+dc_motor_known_status_t dc_motor_known_start(dc_motor_known_t *self, const double x[2],
+    const double P[3])
+{
+    dc_motor_known_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return DC_MOTOR_KNOWN_NULL_POINTER; }
+    if (!dc_motor_known_all_finite(x, 2) || !dc_motor_known_all_finite(P, 3))
+    {
+        return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < DC_MOTOR_KNOWN_NX; ++i)
+    {
+        if (P[DC_MOTOR_KNOWN_P(i, i)] < 0.0) { return DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE; }
+    }
+    dc_motor_known_fill(next.predicted_state, 2, x, 2);
+    dc_motor_known_fill(next.predicted_covariance, 3, P, 3);
+    dc_motor_known_fill(next.filtered_state, 2, x, 2);
+    dc_motor_known_fill(next.filtered_covariance, 3, P, 3);
+    dc_motor_known_fill(next.innovation, 1, dc_motor_known_zero_0, 1);
+    dc_motor_known_fill(next.innovation_covariance, 1, dc_motor_known_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    dc_motor_known_fill(next.gain, 2, dc_motor_known_zero_0, 1);
+    dc_motor_known_fill(next.filtered_gain, 2, dc_motor_known_zero_0, 1);
+    next.updated = 0.0;
+    *self = next;
+    return DC_MOTOR_KNOWN_OK;
+}
+
 dc_motor_known_status_t dc_motor_known_init(dc_motor_known_t *self)
 {
-    if (self == NULL) { return DC_MOTOR_KNOWN_NULL_POINTER; }
-    dc_motor_known_fill(self->predicted_state, 2, dc_motor_known_zero_0, 1);
-    dc_motor_known_fill(self->predicted_covariance, 3, dc_motor_known_predicted_covariance_0, 1);
-    dc_motor_known_fill(self->filtered_state, 2, dc_motor_known_zero_0, 1);
-    dc_motor_known_fill(self->filtered_covariance, 3, dc_motor_known_predicted_covariance_0, 1);
-    dc_motor_known_fill(self->innovation, 1, dc_motor_known_zero_0, 1);
-    dc_motor_known_fill(self->innovation_covariance, 1, dc_motor_known_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    dc_motor_known_fill(self->gain, 2, dc_motor_known_zero_0, 1);
-    dc_motor_known_fill(self->filtered_gain, 2, dc_motor_known_zero_0, 1);
-    return DC_MOTOR_KNOWN_OK;
+    return dc_motor_known_start(self, dc_motor_known_x_0, dc_motor_known_P_0);
 }
 
 dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *params)
@@ -316,6 +357,46 @@ dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *para
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
 
+/* Copy an array. */
+static void dc_motor_known_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static dc_motor_known_status_t dc_motor_known_pass(const dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, dc_motor_known_t *next)
+{
+    return dc_motor_known_correct(self, params, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static dc_motor_known_status_t dc_motor_known_renew(const dc_motor_known_t *self,
+    const dc_motor_known_params_t *params, const double *y, uint32_t present,
+    dc_motor_known_t *next)
+{
+    dc_motor_known_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        dc_motor_known_keep(self->filtered_state, next->predicted_state, 2);
+        dc_motor_known_keep(self->filtered_covariance, next->predicted_covariance, 3);
+    }
+    status = dc_motor_known_correct(next, params, y, present, next);
+    if (again)
+    {
+        dc_motor_known_keep(self->predicted_state, next->predicted_state, 2);
+        dc_motor_known_keep(self->predicted_covariance, next->predicted_covariance, 3);
+    }
+    next->updated = 1.0;
+    return status;
+}
+
 dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
 {
@@ -326,13 +407,16 @@ dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self,
     {
         return DC_MOTOR_KNOWN_NULL_POINTER;
     }
-    if (!dc_motor_known_finite_input(u)) { return DC_MOTOR_KNOWN_INPUT_NOT_FINITE; }
+    if (!dc_motor_known_all_finite(u, DC_MOTOR_KNOWN_NU))
+    {
+        return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
+    }
+    if (!dc_motor_known_finite_params(params)) { return DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE; }
     if (!dc_motor_known_present_rows(y, valid, &present))
     {
         return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = dc_motor_known_correct(self, params, y, present, &next);
+    status = dc_motor_known_renew(self, params, y, present, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
@@ -342,13 +426,26 @@ dc_motor_known_status_t dc_motor_known_predict(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1])
 {
     dc_motor_known_t next;
+    const dc_motor_known_t *latest = self;
     dc_motor_known_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL)) { return DC_MOTOR_KNOWN_NULL_POINTER; }
-    if (!dc_motor_known_finite_input(u)) { return DC_MOTOR_KNOWN_INPUT_NOT_FINITE; }
-    next = *self;
-    status = dc_motor_known_propagate(self, params, u, &next);
+    if (!dc_motor_known_all_finite(u, DC_MOTOR_KNOWN_NU))
+    {
+        return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
+    }
+    if (!dc_motor_known_finite_params(params)) { return DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE; }
+    if (!(self->updated > 0.0))
+    {
+        status = dc_motor_known_pass(self, params, &next);
+        if (status != DC_MOTOR_KNOWN_OK) { return status; }
+        latest = &next;
+    }
+    status = dc_motor_known_propagate(latest, params, u, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
-    *self = next;
+    dc_motor_known_keep(next.predicted_state, self->predicted_state, 2);
+    dc_motor_known_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    dc_motor_known_keep(next.gain, self->gain, 2);
+    self->updated = 0.0;
     return DC_MOTOR_KNOWN_OK;
 }
 
@@ -362,15 +459,27 @@ dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
     {
         return DC_MOTOR_KNOWN_NULL_POINTER;
     }
-    if (!dc_motor_known_finite_input(u)) { return DC_MOTOR_KNOWN_INPUT_NOT_FINITE; }
+    if (!dc_motor_known_all_finite(u, DC_MOTOR_KNOWN_NU))
+    {
+        return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
+    }
+    if (!dc_motor_known_finite_params(params)) { return DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE; }
     if (!dc_motor_known_present_rows(y, valid, &present))
     {
         return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
     }
-    status = dc_motor_known_correct(self, params, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = dc_motor_known_renew(self, params, y, present, &next);
+    }
+    else
+    {
+        status = dc_motor_known_correct(self, params, y, present, &next);
+    }
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
     status = dc_motor_known_propagate(&next, params, u, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_KNOWN_OK : DC_MOTOR_KNOWN_SKIPPED;
 }

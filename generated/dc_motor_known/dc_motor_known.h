@@ -5,9 +5,10 @@
  * Equations: Strandt, Schneider & Yaz, eqs. (4), (9)-(13).
  * Covariance update: short form.
  *
- * Time: the instance holds the prediction for sample k. dc_motor_known_update() corrects it with
- * y[k], dc_motor_known_predict() moves it to k + 1, dc_motor_known_step() does both. Sample 0
- * corrects the prior; no prediction comes before it.
+ * Time: the instance holds one latest estimate. dc_motor_known_update() corrects it with y[k],
+ * dc_motor_known_predict() moves it to k + 1, dc_motor_known_step() does both. Sample 0 corrects
+ * the prior; no prediction comes before it. A prediction after a prediction passes a sample without
+ * a measurement, an update after an update takes more rows of the same sample.
  * Sample time: 0.01 s.
  *
  * Model: x[k+1] = A x[k] + B u[k] + w[k], w ~ (0, Q); y[k] = C x[k] + D u[k] + v[k], v ~ (0, R);
@@ -39,9 +40,9 @@
  *   y[0]  speed_measured, rad/s
  *
  * Cost of one step with every row present: 68 floating-point operations and 1 log.
- * An instance is 18 doubles, 144 bytes; nothing else is kept. Tables of constants: 16 bytes. No
+ * An instance is 19 doubles, 152 bytes; nothing else is kept. Tables of constants: 48 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1040 bytes at -O0, 608 at -Os.
+ * Stack of one call, interrupts left out: at most 1392 bytes at -O0, 608 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -75,8 +76,10 @@ typedef enum
     DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
                                                      or an indicator with another value */
     DC_MOTOR_KNOWN_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    DC_MOTOR_KNOWN_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                             target */
+    DC_MOTOR_KNOWN_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                              target */
+    DC_MOTOR_KNOWN_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
+                                         take: predict first */
 } dc_motor_known_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -104,15 +107,25 @@ typedef struct
                          per [rad/s] */
     double filtered_gain[2]; /**< Kf: d x(k|k) / d y[k]; columns of missing rows are 0 (2 x 1),
                                   [A, rad/s] per [rad/s] */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } dc_motor_known_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  dc_motor_known_start(), before anything else. */
 dc_motor_known_status_t dc_motor_known_init(dc_motor_known_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return DC_MOTOR_KNOWN_OK, or negative: refused, the instance is unchanged.
+ */
+dc_motor_known_status_t dc_motor_known_start(dc_motor_known_t *self, const double x[2],
+    const double P[3]);
 
 /** Set every parameter to its default. */
 dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *params);
 
-/** Correct the prediction with sample k.
+/** Correct the latest estimate with sample k.
  *  @param params  run-time parameters of this sample
  *  @param u       inputs of this sample, finite
  *  @param y       measurements; NaN = missing, an infinity is refused
@@ -123,7 +136,8 @@ dc_motor_known_status_t dc_motor_known_params_init(dc_motor_known_params_t *para
 dc_motor_known_status_t dc_motor_known_update(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 dc_motor_known_status_t dc_motor_known_predict(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1]);
 

@@ -157,16 +157,20 @@ static const double dc_motor_unknown_zero_0[1] = {
     0.0
 };
 
-static const double dc_motor_unknown_predicted_covariance_0[1] = {
-    1.0
-};
-
 static const double dc_motor_unknown_mode_probability_0[1] = {
     0.2
 };
 
 static const double dc_motor_unknown_log_weight_0[1] = {
     -1.6094379124341003
+};
+
+static const double dc_motor_unknown_x_0[2] = {
+    0.0, 0.0
+};
+
+static const double dc_motor_unknown_P_0[3] = {
+    1.0, 1.0, 1.0
 };
 
 /* ---- what may be used of a sample ---- */
@@ -183,13 +187,13 @@ static int dc_motor_unknown_finite(double defects)
     return defects >= 0.0;
 }
 
-/* Nonzero if every input is finite. */
-static int dc_motor_unknown_finite_input(const double *u)
+/* Nonzero if all numbers of an array are finite. */
+static int dc_motor_unknown_all_finite(const double *values, int size)
 {
     int i;
-    for (i = 0; i < DC_MOTOR_UNKNOWN_NU; ++i)
+    for (i = 0; i < size; ++i)
     {
-        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(u[i]))) { return 0; }
+        if (!dc_motor_unknown_finite(dc_motor_unknown_defect(values[i]))) { return 0; }
     }
     return 1;
 }
@@ -417,9 +421,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combined_prediction(const double
     *moved_state, const double *moved_covariance, double *mode_state, double *mode_covariance)
 {
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(moved_state[0]) +
-        dc_motor_unknown_defect(moved_state[1]) + dc_motor_unknown_defect(moved_covariance[0]) +
-        dc_motor_unknown_defect(moved_covariance[2])))
+    if (!dc_motor_unknown_finite((dc_motor_unknown_defect(moved_state[0]) +
+        dc_motor_unknown_defect(moved_state[1])) + (dc_motor_unknown_defect(moved_covariance[0]) +
+        dc_motor_unknown_defect(moved_covariance[2]))))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -431,78 +435,116 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combined_pred
 }
 
 /* combination. */
-DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined_innovation,
-    const double whitening_inverse_combined_0, const double whitening_combined_0_1,
-    const double whitening_inverse_combined_1, const double *weight, const double *mean_h0,
-    const double *mean_h1, const double *mean_h2, const double *mean_h3, const double *mean_h4,
-    const double *covariance_h0, const double *covariance_h1, const double *covariance_h2,
-    const double *covariance_h3, const double *covariance_h4, const double *mode_state,
-    double *innovation, const double *combined_variance, double *innovation_covariance, double *nis,
-    double *filtered_state, double *filtered_covariance, double *paper_state,
-    double *success_rate_estimate, double *mode_filtered_state, double *mode_filtered_covariance,
-    double *mode_deviation, double *mode_deviation_covariance, double *mode_deviation_cross,
-    double *mode_probability, const double *log_weight_now, double *log_weight,
-    const double log_evidence, double *log_likelihood)
+DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combination(const double
+    *combined_innovation, const double whitening_inverse_combined_0,
+    const double whitening_combined_0_1, const double whitening_inverse_combined_1,
+    const double *weight, const double *mean_h0, const double *mean_h1, const double *mean_h2,
+    const double *mean_h3, const double *mean_h4, const double *covariance_h0,
+    const double *covariance_h1, const double *covariance_h2, const double *covariance_h3,
+    const double *covariance_h4, const double *mode_state, const double *combined_variance,
+    const double *log_weight_now, const double log_evidence, double *innovation,
+    double *innovation_covariance, double *nis, double *filtered_state, double *filtered_covariance,
+    double *paper_state, double *success_rate_estimate, double *mode_filtered_state,
+    double *mode_filtered_covariance, double *mode_deviation, double *mode_deviation_covariance,
+    double *mode_deviation_cross, double *mode_probability, double *log_weight,
+    double *log_likelihood)
 {
     const double t0 = combined_innovation[0] * combined_innovation[0];
     const double t1 = t0 * whitening_inverse_combined_0;
     const double t2 = combined_innovation[1] - (whitening_combined_0_1 * combined_innovation[0]);
-    nis[0] = t1 + (t2 * t2 * whitening_inverse_combined_1);
-    const double t3 = (weight[0] * mean_h0[0]) + (weight[1] * mean_h1[0]);
-    const double t4 = t3 + (weight[2] * mean_h2[0]) + (weight[3] * mean_h3[0]);
-    const double t5 = t4 + (weight[4] * mean_h4[0]);
-    const double t6 = (weight[0] * mean_h0[1]) + (weight[1] * mean_h1[1]);
-    const double t7 = t6 + (weight[2] * mean_h2[1]) + (weight[3] * mean_h3[1]);
-    const double t8 = t7 + (weight[4] * mean_h4[1]);
-    const double t9 = (weight[0] * covariance_h0[0]) + (weight[1] * covariance_h1[0]);
-    const double t10 = t9 + (weight[2] * covariance_h2[0]) + (weight[3] * covariance_h3[0]);
-    const double t11 = t10 + (weight[4] * covariance_h4[0]);
-    const double t12 = mean_h0[0] - t5;
-    const double t13 = weight[0] * t12 * t12;
-    const double t14 = mean_h1[0] - t5;
-    const double t15 = t13 + (weight[1] * t14 * t14);
-    const double t16 = mean_h2[0] - t5;
-    const double t17 = t15 + (weight[2] * t16 * t16);
-    const double t18 = mean_h3[0] - t5;
-    const double t19 = t17 + (weight[3] * t18 * t18);
-    const double t20 = mean_h4[0] - t5;
-    filtered_covariance[0] = t11 + (t19 + (weight[4] * t20 * t20));
-    const double t21 = (weight[0] * covariance_h0[1]) + (weight[1] * covariance_h1[1]);
-    const double t22 = t21 + (weight[2] * covariance_h2[1]) + (weight[3] * covariance_h3[1]);
-    const double t23 = t22 + (weight[4] * covariance_h4[1]);
-    const double t24 = mean_h0[1] - t8;
-    const double t25 = weight[0] * t24;
-    const double t26 = t25 * t12;
-    const double t27 = mean_h1[1] - t8;
-    const double t28 = weight[1] * t27;
-    const double t29 = t26 + (t28 * t14);
-    const double t30 = mean_h2[1] - t8;
-    const double t31 = weight[2] * t30;
-    const double t32 = t29 + (t31 * t16);
-    const double t33 = mean_h3[1] - t8;
-    const double t34 = weight[3] * t33;
-    const double t35 = t32 + (t34 * t18);
-    const double t36 = mean_h4[1] - t8;
-    const double t37 = weight[4] * t36;
-    filtered_covariance[1] = t23 + (t35 + (t37 * t20));
-    const double t38 = (weight[0] * covariance_h0[2]) + (weight[1] * covariance_h1[2]);
-    const double t39 = t38 + (weight[2] * covariance_h2[2]) + (weight[3] * covariance_h3[2]);
-    const double t40 = t39 + (weight[4] * covariance_h4[2]);
-    const double t41 = (t25 * t24) + (t28 * t27) + (t31 * t30) + (t34 * t33) + (t37 * t36);
-    filtered_covariance[2] = t40 + t41;
-    const double t42 = (weight[0] * mode_state[0]) + (weight[1] * mode_state[2]);
-    const double t43 = t42 + (weight[2] * mode_state[4]) + (weight[3] * mode_state[6]);
-    paper_state[0] = t43 + (weight[4] * mode_state[8]);
-    const double t44 = (weight[0] * mode_state[1]) + (weight[1] * mode_state[3]);
-    const double t45 = t44 + (weight[2] * mode_state[5]) + (weight[3] * mode_state[7]);
-    paper_state[1] = t45 + (weight[4] * mode_state[9]);
-    const double t46 = (0.1 * weight[0]) + (0.3 * weight[1]) + (0.5 * weight[2]);
-    success_rate_estimate[0] = t46 + (0.7 * weight[3]) + (0.9 * weight[4]);
+    const double t3 = t1 + (t2 * t2 * whitening_inverse_combined_1);
+    const double t4 = (weight[0] * mean_h0[0]) + (weight[1] * mean_h1[0]);
+    const double t5 = t4 + (weight[2] * mean_h2[0]) + (weight[3] * mean_h3[0]);
+    const double t6 = t5 + (weight[4] * mean_h4[0]);
+    const double t7 = (weight[0] * mean_h0[1]) + (weight[1] * mean_h1[1]);
+    const double t8 = t7 + (weight[2] * mean_h2[1]) + (weight[3] * mean_h3[1]);
+    const double t9 = t8 + (weight[4] * mean_h4[1]);
+    const double t10 = (weight[0] * covariance_h0[0]) + (weight[1] * covariance_h1[0]);
+    const double t11 = t10 + (weight[2] * covariance_h2[0]) + (weight[3] * covariance_h3[0]);
+    const double t12 = t11 + (weight[4] * covariance_h4[0]);
+    const double t13 = mean_h0[0] - t6;
+    const double t14 = weight[0] * t13 * t13;
+    const double t15 = mean_h1[0] - t6;
+    const double t16 = t14 + (weight[1] * t15 * t15);
+    const double t17 = mean_h2[0] - t6;
+    const double t18 = t16 + (weight[2] * t17 * t17);
+    const double t19 = mean_h3[0] - t6;
+    const double t20 = t18 + (weight[3] * t19 * t19);
+    const double t21 = mean_h4[0] - t6;
+    const double t22 = t12 + (t20 + (weight[4] * t21 * t21));
+    const double t23 = (weight[0] * covariance_h0[1]) + (weight[1] * covariance_h1[1]);
+    const double t24 = t23 + (weight[2] * covariance_h2[1]) + (weight[3] * covariance_h3[1]);
+    const double t25 = t24 + (weight[4] * covariance_h4[1]);
+    const double t26 = mean_h0[1] - t9;
+    const double t27 = weight[0] * t26;
+    const double t28 = t27 * t13;
+    const double t29 = mean_h1[1] - t9;
+    const double t30 = weight[1] * t29;
+    const double t31 = t28 + (t30 * t15);
+    const double t32 = mean_h2[1] - t9;
+    const double t33 = weight[2] * t32;
+    const double t34 = t31 + (t33 * t17);
+    const double t35 = mean_h3[1] - t9;
+    const double t36 = weight[3] * t35;
+    const double t37 = t34 + (t36 * t19);
+    const double t38 = mean_h4[1] - t9;
+    const double t39 = weight[4] * t38;
+    filtered_covariance[1] = t25 + (t37 + (t39 * t21));
+    const double t40 = (weight[0] * covariance_h0[2]) + (weight[1] * covariance_h1[2]);
+    const double t41 = t40 + (weight[2] * covariance_h2[2]) + (weight[3] * covariance_h3[2]);
+    const double t42 = t41 + (weight[4] * covariance_h4[2]);
+    const double t43 = t42 + ((t27 * t26) + (t30 * t29) + (t33 * t32) + (t36 * t35) + (t39 * t38));
+    const double t44 = (weight[0] * mode_state[0]) + (weight[1] * mode_state[2]);
+    const double t45 = t44 + (weight[2] * mode_state[4]) + (weight[3] * mode_state[6]);
+    const double t46 = t45 + (weight[4] * mode_state[8]);
+    const double t47 = (weight[0] * mode_state[1]) + (weight[1] * mode_state[3]);
+    const double t48 = t47 + (weight[2] * mode_state[5]) + (weight[3] * mode_state[7]);
+    const double t49 = t48 + (weight[4] * mode_state[9]);
+    const double t50 = (0.1 * weight[0]) + (0.3 * weight[1]) + (0.5 * weight[2]);
+    const double t51 = t50 + (0.7 * weight[3]) + (0.9 * weight[4]);
+    if (!dc_motor_unknown_finite((((((dc_motor_unknown_defect(combined_innovation[0]) +
+        dc_motor_unknown_defect(combined_innovation[1])) +
+        (dc_motor_unknown_defect(combined_variance[0]) +
+        dc_motor_unknown_defect(combined_variance[2]))) + ((dc_motor_unknown_defect(t3) +
+        dc_motor_unknown_defect(t6)) + dc_motor_unknown_defect(t9))) +
+        (((dc_motor_unknown_defect(t22) + dc_motor_unknown_defect(t43)) +
+        (dc_motor_unknown_defect(t46) + dc_motor_unknown_defect(t49))) +
+        ((dc_motor_unknown_defect(t51) + dc_motor_unknown_defect(covariance_h0[0])) +
+        dc_motor_unknown_defect(covariance_h0[2])))) +
+        ((((dc_motor_unknown_defect(covariance_h1[0]) + dc_motor_unknown_defect(covariance_h1[2])) +
+        (dc_motor_unknown_defect(covariance_h2[0]) + dc_motor_unknown_defect(covariance_h2[2]))) +
+        ((dc_motor_unknown_defect(covariance_h3[0]) + dc_motor_unknown_defect(covariance_h3[2])) +
+        dc_motor_unknown_defect(covariance_h4[0]))) + (((dc_motor_unknown_defect(covariance_h4[2]) +
+        dc_motor_unknown_defect(mean_h0[2])) + dc_motor_unknown_defect(mean_h1[2])) +
+        ((dc_motor_unknown_defect(mean_h2[2]) + dc_motor_unknown_defect(mean_h3[2])) +
+        dc_motor_unknown_defect(mean_h4[2]))))) + (((((dc_motor_unknown_defect(covariance_h0[5]) +
+        dc_motor_unknown_defect(covariance_h1[5])) + (dc_motor_unknown_defect(covariance_h2[5]) +
+        dc_motor_unknown_defect(covariance_h3[5]))) + ((dc_motor_unknown_defect(covariance_h4[5]) +
+        dc_motor_unknown_defect(covariance_h0[3])) + dc_motor_unknown_defect(covariance_h0[4]))) +
+        (((dc_motor_unknown_defect(covariance_h1[3]) + dc_motor_unknown_defect(covariance_h1[4])) +
+        dc_motor_unknown_defect(covariance_h2[3])) + ((dc_motor_unknown_defect(covariance_h2[4]) +
+        dc_motor_unknown_defect(covariance_h3[3])) + dc_motor_unknown_defect(covariance_h3[4])))) +
+        ((((dc_motor_unknown_defect(covariance_h4[3]) + dc_motor_unknown_defect(covariance_h4[4])) +
+        (dc_motor_unknown_defect(weight[0]) + dc_motor_unknown_defect(weight[1]))) +
+        ((dc_motor_unknown_defect(weight[2]) + dc_motor_unknown_defect(weight[3])) +
+        dc_motor_unknown_defect(weight[4]))) + (((dc_motor_unknown_defect(log_weight_now[0]) +
+        dc_motor_unknown_defect(log_weight_now[1])) + dc_motor_unknown_defect(log_weight_now[2])) +
+        ((dc_motor_unknown_defect(log_weight_now[3]) + dc_motor_unknown_defect(log_weight_now[4])) +
+        dc_motor_unknown_defect(log_evidence)))))))
+    {
+        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
+    }
     innovation[0] = combined_innovation[0];
     innovation[1] = combined_innovation[1];
     dc_motor_unknown_copy(combined_variance, innovation_covariance, 3);
-    filtered_state[0] = t5;
-    filtered_state[1] = t8;
+    nis[0] = t3;
+    filtered_state[0] = t6;
+    filtered_state[1] = t9;
+    filtered_covariance[0] = t22;
+    filtered_covariance[2] = t43;
+    paper_state[0] = t46;
+    paper_state[1] = t49;
+    success_rate_estimate[0] = t51;
     mode_filtered_state[0] = mean_h0[0];
     mode_filtered_state[1] = mean_h0[1];
     mode_filtered_state[2] = mean_h1[0];
@@ -541,6 +583,7 @@ DC_MOTOR_UNKNOWN_INLINE void dc_motor_unknown_combination(const double *combined
     dc_motor_unknown_copy(weight, mode_probability, 5);
     dc_motor_unknown_copy(log_weight_now, log_weight, 5);
     log_likelihood[0] = log_evidence;
+    return DC_MOTOR_UNKNOWN_OK;
 }
 
 /* hypothesis 4: innovation, row by row. */
@@ -550,7 +593,7 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     const double determinant_h1_0, const double log_constant_h1, const double quadratic_h1,
     const double determinant_h2_0, const double log_constant_h2, const double quadratic_h2,
     const double determinant_h3_0, const double log_constant_h3, const double quadratic_h3,
-    const double *mode_probability, const double *log_weight, const double pivot_h0_0,
+    const double *held_probability, const double *held_logarithm, const double pivot_h0_0,
     const double pivot_h1_0, const double pivot_h2_0, const double pivot_h3_0,
     const double pivot_h0_1, const double pivot_h1_1, const double pivot_h2_1,
     const double pivot_h3_1, const double innovation_h0_0, const double innovation_h1_0,
@@ -562,13 +605,13 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     double *filtered_state, double *filtered_covariance, double *paper_state,
     double *success_rate_estimate, double *mode_filtered_state, double *mode_filtered_covariance,
     double *mode_deviation, double *mode_deviation_covariance, double *mode_deviation_cross,
-    double *mode_probability_2, double *log_weight_2, double *log_likelihood, uint32_t present)
+    double *mode_probability, double *log_weight, double *log_likelihood, uint32_t present)
 {
     double innovation_h4_0 = 0.0;
     double innovation_h4_1 = 0.0;
-    double mean_h4[3] = { 0.0 };
-    double covariance_h4[6] = { 0.0 };
-    double pivot_h4_0 = 0.0;
+    double mean_h4[3];
+    double covariance_h4[6];
+    double pivot_h4_0;
     double quadratic_h4 = 0.0;
     double log_constant_h4 = 0.0;
     double determinant_h4_0 = 1.0;
@@ -623,23 +666,15 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     log_likelihood_h3 = -0.5 * t3;
     const double t4 = quadratic_h4 + (log_constant_h4 + dc_motor_unknown_log(determinant_h4_0));
     log_likelihood_h4 = -0.5 * t4;
-    weight[0] = mode_probability[0];
-    weight[1] = mode_probability[1];
-    weight[2] = mode_probability[2];
-    weight[3] = mode_probability[3];
-    weight[4] = mode_probability[4];
-    log_weight_now[0] = log_weight[0];
-    log_weight_now[1] = log_weight[1];
-    log_weight_now[2] = log_weight[2];
-    log_weight_now[3] = log_weight[3];
-    log_weight_now[4] = log_weight[4];
+    dc_motor_unknown_copy(held_probability, weight, 5);
+    dc_motor_unknown_copy(held_logarithm, log_weight_now, 5);
     if ((present) != 0u)
     {
-        log_joint[0] = log_weight[0] + log_likelihood_h0;
-        log_joint[1] = log_weight[1] + log_likelihood_h1;
-        log_joint[2] = log_weight[2] + log_likelihood_h2;
-        log_joint[3] = log_weight[3] + log_likelihood_h3;
-        log_joint[4] = log_weight[4] + log_likelihood_h4;
+        log_joint[0] = held_logarithm[0] + log_likelihood_h0;
+        log_joint[1] = held_logarithm[1] + log_likelihood_h1;
+        log_joint[2] = held_logarithm[2] + log_likelihood_h2;
+        log_joint[3] = held_logarithm[3] + log_likelihood_h3;
+        log_joint[4] = held_logarithm[4] + log_likelihood_h4;
         const double t5 = (log_joint[0] > log_joint[1]) ? log_joint[0] : log_joint[1];
         const double t6 = (t5 > log_joint[2]) ? t5 : log_joint[2];
         const double t7 = (t6 > log_joint[3]) ? t6 : log_joint[3];
@@ -688,61 +723,61 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
     predicted_y_h3[0] = mode_state[7];
     predicted_y_h4[1] = 0.9 * u;
     predicted_y_h4[0] = mode_state[9];
-    const double t15 = (mode_probability[0] * pivot_h0_0) + (mode_probability[1] * pivot_h1_0);
-    const double t16 = t15 + (mode_probability[2] * pivot_h2_0);
-    const double t17 = t16 + (mode_probability[3] * pivot_h3_0);
-    const double t18 = t17 + (mode_probability[4] * pivot_h4_0);
-    const double t19 = mode_probability[0] * predicted_y_h0[0];
-    const double t20 = t19 + (mode_probability[1] * predicted_y_h1[0]);
-    const double t21 = t20 + (mode_probability[2] * predicted_y_h2[0]);
-    const double t22 = t21 + (mode_probability[3] * predicted_y_h3[0]);
-    const double t23 = t22 + (mode_probability[4] * predicted_y_h4[0]);
+    const double t15 = (held_probability[0] * pivot_h0_0) + (held_probability[1] * pivot_h1_0);
+    const double t16 = t15 + (held_probability[2] * pivot_h2_0);
+    const double t17 = t16 + (held_probability[3] * pivot_h3_0);
+    const double t18 = t17 + (held_probability[4] * pivot_h4_0);
+    const double t19 = held_probability[0] * predicted_y_h0[0];
+    const double t20 = t19 + (held_probability[1] * predicted_y_h1[0]);
+    const double t21 = t20 + (held_probability[2] * predicted_y_h2[0]);
+    const double t22 = t21 + (held_probability[3] * predicted_y_h3[0]);
+    const double t23 = t22 + (held_probability[4] * predicted_y_h4[0]);
     const double t24 = predicted_y_h0[0] - t23;
-    const double t25 = mode_probability[0] * t24 * t24;
+    const double t25 = held_probability[0] * t24 * t24;
     const double t26 = predicted_y_h1[0] - t23;
-    const double t27 = t25 + (mode_probability[1] * t26 * t26);
+    const double t27 = t25 + (held_probability[1] * t26 * t26);
     const double t28 = predicted_y_h2[0] - t23;
-    const double t29 = t27 + (mode_probability[2] * t28 * t28);
+    const double t29 = t27 + (held_probability[2] * t28 * t28);
     const double t30 = predicted_y_h3[0] - t23;
-    const double t31 = t29 + (mode_probability[3] * t30 * t30);
+    const double t31 = t29 + (held_probability[3] * t30 * t30);
     const double t32 = predicted_y_h4[0] - t23;
-    combined_variance[0] = t18 + (t31 + (mode_probability[4] * t32 * t32));
-    const double t33 = mode_probability[0] * predicted_y_h0[1];
-    const double t34 = t33 + (mode_probability[1] * predicted_y_h1[1]);
-    const double t35 = t34 + (mode_probability[2] * predicted_y_h2[1]);
-    const double t36 = t35 + (mode_probability[3] * predicted_y_h3[1]);
-    const double t37 = t36 + (mode_probability[4] * predicted_y_h4[1]);
+    combined_variance[0] = t18 + (t31 + (held_probability[4] * t32 * t32));
+    const double t33 = held_probability[0] * predicted_y_h0[1];
+    const double t34 = t33 + (held_probability[1] * predicted_y_h1[1]);
+    const double t35 = t34 + (held_probability[2] * predicted_y_h2[1]);
+    const double t36 = t35 + (held_probability[3] * predicted_y_h3[1]);
+    const double t37 = t36 + (held_probability[4] * predicted_y_h4[1]);
     const double t38 = predicted_y_h0[1] - t37;
-    const double t39 = mode_probability[0] * t38;
+    const double t39 = held_probability[0] * t38;
     const double t40 = t39 * t24;
     const double t41 = predicted_y_h1[1] - t37;
-    const double t42 = mode_probability[1] * t41;
+    const double t42 = held_probability[1] * t41;
     const double t43 = t40 + (t42 * t26);
     const double t44 = predicted_y_h2[1] - t37;
-    const double t45 = mode_probability[2] * t44;
+    const double t45 = held_probability[2] * t44;
     const double t46 = t43 + (t45 * t28);
     const double t47 = predicted_y_h3[1] - t37;
-    const double t48 = mode_probability[3] * t47;
+    const double t48 = held_probability[3] * t47;
     const double t49 = t46 + (t48 * t30);
     const double t50 = predicted_y_h4[1] - t37;
-    const double t51 = mode_probability[4] * t50;
+    const double t51 = held_probability[4] * t50;
     combined_variance[1] = t49 + (t51 * t32);
-    const double t52 = (mode_probability[0] * pivot_h0_1) + (mode_probability[1] * pivot_h1_1);
-    const double t53 = t52 + (mode_probability[2] * pivot_h2_1);
-    const double t54 = t53 + (mode_probability[3] * pivot_h3_1);
-    const double t55 = t54 + (mode_probability[4] * pivot_h4_1);
+    const double t52 = (held_probability[0] * pivot_h0_1) + (held_probability[1] * pivot_h1_1);
+    const double t53 = t52 + (held_probability[2] * pivot_h2_1);
+    const double t54 = t53 + (held_probability[3] * pivot_h3_1);
+    const double t55 = t54 + (held_probability[4] * pivot_h4_1);
     const double t56 = (t39 * t38) + (t42 * t41) + (t45 * t44) + (t48 * t47);
     combined_variance[2] = t55 + (t56 + (t51 * t50));
-    const double t57 = mode_probability[0] * innovation_h0_0;
-    const double t58 = t57 + (mode_probability[1] * innovation_h1_0);
-    const double t59 = t58 + (mode_probability[2] * innovation_h2_0);
-    const double t60 = t59 + (mode_probability[3] * innovation_h3_0);
-    combined_innovation[0] = t60 + (mode_probability[4] * innovation_h4_0);
-    const double t61 = mode_probability[0] * innovation_h0_1;
-    const double t62 = t61 + (mode_probability[1] * innovation_h1_1);
-    const double t63 = t62 + (mode_probability[2] * innovation_h2_1);
-    const double t64 = t63 + (mode_probability[3] * innovation_h3_1);
-    combined_innovation[1] = t64 + (mode_probability[4] * innovation_h4_1);
+    const double t57 = held_probability[0] * innovation_h0_0;
+    const double t58 = t57 + (held_probability[1] * innovation_h1_0);
+    const double t59 = t58 + (held_probability[2] * innovation_h2_0);
+    const double t60 = t59 + (held_probability[3] * innovation_h3_0);
+    combined_innovation[0] = t60 + (held_probability[4] * innovation_h4_0);
+    const double t61 = held_probability[0] * innovation_h0_1;
+    const double t62 = t61 + (held_probability[1] * innovation_h1_1);
+    const double t63 = t62 + (held_probability[2] * innovation_h2_1);
+    const double t64 = t63 + (held_probability[3] * innovation_h3_1);
+    combined_innovation[1] = t64 + (held_probability[4] * innovation_h4_1);
     whitening_pivot_combined_0 = combined_variance[0];
     if ((present & 0x1u) != 0u)
     {
@@ -757,13 +792,15 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
         if (!(whitening_pivot_combined_1 > 0.0)) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
         whitening_inverse_combined_1 = 1.0 / whitening_pivot_combined_1;
     }
-    dc_motor_unknown_combination(combined_innovation, whitening_inverse_combined_0,
+    status = dc_motor_unknown_combination(combined_innovation, whitening_inverse_combined_0,
         whitening_combined_0_1, whitening_inverse_combined_1, weight, mean_h0, mean_h1, mean_h2,
         mean_h3, mean_h4, covariance_h0, covariance_h1, covariance_h2, covariance_h3, covariance_h4,
-        mode_state, innovation, combined_variance, innovation_covariance, nis, filtered_state,
-        filtered_covariance, paper_state, success_rate_estimate, mode_filtered_state,
-        mode_filtered_covariance, mode_deviation, mode_deviation_covariance, mode_deviation_cross,
-        mode_probability_2, log_weight_now, log_weight_2, log_evidence, log_likelihood);
+        mode_state, combined_variance, log_weight_now, log_evidence, innovation,
+        innovation_covariance, nis, filtered_state, filtered_covariance, paper_state,
+        success_rate_estimate, mode_filtered_state, mode_filtered_covariance, mode_deviation,
+        mode_deviation_covariance, mode_deviation_cross, mode_probability, log_weight,
+        log_likelihood);
+    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -771,6 +808,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_3(
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const dc_motor_unknown_t
     *self, const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
 {
+    double held_probability[5];
+    double held_logarithm[5];
     double innovation_h0_0 = 0.0;
     double innovation_h0_1 = 0.0;
     double mean_h0[3] = { 0.0 };
@@ -808,6 +847,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     double determinant_h3_0 = 1.0;
     double pivot_h3_1 = 0.0;
     dc_motor_unknown_status_t status;
+    dc_motor_unknown_copy(self->mode_probability, held_probability, 5);
+    dc_motor_unknown_copy(self->log_weight, held_logarithm, 5);
     if (!((self->mode_covariance[0] >= 0.0) && (self->mode_covariance[2] >= 0.0) &&
         (self->mode_covariance[3] >= 0.0) && (self->mode_covariance[5] >= 0.0) &&
         (self->mode_covariance[6] >= 0.0) && (self->mode_covariance[8] >= 0.0) &&
@@ -849,16 +890,15 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
     status = dc_motor_unknown_hypothesis_3(y, self->mode_state, u[0], &self->mode_covariance[12],
         determinant_h0_0, log_constant_h0, quadratic_h0, determinant_h1_0, log_constant_h1,
         quadratic_h1, determinant_h2_0, log_constant_h2, quadratic_h2, determinant_h3_0,
-        log_constant_h3, quadratic_h3, self->mode_probability, self->log_weight, pivot_h0_0,
-        pivot_h1_0, pivot_h2_0, pivot_h3_0, pivot_h0_1, pivot_h1_1, pivot_h2_1, pivot_h3_1,
-        innovation_h0_0, innovation_h1_0, innovation_h2_0, innovation_h3_0, innovation_h0_1,
-        innovation_h1_1, innovation_h2_1, innovation_h3_1, mean_h0, mean_h1, mean_h2, mean_h3,
-        covariance_h0, covariance_h1, covariance_h2, covariance_h3, next->innovation,
-        next->innovation_covariance, &next->nis, next->filtered_state, next->filtered_covariance,
-        next->paper_state, &next->success_rate_estimate, next->mode_filtered_state,
-        next->mode_filtered_covariance, next->mode_deviation, next->mode_deviation_covariance,
-        next->mode_deviation_cross, next->mode_probability, next->log_weight, &next->log_likelihood,
-        present);
+        log_constant_h3, quadratic_h3, held_probability, held_logarithm, pivot_h0_0, pivot_h1_0,
+        pivot_h2_0, pivot_h3_0, pivot_h0_1, pivot_h1_1, pivot_h2_1, pivot_h3_1, innovation_h0_0,
+        innovation_h1_0, innovation_h2_0, innovation_h3_0, innovation_h0_1, innovation_h1_1,
+        innovation_h2_1, innovation_h3_1, mean_h0, mean_h1, mean_h2, mean_h3, covariance_h0,
+        covariance_h1, covariance_h2, covariance_h3, next->innovation, next->innovation_covariance,
+        &next->nis, next->filtered_state, next->filtered_covariance, next->paper_state,
+        &next->success_rate_estimate, next->mode_filtered_state, next->mode_filtered_covariance,
+        next->mode_deviation, next->mode_deviation_covariance, next->mode_deviation_cross,
+        next->mode_probability, next->log_weight, &next->log_likelihood, present);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     return DC_MOTOR_UNKNOWN_OK;
 }
@@ -867,8 +907,8 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_correct(const
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(const
     dc_motor_unknown_t *self, const double *u, dc_motor_unknown_t *next)
 {
-    double moved_state[10] = { 0.0 };
-    double moved_covariance[15] = { 0.0 };
+    double moved_state[10];
+    double moved_covariance[15];
     double combined_state[2];
     dc_motor_unknown_status_t status;
     dc_motor_unknown_propagate_3(self->mode_filtered_state, u[0], self->mode_deviation[0],
@@ -945,9 +985,9 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t46 = t45 + (self->mode_probability[4] * moved_covariance[14]);
     const double t47 = (t29 * t28) + (t32 * t31) + (t35 * t34) + (t38 * t37);
     const double t48 = t46 + (t47 + (t41 * t40));
-    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(combined_state[0]) +
-        dc_motor_unknown_defect(combined_state[1]) + dc_motor_unknown_defect(t22) +
-        dc_motor_unknown_defect(t48)))
+    if (!dc_motor_unknown_finite((dc_motor_unknown_defect(combined_state[0]) +
+        dc_motor_unknown_defect(combined_state[1])) + (dc_motor_unknown_defect(t22) +
+        dc_motor_unknown_defect(t48))))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -990,34 +1030,79 @@ static void dc_motor_unknown_fill(double *to, int size, const double *from, int 
     }
 }
 
-dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self)
+dc_motor_unknown_status_t dc_motor_unknown_start(dc_motor_unknown_t *self, const double x[2],
+    const double P[3])
 {
-    if (self == NULL) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
-    dc_motor_unknown_fill(self->predicted_state, 2, dc_motor_unknown_zero_0, 1);
-    dc_motor_unknown_fill(self->predicted_covariance, 3, dc_motor_unknown_predicted_covariance_0,
-        1);
-    dc_motor_unknown_fill(self->filtered_state, 2, dc_motor_unknown_zero_0, 1);
-    dc_motor_unknown_fill(self->filtered_covariance, 3, dc_motor_unknown_predicted_covariance_0, 1);
-    dc_motor_unknown_fill(self->innovation, 2, dc_motor_unknown_zero_0, 1);
-    dc_motor_unknown_fill(self->innovation_covariance, 3, dc_motor_unknown_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    dc_motor_unknown_fill(self->mode_probability, 5, dc_motor_unknown_mode_probability_0, 1);
-    self->success_rate_estimate = 0.0;
-    dc_motor_unknown_fill(self->paper_state, 2, dc_motor_unknown_zero_0, 1);
-    dc_motor_unknown_fill(self->log_weight, 5, dc_motor_unknown_log_weight_0, 1);
-    dc_motor_unknown_fill(self->mode_state, 10, dc_motor_unknown_zero_0, 1);
-    dc_motor_unknown_fill(self->mode_covariance, 15, dc_motor_unknown_predicted_covariance_0, 1);
-    dc_motor_unknown_fill(self->mode_filtered_state, 10, dc_motor_unknown_zero_0, 1);
-    dc_motor_unknown_fill(self->mode_filtered_covariance, 15,
-        dc_motor_unknown_predicted_covariance_0, 1);
-    dc_motor_unknown_fill(self->mode_deviation, 5, dc_motor_unknown_zero_0, 1);
-    dc_motor_unknown_fill(self->mode_deviation_covariance, 5, dc_motor_unknown_zero_0, 1);
-    dc_motor_unknown_fill(self->mode_deviation_cross, 10, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
+    if (!dc_motor_unknown_all_finite(x, 2) || !dc_motor_unknown_all_finite(P, 3))
+    {
+        return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < DC_MOTOR_UNKNOWN_NX; ++i)
+    {
+        if (P[DC_MOTOR_UNKNOWN_P(i, i)] < 0.0) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
+    }
+    dc_motor_unknown_fill(next.predicted_state, 2, x, 2);
+    dc_motor_unknown_fill(next.predicted_covariance, 3, P, 3);
+    dc_motor_unknown_fill(next.filtered_state, 2, x, 2);
+    dc_motor_unknown_fill(next.filtered_covariance, 3, P, 3);
+    dc_motor_unknown_fill(next.innovation, 2, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(next.innovation_covariance, 3, dc_motor_unknown_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    dc_motor_unknown_fill(next.mode_probability, 5, dc_motor_unknown_mode_probability_0, 1);
+    next.success_rate_estimate = 0.0;
+    dc_motor_unknown_fill(next.paper_state, 2, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(next.log_weight, 5, dc_motor_unknown_log_weight_0, 1);
+    dc_motor_unknown_fill(next.mode_state, 10, x, 2);
+    dc_motor_unknown_fill(next.mode_covariance, 15, P, 3);
+    dc_motor_unknown_fill(next.mode_filtered_state, 10, x, 2);
+    dc_motor_unknown_fill(next.mode_filtered_covariance, 15, P, 3);
+    dc_motor_unknown_fill(next.mode_deviation, 5, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(next.mode_deviation_covariance, 5, dc_motor_unknown_zero_0, 1);
+    dc_motor_unknown_fill(next.mode_deviation_cross, 10, dc_motor_unknown_zero_0, 1);
+    next.updated = 0.0;
+    *self = next;
     return DC_MOTOR_UNKNOWN_OK;
 }
 
+dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self)
+{
+    return dc_motor_unknown_start(self, dc_motor_unknown_x_0, dc_motor_unknown_P_0);
+}
+
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void dc_motor_unknown_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static dc_motor_unknown_status_t dc_motor_unknown_pass(const dc_motor_unknown_t *self,
+    const double *u, dc_motor_unknown_t *next)
+{
+    return dc_motor_unknown_correct(self, u, NULL, 0u, next);
+}
+
+/* Correct the latest estimate. */
+static dc_motor_unknown_status_t dc_motor_unknown_renew(const dc_motor_unknown_t *self,
+    const double *u, const double *y, uint32_t present, dc_motor_unknown_t *next)
+{
+    dc_motor_unknown_status_t status;
+    if (self->updated > 0.0) { return DC_MOTOR_UNKNOWN_WRONG_ORDER; }
+    *next = *self;
+    status = dc_motor_unknown_correct(self, u, y, present, next);
+    next->updated = 1.0;
+    return status;
+}
 
 dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, const double u[1],
     const double y[2], uint32_t valid)
@@ -1026,13 +1111,15 @@ dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, cons
     uint32_t present;
     dc_motor_unknown_status_t status;
     if ((self == NULL) || (u == NULL) || (y == NULL)) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
-    if (!dc_motor_unknown_finite_input(u)) { return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE; }
+    if (!dc_motor_unknown_all_finite(u, DC_MOTOR_UNKNOWN_NU))
+    {
+        return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
+    }
     if (!dc_motor_unknown_present_rows(y, valid, &present))
     {
         return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = dc_motor_unknown_correct(self, u, y, present, &next);
+    status = dc_motor_unknown_renew(self, u, y, present, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_UNKNOWN_OK : DC_MOTOR_UNKNOWN_SKIPPED;
@@ -1041,13 +1128,26 @@ dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, cons
 dc_motor_unknown_status_t dc_motor_unknown_predict(dc_motor_unknown_t *self, const double u[1])
 {
     dc_motor_unknown_t next;
+    const dc_motor_unknown_t *latest = self;
     dc_motor_unknown_status_t status;
     if ((self == NULL) || (u == NULL)) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
-    if (!dc_motor_unknown_finite_input(u)) { return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE; }
-    next = *self;
-    status = dc_motor_unknown_propagate(self, u, &next);
+    if (!dc_motor_unknown_all_finite(u, DC_MOTOR_UNKNOWN_NU))
+    {
+        return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
+    }
+    if (!(self->updated > 0.0))
+    {
+        status = dc_motor_unknown_pass(self, u, &next);
+        if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+        latest = &next;
+    }
+    status = dc_motor_unknown_propagate(latest, u, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    *self = next;
+    dc_motor_unknown_keep(next.predicted_state, self->predicted_state, 2);
+    dc_motor_unknown_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    dc_motor_unknown_keep(next.mode_state, self->mode_state, 10);
+    dc_motor_unknown_keep(next.mode_covariance, self->mode_covariance, 15);
+    self->updated = 0.0;
     return DC_MOTOR_UNKNOWN_OK;
 }
 
@@ -1058,15 +1158,20 @@ dc_motor_unknown_status_t dc_motor_unknown_step(dc_motor_unknown_t *self, const 
     uint32_t present;
     dc_motor_unknown_status_t status;
     if ((self == NULL) || (u == NULL) || (y == NULL)) { return DC_MOTOR_UNKNOWN_NULL_POINTER; }
-    if (!dc_motor_unknown_finite_input(u)) { return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE; }
+    if (!dc_motor_unknown_all_finite(u, DC_MOTOR_UNKNOWN_NU))
+    {
+        return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
+    }
     if (!dc_motor_unknown_present_rows(y, valid, &present))
     {
         return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
     }
+    if (self->updated > 0.0) { return DC_MOTOR_UNKNOWN_WRONG_ORDER; }
     status = dc_motor_unknown_correct(self, u, y, present, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     status = dc_motor_unknown_propagate(&next, u, &next);
     if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? DC_MOTOR_UNKNOWN_OK : DC_MOTOR_UNKNOWN_SKIPPED;
 }

@@ -7,9 +7,10 @@
  * Likelihood: Gaussian.
  * Weight floor: 0.
  *
- * Time: the instance holds the prediction for sample k. dc_motor_unknown_update() corrects it with
- * y[k], dc_motor_unknown_predict() moves it to k + 1, dc_motor_unknown_step() does both. Sample 0
- * corrects the prior; no prediction comes before it.
+ * Time: the instance holds one latest estimate. dc_motor_unknown_update() corrects it with y[k],
+ * dc_motor_unknown_predict() moves it to k + 1, dc_motor_unknown_step() does both. Sample 0
+ * corrects the prior; no prediction comes before it. A prediction after a prediction passes a
+ * sample without a measurement; an update after an update is refused.
  * Sample time: 0.01 s.
  *
  * Model: x[k+1] = A x[k] + B u[k] + w[k], w ~ (0, Q); y[k] = C x[k] + D u[k] + v[k], v ~ (0, R);
@@ -48,9 +49,9 @@
  *   y[1]  voltage_measured, V
  *
  * Cost of one step with every row present: 1128 floating-point operations and 5 exp and 6 log.
- * An instance is 100 doubles, 800 bytes; nothing else is kept. Tables of constants: 192 bytes. No
+ * An instance is 101 doubles, 808 bytes; nothing else is kept. Tables of constants: 224 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 9408 bytes at -O0, 2864 at -Os.
+ * Stack of one call, interrupts left out: at most 11168 bytes at -O0, 2976 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -87,8 +88,10 @@ typedef enum
     DC_MOTOR_UNKNOWN_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
                                                        or an indicator with another value */
     DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    DC_MOTOR_UNKNOWN_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                               target */
+    DC_MOTOR_UNKNOWN_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on
+                                                this target */
+    DC_MOTOR_UNKNOWN_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
+                                           take: predict first */
 } dc_motor_unknown_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -123,12 +126,22 @@ typedef struct
                                               hypothesis, given y[0..k] */
     double mode_deviation_cross[10]; /**< covariance of gamma[k] minus its mean under each
                                           hypothesis, given y[0..k], with the state */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } dc_motor_unknown_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  dc_motor_unknown_start(), before anything else. */
 dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self);
 
-/** Correct the prediction with sample k.
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return DC_MOTOR_UNKNOWN_OK, or negative: refused, the instance is unchanged.
+ */
+dc_motor_unknown_status_t dc_motor_unknown_start(dc_motor_unknown_t *self, const double x[2],
+    const double P[3]);
+
+/** Correct the latest estimate with sample k.
  *  @param u       inputs of this sample, finite
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
@@ -138,7 +151,8 @@ dc_motor_unknown_status_t dc_motor_unknown_init(dc_motor_unknown_t *self);
 dc_motor_unknown_status_t dc_motor_unknown_update(dc_motor_unknown_t *self, const double u[1],
     const double y[2], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 dc_motor_unknown_status_t dc_motor_unknown_predict(dc_motor_unknown_t *self, const double u[1]);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

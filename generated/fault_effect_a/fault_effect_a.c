@@ -103,7 +103,11 @@ static const double fault_effect_a_zero_0[1] = {
     0.0
 };
 
-static const double fault_effect_a_predicted_covariance_0[6] = {
+static const double fault_effect_a_x_0[3] = {
+    0.0, 0.0, 0.0
+};
+
+static const double fault_effect_a_P_0[6] = {
     1.2401, 0.099, 1.0001, 0.0, -0.099, 1.3401
 };
 
@@ -121,13 +125,13 @@ static int fault_effect_a_finite(double defects)
     return defects >= 0.0;
 }
 
-/* Nonzero if every input is finite. */
-static int fault_effect_a_finite_input(const double *u)
+/* Nonzero if all numbers of an array are finite. */
+static int fault_effect_a_all_finite(const double *values, int size)
 {
     int i;
-    for (i = 0; i < FAULT_EFFECT_A_NU; ++i)
+    for (i = 0; i < size; ++i)
     {
-        if (!fault_effect_a_finite(fault_effect_a_defect(u[i]))) { return 0; }
+        if (!fault_effect_a_finite(fault_effect_a_defect(values[i]))) { return 0; }
     }
     return 1;
 }
@@ -259,15 +263,23 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
         covariance[4] = covariance[4] - (t7 * cross_1[1]);
         covariance[5] = covariance[5] - (t7 * cross_1[2]);
     }
-    if (!fault_effect_a_finite(fault_effect_a_defect(mean[0]) + fault_effect_a_defect(mean[1]) +
+    if (!fault_effect_a_finite((fault_effect_a_defect(mean[0]) + fault_effect_a_defect(mean[1])) +
         fault_effect_a_defect(mean[2])))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }
 
     /* results of the update */
-    next->innovation_covariance[2] = pivot_1 + (coupling_0 * factor_0);
-    next->log_likelihood = -0.5 * (quadratic + (log_constant + fault_effect_a_log(determinant_0)));
+    const double t8 = pivot_1 + (coupling_0 * factor_0);
+    const double t9 = -0.5 * (quadratic + (log_constant + fault_effect_a_log(determinant_0)));
+    if (!fault_effect_a_finite((((fault_effect_a_defect(covariance[0]) +
+        fault_effect_a_defect(covariance[2])) + fault_effect_a_defect(covariance[5])) +
+        (fault_effect_a_defect(innovation_0) + fault_effect_a_defect(innovation_1))) +
+        ((fault_effect_a_defect(pivot_0) + fault_effect_a_defect(t8)) +
+        (fault_effect_a_defect(quadratic) + fault_effect_a_defect(t9)))))
+    {
+        return FAULT_EFFECT_A_RESULT_NOT_FINITE;
+    }
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_state[2] = mean[2];
@@ -281,7 +293,9 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     next->innovation[1] = innovation_1;
     next->innovation_covariance[0] = pivot_0;
     next->innovation_covariance[1] = coupling_0;
+    next->innovation_covariance[2] = t8;
     next->nis = quadratic;
+    next->log_likelihood = t9;
     return FAULT_EFFECT_A_OK;
 }
 
@@ -307,9 +321,9 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_propagate(const fau
     const double t13 = 0.9801 * self->filtered_covariance[4];
     next->predicted_covariance[4] = t13 + (-0.099 * self->filtered_covariance[5]);
     const double t14 = (0.9801 * self->filtered_covariance[5]) + 0.36;
-    if (!fault_effect_a_finite(fault_effect_a_defect(t0) + fault_effect_a_defect(t1) +
-        fault_effect_a_defect(t2) + fault_effect_a_defect(t5) + fault_effect_a_defect(t11) +
-        fault_effect_a_defect(t14)))
+    if (!fault_effect_a_finite(((fault_effect_a_defect(t0) + fault_effect_a_defect(t1)) +
+        fault_effect_a_defect(t2)) + ((fault_effect_a_defect(t5) + fault_effect_a_defect(t11)) +
+        fault_effect_a_defect(t14))))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }
@@ -334,21 +348,78 @@ static void fault_effect_a_fill(double *to, int size, const double *from, int pe
     }
 }
 
-fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self)
+fault_effect_a_status_t fault_effect_a_start(fault_effect_a_t *self, const double x[3],
+    const double P[6])
 {
-    if (self == NULL) { return FAULT_EFFECT_A_NULL_POINTER; }
-    fault_effect_a_fill(self->predicted_state, 3, fault_effect_a_zero_0, 1);
-    fault_effect_a_fill(self->predicted_covariance, 6, fault_effect_a_predicted_covariance_0, 6);
-    fault_effect_a_fill(self->filtered_state, 3, fault_effect_a_zero_0, 1);
-    fault_effect_a_fill(self->filtered_covariance, 6, fault_effect_a_predicted_covariance_0, 6);
-    fault_effect_a_fill(self->innovation, 2, fault_effect_a_zero_0, 1);
-    fault_effect_a_fill(self->innovation_covariance, 3, fault_effect_a_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
+    fault_effect_a_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
+    if (!fault_effect_a_all_finite(x, 3) || !fault_effect_a_all_finite(P, 6))
+    {
+        return FAULT_EFFECT_A_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < FAULT_EFFECT_A_NX; ++i)
+    {
+        if (P[FAULT_EFFECT_A_P(i, i)] < 0.0) { return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE; }
+    }
+    fault_effect_a_fill(next.predicted_state, 3, x, 3);
+    fault_effect_a_fill(next.predicted_covariance, 6, P, 6);
+    fault_effect_a_fill(next.filtered_state, 3, x, 3);
+    fault_effect_a_fill(next.filtered_covariance, 6, P, 6);
+    fault_effect_a_fill(next.innovation, 2, fault_effect_a_zero_0, 1);
+    fault_effect_a_fill(next.innovation_covariance, 3, fault_effect_a_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    next.updated = 0.0;
+    *self = next;
     return FAULT_EFFECT_A_OK;
 }
 
+fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self)
+{
+    return fault_effect_a_start(self, fault_effect_a_x_0, fault_effect_a_P_0);
+}
+
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void fault_effect_a_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static fault_effect_a_status_t fault_effect_a_pass(const fault_effect_a_t *self,
+    fault_effect_a_t *next)
+{
+    return fault_effect_a_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static fault_effect_a_status_t fault_effect_a_renew(const fault_effect_a_t *self, const double *y,
+    uint32_t present, fault_effect_a_t *next)
+{
+    fault_effect_a_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        fault_effect_a_keep(self->filtered_state, next->predicted_state, 3);
+        fault_effect_a_keep(self->filtered_covariance, next->predicted_covariance, 6);
+    }
+    status = fault_effect_a_correct(next, y, present, next);
+    if (again)
+    {
+        fault_effect_a_keep(self->predicted_state, next->predicted_state, 3);
+        fault_effect_a_keep(self->predicted_covariance, next->predicted_covariance, 6);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const double u[1],
     const double y[2], uint32_t valid)
@@ -357,13 +428,15 @@ fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const doub
     uint32_t present;
     fault_effect_a_status_t status;
     if ((self == NULL) || (u == NULL) || (y == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
-    if (!fault_effect_a_finite_input(u)) { return FAULT_EFFECT_A_INPUT_NOT_FINITE; }
+    if (!fault_effect_a_all_finite(u, FAULT_EFFECT_A_NU))
+    {
+        return FAULT_EFFECT_A_INPUT_NOT_FINITE;
+    }
     if (!fault_effect_a_present_rows(y, valid, &present))
     {
         return FAULT_EFFECT_A_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = fault_effect_a_correct(self, y, present, &next);
+    status = fault_effect_a_renew(self, y, present, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_SKIPPED;
@@ -372,13 +445,24 @@ fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const doub
 fault_effect_a_status_t fault_effect_a_predict(fault_effect_a_t *self, const double u[1])
 {
     fault_effect_a_t next;
+    const fault_effect_a_t *latest = self;
     fault_effect_a_status_t status;
     if ((self == NULL) || (u == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
-    if (!fault_effect_a_finite_input(u)) { return FAULT_EFFECT_A_INPUT_NOT_FINITE; }
-    next = *self;
-    status = fault_effect_a_propagate(self, u, &next);
+    if (!fault_effect_a_all_finite(u, FAULT_EFFECT_A_NU))
+    {
+        return FAULT_EFFECT_A_INPUT_NOT_FINITE;
+    }
+    if (!(self->updated > 0.0))
+    {
+        status = fault_effect_a_pass(self, &next);
+        if (status != FAULT_EFFECT_A_OK) { return status; }
+        latest = &next;
+    }
+    status = fault_effect_a_propagate(latest, u, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
-    *self = next;
+    fault_effect_a_keep(next.predicted_state, self->predicted_state, 3);
+    fault_effect_a_keep(next.predicted_covariance, self->predicted_covariance, 6);
+    self->updated = 0.0;
     return FAULT_EFFECT_A_OK;
 }
 
@@ -389,15 +473,26 @@ fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double
     uint32_t present;
     fault_effect_a_status_t status;
     if ((self == NULL) || (u == NULL) || (y == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
-    if (!fault_effect_a_finite_input(u)) { return FAULT_EFFECT_A_INPUT_NOT_FINITE; }
+    if (!fault_effect_a_all_finite(u, FAULT_EFFECT_A_NU))
+    {
+        return FAULT_EFFECT_A_INPUT_NOT_FINITE;
+    }
     if (!fault_effect_a_present_rows(y, valid, &present))
     {
         return FAULT_EFFECT_A_INPUT_NOT_FINITE;
     }
-    status = fault_effect_a_correct(self, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = fault_effect_a_renew(self, y, present, &next);
+    }
+    else
+    {
+        status = fault_effect_a_correct(self, y, present, &next);
+    }
     if (status != FAULT_EFFECT_A_OK) { return status; }
     status = fault_effect_a_propagate(&next, u, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? FAULT_EFFECT_A_OK : FAULT_EFFECT_A_SKIPPED;
 }

@@ -5,9 +5,10 @@
  * Equations: Anderson & Moore 1979, Optimal Filtering, sec. 3.1 and 6.5.
  * Covariance update: short form.
  *
- * Time: the instance holds the prediction for sample k. fault_effect_a_update() corrects it with
- * y[k], fault_effect_a_predict() moves it to k + 1, fault_effect_a_step() does both. Sample 0
- * corrects the prior; no prediction comes before it.
+ * Time: the instance holds one latest estimate. fault_effect_a_update() corrects it with y[k],
+ * fault_effect_a_predict() moves it to k + 1, fault_effect_a_step() does both. Sample 0 corrects
+ * the prior; no prediction comes before it. A prediction after a prediction passes a sample without
+ * a measurement, an update after an update takes more rows of the same sample.
  *
  * Model: x[k+1] = A x[k] + B u[k] + w[k], w ~ (0, Q); y[k] = C x[k] + D u[k] + v[k], v ~ (0, R);
  * x[0] ~ (x0, P0).
@@ -41,9 +42,9 @@
  *   y[1]  Y2
  *
  * Cost of one step with every row present: 119 floating-point operations and 1 log.
- * An instance is 25 doubles, 200 bytes; nothing else is kept. Tables of constants: 56 bytes. No
+ * An instance is 26 doubles, 208 bytes; nothing else is kept. Tables of constants: 80 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1200 bytes at -O0, 752 at -Os.
+ * Stack of one call, interrupts left out: at most 1648 bytes at -O0, 768 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -77,8 +78,10 @@ typedef enum
     FAULT_EFFECT_A_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
                                                      or an indicator with another value */
     FAULT_EFFECT_A_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    FAULT_EFFECT_A_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                             target */
+    FAULT_EFFECT_A_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                              target */
+    FAULT_EFFECT_A_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
+                                         take: predict first */
 } fault_effect_a_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -94,12 +97,22 @@ typedef struct
                                           (symmetric 2 x 2) */
     double nis; /**< normalised innovation squared over the rows present */
     double log_likelihood; /**< log density of the rows present given y[0..k-1] */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } fault_effect_a_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  fault_effect_a_start(), before anything else. */
 fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self);
 
-/** Correct the prediction with sample k.
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return FAULT_EFFECT_A_OK, or negative: refused, the instance is unchanged.
+ */
+fault_effect_a_status_t fault_effect_a_start(fault_effect_a_t *self, const double x[3],
+    const double P[6]);
+
+/** Correct the latest estimate with sample k.
  *  @param u       inputs of this sample, finite
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
@@ -109,7 +122,8 @@ fault_effect_a_status_t fault_effect_a_init(fault_effect_a_t *self);
 fault_effect_a_status_t fault_effect_a_update(fault_effect_a_t *self, const double u[1],
     const double y[2], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 fault_effect_a_status_t fault_effect_a_predict(fault_effect_a_t *self, const double u[1]);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

@@ -155,14 +155,6 @@ static double gps_glitch_exp(double x)
 
 /* ---- start values; where they repeat, once ---- */
 
-static const double gps_glitch_predicted_state_0[3] = {
-    1800.0, 0.0, 0.0
-};
-
-static const double gps_glitch_predicted_covariance_0[6] = {
-    10000.0, 0.0, 9.0, 0.0, 0.0, 100.0
-};
-
 static const double gps_glitch_zero_0[1] = {
     0.0
 };
@@ -173,6 +165,14 @@ static const double gps_glitch_mode_probability_0[4] = {
 
 static const double gps_glitch_log_weight_0[4] = {
     -0.03833000319860632, -3.439527384860762, -5.231286854088816, -8.632484235750972
+};
+
+static const double gps_glitch_x_0[3] = {
+    1800.0, 0.0, 0.0
+};
+
+static const double gps_glitch_P_0[6] = {
+    10000.0, 0.0, 9.0, 0.0, 0.0, 100.0
 };
 
 /* ---- what may be used of a sample ---- */
@@ -187,6 +187,23 @@ static double gps_glitch_defect(double x)
 static int gps_glitch_finite(double defects)
 {
     return defects >= 0.0;
+}
+
+/* Nonzero if all numbers of an array are finite. */
+static int gps_glitch_all_finite(const double *values, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!gps_glitch_finite(gps_glitch_defect(values[i]))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if every parameter is finite. */
+static int gps_glitch_finite_params(const gps_glitch_params_t *params)
+{
+    return gps_glitch_finite(gps_glitch_defect(params->dt));
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -692,9 +709,9 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_probabilities_of_the_modes(cons
     double predicted_y_m1[3];
     double predicted_y_m2[3];
     double predicted_y_m3[3];
-    double whitening_pivot_combined_0 = 0.0;
-    double whitening_pivot_combined_1 = 0.0;
-    double whitening_pivot_combined_2 = 0.0;
+    double whitening_pivot_combined_0;
+    double whitening_pivot_combined_1;
+    double whitening_pivot_combined_2;
     gps_glitch_status_t status;
 
     /* probabilities of the modes */
@@ -863,39 +880,39 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     double innovation_m0_0 = 0.0;
     double innovation_m0_1 = 0.0;
     double innovation_m0_2 = 0.0;
-    double variance_m0[6] = { 0.0 };
-    double mean_m0[3] = { 0.0 };
-    double covariance_m0[6] = { 0.0 };
+    double variance_m0[6];
+    double mean_m0[3];
+    double covariance_m0[6];
     double log_density_m0 = 0.0;
     double innovation_m1_0 = 0.0;
     double innovation_m1_1 = 0.0;
     double innovation_m1_2 = 0.0;
-    double variance_m1[6] = { 0.0 };
-    double mean_m1[3] = { 0.0 };
-    double covariance_m1[6] = { 0.0 };
+    double variance_m1[6];
+    double mean_m1[3];
+    double covariance_m1[6];
     double log_density_m1 = 0.0;
     double innovation_m2_0 = 0.0;
     double innovation_m2_1 = 0.0;
     double innovation_m2_2 = 0.0;
-    double variance_m2[6] = { 0.0 };
+    double variance_m2[6];
     double mean_m2[3] = { 0.0 };
     double covariance_m2[6] = { 0.0 };
     double quadratic_m2 = 0.0;
     double log_constant_m2 = 0.0;
     double determinant_m2_0 = 1.0;
-    double log_density_m2 = 0.0;
+    double log_density_m2;
     double innovation_m3_0 = 0.0;
     double innovation_m3_1 = 0.0;
     double innovation_m3_2 = 0.0;
-    double variance_m3[6] = { 0.0 };
+    double variance_m3[6];
     double mean_m3[3] = { 0.0 };
     double covariance_m3[6] = { 0.0 };
     double quadratic_m3 = 0.0;
     double log_constant_m3 = 0.0;
     double determinant_m3_0 = 1.0;
-    double log_density_m3 = 0.0;
-    double weight[4] = { 0.0 };
-    double log_weight_now[4] = { 0.0 };
+    double log_density_m3;
+    double weight[4];
+    double log_weight_now[4];
     double log_evidence = 0.0;
     double combined_variance[6] = { 0.0 };
     double combined_innovation[3] = { 0.0 };
@@ -990,8 +1007,8 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
         covariance_m3, combined_2_3_covariance);
     gps_glitch_part_2(combined_0_1_mean, combined_2_3_mean, combined_0_3_share, combined_0_3_mean,
         combined_0_1_covariance, combined_2_3_covariance, combined_0_3_covariance);
-    if (!gps_glitch_finite(gps_glitch_defect(combined_0_3_mean[0]) +
-        gps_glitch_defect(combined_0_3_mean[1]) + gps_glitch_defect(combined_0_3_mean[2])))
+    if (!gps_glitch_finite((gps_glitch_defect(combined_0_3_mean[0]) +
+        gps_glitch_defect(combined_0_3_mean[1])) + gps_glitch_defect(combined_0_3_mean[2])))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1001,9 +1018,46 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     const double t3 = t1 + (t2 * t2 * whitening_inverse_combined_1);
     const double t4 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
     const double t5 = t4 - (whitening_combined_1_2 * t2);
-    next->nis = t3 + (t5 * t5 * whitening_inverse_combined_2);
+    const double t6 = t3 + (t5 * t5 * whitening_inverse_combined_2);
+    if (!gps_glitch_finite((((((gps_glitch_defect(combined_innovation[0]) +
+        gps_glitch_defect(combined_innovation[1])) + (gps_glitch_defect(combined_innovation[2]) +
+        gps_glitch_defect(combined_variance[0]))) + ((gps_glitch_defect(combined_variance[1]) +
+        gps_glitch_defect(combined_variance[2])) + (gps_glitch_defect(combined_variance[3]) +
+        gps_glitch_defect(combined_variance[4])))) + (((gps_glitch_defect(combined_variance[5]) +
+        gps_glitch_defect(t6)) + (gps_glitch_defect(weight[0]) + gps_glitch_defect(weight[1]))) +
+        ((gps_glitch_defect(weight[2]) + gps_glitch_defect(weight[3])) +
+        (gps_glitch_defect(log_weight_now[0]) + gps_glitch_defect(log_weight_now[1]))))) +
+        ((((gps_glitch_defect(log_weight_now[2]) + gps_glitch_defect(log_weight_now[3])) +
+        (gps_glitch_defect(log_evidence) + gps_glitch_defect(combined_0_3_covariance[0]))) +
+        ((gps_glitch_defect(combined_0_3_covariance[1]) +
+        gps_glitch_defect(combined_0_3_covariance[2])) +
+        (gps_glitch_defect(combined_0_3_covariance[3]) +
+        gps_glitch_defect(combined_0_3_covariance[4])))) +
+        (((gps_glitch_defect(combined_0_3_covariance[5]) + gps_glitch_defect(mean_m0[0])) +
+        (gps_glitch_defect(mean_m0[1]) + gps_glitch_defect(mean_m0[2]))) +
+        ((gps_glitch_defect(mean_m1[0]) + gps_glitch_defect(mean_m1[1])) +
+        gps_glitch_defect(mean_m1[2]))))) + (((((gps_glitch_defect(mean_m2[0]) +
+        gps_glitch_defect(mean_m2[1])) + (gps_glitch_defect(mean_m2[2]) +
+        gps_glitch_defect(mean_m3[0]))) + ((gps_glitch_defect(mean_m3[1]) +
+        gps_glitch_defect(mean_m3[2])) + (gps_glitch_defect(covariance_m0[0]) +
+        gps_glitch_defect(covariance_m0[1])))) + (((gps_glitch_defect(covariance_m0[2]) +
+        gps_glitch_defect(covariance_m0[3])) + (gps_glitch_defect(covariance_m0[4]) +
+        gps_glitch_defect(covariance_m0[5]))) + ((gps_glitch_defect(covariance_m1[0]) +
+        gps_glitch_defect(covariance_m1[1])) + gps_glitch_defect(covariance_m1[2])))) +
+        ((((gps_glitch_defect(covariance_m1[3]) + gps_glitch_defect(covariance_m1[4])) +
+        (gps_glitch_defect(covariance_m1[5]) + gps_glitch_defect(covariance_m2[0]))) +
+        ((gps_glitch_defect(covariance_m2[1]) + gps_glitch_defect(covariance_m2[2])) +
+        (gps_glitch_defect(covariance_m2[3]) + gps_glitch_defect(covariance_m2[4])))) +
+        (((gps_glitch_defect(covariance_m2[5]) + gps_glitch_defect(covariance_m3[0])) +
+        (gps_glitch_defect(covariance_m3[1]) + gps_glitch_defect(covariance_m3[2]))) +
+        ((gps_glitch_defect(covariance_m3[3]) + gps_glitch_defect(covariance_m3[4])) +
+        gps_glitch_defect(covariance_m3[5])))))))
+    {
+        return GPS_GLITCH_RESULT_NOT_FINITE;
+    }
     gps_glitch_copy(combined_innovation, next->innovation, 3);
     gps_glitch_copy(combined_variance, next->innovation_covariance, 6);
+    next->nis = t6;
     gps_glitch_copy(weight, next->mode_probability, 4);
     gps_glitch_copy(log_weight_now, next->log_weight, 4);
     next->log_likelihood = log_evidence;
@@ -1158,32 +1212,54 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
         moved_state_3, Q, moved_covariance_3, params);
 
     /* combined prediction */
-    next->predicted_log_weight[0] = gps_glitch_log(mode_prediction_0);
-    next->predicted_log_weight[1] = gps_glitch_log(mode_prediction_1);
-    next->predicted_log_weight[2] = gps_glitch_log(mode_prediction_2);
-    next->predicted_log_weight[3] = log_path_largest_3 + gps_glitch_log(path_share_total_3);
-    next->predicted_state[0] = self->filtered_state[0] + (params->dt * self->filtered_state[1]);
-    const double t11 = self->filtered_covariance[0] + (params->dt * self->filtered_covariance[1]);
-    const double t12 = self->filtered_covariance[1] + (params->dt * self->filtered_covariance[2]);
-    next->predicted_covariance[0] = t11 + (t12 * params->dt) + Q[0];
-    const double t13 = self->filtered_covariance[1] + (self->filtered_covariance[2] * params->dt);
-    next->predicted_covariance[1] = t13 + Q[1];
-    next->predicted_covariance[2] = self->filtered_covariance[2] + params->dt;
-    const double t14 = self->filtered_covariance[4] * params->dt;
-    next->predicted_covariance[3] = self->filtered_covariance[3] + t14;
-    next->predicted_covariance[5] = self->filtered_covariance[5] + Q[3];
-    const double t15 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0] + moved_state_3[0];
-    const double t16 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1] + moved_state_3[1];
-    const double t17 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2] + moved_state_3[2];
-    const double t18 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
-    const double t19 = t18 + moved_covariance_3[0];
-    const double t20 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
-    const double t21 = t20 + moved_covariance_3[2];
-    const double t22 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
-    const double t23 = t22 + moved_covariance_3[5];
-    if (!gps_glitch_finite(gps_glitch_defect(t15) + gps_glitch_defect(t16) +
-        gps_glitch_defect(t17) + gps_glitch_defect(t19) + gps_glitch_defect(t21) +
-        gps_glitch_defect(t23)))
+    const double t11 = gps_glitch_log(mode_prediction_0);
+    const double t12 = gps_glitch_log(mode_prediction_1);
+    const double t13 = gps_glitch_log(mode_prediction_2);
+    const double t14 = log_path_largest_3 + gps_glitch_log(path_share_total_3);
+    const double t15 = self->filtered_state[0] + (params->dt * self->filtered_state[1]);
+    const double t16 = self->filtered_covariance[0] + (params->dt * self->filtered_covariance[1]);
+    const double t17 = self->filtered_covariance[1] + (params->dt * self->filtered_covariance[2]);
+    const double t18 = t16 + (t17 * params->dt) + Q[0];
+    const double t19 = self->filtered_covariance[1] + (self->filtered_covariance[2] * params->dt);
+    const double t20 = t19 + Q[1];
+    const double t21 = self->filtered_covariance[2] + params->dt;
+    const double t22 = self->filtered_covariance[3] + (self->filtered_covariance[4] * params->dt);
+    const double t23 = self->filtered_covariance[5] + Q[3];
+    const double t24 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0] + moved_state_3[0];
+    const double t25 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1] + moved_state_3[1];
+    const double t26 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2] + moved_state_3[2];
+    const double t27 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
+    const double t28 = t27 + moved_covariance_3[0];
+    const double t29 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
+    const double t30 = t29 + moved_covariance_3[2];
+    const double t31 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
+    const double t32 = t31 + moved_covariance_3[5];
+    if (!gps_glitch_finite((((((gps_glitch_defect(t24) + gps_glitch_defect(t25)) +
+        (gps_glitch_defect(t26) + gps_glitch_defect(t28))) + ((gps_glitch_defect(t30) +
+        gps_glitch_defect(t32)) + gps_glitch_defect(mode_prediction_0))) +
+        (((gps_glitch_defect(mode_prediction_1) + gps_glitch_defect(mode_prediction_2)) +
+        (gps_glitch_defect(mode_prediction_3) + gps_glitch_defect(t11))) +
+        ((gps_glitch_defect(t12) + gps_glitch_defect(t13)) + gps_glitch_defect(t14)))) +
+        ((((gps_glitch_defect(moved_state_0[0]) + gps_glitch_defect(moved_state_0[1])) +
+        (gps_glitch_defect(moved_state_0[2]) + gps_glitch_defect(moved_state_1[0]))) +
+        ((gps_glitch_defect(moved_state_1[1]) + gps_glitch_defect(moved_state_1[2])) +
+        gps_glitch_defect(moved_state_2[0]))) + (((gps_glitch_defect(moved_state_2[1]) +
+        gps_glitch_defect(moved_state_2[2])) + (gps_glitch_defect(moved_state_3[0]) +
+        gps_glitch_defect(moved_state_3[1]))) + ((gps_glitch_defect(moved_state_3[2]) +
+        gps_glitch_defect(moved_covariance_0[0])) + gps_glitch_defect(moved_covariance_0[1]))))) +
+        (((((gps_glitch_defect(moved_covariance_0[2]) + gps_glitch_defect(moved_covariance_0[3])) +
+        (gps_glitch_defect(moved_covariance_0[4]) + gps_glitch_defect(moved_covariance_0[5]))) +
+        ((gps_glitch_defect(moved_covariance_1[0]) + gps_glitch_defect(moved_covariance_1[1])) +
+        gps_glitch_defect(moved_covariance_1[2]))) + (((gps_glitch_defect(moved_covariance_1[3]) +
+        gps_glitch_defect(moved_covariance_1[4])) + (gps_glitch_defect(moved_covariance_1[5]) +
+        gps_glitch_defect(moved_covariance_2[0]))) + ((gps_glitch_defect(moved_covariance_2[1]) +
+        gps_glitch_defect(moved_covariance_2[2])) + gps_glitch_defect(moved_covariance_2[3])))) +
+        ((((gps_glitch_defect(moved_covariance_2[4]) + gps_glitch_defect(moved_covariance_2[5])) +
+        (gps_glitch_defect(moved_covariance_3[0]) + gps_glitch_defect(moved_covariance_3[1]))) +
+        ((gps_glitch_defect(moved_covariance_3[2]) + gps_glitch_defect(moved_covariance_3[3])) +
+        gps_glitch_defect(moved_covariance_3[4]))) + (((gps_glitch_defect(moved_covariance_3[5]) +
+        gps_glitch_defect(t15)) + (gps_glitch_defect(t18) + gps_glitch_defect(t20))) +
+        ((gps_glitch_defect(t21) + gps_glitch_defect(t22)) + gps_glitch_defect(t23)))))))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1191,6 +1267,10 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     next->predicted_mode_probability[1] = mode_prediction_1;
     next->predicted_mode_probability[2] = mode_prediction_2;
     next->predicted_mode_probability[3] = mode_prediction_3;
+    next->predicted_log_weight[0] = t11;
+    next->predicted_log_weight[1] = t12;
+    next->predicted_log_weight[2] = t13;
+    next->predicted_log_weight[3] = t14;
     gps_glitch_copy(moved_state_0, next->mode_state, 3);
     gps_glitch_copy(moved_state_1, &next->mode_state[3], 3);
     gps_glitch_copy(moved_state_2, &next->mode_state[6], 3);
@@ -1199,9 +1279,15 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     gps_glitch_copy(moved_covariance_1, &next->mode_covariance[6], 6);
     gps_glitch_copy(moved_covariance_2, &next->mode_covariance[12], 6);
     gps_glitch_copy(moved_covariance_3, &next->mode_covariance[18], 6);
+    next->predicted_state[0] = t15;
     next->predicted_state[1] = self->filtered_state[1];
     next->predicted_state[2] = self->filtered_state[2];
+    next->predicted_covariance[0] = t18;
+    next->predicted_covariance[1] = t20;
+    next->predicted_covariance[2] = t21;
+    next->predicted_covariance[3] = t22;
     next->predicted_covariance[4] = self->filtered_covariance[4];
+    next->predicted_covariance[5] = t23;
     return GPS_GLITCH_OK;
 }
 
@@ -1217,26 +1303,43 @@ static void gps_glitch_fill(double *to, int size, const double *from, int period
     }
 }
 
+gps_glitch_status_t gps_glitch_start(gps_glitch_t *self, const double x[3], const double P[6])
+{
+    gps_glitch_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return GPS_GLITCH_NULL_POINTER; }
+    if (!gps_glitch_all_finite(x, 3) || !gps_glitch_all_finite(P, 6))
+    {
+        return GPS_GLITCH_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < GPS_GLITCH_NX; ++i)
+    {
+        if (P[GPS_GLITCH_P(i, i)] < 0.0) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
+    }
+    gps_glitch_fill(next.predicted_state, 3, x, 3);
+    gps_glitch_fill(next.predicted_covariance, 6, P, 6);
+    gps_glitch_fill(next.filtered_state, 3, x, 3);
+    gps_glitch_fill(next.filtered_covariance, 6, P, 6);
+    gps_glitch_fill(next.innovation, 3, gps_glitch_zero_0, 1);
+    gps_glitch_fill(next.innovation_covariance, 6, gps_glitch_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    gps_glitch_fill(next.mode_probability, 4, gps_glitch_mode_probability_0, 4);
+    gps_glitch_fill(next.predicted_mode_probability, 4, gps_glitch_mode_probability_0, 4);
+    gps_glitch_fill(next.log_weight, 4, gps_glitch_log_weight_0, 4);
+    gps_glitch_fill(next.predicted_log_weight, 4, gps_glitch_log_weight_0, 4);
+    gps_glitch_fill(next.mode_state, 12, x, 3);
+    gps_glitch_fill(next.mode_covariance, 24, P, 6);
+    gps_glitch_fill(next.mode_filtered_state, 12, x, 3);
+    gps_glitch_fill(next.mode_filtered_covariance, 24, P, 6);
+    next.updated = 0.0;
+    *self = next;
+    return GPS_GLITCH_OK;
+}
+
 gps_glitch_status_t gps_glitch_init(gps_glitch_t *self)
 {
-    if (self == NULL) { return GPS_GLITCH_NULL_POINTER; }
-    gps_glitch_fill(self->predicted_state, 3, gps_glitch_predicted_state_0, 3);
-    gps_glitch_fill(self->predicted_covariance, 6, gps_glitch_predicted_covariance_0, 6);
-    gps_glitch_fill(self->filtered_state, 3, gps_glitch_predicted_state_0, 3);
-    gps_glitch_fill(self->filtered_covariance, 6, gps_glitch_predicted_covariance_0, 6);
-    gps_glitch_fill(self->innovation, 3, gps_glitch_zero_0, 1);
-    gps_glitch_fill(self->innovation_covariance, 6, gps_glitch_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    gps_glitch_fill(self->mode_probability, 4, gps_glitch_mode_probability_0, 4);
-    gps_glitch_fill(self->predicted_mode_probability, 4, gps_glitch_mode_probability_0, 4);
-    gps_glitch_fill(self->log_weight, 4, gps_glitch_log_weight_0, 4);
-    gps_glitch_fill(self->predicted_log_weight, 4, gps_glitch_log_weight_0, 4);
-    gps_glitch_fill(self->mode_state, 12, gps_glitch_predicted_state_0, 3);
-    gps_glitch_fill(self->mode_covariance, 24, gps_glitch_predicted_covariance_0, 6);
-    gps_glitch_fill(self->mode_filtered_state, 12, gps_glitch_predicted_state_0, 3);
-    gps_glitch_fill(self->mode_filtered_covariance, 24, gps_glitch_predicted_covariance_0, 6);
-    return GPS_GLITCH_OK;
+    return gps_glitch_start(self, gps_glitch_x_0, gps_glitch_P_0);
 }
 
 gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params)
@@ -1248,6 +1351,52 @@ gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params)
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
 
+/* Copy an array. */
+static void gps_glitch_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static gps_glitch_status_t gps_glitch_pass(const gps_glitch_t *self, gps_glitch_t *next)
+{
+    return gps_glitch_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static gps_glitch_status_t gps_glitch_renew(const gps_glitch_t *self, const double *y,
+    uint32_t present, gps_glitch_t *next)
+{
+    gps_glitch_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        gps_glitch_keep(self->filtered_state, next->predicted_state, 3);
+        gps_glitch_keep(self->filtered_covariance, next->predicted_covariance, 6);
+        gps_glitch_keep(self->mode_probability, next->predicted_mode_probability, 4);
+        gps_glitch_keep(self->log_weight, next->predicted_log_weight, 4);
+        gps_glitch_keep(self->mode_filtered_state, next->mode_state, 12);
+        gps_glitch_keep(self->mode_filtered_covariance, next->mode_covariance, 24);
+    }
+    status = gps_glitch_correct(next, y, present, next);
+    if (again)
+    {
+        gps_glitch_keep(self->predicted_state, next->predicted_state, 3);
+        gps_glitch_keep(self->predicted_covariance, next->predicted_covariance, 6);
+        gps_glitch_keep(self->predicted_mode_probability, next->predicted_mode_probability, 4);
+        gps_glitch_keep(self->predicted_log_weight, next->predicted_log_weight, 4);
+        gps_glitch_keep(self->mode_state, next->mode_state, 12);
+        gps_glitch_keep(self->mode_covariance, next->mode_covariance, 24);
+    }
+    next->updated = 1.0;
+    return status;
+}
+
 gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_params_t *params,
     const double y[3], uint32_t valid)
 {
@@ -1255,9 +1404,9 @@ gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_param
     uint32_t present;
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
+    if (!gps_glitch_finite_params(params)) { return GPS_GLITCH_PARAMETER_OUT_OF_RANGE; }
     if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
-    next = *self;
-    status = gps_glitch_correct(self, y, present, &next);
+    status = gps_glitch_renew(self, y, present, &next);
     if (status != GPS_GLITCH_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
@@ -1266,12 +1415,25 @@ gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_param
 gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_params_t *params)
 {
     gps_glitch_t next;
+    const gps_glitch_t *latest = self;
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL)) { return GPS_GLITCH_NULL_POINTER; }
-    next = *self;
-    status = gps_glitch_propagate(self, params, &next);
+    if (!gps_glitch_finite_params(params)) { return GPS_GLITCH_PARAMETER_OUT_OF_RANGE; }
+    if (!(self->updated > 0.0))
+    {
+        status = gps_glitch_pass(self, &next);
+        if (status != GPS_GLITCH_OK) { return status; }
+        latest = &next;
+    }
+    status = gps_glitch_propagate(latest, params, &next);
     if (status != GPS_GLITCH_OK) { return status; }
-    *self = next;
+    gps_glitch_keep(next.predicted_state, self->predicted_state, 3);
+    gps_glitch_keep(next.predicted_covariance, self->predicted_covariance, 6);
+    gps_glitch_keep(next.predicted_mode_probability, self->predicted_mode_probability, 4);
+    gps_glitch_keep(next.predicted_log_weight, self->predicted_log_weight, 4);
+    gps_glitch_keep(next.mode_state, self->mode_state, 12);
+    gps_glitch_keep(next.mode_covariance, self->mode_covariance, 24);
+    self->updated = 0.0;
     return GPS_GLITCH_OK;
 }
 
@@ -1282,11 +1444,20 @@ gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_
     uint32_t present;
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
+    if (!gps_glitch_finite_params(params)) { return GPS_GLITCH_PARAMETER_OUT_OF_RANGE; }
     if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
-    status = gps_glitch_correct(self, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = gps_glitch_renew(self, y, present, &next);
+    }
+    else
+    {
+        status = gps_glitch_correct(self, y, present, &next);
+    }
     if (status != GPS_GLITCH_OK) { return status; }
     status = gps_glitch_propagate(&next, params, &next);
     if (status != GPS_GLITCH_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? GPS_GLITCH_OK : GPS_GLITCH_SKIPPED;
 }

@@ -6,9 +6,10 @@
  * Covariance update: short form.
  * Modes: 0 = signal, R; 1 = signal, noise x 400; 2 = no signal, R; 3 = no signal, noise x 400.
  *
- * Time: the instance holds the prediction for sample k. gps_glitch_update() corrects it with y[k],
+ * Time: the instance holds one latest estimate. gps_glitch_update() corrects it with y[k],
  * gps_glitch_predict() moves it to k + 1, gps_glitch_step() does both. Sample 0 corrects the prior;
- * no prediction comes before it.
+ * no prediction comes before it. A prediction after a prediction passes a sample without a
+ * measurement, an update after an update takes more rows of the same sample.
  *
  * Model: x[k+1] = A x[k] + w[k], w ~ (0, Q); y[k] = C x[k] + v[k], v ~ (0, R); x[0] ~ (x0, P0).
  *   A = [[1.0,  dt, 0.0],
@@ -47,9 +48,9 @@
  *   y[2]  gps_climb, m/s
  *
  * Cost of one step with every row present: 1345 floating-point operations and 8 exp and 9 log.
- * An instance is 117 doubles, 936 bytes; nothing else is kept. Tables of constants: 368 bytes. No
+ * An instance is 118 doubles, 944 bytes; nothing else is kept. Tables of constants: 368 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 14976 bytes at -O0, 4352 at -Os.
+ * Stack of one call, interrupts left out: at most 16960 bytes at -O0, 4432 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -84,8 +85,10 @@ typedef enum
     GPS_GLITCH_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or an
                                                  indicator with another value */
     GPS_GLITCH_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    GPS_GLITCH_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                         target */
+    GPS_GLITCH_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                          target */
+    GPS_GLITCH_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
+                                     predict first */
 } gps_glitch_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -119,15 +122,24 @@ typedef struct
     double mode_filtered_state[12]; /**< x(k|k) under each mode (4 x 3), [m, m/s, m] */
     double mode_filtered_covariance[24]; /**< its error covariance (4 x symmetric 3 x 3),
                                               [m, m/s, m] squared */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } gps_glitch_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or gps_glitch_start(),
+ *  before anything else. */
 gps_glitch_status_t gps_glitch_init(gps_glitch_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return GPS_GLITCH_OK, or negative: refused, the instance is unchanged.
+ */
+gps_glitch_status_t gps_glitch_start(gps_glitch_t *self, const double x[3], const double P[6]);
 
 /** Set every parameter to its default. */
 gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params);
 
-/** Correct the prediction with sample k.
+/** Correct the latest estimate with sample k.
  *  @param params  run-time parameters of this sample
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
@@ -136,7 +148,8 @@ gps_glitch_status_t gps_glitch_params_init(gps_glitch_params_t *params);
 gps_glitch_status_t gps_glitch_update(gps_glitch_t *self, const gps_glitch_params_t *params,
     const double y[3], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 gps_glitch_status_t gps_glitch_predict(gps_glitch_t *self, const gps_glitch_params_t *params);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

@@ -110,14 +110,6 @@ static double markov_jump_log(double x)
 
 /* ---- start values; where they repeat, once ---- */
 
-static const double markov_jump_predicted_state_0[3] = {
-    10.0, 0.0, 0.0
-};
-
-static const double markov_jump_predicted_covariance_0[6] = {
-    1.0, 0.0, 1.0, 0.0, 0.0, 0.1
-};
-
 static const double markov_jump_zero_0[1] = {
     0.0
 };
@@ -126,19 +118,12 @@ static const double markov_jump_mode_law_0[3] = {
     0.6, 0.3, 0.1
 };
 
-static const double markov_jump_augmented_state_0[9] = {
-    6.0, 0.0, 0.0, 3.0, 0.0, 0.0, 10.0, 0.0, 0.0
+static const double markov_jump_x_0[3] = {
+    10.0, 0.0, 0.0
 };
 
-static const double markov_jump_augmented_covariance_0[45] = {
-    24.6, 0.0, 0.6, 0.0, 0.0, 0.06, -18.0, 0.0, 0.0, 21.3, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0,
-    0.0, 0.0, 0.03, 0.6, 0.0, 0.0, 0.3, 0.0, 0.0, 1.0, 0.0, 0.6, 0.0, 0.0, 0.3, 0.0, 0.0, 1.0, 0.0,
-    0.0, 0.06, 0.0, 0.0, 0.03, 0.0, 0.0, 0.1
-};
-
-static const double markov_jump_mode_second_moment_0[18] = {
-    60.599999999999994, 0.0, 0.6, 0.0, 0.0, 0.06, 30.299999999999997, 0.0, 0.3, 0.0, 0.0, 0.03,
-    10.100000000000001, 0.0, 0.1, 0.0, 0.0, 0.010000000000000002
+static const double markov_jump_P_0[6] = {
+    1.0, 0.0, 1.0, 0.0, 0.0, 0.1
 };
 
 /* ---- what may be used of a sample ---- */
@@ -153,6 +138,17 @@ static double markov_jump_defect(double x)
 static int markov_jump_finite(double defects)
 {
     return defects >= 0.0;
+}
+
+/* Nonzero if all numbers of an array are finite. */
+static int markov_jump_all_finite(const double *values, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!markov_jump_finite(markov_jump_defect(values[i]))) { return 0; }
+    }
+    return 1;
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -192,38 +188,6 @@ MARKOV_JUMP_INLINE void markov_jump_copy(const double *from, double *to, int siz
     {
         to[i] = from[i];
     }
-}
-
-/* What differs between the calls of markov_jump_prediction_of_the_next, a row for each. */
-static const double markov_jump_prediction_of_the_next_numbers[3][3] = {
-    { 0.95, 0.06, 0.02 },
-    { 0.04, 0.9, 0.08 },
-    { 0.01, 0.04, 0.9 }
-};
-
-/* prediction of the next sample. */
-MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const double
-    *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
-    const double *plant_noise, double *predicted_mode_second_moment, const double *numbers)
-{
-    const double t0 = (numbers[0] * moved_moment_0[0]) + (numbers[1] * moved_moment_1[0]);
-    const double t1 = t0 + (numbers[2] * moved_moment_2[0]) + plant_noise[0];
-    if (!markov_jump_finite(markov_jump_defect(t1) + markov_jump_defect(t1)))
-    {
-        return MARKOV_JUMP_RESULT_NOT_FINITE;
-    }
-    predicted_mode_second_moment[0] = t1;
-    const double t2 = (numbers[0] * moved_moment_0[1]) + (numbers[1] * moved_moment_1[1]);
-    predicted_mode_second_moment[1] = t2 + (numbers[2] * moved_moment_2[1]) + plant_noise[1];
-    const double t3 = (numbers[0] * moved_moment_0[2]) + (numbers[1] * moved_moment_1[2]);
-    predicted_mode_second_moment[2] = t3 + (numbers[2] * moved_moment_2[2]) + plant_noise[2];
-    const double t4 = (numbers[0] * moved_moment_0[3]) + (numbers[1] * moved_moment_1[3]);
-    predicted_mode_second_moment[3] = t4 + (numbers[2] * moved_moment_2[3]) + plant_noise[3];
-    const double t5 = (numbers[0] * moved_moment_0[4]) + (numbers[1] * moved_moment_1[4]);
-    predicted_mode_second_moment[4] = t5 + (numbers[2] * moved_moment_2[4]) + plant_noise[4];
-    const double t6 = (numbers[0] * moved_moment_0[5]) + (numbers[1] * moved_moment_1[5]);
-    predicted_mode_second_moment[5] = t6 + (numbers[2] * moved_moment_2[5]) + plant_noise[5];
-    return MARKOV_JUMP_OK;
 }
 
 /* What differs between the calls of markov_jump_propagate_2, a row for each. */
@@ -295,6 +259,29 @@ MARKOV_JUMP_INLINE void markov_jump_propagate_4(const double *mode_law, double *
     markov_jump_propagate_2(mode_law, plant_noise, numbers_of_0);
     markov_jump_propagate_2(mode_law, &plant_noise[2], numbers_of_1);
     markov_jump_propagate_2(mode_law, &plant_noise[4], numbers_of_2);
+}
+
+/* What differs between the calls of markov_jump_begin_2, a row for each. */
+static const double markov_jump_begin_2_numbers[4][1] = {
+    { 0.6 },
+    { 0.3 },
+    { 0.6 },
+    { 0.3 }
+};
+
+/* begin. */
+MARKOV_JUMP_INLINE void markov_jump_begin_2(const double *P, double *augmented_covariance,
+    double *augmented_filtered_covariance, const double *numbers)
+{
+    const double t0 = numbers[0] * P[0];
+    augmented_covariance[0] = t0;
+    augmented_filtered_covariance[0] = t0;
+    const double t1 = numbers[0] * P[1];
+    augmented_covariance[1] = t1;
+    augmented_filtered_covariance[1] = t1;
+    const double t2 = numbers[0] * P[3];
+    augmented_covariance[2] = t2;
+    augmented_filtered_covariance[2] = t2;
 }
 
 /* every mode's step. */
@@ -403,10 +390,11 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
         log_constant[0] = MARKOV_JUMP_LOG_2_PI;
         determinant_0[0] = pivot_0[0];
     }
-    if (!markov_jump_finite(markov_jump_defect(mean[0]) + markov_jump_defect(mean[1]) +
-        markov_jump_defect(mean[2]) + markov_jump_defect(mean[3]) + markov_jump_defect(mean[4]) +
-        markov_jump_defect(mean[5]) + markov_jump_defect(mean[6]) + markov_jump_defect(mean[7]) +
-        markov_jump_defect(mean[8])))
+    if (!markov_jump_finite((((markov_jump_defect(mean[0]) + markov_jump_defect(mean[1])) +
+        markov_jump_defect(mean[2])) + (markov_jump_defect(mean[3]) +
+        markov_jump_defect(mean[4]))) + ((markov_jump_defect(mean[5]) +
+        markov_jump_defect(mean[6])) + (markov_jump_defect(mean[7]) +
+        markov_jump_defect(mean[8])))))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
@@ -466,149 +454,241 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
 }
 
 /* prediction of the next sample. */
-MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_2(const double
-    *moved_covariance, const double *carried_10, const double *moved_moment_0,
-    const double *moved_moment_1, const double *moved_moment_2, const double *plant_noise_1,
-    const double *carried_9, const double *plant_noise_0, const double *plant_noise_2,
-    const double *moved_state, double *predicted_mode_law, double *augmented_state,
-    double *augmented_covariance, double *predicted_state, double *predicted_covariance)
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const double
+    *moved_covariance, const double *moved_moment_0, const double *moved_moment_1,
+    const double *moved_moment_2, const double *plant_noise_1, const double *carried_10,
+    const double *plant_noise_0, const double *carried_11, const double *plant_noise_2,
+    const double *carried_9, const double *moved_state, double *predicted_mode_second_moment,
+    double *predicted_mode_law, double *augmented_state, double *augmented_covariance,
+    double *predicted_state, double *predicted_covariance)
 {
-    const double t0 = (-0.04 * moved_covariance[5]) + (0.8200000000000001 * moved_covariance[11]);
-    const double t1 = t0 + (0.08 * moved_covariance[29]);
-    const double t2 = carried_10[12] + (0.039999999999999994 * t1);
-    const double t3 = (-0.04 * moved_covariance[20]) + (0.8200000000000001 * moved_covariance[23]);
-    const double t4 = t3 + (0.08 * moved_covariance[32]);
-    const double t5 = t2 + (0.02 * t4);
-    const double t6 = (-0.038 * moved_moment_0[0]) + (-0.054 * moved_moment_1[0]);
-    augmented_covariance[10] = t5 + (t6 + (-0.0016 * moved_moment_2[0]));
-    const double t7 = (-0.04 * moved_covariance[0]) + (0.8200000000000001 * moved_covariance[9]);
-    const double t8 = t7 + (0.08 * moved_covariance[27]);
-    const double t9 = 0.9299999999999999 * t8;
-    const double t10 = (-0.04 * moved_covariance[9]) + (0.8200000000000001 * moved_covariance[12]);
-    const double t11 = t10 + (0.08 * moved_covariance[30]);
-    const double t12 = t9 + (0.039999999999999994 * t11);
-    const double t13 = (-0.04 * moved_covariance[27]) + (0.8200000000000001 * moved_covariance[30]);
-    const double t14 = t13 + (0.08 * moved_covariance[33]);
-    const double t15 = t12 + (0.02 * t14);
-    const double t16 = (-0.038 * moved_moment_0[1]) + (-0.054 * moved_moment_1[1]);
-    augmented_covariance[11] = t15 + (t16 + (-0.0016 * moved_moment_2[1]));
-    const double t17 = (-0.04 * moved_covariance[2]) + (0.8200000000000001 * moved_covariance[10]);
-    const double t18 = 0.9299999999999999 * (t17 + (0.08 * moved_covariance[28]));
-    const double t19 = (-0.04 * moved_covariance[14]) + (0.8200000000000001 * moved_covariance[17]);
-    const double t20 = t18 + (0.039999999999999994 * (t19 + (0.08 * moved_covariance[31])));
-    const double t21 = (-0.04 * moved_covariance[35]) + (0.8200000000000001 * moved_covariance[38]);
-    const double t22 = t21 + (0.08 * moved_covariance[41]);
-    const double t23 = t20 + (0.02 * t22);
-    const double t24 = (-0.038 * moved_moment_0[3]) + (-0.054 * moved_moment_1[3]);
-    augmented_covariance[12] = t23 + (t24 + (-0.0016 * moved_moment_2[3]));
-    const double t25 = (-0.04 * carried_10[11]) + (0.8200000000000001 * t1) + (0.08 * t4);
-    const double t26 = (0.0384 * moved_moment_0[0]) + (0.08999999999999998 * moved_moment_1[0]);
-    augmented_covariance[13] = t25 + (t26 + (0.0736 * moved_moment_2[0]) + plant_noise_1[1]);
-    const double t27 = (-0.04 * t8) + (0.8200000000000001 * t11) + (0.08 * t14);
-    const double t28 = (0.0384 * moved_moment_0[1]) + (0.08999999999999998 * moved_moment_1[1]);
-    const double t29 = t27 + (t28 + (0.0736 * moved_moment_2[1]) + plant_noise_1[2]);
-    const double t30 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[13]);
-    const double t31 = t30 + (0.08 * moved_covariance[34]);
-    const double t32 = 0.9299999999999999 * t31;
-    const double t33 = (-0.04 * moved_covariance[6]) + (0.8200000000000001 * moved_covariance[16]);
-    const double t34 = t33 + (0.08 * moved_covariance[37]);
-    const double t35 = t32 + (0.039999999999999994 * t34);
-    const double t36 = -0.04 * moved_covariance[21];
-    const double t37 = t36 + (0.8200000000000001 * moved_covariance[24]);
-    const double t38 = t37 + (0.08 * moved_covariance[40]);
-    const double t39 = t35 + (0.02 * t38);
-    const double t40 = (-0.038 * moved_moment_0[2]) + (-0.054 * moved_moment_1[2]);
-    augmented_covariance[15] = t39 + (t40 + (-0.0016 * moved_moment_2[2]));
-    const double t41 = (-0.04 * moved_covariance[2]) + (0.8200000000000001 * moved_covariance[14]);
-    const double t42 = t41 + (0.08 * moved_covariance[35]);
-    const double t43 = 0.9299999999999999 * t42;
-    const double t44 = -0.04 * moved_covariance[10];
-    const double t45 = t44 + (0.8200000000000001 * moved_covariance[17]);
-    const double t46 = t45 + (0.08 * moved_covariance[38]);
-    const double t47 = t43 + (0.039999999999999994 * t46);
-    const double t48 = -0.04 * moved_covariance[28];
-    const double t49 = t48 + (0.8200000000000001 * moved_covariance[31]);
-    const double t50 = t49 + (0.08 * moved_covariance[41]);
-    const double t51 = t47 + (0.02 * t50);
-    const double t52 = (-0.038 * moved_moment_0[3]) + (-0.054 * moved_moment_1[3]);
-    augmented_covariance[16] = t51 + (t52 + (-0.0016 * moved_moment_2[3]));
-    const double t53 = (-0.04 * moved_covariance[3]) + (0.8200000000000001 * moved_covariance[15]);
-    const double t54 = t53 + (0.08 * moved_covariance[36]);
-    const double t55 = 0.9299999999999999 * t54;
-    const double t56 = -0.04 * moved_covariance[15];
-    const double t57 = t56 + (0.8200000000000001 * moved_covariance[18]);
-    const double t58 = t57 + (0.08 * moved_covariance[39]);
-    const double t59 = t55 + (0.039999999999999994 * t58);
-    const double t60 = -0.04 * moved_covariance[36];
-    const double t61 = t60 + (0.8200000000000001 * moved_covariance[39]);
-    const double t62 = t61 + (0.08 * moved_covariance[42]);
-    const double t63 = t59 + (0.02 * t62);
-    const double t64 = (-0.038 * moved_moment_0[4]) + (-0.054 * moved_moment_1[4]);
-    augmented_covariance[17] = t63 + (t64 + (-0.0016 * moved_moment_2[4]));
-    const double t65 = (-0.04 * t31) + (0.8200000000000001 * t34) + (0.08 * t38);
-    const double t66 = (0.0384 * moved_moment_0[2]) + (0.08999999999999998 * moved_moment_1[2]);
-    augmented_covariance[18] = t65 + (t66 + (0.0736 * moved_moment_2[2]) + plant_noise_1[3]);
-    const double t67 = (-0.04 * t42) + (0.8200000000000001 * t46) + (0.08 * t50);
-    const double t68 = (0.0384 * moved_moment_0[3]) + (0.08999999999999998 * moved_moment_1[3]);
-    augmented_covariance[19] = t67 + (t68 + (0.0736 * moved_moment_2[3]) + plant_noise_1[4]);
-    const double t69 = (-0.04 * t54) + (0.8200000000000001 * t58) + (0.08 * t62);
-    const double t70 = (0.0384 * moved_moment_0[4]) + (0.08999999999999998 * moved_moment_1[4]);
-    const double t71 = t69 + (t70 + (0.0736 * moved_moment_2[4]) + plant_noise_1[5]);
-    augmented_covariance[21] = carried_9[9] + plant_noise_0[0];
-    augmented_covariance[22] = carried_9[11] + plant_noise_0[1];
-    augmented_covariance[23] = carried_9[15] + plant_noise_0[3];
-    augmented_covariance[24] = carried_10[4] + plant_noise_1[0];
-    augmented_covariance[25] = t4 + plant_noise_1[1];
-    augmented_covariance[26] = t38 + plant_noise_1[3];
-    const double t72 = plant_noise_0[0] + plant_noise_1[0] + plant_noise_2[0];
-    const double t73 = moved_covariance[25] + t72;
-    augmented_covariance[29] = carried_9[13] + plant_noise_0[2];
-    augmented_covariance[30] = carried_10[0] + plant_noise_0[4];
-    augmented_covariance[31] = carried_10[6] + plant_noise_1[1];
-    augmented_covariance[32] = t14 + plant_noise_1[2];
-    augmented_covariance[33] = t50 + plant_noise_1[4];
-    const double t74 = plant_noise_0[2] + plant_noise_1[2] + plant_noise_2[2];
-    const double t75 = moved_covariance[33] + t74;
-    augmented_covariance[38] = carried_10[2] + plant_noise_0[5];
-    augmented_covariance[39] = carried_10[8] + plant_noise_1[3];
-    augmented_covariance[40] = t22 + plant_noise_1[4];
-    augmented_covariance[41] = t62 + plant_noise_1[5];
-    const double t76 = plant_noise_0[5] + plant_noise_1[5] + plant_noise_2[5];
-    const double t77 = moved_covariance[42] + t76;
-    if (!markov_jump_finite(markov_jump_defect(carried_9[3]) + markov_jump_defect(carried_9[4]) +
-        markov_jump_defect(carried_9[5]) + markov_jump_defect(carried_9[6]) +
-        markov_jump_defect(carried_9[7]) + markov_jump_defect(carried_9[8]) +
-        markov_jump_defect(moved_state[0]) + markov_jump_defect(moved_state[1]) +
-        markov_jump_defect(moved_state[2]) + markov_jump_defect(carried_9[10]) +
-        markov_jump_defect(carried_9[14]) + markov_jump_defect(carried_10[3]) +
-        markov_jump_defect(carried_10[10]) + markov_jump_defect(t29) + markov_jump_defect(t71) +
-        markov_jump_defect(t73) + markov_jump_defect(t75) + markov_jump_defect(t77)))
+    const double t0 = (-0.04 * moved_covariance[0]) + (0.8200000000000001 * moved_covariance[12]);
+    const double t1 = t0 + (0.08 * moved_covariance[33]);
+    const double t2 = 0.9299999999999999 * t1;
+    const double t3 = (-0.04 * moved_covariance[5]) + (0.8200000000000001 * moved_covariance[15]);
+    const double t4 = t3 + (0.08 * moved_covariance[36]);
+    const double t5 = t2 + (0.039999999999999994 * t4);
+    const double t6 = (-0.04 * moved_covariance[20]) + (0.8200000000000001 * moved_covariance[23]);
+    const double t7 = t6 + (0.08 * moved_covariance[39]);
+    const double t8 = t5 + (0.02 * t7);
+    const double t9 = (-0.038 * moved_moment_0[0]) + (-0.054 * moved_moment_1[0]);
+    augmented_covariance[15] = t8 + (t9 + (-0.0016 * moved_moment_2[0]));
+    const double t10 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[13]);
+    const double t11 = t10 + (0.08 * moved_covariance[34]);
+    const double t12 = 0.9299999999999999 * t11;
+    const double t13 = (-0.04 * moved_covariance[9]) + (0.8200000000000001 * moved_covariance[16]);
+    const double t14 = t13 + (0.08 * moved_covariance[37]);
+    const double t15 = t12 + (0.039999999999999994 * t14);
+    const double t16 = (-0.04 * moved_covariance[27]) + (0.8200000000000001 * moved_covariance[30]);
+    const double t17 = t16 + (0.08 * moved_covariance[40]);
+    const double t18 = t15 + (0.02 * t17);
+    const double t19 = (-0.038 * moved_moment_0[1]) + (-0.054 * moved_moment_1[1]);
+    augmented_covariance[16] = t18 + (t19 + (-0.0016 * moved_moment_2[1]));
+    const double t20 = (-0.04 * moved_covariance[2]) + (0.8200000000000001 * moved_covariance[14]);
+    const double t21 = t20 + (0.08 * moved_covariance[35]);
+    const double t22 = 0.9299999999999999 * t21;
+    const double t23 = (-0.04 * moved_covariance[14]) + (0.8200000000000001 * moved_covariance[17]);
+    const double t24 = t23 + (0.08 * moved_covariance[38]);
+    const double t25 = t22 + (0.039999999999999994 * t24);
+    const double t26 = (-0.04 * moved_covariance[35]) + (0.8200000000000001 * moved_covariance[38]);
+    const double t27 = t26 + (0.08 * moved_covariance[41]);
+    const double t28 = t25 + (0.02 * t27);
+    const double t29 = (-0.038 * moved_moment_0[2]) + (-0.054 * moved_moment_1[2]);
+    augmented_covariance[17] = t28 + (t29 + (-0.0016 * moved_moment_2[2]));
+    const double t30 = (-0.04 * t1) + (0.8200000000000001 * t4) + (0.08 * t7);
+    const double t31 = (0.0384 * moved_moment_0[0]) + (0.08999999999999998 * moved_moment_1[0]);
+    augmented_covariance[18] = t30 + (t31 + (0.0736 * moved_moment_2[0]) + plant_noise_1[3]);
+    const double t32 = (-0.04 * t11) + (0.8200000000000001 * t14) + (0.08 * t17);
+    const double t33 = (0.0384 * moved_moment_0[1]) + (0.08999999999999998 * moved_moment_1[1]);
+    augmented_covariance[19] = t32 + (t33 + (0.0736 * moved_moment_2[1]) + plant_noise_1[4]);
+    const double t34 = (-0.04 * t21) + (0.8200000000000001 * t24) + (0.08 * t27);
+    const double t35 = (0.0384 * moved_moment_0[2]) + (0.08999999999999998 * moved_moment_1[2]);
+    const double t36 = t34 + (t35 + (0.0736 * moved_moment_2[2]) + plant_noise_1[5]);
+    augmented_covariance[21] = carried_10[1] + plant_noise_0[0];
+    augmented_covariance[22] = carried_10[3] + plant_noise_0[1];
+    augmented_covariance[23] = carried_10[7] + plant_noise_0[3];
+    augmented_covariance[24] = carried_11[2] + plant_noise_1[0];
+    augmented_covariance[25] = carried_11[9] + plant_noise_1[1];
+    augmented_covariance[26] = t7 + plant_noise_1[3];
+    const double t37 = plant_noise_0[0] + plant_noise_1[0] + plant_noise_2[0];
+    const double t38 = moved_covariance[24] + t37;
+    const double t39 = 0.9299999999999999 * moved_covariance[25];
+    const double t40 = t39 + (0.039999999999999994 * moved_covariance[28]);
+    augmented_covariance[28] = t40 + (0.02 * moved_covariance[31]) + plant_noise_0[1];
+    augmented_covariance[29] = carried_10[5] + plant_noise_0[2];
+    augmented_covariance[30] = carried_10[9] + plant_noise_0[4];
+    augmented_covariance[31] = carried_11[4] + plant_noise_1[1];
+    augmented_covariance[32] = carried_11[11] + plant_noise_1[2];
+    augmented_covariance[33] = t17 + plant_noise_1[4];
+    const double t41 = plant_noise_0[1] + plant_noise_1[1] + plant_noise_2[1];
+    const double t42 = moved_covariance[31] + t41;
+    const double t43 = plant_noise_0[2] + plant_noise_1[2] + plant_noise_2[2];
+    const double t44 = moved_covariance[32] + t43;
+    const double t45 = 0.9299999999999999 * moved_covariance[33];
+    const double t46 = t45 + (0.039999999999999994 * moved_covariance[36]);
+    augmented_covariance[36] = t46 + (0.02 * moved_covariance[39]) + plant_noise_0[3];
+    const double t47 = 0.9299999999999999 * moved_covariance[34];
+    const double t48 = t47 + (0.039999999999999994 * moved_covariance[37]);
+    augmented_covariance[37] = t48 + (0.02 * moved_covariance[40]) + plant_noise_0[4];
+    augmented_covariance[38] = carried_11[0] + plant_noise_0[5];
+    augmented_covariance[39] = carried_11[6] + plant_noise_1[3];
+    augmented_covariance[40] = carried_11[13] + plant_noise_1[4];
+    augmented_covariance[41] = t27 + plant_noise_1[5];
+    const double t49 = plant_noise_0[3] + plant_noise_1[3] + plant_noise_2[3];
+    const double t50 = moved_covariance[39] + t49;
+    const double t51 = plant_noise_0[4] + plant_noise_1[4] + plant_noise_2[4];
+    const double t52 = moved_covariance[40] + t51;
+    const double t53 = plant_noise_0[5] + plant_noise_1[5] + plant_noise_2[5];
+    const double t54 = moved_covariance[41] + t53;
+    if (!markov_jump_finite((((((markov_jump_defect(carried_9[21]) +
+        markov_jump_defect(carried_9[22])) + markov_jump_defect(carried_9[23])) +
+        (markov_jump_defect(carried_9[24]) + markov_jump_defect(carried_9[25]))) +
+        ((markov_jump_defect(carried_10[0]) + markov_jump_defect(moved_state[0])) +
+        (markov_jump_defect(moved_state[1]) + markov_jump_defect(moved_state[2])))) +
+        (((markov_jump_defect(carried_10[2]) + markov_jump_defect(carried_10[6])) +
+        (markov_jump_defect(carried_11[1]) + markov_jump_defect(carried_11[8]))) +
+        ((markov_jump_defect(carried_11[16]) + markov_jump_defect(t36)) + (markov_jump_defect(t38) +
+        markov_jump_defect(t44))))) + ((((markov_jump_defect(t54) +
+        markov_jump_defect(carried_9[0])) + (markov_jump_defect(carried_9[0]) +
+        markov_jump_defect(carried_9[6]))) + ((markov_jump_defect(carried_9[6]) +
+        markov_jump_defect(carried_9[12])) + (markov_jump_defect(carried_9[12]) +
+        markov_jump_defect(carried_9[2])))) + (((markov_jump_defect(carried_9[5]) +
+        markov_jump_defect(carried_9[8])) + (markov_jump_defect(carried_9[11]) +
+        markov_jump_defect(carried_9[14]))) + ((markov_jump_defect(carried_9[17]) +
+        markov_jump_defect(carried_9[18])) + (markov_jump_defect(carried_9[19]) +
+        markov_jump_defect(carried_9[20])))))))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
-    markov_jump_copy(carried_9, predicted_mode_law, 3);
-    markov_jump_copy(&carried_9[3], augmented_state, 6);
+    markov_jump_copy(carried_9, predicted_mode_second_moment, 18);
+    markov_jump_copy(&carried_9[18], predicted_mode_law, 3);
+    markov_jump_copy(&carried_9[21], augmented_state, 5);
+    augmented_state[5] = carried_10[0];
     markov_jump_copy(moved_state, &augmented_state[6], 3);
-    augmented_covariance[0] = carried_9[10];
-    augmented_covariance[1] = carried_9[12];
-    augmented_covariance[2] = carried_9[14];
-    augmented_covariance[3] = carried_9[16];
-    augmented_covariance[4] = carried_10[1];
-    augmented_covariance[5] = carried_10[3];
-    augmented_covariance[6] = carried_10[5];
-    augmented_covariance[7] = carried_10[7];
-    augmented_covariance[8] = carried_10[9];
-    augmented_covariance[9] = carried_10[10];
-    augmented_covariance[14] = t29;
-    augmented_covariance[20] = t71;
-    augmented_covariance[27] = t73;
-    augmented_covariance[35] = t75;
-    augmented_covariance[44] = t77;
+    augmented_covariance[0] = carried_10[2];
+    augmented_covariance[1] = carried_10[4];
+    augmented_covariance[2] = carried_10[6];
+    augmented_covariance[3] = carried_10[8];
+    augmented_covariance[4] = carried_10[10];
+    augmented_covariance[5] = carried_11[1];
+    augmented_covariance[6] = carried_11[3];
+    augmented_covariance[7] = carried_11[5];
+    augmented_covariance[8] = carried_11[7];
+    augmented_covariance[9] = carried_11[8];
+    augmented_covariance[10] = carried_11[10];
+    augmented_covariance[11] = carried_11[12];
+    markov_jump_copy(&carried_11[14], &augmented_covariance[12], 3);
+    augmented_covariance[20] = t36;
+    augmented_covariance[27] = t38;
+    augmented_covariance[34] = t42;
+    augmented_covariance[35] = t44;
+    augmented_covariance[42] = t50;
+    augmented_covariance[43] = t52;
+    augmented_covariance[44] = t54;
     markov_jump_copy(moved_state, predicted_state, 3);
-    predicted_covariance[0] = t73;
-    predicted_covariance[2] = t75;
-    predicted_covariance[5] = t77;
+    predicted_covariance[0] = t38;
+    predicted_covariance[1] = t42;
+    predicted_covariance[2] = t44;
+    predicted_covariance[3] = t50;
+    predicted_covariance[4] = t52;
+    predicted_covariance[5] = t54;
     return MARKOV_JUMP_OK;
+}
+
+/* prediction of the next sample. */
+MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_2(const double *moved_covariance,
+    const double carried_10, const double *moved_moment_0, const double *moved_moment_1,
+    const double *moved_moment_2, const double plant_noise_0, const double *plant_noise_1,
+    double *carried_11)
+{
+    const double t0 = 0.9299999999999999 * moved_covariance[38];
+    const double t1 = t0 + (0.039999999999999994 * moved_covariance[41]);
+    const double t2 = t1 + (0.02 * moved_covariance[44]);
+    const double t3 = carried_10 + (0.02 * t2);
+    const double t4 = 0.04750000000000004 * moved_moment_0[5];
+    const double t5 = t4 + (0.05639999999999999 * moved_moment_1[5]);
+    carried_11[1] = t3 + (t5 + (0.0196 * moved_moment_2[5]) + plant_noise_0);
+    const double t6 = (-0.04 * moved_covariance[0]) + (0.8200000000000001 * moved_covariance[6]);
+    const double t7 = t6 + (0.08 * moved_covariance[21]);
+    const double t8 = 0.9299999999999999 * t7;
+    const double t9 = (-0.04 * moved_covariance[6]) + (0.8200000000000001 * moved_covariance[9]);
+    const double t10 = t9 + (0.08 * moved_covariance[24]);
+    const double t11 = t8 + (0.039999999999999994 * t10);
+    const double t12 = (-0.04 * moved_covariance[21]) + (0.8200000000000001 * moved_covariance[24]);
+    const double t13 = t12 + (0.08 * moved_covariance[27]);
+    const double t14 = t11 + (0.02 * t13);
+    const double t15 = (-0.038 * moved_moment_0[0]) + (-0.054 * moved_moment_1[0]);
+    carried_11[3] = t14 + (t15 + (-0.0016 * moved_moment_2[0]));
+    const double t16 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[7]);
+    const double t17 = 0.9299999999999999 * (t16 + (0.08 * moved_covariance[22]));
+    const double t18 = (-0.04 * moved_covariance[10]) + (0.8200000000000001 * moved_covariance[13]);
+    const double t19 = t17 + (0.039999999999999994 * (t18 + (0.08 * moved_covariance[25])));
+    const double t20 = (-0.04 * moved_covariance[28]) + (0.8200000000000001 * moved_covariance[31]);
+    const double t21 = t20 + (0.08 * moved_covariance[34]);
+    const double t22 = t19 + (0.02 * t21);
+    const double t23 = (-0.038 * moved_moment_0[1]) + (-0.054 * moved_moment_1[1]);
+    carried_11[5] = t22 + (t23 + (-0.0016 * moved_moment_2[1]));
+    const double t24 = (-0.04 * moved_covariance[3]) + (0.8200000000000001 * moved_covariance[8]);
+    const double t25 = 0.9299999999999999 * (t24 + (0.08 * moved_covariance[23]));
+    const double t26 = (-0.04 * moved_covariance[15]) + (0.8200000000000001 * moved_covariance[18]);
+    const double t27 = t25 + (0.039999999999999994 * (t26 + (0.08 * moved_covariance[26])));
+    const double t28 = (-0.04 * moved_covariance[36]) + (0.8200000000000001 * moved_covariance[39]);
+    const double t29 = t28 + (0.08 * moved_covariance[42]);
+    const double t30 = t27 + (0.02 * t29);
+    const double t31 = (-0.038 * moved_moment_0[3]) + (-0.054 * moved_moment_1[3]);
+    carried_11[7] = t30 + (t31 + (-0.0016 * moved_moment_2[3]));
+    const double t32 = (-0.04 * t7) + (0.8200000000000001 * t10) + (0.08 * t13);
+    const double t33 = (0.0384 * moved_moment_0[0]) + (0.08999999999999998 * moved_moment_1[0]);
+    carried_11[8] = t32 + (t33 + (0.0736 * moved_moment_2[0]) + plant_noise_1[0]);
+    const double t34 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[10]);
+    const double t35 = t34 + (0.08 * moved_covariance[28]);
+    const double t36 = 0.9299999999999999 * t35;
+    const double t37 = (-0.04 * moved_covariance[7]) + (0.8200000000000001 * moved_covariance[13]);
+    const double t38 = t37 + (0.08 * moved_covariance[31]);
+    const double t39 = t36 + (0.039999999999999994 * t38);
+    const double t40 = -0.04 * moved_covariance[22];
+    const double t41 = t40 + (0.8200000000000001 * moved_covariance[25]);
+    const double t42 = t41 + (0.08 * moved_covariance[34]);
+    const double t43 = t39 + (0.02 * t42);
+    const double t44 = (-0.038 * moved_moment_0[1]) + (-0.054 * moved_moment_1[1]);
+    carried_11[10] = t43 + (t44 + (-0.0016 * moved_moment_2[1]));
+    const double t45 = (-0.04 * moved_covariance[2]) + (0.8200000000000001 * moved_covariance[11]);
+    const double t46 = t45 + (0.08 * moved_covariance[29]);
+    const double t47 = 0.9299999999999999 * t46;
+    const double t48 = -0.04 * moved_covariance[11];
+    const double t49 = t48 + (0.8200000000000001 * moved_covariance[14]);
+    const double t50 = t49 + (0.08 * moved_covariance[32]);
+    const double t51 = t47 + (0.039999999999999994 * t50);
+    const double t52 = -0.04 * moved_covariance[29];
+    const double t53 = t52 + (0.8200000000000001 * moved_covariance[32]);
+    const double t54 = t53 + (0.08 * moved_covariance[35]);
+    const double t55 = t51 + (0.02 * t54);
+    const double t56 = (-0.038 * moved_moment_0[2]) + (-0.054 * moved_moment_1[2]);
+    carried_11[12] = t55 + (t56 + (-0.0016 * moved_moment_2[2]));
+    const double t57 = (-0.04 * moved_covariance[4]) + (0.8200000000000001 * moved_covariance[12]);
+    const double t58 = 0.9299999999999999 * (t57 + (0.08 * moved_covariance[30]));
+    const double t59 = -0.04 * moved_covariance[16];
+    const double t60 = t59 + (0.8200000000000001 * moved_covariance[19]);
+    const double t61 = t58 + (0.039999999999999994 * (t60 + (0.08 * moved_covariance[33])));
+    const double t62 = -0.04 * moved_covariance[37];
+    const double t63 = t62 + (0.8200000000000001 * moved_covariance[40]);
+    const double t64 = t63 + (0.08 * moved_covariance[43]);
+    const double t65 = t61 + (0.02 * t64);
+    const double t66 = (-0.038 * moved_moment_0[4]) + (-0.054 * moved_moment_1[4]);
+    carried_11[14] = t65 + (t66 + (-0.0016 * moved_moment_2[4]));
+    const double t67 = (-0.04 * t35) + (0.8200000000000001 * t38) + (0.08 * t42);
+    const double t68 = (0.0384 * moved_moment_0[1]) + (0.08999999999999998 * moved_moment_1[1]);
+    carried_11[15] = t67 + (t68 + (0.0736 * moved_moment_2[1]) + plant_noise_1[1]);
+    const double t69 = (-0.04 * t46) + (0.8200000000000001 * t50) + (0.08 * t54);
+    const double t70 = (0.0384 * moved_moment_0[2]) + (0.08999999999999998 * moved_moment_1[2]);
+    carried_11[16] = t69 + (t70 + (0.0736 * moved_moment_2[2]) + plant_noise_1[2]);
+    carried_11[0] = t2;
+    carried_11[2] = t13;
+    carried_11[4] = t21;
+    carried_11[6] = t29;
+    carried_11[9] = t42;
+    carried_11[11] = t54;
+    carried_11[13] = t64;
 }
 
 /* every mode's step. */
@@ -728,301 +808,170 @@ MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step_2(const double *augmented_
     carried_8[28] = t74;
 }
 
-/* every mode's step. */
-MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step_3(const double *augmented_filtered_state,
-    double *moved_state, const double *augmented_filtered_covariance, double *moved_covariance)
+/* prediction of the next sample. */
+MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_3(const double *moved_moment_0,
+    const double *moved_moment_1, const double *moved_moment_2, const double *plant_noise_0,
+    const double *plant_noise_1, const double *plant_noise_2, const double *mode_law,
+    const double *moved_state, double *carried_9)
 {
-    double carried_8[31];
-
-    /* every mode's step */
-    moved_state[2] = 0.6 * augmented_filtered_state[2];
-    moved_state[5] = 0.8 * augmented_filtered_state[5];
-    const double t0 = -0.30000000000000004 * augmented_filtered_state[2];
-    const double t1 = t0 + (-0.09999999999999998 * augmented_filtered_state[5]);
-    moved_state[8] = t1 + (0.9 * augmented_filtered_state[8]);
-    markov_jump_every_mode_s_step(augmented_filtered_state, moved_state);
-    markov_jump_every_mode_s_step(&augmented_filtered_state[3], &moved_state[3]);
-    markov_jump_every_mode_s_step(&augmented_filtered_state[6], &moved_state[6]);
-    markov_jump_every_mode_s_step_2(augmented_filtered_covariance, carried_8);
-    const double t2 = (0.8 * augmented_filtered_covariance[29]) + augmented_filtered_covariance[37];
-    const double t3 = 0.8 * t2;
-    const double t4 = 0.8 * augmented_filtered_covariance[30];
-    const double t5 = t4 + augmented_filtered_covariance[38];
-    moved_covariance[29] = t3 + t5;
-    moved_covariance[30] = 0.6 * t5;
-    const double t6 = 0.97 * augmented_filtered_covariance[31];
-    const double t7 = t6 + augmented_filtered_covariance[32];
-    const double t8 = 0.8 * (t7 + (0.5 * augmented_filtered_covariance[33]));
-    const double t9 = 0.97 * augmented_filtered_covariance[39];
-    const double t10 = t9 + augmented_filtered_covariance[40];
-    moved_covariance[31] = t8 + (t10 + (0.5 * augmented_filtered_covariance[41]));
-    const double t11 = 0.8 * augmented_filtered_covariance[32];
-    const double t12 = 0.8 * (t11 + augmented_filtered_covariance[40]);
-    const double t13 = 0.8 * augmented_filtered_covariance[33];
-    const double t14 = t13 + augmented_filtered_covariance[41];
-    moved_covariance[32] = t12 + t14;
-    moved_covariance[33] = 0.8 * t14;
-    moved_covariance[34] = (0.8 * carried_8[27]) + carried_8[28];
-    const double t15 = 0.8 * augmented_filtered_covariance[35];
-    const double t16 = 0.8 * (t15 + augmented_filtered_covariance[43]);
-    const double t17 = 0.8 * augmented_filtered_covariance[43];
-    moved_covariance[35] = t16 + (t17 + augmented_filtered_covariance[44]);
-    const double t18 = -0.30000000000000004 * augmented_filtered_covariance[3];
-    const double t19 = t18 + (-0.09999999999999998 * augmented_filtered_covariance[15]);
-    const double t20 = 0.97 * (t19 + (0.9 * augmented_filtered_covariance[36]));
-    const double t21 = -0.30000000000000004 * augmented_filtered_covariance[4];
-    const double t22 = t21 + (-0.09999999999999998 * augmented_filtered_covariance[16]);
-    const double t23 = t22 + (0.9 * augmented_filtered_covariance[37]);
-    const double t24 = t20 + t23;
-    const double t25 = -0.30000000000000004 * augmented_filtered_covariance[5];
-    const double t26 = t25 + (-0.09999999999999998 * augmented_filtered_covariance[17]);
-    const double t27 = t26 + (0.9 * augmented_filtered_covariance[38]);
-    moved_covariance[36] = t24 + (0.5 * t27);
-    moved_covariance[37] = (0.8 * t23) + t27;
-    moved_covariance[38] = 0.6 * t27;
-    const double t28 = -0.30000000000000004 * augmented_filtered_covariance[8];
-    const double t29 = t28 + (-0.09999999999999998 * augmented_filtered_covariance[18]);
-    const double t30 = 0.97 * (t29 + (0.9 * augmented_filtered_covariance[39]));
-    const double t31 = -0.30000000000000004 * augmented_filtered_covariance[12];
-    const double t32 = t31 + (-0.09999999999999998 * augmented_filtered_covariance[19]);
-    const double t33 = t32 + (0.9 * augmented_filtered_covariance[40]);
-    const double t34 = t30 + t33;
-    const double t35 = -0.30000000000000004 * augmented_filtered_covariance[17];
-    const double t36 = t35 + (-0.09999999999999998 * augmented_filtered_covariance[20]);
-    const double t37 = t36 + (0.9 * augmented_filtered_covariance[41]);
-    moved_covariance[39] = t34 + (0.5 * t37);
-    moved_covariance[40] = (0.8 * t33) + t37;
-    moved_covariance[41] = 0.8 * t37;
-    const double t38 = -0.30000000000000004 * augmented_filtered_covariance[23];
-    const double t39 = t38 + (-0.09999999999999998 * augmented_filtered_covariance[26]);
-    const double t40 = 0.97 * (t39 + (0.9 * augmented_filtered_covariance[42]));
-    const double t41 = -0.30000000000000004 * augmented_filtered_covariance[30];
-    const double t42 = t41 + (-0.09999999999999998 * augmented_filtered_covariance[33]);
-    const double t43 = t42 + (0.9 * augmented_filtered_covariance[43]);
-    const double t44 = t40 + t43;
-    const double t45 = -0.30000000000000004 * augmented_filtered_covariance[38];
-    const double t46 = t45 + (-0.09999999999999998 * augmented_filtered_covariance[41]);
-    const double t47 = t46 + (0.9 * augmented_filtered_covariance[44]);
-    moved_covariance[42] = t44 + (0.5 * t47);
-    moved_covariance[43] = (0.8 * t43) + t47;
-    const double t48 = (-0.30000000000000004 * t27) + (-0.09999999999999998 * t37);
-    moved_covariance[44] = t48 + (0.9 * t47);
-    markov_jump_copy(carried_8, moved_covariance, 27);
-    moved_covariance[27] = carried_8[29];
-    moved_covariance[28] = carried_8[30];
+    const double t0 = (0.95 * moved_moment_0[0]) + (0.06 * moved_moment_1[0]);
+    carried_9[0] = t0 + (0.02 * moved_moment_2[0]) + plant_noise_0[0];
+    const double t1 = (0.95 * moved_moment_0[1]) + (0.06 * moved_moment_1[1]);
+    carried_9[1] = t1 + (0.02 * moved_moment_2[1]) + plant_noise_0[1];
+    const double t2 = (0.95 * moved_moment_0[2]) + (0.06 * moved_moment_1[2]);
+    carried_9[2] = t2 + (0.02 * moved_moment_2[2]) + plant_noise_0[2];
+    const double t3 = (0.95 * moved_moment_0[3]) + (0.06 * moved_moment_1[3]);
+    carried_9[3] = t3 + (0.02 * moved_moment_2[3]) + plant_noise_0[3];
+    const double t4 = (0.95 * moved_moment_0[4]) + (0.06 * moved_moment_1[4]);
+    carried_9[4] = t4 + (0.02 * moved_moment_2[4]) + plant_noise_0[4];
+    const double t5 = (0.95 * moved_moment_0[5]) + (0.06 * moved_moment_1[5]);
+    carried_9[5] = t5 + (0.02 * moved_moment_2[5]) + plant_noise_0[5];
+    const double t6 = (0.04 * moved_moment_0[0]) + (0.9 * moved_moment_1[0]);
+    carried_9[6] = t6 + (0.08 * moved_moment_2[0]) + plant_noise_1[0];
+    const double t7 = (0.04 * moved_moment_0[1]) + (0.9 * moved_moment_1[1]);
+    carried_9[7] = t7 + (0.08 * moved_moment_2[1]) + plant_noise_1[1];
+    const double t8 = (0.04 * moved_moment_0[2]) + (0.9 * moved_moment_1[2]);
+    carried_9[8] = t8 + (0.08 * moved_moment_2[2]) + plant_noise_1[2];
+    const double t9 = (0.04 * moved_moment_0[3]) + (0.9 * moved_moment_1[3]);
+    carried_9[9] = t9 + (0.08 * moved_moment_2[3]) + plant_noise_1[3];
+    const double t10 = (0.04 * moved_moment_0[4]) + (0.9 * moved_moment_1[4]);
+    carried_9[10] = t10 + (0.08 * moved_moment_2[4]) + plant_noise_1[4];
+    const double t11 = (0.04 * moved_moment_0[5]) + (0.9 * moved_moment_1[5]);
+    carried_9[11] = t11 + (0.08 * moved_moment_2[5]) + plant_noise_1[5];
+    const double t12 = (0.01 * moved_moment_0[0]) + (0.04 * moved_moment_1[0]);
+    carried_9[12] = t12 + (0.9 * moved_moment_2[0]) + plant_noise_2[0];
+    const double t13 = (0.01 * moved_moment_0[1]) + (0.04 * moved_moment_1[1]);
+    carried_9[13] = t13 + (0.9 * moved_moment_2[1]) + plant_noise_2[1];
+    const double t14 = (0.01 * moved_moment_0[2]) + (0.04 * moved_moment_1[2]);
+    carried_9[14] = t14 + (0.9 * moved_moment_2[2]) + plant_noise_2[2];
+    const double t15 = (0.01 * moved_moment_0[3]) + (0.04 * moved_moment_1[3]);
+    carried_9[15] = t15 + (0.9 * moved_moment_2[3]) + plant_noise_2[3];
+    const double t16 = (0.01 * moved_moment_0[4]) + (0.04 * moved_moment_1[4]);
+    carried_9[16] = t16 + (0.9 * moved_moment_2[4]) + plant_noise_2[4];
+    const double t17 = (0.01 * moved_moment_0[5]) + (0.04 * moved_moment_1[5]);
+    carried_9[17] = t17 + (0.9 * moved_moment_2[5]) + plant_noise_2[5];
+    const double t18 = (0.95 * mode_law[0]) + (0.06 * mode_law[1]) + (0.02 * mode_law[2]);
+    const double t19 = (0.04 * mode_law[0]) + (0.9 * mode_law[1]) + (0.08 * mode_law[2]);
+    const double t20 = t18 + t19;
+    const double t21 = (0.01 * mode_law[0]) + (0.04 * mode_law[1]) + (0.9 * mode_law[2]);
+    const double t22 = t20 + t21;
+    carried_9[18] = t18 / t22;
+    carried_9[19] = t19 / t22;
+    carried_9[20] = t21 / t22;
+    const double t23 = 0.9299999999999999 * moved_state[0];
+    carried_9[21] = t23 + (0.039999999999999994 * moved_state[3]) + (0.02 * moved_state[6]);
+    const double t24 = 0.9299999999999999 * moved_state[1];
+    carried_9[22] = t24 + (0.039999999999999994 * moved_state[4]) + (0.02 * moved_state[7]);
+    const double t25 = 0.9299999999999999 * moved_state[2];
+    carried_9[23] = t25 + (0.039999999999999994 * moved_state[5]) + (0.02 * moved_state[8]);
+    const double t26 = (-0.04 * moved_state[0]) + (0.8200000000000001 * moved_state[3]);
+    carried_9[24] = t26 + (0.08 * moved_state[6]);
+    const double t27 = (-0.04 * moved_state[1]) + (0.8200000000000001 * moved_state[4]);
+    carried_9[25] = t27 + (0.08 * moved_state[7]);
 }
 
 /* prediction of the next sample. */
-MARKOV_JUMP_INLINE void markov_jump_prediction_of_the_next_3(const double *mode_law,
-    const double *moved_state, const double *moved_covariance, const double *moved_moment_0,
-    const double *moved_moment_1, const double *moved_moment_2, const double *plant_noise_0,
-    double *carried_9)
-{
-    const double t0 = (0.95 * mode_law[0]) + (0.06 * mode_law[1]) + (0.02 * mode_law[2]);
-    const double t1 = (0.04 * mode_law[0]) + (0.9 * mode_law[1]) + (0.08 * mode_law[2]);
-    const double t2 = t0 + t1;
-    const double t3 = (0.01 * mode_law[0]) + (0.04 * mode_law[1]) + (0.9 * mode_law[2]);
-    const double t4 = t2 + t3;
-    carried_9[0] = t0 / t4;
-    carried_9[1] = t1 / t4;
-    carried_9[2] = t3 / t4;
-    const double t5 = 0.9299999999999999 * moved_state[0];
-    carried_9[3] = t5 + (0.039999999999999994 * moved_state[3]) + (0.02 * moved_state[6]);
-    const double t6 = 0.9299999999999999 * moved_state[1];
-    carried_9[4] = t6 + (0.039999999999999994 * moved_state[4]) + (0.02 * moved_state[7]);
-    const double t7 = 0.9299999999999999 * moved_state[2];
-    carried_9[5] = t7 + (0.039999999999999994 * moved_state[5]) + (0.02 * moved_state[8]);
-    const double t8 = (-0.04 * moved_state[0]) + (0.8200000000000001 * moved_state[3]);
-    carried_9[6] = t8 + (0.08 * moved_state[6]);
-    const double t9 = (-0.04 * moved_state[1]) + (0.8200000000000001 * moved_state[4]);
-    carried_9[7] = t9 + (0.08 * moved_state[7]);
-    const double t10 = (-0.04 * moved_state[2]) + (0.8200000000000001 * moved_state[5]);
-    carried_9[8] = t10 + (0.08 * moved_state[8]);
-    const double t11 = 0.9299999999999999 * moved_covariance[0];
-    const double t12 = t11 + (0.039999999999999994 * moved_covariance[6]);
-    const double t13 = 0.9299999999999999 * (t12 + (0.02 * moved_covariance[21]));
-    const double t14 = 0.9299999999999999 * moved_covariance[6];
-    const double t15 = t14 + (0.039999999999999994 * moved_covariance[9]);
-    const double t16 = t13 + (0.039999999999999994 * (t15 + (0.02 * moved_covariance[24])));
-    const double t17 = 0.9299999999999999 * moved_covariance[21];
-    const double t18 = t17 + (0.039999999999999994 * moved_covariance[24]);
-    const double t19 = t18 + (0.02 * moved_covariance[27]);
-    const double t20 = t16 + (0.02 * t19);
-    const double t21 = 0.04750000000000004 * moved_moment_0[0];
-    const double t22 = t21 + (0.05639999999999999 * moved_moment_1[0]);
-    carried_9[10] = t20 + (t22 + (0.0196 * moved_moment_2[0]) + plant_noise_0[0]);
-    const double t23 = 0.9299999999999999 * moved_covariance[1];
-    const double t24 = t23 + (0.039999999999999994 * moved_covariance[10]);
-    const double t25 = 0.9299999999999999 * (t24 + (0.02 * moved_covariance[28]));
-    const double t26 = 0.9299999999999999 * moved_covariance[7];
-    const double t27 = t26 + (0.039999999999999994 * moved_covariance[13]);
-    const double t28 = t25 + (0.039999999999999994 * (t27 + (0.02 * moved_covariance[31])));
-    const double t29 = 0.9299999999999999 * moved_covariance[22];
-    const double t30 = t29 + (0.039999999999999994 * moved_covariance[25]);
-    const double t31 = t30 + (0.02 * moved_covariance[34]);
-    const double t32 = t28 + (0.02 * t31);
-    const double t33 = 0.04750000000000004 * moved_moment_0[1];
-    const double t34 = t33 + (0.05639999999999999 * moved_moment_1[1]);
-    carried_9[12] = t32 + (t34 + (0.0196 * moved_moment_2[1]) + plant_noise_0[1]);
-    const double t35 = 0.9299999999999999 * moved_covariance[2];
-    const double t36 = t35 + (0.039999999999999994 * moved_covariance[11]);
-    const double t37 = 0.9299999999999999 * (t36 + (0.02 * moved_covariance[29]));
-    const double t38 = 0.9299999999999999 * moved_covariance[11];
-    const double t39 = t38 + (0.039999999999999994 * moved_covariance[14]);
-    const double t40 = t37 + (0.039999999999999994 * (t39 + (0.02 * moved_covariance[32])));
-    const double t41 = 0.9299999999999999 * moved_covariance[29];
-    const double t42 = t41 + (0.039999999999999994 * moved_covariance[32]);
-    const double t43 = t42 + (0.02 * moved_covariance[35]);
-    const double t44 = t40 + (0.02 * t43);
-    const double t45 = 0.04750000000000004 * moved_moment_0[2];
-    const double t46 = t45 + (0.05639999999999999 * moved_moment_1[2]);
-    carried_9[14] = t44 + (t46 + (0.0196 * moved_moment_2[2]) + plant_noise_0[2]);
-    const double t47 = 0.9299999999999999 * moved_covariance[3];
-    const double t48 = t47 + (0.039999999999999994 * moved_covariance[15]);
-    const double t49 = 0.9299999999999999 * (t48 + (0.02 * moved_covariance[36]));
-    const double t50 = 0.9299999999999999 * moved_covariance[8];
-    const double t51 = t50 + (0.039999999999999994 * moved_covariance[18]);
-    const double t52 = t49 + (0.039999999999999994 * (t51 + (0.02 * moved_covariance[39])));
-    const double t53 = 0.9299999999999999 * moved_covariance[23];
-    const double t54 = t53 + (0.039999999999999994 * moved_covariance[26]);
-    const double t55 = t54 + (0.02 * moved_covariance[42]);
-    const double t56 = t52 + (0.02 * t55);
-    const double t57 = 0.04750000000000004 * moved_moment_0[3];
-    const double t58 = t57 + (0.05639999999999999 * moved_moment_1[3]);
-    carried_9[16] = t56 + (t58 + (0.0196 * moved_moment_2[3]) + plant_noise_0[3]);
-    carried_9[9] = t19;
-    carried_9[11] = t31;
-    carried_9[13] = t43;
-    carried_9[15] = t55;
-}
-
-/* every mode's step. */
-MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_every_mode_s_step_4(const double
-    *augmented_filtered_state, const double *augmented_filtered_covariance, const double *mode_law,
-    const double *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_4(const double
+    *moved_moment_0, const double *moved_moment_1, const double *moved_moment_2,
     const double *plant_noise_0, const double *plant_noise_1, const double *plant_noise_2,
-    double *predicted_mode_law, double *augmented_state, double *augmented_covariance,
-    double *predicted_state, double *predicted_covariance, double *predicted_mode_second_moment)
+    const double *mode_law, const double *moved_state, const double *moved_covariance,
+    double *predicted_mode_second_moment, double *predicted_mode_law, double *augmented_state,
+    double *augmented_covariance, double *predicted_state, double *predicted_covariance)
 {
-    double moved_state[9] = { 0.0 };
-    double moved_covariance[45] = { 0.0 };
-    double carried_9[17] = { 0.0 };
-    double carried_10[13] = { 0.0 };
+    double carried_9[26];
+    double carried_10[12];
+    double carried_11[17];
     markov_jump_status_t status;
 
-    /* every mode's step */
-    markov_jump_every_mode_s_step_3(augmented_filtered_state, moved_state,
-        augmented_filtered_covariance, moved_covariance);
-
     /* prediction of the next sample */
-    markov_jump_prediction_of_the_next_3(mode_law, moved_state, moved_covariance, moved_moment_0,
-        moved_moment_1, moved_moment_2, plant_noise_0, carried_9);
-    const double t0 = 0.9299999999999999 * moved_covariance[4];
-    const double t1 = t0 + (0.039999999999999994 * moved_covariance[16]);
-    const double t2 = 0.9299999999999999 * (t1 + (0.02 * moved_covariance[37]));
-    const double t3 = 0.9299999999999999 * moved_covariance[12];
-    const double t4 = t3 + (0.039999999999999994 * moved_covariance[19]);
-    const double t5 = t2 + (0.039999999999999994 * (t4 + (0.02 * moved_covariance[40])));
-    const double t6 = 0.9299999999999999 * moved_covariance[30];
-    const double t7 = t6 + (0.039999999999999994 * moved_covariance[33]);
-    const double t8 = t7 + (0.02 * moved_covariance[43]);
-    const double t9 = t5 + (0.02 * t8);
-    const double t10 = 0.04750000000000004 * moved_moment_0[4];
-    const double t11 = t10 + (0.05639999999999999 * moved_moment_1[4]);
-    carried_10[1] = t9 + (t11 + (0.0196 * moved_moment_2[4]) + plant_noise_0[4]);
-    const double t12 = 0.9299999999999999 * moved_covariance[5];
-    const double t13 = t12 + (0.039999999999999994 * moved_covariance[17]);
-    const double t14 = 0.9299999999999999 * (t13 + (0.02 * moved_covariance[38]));
-    const double t15 = 0.9299999999999999 * moved_covariance[17];
-    const double t16 = t15 + (0.039999999999999994 * moved_covariance[20]);
-    const double t17 = t14 + (0.039999999999999994 * (t16 + (0.02 * moved_covariance[41])));
-    const double t18 = 0.9299999999999999 * moved_covariance[38];
-    const double t19 = t18 + (0.039999999999999994 * moved_covariance[41]);
-    const double t20 = t19 + (0.02 * moved_covariance[44]);
-    const double t21 = t17 + (0.02 * t20);
-    const double t22 = 0.04750000000000004 * moved_moment_0[5];
-    const double t23 = t22 + (0.05639999999999999 * moved_moment_1[5]);
-    carried_10[3] = t21 + (t23 + (0.0196 * moved_moment_2[5]) + plant_noise_0[5]);
-    const double t24 = (-0.04 * moved_covariance[0]) + (0.8200000000000001 * moved_covariance[6]);
-    const double t25 = t24 + (0.08 * moved_covariance[21]);
-    const double t26 = 0.9299999999999999 * t25;
-    const double t27 = (-0.04 * moved_covariance[6]) + (0.8200000000000001 * moved_covariance[9]);
-    const double t28 = t27 + (0.08 * moved_covariance[24]);
-    const double t29 = t26 + (0.039999999999999994 * t28);
-    const double t30 = (-0.04 * moved_covariance[21]) + (0.8200000000000001 * moved_covariance[24]);
-    const double t31 = t30 + (0.08 * moved_covariance[27]);
-    const double t32 = t29 + (0.02 * t31);
-    const double t33 = (-0.038 * moved_moment_0[0]) + (-0.054 * moved_moment_1[0]);
-    carried_10[5] = t32 + (t33 + (-0.0016 * moved_moment_2[0]));
-    const double t34 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[7]);
-    const double t35 = 0.9299999999999999 * (t34 + (0.08 * moved_covariance[22]));
-    const double t36 = (-0.04 * moved_covariance[10]) + (0.8200000000000001 * moved_covariance[13]);
-    const double t37 = t35 + (0.039999999999999994 * (t36 + (0.08 * moved_covariance[25])));
-    const double t38 = (-0.04 * moved_covariance[28]) + (0.8200000000000001 * moved_covariance[31]);
-    const double t39 = t38 + (0.08 * moved_covariance[34]);
-    const double t40 = t37 + (0.02 * t39);
-    const double t41 = (-0.038 * moved_moment_0[1]) + (-0.054 * moved_moment_1[1]);
-    carried_10[7] = t40 + (t41 + (-0.0016 * moved_moment_2[1]));
-    const double t42 = (-0.04 * moved_covariance[3]) + (0.8200000000000001 * moved_covariance[8]);
-    const double t43 = 0.9299999999999999 * (t42 + (0.08 * moved_covariance[23]));
-    const double t44 = -0.04 * moved_covariance[15];
-    const double t45 = t44 + (0.8200000000000001 * moved_covariance[18]);
-    const double t46 = t43 + (0.039999999999999994 * (t45 + (0.08 * moved_covariance[26])));
-    const double t47 = -0.04 * moved_covariance[36];
-    const double t48 = t47 + (0.8200000000000001 * moved_covariance[39]);
-    const double t49 = t48 + (0.08 * moved_covariance[42]);
-    const double t50 = t46 + (0.02 * t49);
-    const double t51 = (-0.038 * moved_moment_0[3]) + (-0.054 * moved_moment_1[3]);
-    carried_10[9] = t50 + (t51 + (-0.0016 * moved_moment_2[3]));
-    const double t52 = (-0.04 * t25) + (0.8200000000000001 * t28) + (0.08 * t31);
-    const double t53 = (0.0384 * moved_moment_0[0]) + (0.08999999999999998 * moved_moment_1[0]);
-    carried_10[10] = t52 + (t53 + (0.0736 * moved_moment_2[0]) + plant_noise_1[0]);
-    const double t54 = (-0.04 * moved_covariance[1]) + (0.8200000000000001 * moved_covariance[10]);
-    const double t55 = t54 + (0.08 * moved_covariance[28]);
-    carried_10[12] = 0.9299999999999999 * t55;
-    carried_10[0] = t8;
-    carried_10[2] = t20;
-    carried_10[4] = t31;
-    carried_10[6] = t39;
-    carried_10[8] = t49;
-    carried_10[11] = t55;
-    status = markov_jump_prediction_of_the_next_2(&moved_covariance[2], carried_10,
-        &moved_moment_0[1], &moved_moment_1[1], &moved_moment_2[1], plant_noise_1, carried_9,
-        plant_noise_0, plant_noise_2, &moved_state[6], predicted_mode_law, augmented_state,
-        augmented_covariance, predicted_state, predicted_covariance);
+    markov_jump_prediction_of_the_next_3(moved_moment_0, moved_moment_1, moved_moment_2,
+        plant_noise_0, plant_noise_1, plant_noise_2, mode_law, moved_state, carried_9);
+    const double t0 = (-0.04 * moved_state[2]) + (0.8200000000000001 * moved_state[5]);
+    carried_10[0] = t0 + (0.08 * moved_state[8]);
+    const double t1 = 0.9299999999999999 * moved_covariance[0];
+    const double t2 = t1 + (0.039999999999999994 * moved_covariance[6]);
+    const double t3 = 0.9299999999999999 * (t2 + (0.02 * moved_covariance[21]));
+    const double t4 = 0.9299999999999999 * moved_covariance[6];
+    const double t5 = t4 + (0.039999999999999994 * moved_covariance[9]);
+    const double t6 = t3 + (0.039999999999999994 * (t5 + (0.02 * moved_covariance[24])));
+    const double t7 = 0.9299999999999999 * moved_covariance[21];
+    const double t8 = t7 + (0.039999999999999994 * moved_covariance[24]);
+    const double t9 = t8 + (0.02 * moved_covariance[27]);
+    const double t10 = t6 + (0.02 * t9);
+    const double t11 = 0.04750000000000004 * moved_moment_0[0];
+    const double t12 = t11 + (0.05639999999999999 * moved_moment_1[0]);
+    carried_10[2] = t10 + (t12 + (0.0196 * moved_moment_2[0]) + plant_noise_0[0]);
+    const double t13 = 0.9299999999999999 * moved_covariance[1];
+    const double t14 = t13 + (0.039999999999999994 * moved_covariance[10]);
+    const double t15 = 0.9299999999999999 * (t14 + (0.02 * moved_covariance[28]));
+    const double t16 = 0.9299999999999999 * moved_covariance[7];
+    const double t17 = t16 + (0.039999999999999994 * moved_covariance[13]);
+    const double t18 = t15 + (0.039999999999999994 * (t17 + (0.02 * moved_covariance[31])));
+    const double t19 = 0.9299999999999999 * moved_covariance[22];
+    const double t20 = t19 + (0.039999999999999994 * moved_covariance[25]);
+    const double t21 = t20 + (0.02 * moved_covariance[34]);
+    const double t22 = t18 + (0.02 * t21);
+    const double t23 = 0.04750000000000004 * moved_moment_0[1];
+    const double t24 = t23 + (0.05639999999999999 * moved_moment_1[1]);
+    carried_10[4] = t22 + (t24 + (0.0196 * moved_moment_2[1]) + plant_noise_0[1]);
+    const double t25 = 0.9299999999999999 * moved_covariance[2];
+    const double t26 = t25 + (0.039999999999999994 * moved_covariance[11]);
+    const double t27 = 0.9299999999999999 * (t26 + (0.02 * moved_covariance[29]));
+    const double t28 = 0.9299999999999999 * moved_covariance[11];
+    const double t29 = t28 + (0.039999999999999994 * moved_covariance[14]);
+    const double t30 = t27 + (0.039999999999999994 * (t29 + (0.02 * moved_covariance[32])));
+    const double t31 = 0.9299999999999999 * moved_covariance[29];
+    const double t32 = t31 + (0.039999999999999994 * moved_covariance[32]);
+    const double t33 = t32 + (0.02 * moved_covariance[35]);
+    const double t34 = t30 + (0.02 * t33);
+    const double t35 = 0.04750000000000004 * moved_moment_0[2];
+    const double t36 = t35 + (0.05639999999999999 * moved_moment_1[2]);
+    carried_10[6] = t34 + (t36 + (0.0196 * moved_moment_2[2]) + plant_noise_0[2]);
+    const double t37 = 0.9299999999999999 * moved_covariance[3];
+    const double t38 = t37 + (0.039999999999999994 * moved_covariance[15]);
+    const double t39 = 0.9299999999999999 * (t38 + (0.02 * moved_covariance[36]));
+    const double t40 = 0.9299999999999999 * moved_covariance[8];
+    const double t41 = t40 + (0.039999999999999994 * moved_covariance[18]);
+    const double t42 = t39 + (0.039999999999999994 * (t41 + (0.02 * moved_covariance[39])));
+    const double t43 = 0.9299999999999999 * moved_covariance[23];
+    const double t44 = t43 + (0.039999999999999994 * moved_covariance[26]);
+    const double t45 = t44 + (0.02 * moved_covariance[42]);
+    const double t46 = t42 + (0.02 * t45);
+    const double t47 = 0.04750000000000004 * moved_moment_0[3];
+    const double t48 = t47 + (0.05639999999999999 * moved_moment_1[3]);
+    carried_10[8] = t46 + (t48 + (0.0196 * moved_moment_2[3]) + plant_noise_0[3]);
+    const double t49 = 0.9299999999999999 * moved_covariance[4];
+    const double t50 = t49 + (0.039999999999999994 * moved_covariance[16]);
+    const double t51 = 0.9299999999999999 * (t50 + (0.02 * moved_covariance[37]));
+    const double t52 = 0.9299999999999999 * moved_covariance[12];
+    const double t53 = t52 + (0.039999999999999994 * moved_covariance[19]);
+    const double t54 = t51 + (0.039999999999999994 * (t53 + (0.02 * moved_covariance[40])));
+    const double t55 = 0.9299999999999999 * moved_covariance[30];
+    const double t56 = t55 + (0.039999999999999994 * moved_covariance[33]);
+    const double t57 = t56 + (0.02 * moved_covariance[43]);
+    const double t58 = t54 + (0.02 * t57);
+    const double t59 = 0.04750000000000004 * moved_moment_0[4];
+    const double t60 = t59 + (0.05639999999999999 * moved_moment_1[4]);
+    carried_10[10] = t58 + (t60 + (0.0196 * moved_moment_2[4]) + plant_noise_0[4]);
+    const double t61 = 0.9299999999999999 * moved_covariance[5];
+    const double t62 = t61 + (0.039999999999999994 * moved_covariance[17]);
+    const double t63 = 0.9299999999999999 * (t62 + (0.02 * moved_covariance[38]));
+    const double t64 = 0.9299999999999999 * moved_covariance[17];
+    const double t65 = t64 + (0.039999999999999994 * moved_covariance[20]);
+    carried_10[11] = t63 + (0.039999999999999994 * (t65 + (0.02 * moved_covariance[41])));
+    carried_10[1] = t9;
+    carried_10[3] = t21;
+    carried_10[5] = t33;
+    carried_10[7] = t45;
+    carried_10[9] = t57;
+    markov_jump_prediction_of_the_next_2(moved_covariance, carried_10[11], moved_moment_0,
+        moved_moment_1, moved_moment_2, plant_noise_0[5], plant_noise_1, carried_11);
+    status = markov_jump_prediction_of_the_next(&moved_covariance[3], &moved_moment_0[3],
+        &moved_moment_1[3], &moved_moment_2[3], plant_noise_1, carried_10, plant_noise_0,
+        carried_11, plant_noise_2, carried_9, &moved_state[6], predicted_mode_second_moment,
+        predicted_mode_law, augmented_state, augmented_covariance, predicted_state,
+        predicted_covariance);
     if (status != MARKOV_JUMP_OK) { return status; }
-    status = markov_jump_prediction_of_the_next(moved_moment_0, moved_moment_1, moved_moment_2,
-        plant_noise_0, predicted_mode_second_moment, markov_jump_prediction_of_the_next_numbers[0]);
-    if (status != MARKOV_JUMP_OK) { return status; }
-    status = markov_jump_prediction_of_the_next(moved_moment_0, moved_moment_1, moved_moment_2,
-        plant_noise_1, &predicted_mode_second_moment[6],
-        markov_jump_prediction_of_the_next_numbers[1]);
-    if (status != MARKOV_JUMP_OK) { return status; }
-    status = markov_jump_prediction_of_the_next(moved_moment_0, moved_moment_1, moved_moment_2,
-        plant_noise_2, &predicted_mode_second_moment[12],
-        markov_jump_prediction_of_the_next_numbers[2]);
-    if (status != MARKOV_JUMP_OK) { return status; }
-    const double t56 = 0.9299999999999999 * moved_covariance[28];
-    const double t57 = t56 + (0.039999999999999994 * moved_covariance[31]);
-    augmented_covariance[28] = t57 + (0.02 * moved_covariance[34]) + plant_noise_0[1];
-    const double t58 = plant_noise_0[1] + plant_noise_1[1] + plant_noise_2[1];
-    const double t59 = moved_covariance[34] + t58;
-    augmented_covariance[34] = t59;
-    predicted_covariance[1] = t59;
-    const double t60 = 0.9299999999999999 * moved_covariance[36];
-    const double t61 = t60 + (0.039999999999999994 * moved_covariance[39]);
-    augmented_covariance[36] = t61 + (0.02 * moved_covariance[42]) + plant_noise_0[3];
-    const double t62 = 0.9299999999999999 * moved_covariance[37];
-    const double t63 = t62 + (0.039999999999999994 * moved_covariance[40]);
-    augmented_covariance[37] = t63 + (0.02 * moved_covariance[43]) + plant_noise_0[4];
-    const double t64 = plant_noise_0[3] + plant_noise_1[3] + plant_noise_2[3];
-    const double t65 = moved_covariance[42] + t64;
-    augmented_covariance[42] = t65;
-    predicted_covariance[3] = t65;
-    const double t66 = plant_noise_0[4] + plant_noise_1[4] + plant_noise_2[4];
-    const double t67 = moved_covariance[43] + t66;
-    augmented_covariance[43] = t67;
-    predicted_covariance[4] = t67;
     return MARKOV_JUMP_OK;
 }
 
@@ -1030,11 +979,11 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_every_mode_s_step_4(const do
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t *self,
     const double *y, uint32_t present, markov_jump_t *next)
 {
-    double mean_noise = 0.0;
+    double mean_noise;
     double innovation_0 = 0.0;
-    double mean[9] = { 0.0 };
-    double covariance[45] = { 0.0 };
-    double pivot_0 = 0.0;
+    double mean[9];
+    double covariance[45];
+    double pivot_0;
     double quadratic = 0.0;
     double log_constant = 0.0;
     double determinant_0 = 1.0;
@@ -1077,7 +1026,23 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     }
 
     /* results of the update */
-    next->log_likelihood = -0.5 * (quadratic + (log_constant + markov_jump_log(determinant_0)));
+    const double t2 = -0.5 * (quadratic + (log_constant + markov_jump_log(determinant_0)));
+    if (!markov_jump_finite(((((markov_jump_defect(declared) + markov_jump_defect(statistic)) +
+        (markov_jump_defect(threshold) + markov_jump_defect(rows_present))) +
+        ((markov_jump_defect(rejections) + markov_jump_defect(kept_state[0])) +
+        markov_jump_defect(kept_state[1]))) + (((markov_jump_defect(kept_state[2]) +
+        markov_jump_defect(kept_state[3])) + (markov_jump_defect(kept_state[4]) +
+        markov_jump_defect(kept_state[5]))) + ((markov_jump_defect(kept_state[6]) +
+        markov_jump_defect(kept_state[7])) + markov_jump_defect(kept_state[8])))) +
+        ((((markov_jump_defect(kept_covariance[0]) + markov_jump_defect(kept_covariance[2])) +
+        (markov_jump_defect(kept_covariance[5]) + markov_jump_defect(kept_covariance[9]))) +
+        ((markov_jump_defect(kept_covariance[14]) + markov_jump_defect(kept_covariance[20])) +
+        markov_jump_defect(kept_covariance[27]))) + (((markov_jump_defect(kept_covariance[35]) +
+        markov_jump_defect(kept_covariance[44])) + markov_jump_defect(innovation_0)) +
+        ((markov_jump_defect(pivot_0) + markov_jump_defect(quadratic)) + markov_jump_defect(t2))))))
+    {
+        return MARKOV_JUMP_RESULT_NOT_FINITE;
+    }
     next->fault_declared = declared;
     next->test_statistic = statistic;
     next->test_threshold = threshold;
@@ -1093,6 +1058,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     next->innovation[0] = innovation_0;
     next->innovation_covariance[0] = pivot_0;
     next->nis = quadratic;
+    next->log_likelihood = t2;
     markov_jump_copy(self->predicted_mode_second_moment, next->mode_second_moment, 18);
     markov_jump_copy(self->predicted_mode_law, next->mode_law, 3);
     return MARKOV_JUMP_OK;
@@ -1102,12 +1068,15 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
 MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_t *self,
     markov_jump_t *next)
 {
-    double moved_moment_0[6] = { 0.0 };
-    double moved_moment_1[6] = { 0.0 };
-    double moved_moment_2[6] = { 0.0 };
-    double plant_noise_0[6] = { 0.0 };
-    double plant_noise_1[6] = { 0.0 };
-    double plant_noise_2[6] = { 0.0 };
+    double moved_moment_0[6];
+    double moved_moment_1[6];
+    double moved_moment_2[6];
+    double plant_noise_0[6];
+    double plant_noise_1[6];
+    double plant_noise_2[6];
+    double moved_state[9];
+    double moved_covariance[45];
+    double carried_8[31];
     markov_jump_status_t status;
     markov_jump_propagate_3(self->mode_second_moment, moved_moment_0,
         markov_jump_propagate_3_numbers[0]);
@@ -1136,12 +1105,296 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_propagate(const markov_jump_
         markov_jump_propagate_2_numbers[7], markov_jump_propagate_2_numbers[8]);
 
     /* every mode's step */
-    status = markov_jump_every_mode_s_step_4(self->augmented_filtered_state,
-        self->augmented_filtered_covariance, self->mode_law, moved_moment_0, moved_moment_1,
-        moved_moment_2, plant_noise_0, plant_noise_1, plant_noise_2, next->predicted_mode_law,
-        next->augmented_state, next->augmented_covariance, next->predicted_state,
-        next->predicted_covariance, next->predicted_mode_second_moment);
+    moved_state[2] = 0.6 * self->augmented_filtered_state[2];
+    moved_state[5] = 0.8 * self->augmented_filtered_state[5];
+    const double t9 = -0.30000000000000004 * self->augmented_filtered_state[2];
+    const double t10 = t9 + (-0.09999999999999998 * self->augmented_filtered_state[5]);
+    moved_state[8] = t10 + (0.9 * self->augmented_filtered_state[8]);
+    markov_jump_every_mode_s_step(self->augmented_filtered_state, moved_state);
+    markov_jump_every_mode_s_step(&self->augmented_filtered_state[3], &moved_state[3]);
+    markov_jump_every_mode_s_step(&self->augmented_filtered_state[6], &moved_state[6]);
+    markov_jump_every_mode_s_step_2(self->augmented_filtered_covariance, carried_8);
+    const double t11 = 0.8 * self->augmented_filtered_covariance[29];
+    const double t12 = 0.8 * (t11 + self->augmented_filtered_covariance[37]);
+    const double t13 = 0.8 * self->augmented_filtered_covariance[30];
+    const double t14 = t13 + self->augmented_filtered_covariance[38];
+    moved_covariance[29] = t12 + t14;
+    moved_covariance[30] = 0.6 * t14;
+    const double t15 = 0.97 * self->augmented_filtered_covariance[31];
+    const double t16 = t15 + self->augmented_filtered_covariance[32];
+    const double t17 = 0.8 * (t16 + (0.5 * self->augmented_filtered_covariance[33]));
+    const double t18 = 0.97 * self->augmented_filtered_covariance[39];
+    const double t19 = t18 + self->augmented_filtered_covariance[40];
+    moved_covariance[31] = t17 + (t19 + (0.5 * self->augmented_filtered_covariance[41]));
+    const double t20 = 0.8 * self->augmented_filtered_covariance[32];
+    const double t21 = 0.8 * (t20 + self->augmented_filtered_covariance[40]);
+    const double t22 = 0.8 * self->augmented_filtered_covariance[33];
+    const double t23 = t22 + self->augmented_filtered_covariance[41];
+    moved_covariance[32] = t21 + t23;
+    moved_covariance[33] = 0.8 * t23;
+    moved_covariance[34] = (0.8 * carried_8[27]) + carried_8[28];
+    const double t24 = 0.8 * self->augmented_filtered_covariance[35];
+    const double t25 = 0.8 * (t24 + self->augmented_filtered_covariance[43]);
+    const double t26 = 0.8 * self->augmented_filtered_covariance[43];
+    moved_covariance[35] = t25 + (t26 + self->augmented_filtered_covariance[44]);
+    const double t27 = -0.30000000000000004 * self->augmented_filtered_covariance[3];
+    const double t28 = t27 + (-0.09999999999999998 * self->augmented_filtered_covariance[15]);
+    const double t29 = 0.97 * (t28 + (0.9 * self->augmented_filtered_covariance[36]));
+    const double t30 = -0.30000000000000004 * self->augmented_filtered_covariance[4];
+    const double t31 = t30 + (-0.09999999999999998 * self->augmented_filtered_covariance[16]);
+    const double t32 = t31 + (0.9 * self->augmented_filtered_covariance[37]);
+    const double t33 = t29 + t32;
+    const double t34 = -0.30000000000000004 * self->augmented_filtered_covariance[5];
+    const double t35 = t34 + (-0.09999999999999998 * self->augmented_filtered_covariance[17]);
+    const double t36 = t35 + (0.9 * self->augmented_filtered_covariance[38]);
+    moved_covariance[36] = t33 + (0.5 * t36);
+    moved_covariance[37] = (0.8 * t32) + t36;
+    moved_covariance[38] = 0.6 * t36;
+    const double t37 = -0.30000000000000004 * self->augmented_filtered_covariance[8];
+    const double t38 = t37 + (-0.09999999999999998 * self->augmented_filtered_covariance[18]);
+    const double t39 = 0.97 * (t38 + (0.9 * self->augmented_filtered_covariance[39]));
+    const double t40 = -0.30000000000000004 * self->augmented_filtered_covariance[12];
+    const double t41 = t40 + (-0.09999999999999998 * self->augmented_filtered_covariance[19]);
+    const double t42 = t41 + (0.9 * self->augmented_filtered_covariance[40]);
+    const double t43 = t39 + t42;
+    const double t44 = -0.30000000000000004 * self->augmented_filtered_covariance[17];
+    const double t45 = t44 + (-0.09999999999999998 * self->augmented_filtered_covariance[20]);
+    const double t46 = t45 + (0.9 * self->augmented_filtered_covariance[41]);
+    moved_covariance[39] = t43 + (0.5 * t46);
+    moved_covariance[40] = (0.8 * t42) + t46;
+    moved_covariance[41] = 0.8 * t46;
+    const double t47 = -0.30000000000000004 * self->augmented_filtered_covariance[23];
+    const double t48 = t47 + (-0.09999999999999998 * self->augmented_filtered_covariance[26]);
+    const double t49 = 0.97 * (t48 + (0.9 * self->augmented_filtered_covariance[42]));
+    const double t50 = -0.30000000000000004 * self->augmented_filtered_covariance[30];
+    const double t51 = t50 + (-0.09999999999999998 * self->augmented_filtered_covariance[33]);
+    const double t52 = t51 + (0.9 * self->augmented_filtered_covariance[43]);
+    const double t53 = t49 + t52;
+    const double t54 = -0.30000000000000004 * self->augmented_filtered_covariance[38];
+    const double t55 = t54 + (-0.09999999999999998 * self->augmented_filtered_covariance[41]);
+    const double t56 = t55 + (0.9 * self->augmented_filtered_covariance[44]);
+    moved_covariance[42] = t53 + (0.5 * t56);
+    moved_covariance[43] = (0.8 * t52) + t56;
+    const double t57 = (-0.30000000000000004 * t36) + (-0.09999999999999998 * t46);
+    moved_covariance[44] = t57 + (0.9 * t56);
+    markov_jump_copy(carried_8, moved_covariance, 27);
+    moved_covariance[27] = carried_8[29];
+    moved_covariance[28] = carried_8[30];
+
+    /* prediction of the next sample */
+    status = markov_jump_prediction_of_the_next_4(moved_moment_0, moved_moment_1, moved_moment_2,
+        plant_noise_0, plant_noise_1, plant_noise_2, self->mode_law, moved_state, moved_covariance,
+        next->predicted_mode_second_moment, next->predicted_mode_law, next->augmented_state,
+        next->augmented_covariance, next->predicted_state, next->predicted_covariance);
     if (status != MARKOV_JUMP_OK) { return status; }
+    return MARKOV_JUMP_OK;
+}
+
+/* Compute what follows from a prior: reads *self, writes the results to *next. */
+static markov_jump_status_t markov_jump_begin(const double *x, const double *P, markov_jump_t *next)
+{
+    const double t0 = 0.6 * x[0];
+    const double t1 = 0.6 * x[1];
+    const double t2 = 0.6 * x[2];
+    const double t3 = 0.3 * x[0];
+    const double t4 = 0.3 * x[1];
+    const double t5 = 0.3 * x[2];
+    const double t6 = 0.6 * P[0];
+    const double t7 = x[0] * x[0];
+    const double t8 = t6 + (0.24 * t7);
+    const double t9 = 0.6 * P[1];
+    const double t10 = x[1] * x[0];
+    const double t11 = t9 + (0.24 * t10);
+    const double t12 = 0.6 * P[2];
+    const double t13 = x[1] * x[1];
+    const double t14 = t12 + (0.24 * t13);
+    const double t15 = 0.6 * P[3];
+    const double t16 = x[2] * x[0];
+    const double t17 = t15 + (0.24 * t16);
+    const double t18 = 0.6 * P[4];
+    const double t19 = x[2] * x[1];
+    const double t20 = t18 + (0.24 * t19);
+    const double t21 = 0.6 * P[5];
+    const double t22 = x[2] * x[2];
+    const double t23 = t21 + (0.24 * t22);
+    const double t24 = -0.18 * t7;
+    const double t25 = -0.18 * (x[0] * x[1]);
+    const double t26 = -0.18 * (x[0] * x[2]);
+    const double t27 = (0.3 * P[0]) + (0.21 * t7);
+    const double t28 = -0.18 * t10;
+    const double t29 = -0.18 * t13;
+    const double t30 = -0.18 * (x[1] * x[2]);
+    const double t31 = (0.3 * P[1]) + (0.21 * t10);
+    const double t32 = (0.3 * P[2]) + (0.21 * t13);
+    const double t33 = -0.18 * t16;
+    const double t34 = -0.18 * t19;
+    const double t35 = -0.18 * t22;
+    const double t36 = (0.3 * P[3]) + (0.21 * t16);
+    const double t37 = (0.3 * P[4]) + (0.21 * t19);
+    const double t38 = (0.3 * P[5]) + (0.21 * t22);
+    const double t39 = P[0] + (x[0] * x[0]);
+    const double t40 = 0.6 * t39;
+    const double t41 = P[1] + (x[1] * x[0]);
+    const double t42 = 0.6 * t41;
+    const double t43 = P[2] + (x[1] * x[1]);
+    const double t44 = 0.6 * t43;
+    const double t45 = P[3] + (x[2] * x[0]);
+    const double t46 = 0.6 * t45;
+    const double t47 = P[4] + (x[2] * x[1]);
+    const double t48 = 0.6 * t47;
+    const double t49 = P[5] + (x[2] * x[2]);
+    const double t50 = 0.6 * t49;
+    const double t51 = 0.3 * t39;
+    const double t52 = 0.3 * t41;
+    const double t53 = 0.3 * t43;
+    const double t54 = 0.3 * t45;
+    const double t55 = 0.3 * t47;
+    const double t56 = 0.3 * t49;
+    const double t57 = 0.1 * t39;
+    const double t58 = 0.1 * t41;
+    const double t59 = 0.1 * t43;
+    const double t60 = 0.1 * t45;
+    const double t61 = 0.1 * t47;
+    const double t62 = 0.1 * t49;
+    if (!markov_jump_finite(((((markov_jump_defect(t0) + markov_jump_defect(t1)) +
+        (markov_jump_defect(t2) + markov_jump_defect(t3))) + ((markov_jump_defect(t4) +
+        markov_jump_defect(t5)) + markov_jump_defect(x[0]))) + (((markov_jump_defect(x[1]) +
+        markov_jump_defect(x[2])) + (markov_jump_defect(t8) + markov_jump_defect(t14))) +
+        ((markov_jump_defect(t23) + markov_jump_defect(t27)) + markov_jump_defect(t32)))) +
+        ((((markov_jump_defect(t38) + markov_jump_defect(P[0])) + (markov_jump_defect(P[2]) +
+        markov_jump_defect(P[5]))) + ((markov_jump_defect(t40) + markov_jump_defect(t44)) +
+        markov_jump_defect(t50))) + (((markov_jump_defect(t51) + markov_jump_defect(t53)) +
+        markov_jump_defect(t56)) + ((markov_jump_defect(t57) + markov_jump_defect(t59)) +
+        markov_jump_defect(t62))))))
+    {
+        return MARKOV_JUMP_RESULT_NOT_FINITE;
+    }
+    next->augmented_state[0] = t0;
+    next->augmented_state[1] = t1;
+    next->augmented_state[2] = t2;
+    next->augmented_state[3] = t3;
+    next->augmented_state[4] = t4;
+    next->augmented_state[5] = t5;
+    markov_jump_copy(x, &next->augmented_state[6], 3);
+    next->augmented_filtered_state[0] = t0;
+    next->augmented_filtered_state[1] = t1;
+    next->augmented_filtered_state[2] = t2;
+    next->augmented_filtered_state[3] = t3;
+    next->augmented_filtered_state[4] = t4;
+    next->augmented_filtered_state[5] = t5;
+    markov_jump_copy(x, &next->augmented_filtered_state[6], 3);
+    next->augmented_covariance[0] = t8;
+    next->augmented_covariance[1] = t11;
+    next->augmented_covariance[2] = t14;
+    next->augmented_covariance[3] = t17;
+    next->augmented_covariance[4] = t20;
+    next->augmented_covariance[5] = t23;
+    next->augmented_covariance[6] = t24;
+    next->augmented_covariance[7] = t25;
+    next->augmented_covariance[8] = t26;
+    next->augmented_covariance[9] = t27;
+    next->augmented_covariance[10] = t28;
+    next->augmented_covariance[11] = t29;
+    next->augmented_covariance[12] = t30;
+    next->augmented_covariance[13] = t31;
+    next->augmented_covariance[14] = t32;
+    next->augmented_covariance[15] = t33;
+    next->augmented_covariance[16] = t34;
+    next->augmented_covariance[17] = t35;
+    next->augmented_covariance[18] = t36;
+    next->augmented_covariance[19] = t37;
+    next->augmented_covariance[20] = t38;
+    next->augmented_covariance[27] = P[0];
+    next->augmented_covariance[34] = P[1];
+    next->augmented_covariance[35] = P[2];
+    markov_jump_copy(&P[3], &next->augmented_covariance[42], 3);
+    next->augmented_filtered_covariance[0] = t8;
+    next->augmented_filtered_covariance[1] = t11;
+    next->augmented_filtered_covariance[2] = t14;
+    next->augmented_filtered_covariance[3] = t17;
+    next->augmented_filtered_covariance[4] = t20;
+    next->augmented_filtered_covariance[5] = t23;
+    next->augmented_filtered_covariance[6] = t24;
+    next->augmented_filtered_covariance[7] = t25;
+    next->augmented_filtered_covariance[8] = t26;
+    next->augmented_filtered_covariance[9] = t27;
+    next->augmented_filtered_covariance[10] = t28;
+    next->augmented_filtered_covariance[11] = t29;
+    next->augmented_filtered_covariance[12] = t30;
+    next->augmented_filtered_covariance[13] = t31;
+    next->augmented_filtered_covariance[14] = t32;
+    next->augmented_filtered_covariance[15] = t33;
+    next->augmented_filtered_covariance[16] = t34;
+    next->augmented_filtered_covariance[17] = t35;
+    next->augmented_filtered_covariance[18] = t36;
+    next->augmented_filtered_covariance[19] = t37;
+    next->augmented_filtered_covariance[20] = t38;
+    next->augmented_filtered_covariance[27] = P[0];
+    next->augmented_filtered_covariance[34] = P[1];
+    next->augmented_filtered_covariance[35] = P[2];
+    markov_jump_copy(&P[3], &next->augmented_filtered_covariance[42], 3);
+    next->mode_second_moment[0] = t40;
+    next->mode_second_moment[1] = t42;
+    next->mode_second_moment[2] = t44;
+    next->mode_second_moment[3] = t46;
+    next->mode_second_moment[4] = t48;
+    next->mode_second_moment[5] = t50;
+    next->mode_second_moment[6] = t51;
+    next->mode_second_moment[7] = t52;
+    next->mode_second_moment[8] = t53;
+    next->mode_second_moment[9] = t54;
+    next->mode_second_moment[10] = t55;
+    next->mode_second_moment[11] = t56;
+    next->mode_second_moment[12] = t57;
+    next->mode_second_moment[13] = t58;
+    next->mode_second_moment[14] = t59;
+    next->mode_second_moment[15] = t60;
+    next->mode_second_moment[16] = t61;
+    next->mode_second_moment[17] = t62;
+    next->predicted_mode_second_moment[0] = t40;
+    next->predicted_mode_second_moment[1] = t42;
+    next->predicted_mode_second_moment[2] = t44;
+    next->predicted_mode_second_moment[3] = t46;
+    next->predicted_mode_second_moment[4] = t48;
+    next->predicted_mode_second_moment[5] = t50;
+    next->predicted_mode_second_moment[6] = t51;
+    next->predicted_mode_second_moment[7] = t52;
+    next->predicted_mode_second_moment[8] = t53;
+    next->predicted_mode_second_moment[9] = t54;
+    next->predicted_mode_second_moment[10] = t55;
+    next->predicted_mode_second_moment[11] = t56;
+    next->predicted_mode_second_moment[12] = t57;
+    next->predicted_mode_second_moment[13] = t58;
+    next->predicted_mode_second_moment[14] = t59;
+    next->predicted_mode_second_moment[15] = t60;
+    next->predicted_mode_second_moment[16] = t61;
+    next->predicted_mode_second_moment[17] = t62;
+    markov_jump_begin_2(P, &next->augmented_covariance[21],
+        &next->augmented_filtered_covariance[21], markov_jump_begin_2_numbers[0]);
+    markov_jump_begin_2(P, &next->augmented_covariance[24],
+        &next->augmented_filtered_covariance[24], markov_jump_begin_2_numbers[1]);
+    markov_jump_begin_2(&P[1], &next->augmented_covariance[28],
+        &next->augmented_filtered_covariance[28], markov_jump_begin_2_numbers[2]);
+    markov_jump_begin_2(&P[1], &next->augmented_covariance[31],
+        &next->augmented_filtered_covariance[31], markov_jump_begin_2_numbers[3]);
+    const double t63 = 0.6 * P[3];
+    next->augmented_covariance[36] = t63;
+    next->augmented_filtered_covariance[36] = t63;
+    const double t64 = 0.6 * P[4];
+    next->augmented_covariance[37] = t64;
+    next->augmented_filtered_covariance[37] = t64;
+    const double t65 = 0.6 * P[5];
+    next->augmented_covariance[38] = t65;
+    next->augmented_filtered_covariance[38] = t65;
+    const double t66 = 0.3 * P[3];
+    next->augmented_covariance[39] = t66;
+    next->augmented_filtered_covariance[39] = t66;
+    const double t67 = 0.3 * P[4];
+    next->augmented_covariance[40] = t67;
+    next->augmented_filtered_covariance[40] = t67;
+    const double t68 = 0.3 * P[5];
+    next->augmented_covariance[41] = t68;
+    next->augmented_filtered_covariance[41] = t68;
     return MARKOV_JUMP_OK;
 }
 
@@ -1157,35 +1410,76 @@ static void markov_jump_fill(double *to, int size, const double *from, int perio
     }
 }
 
-markov_jump_status_t markov_jump_init(markov_jump_t *self)
+markov_jump_status_t markov_jump_start(markov_jump_t *self, const double x[3], const double P[6])
 {
-    if (self == NULL) { return MARKOV_JUMP_NULL_POINTER; }
-    markov_jump_fill(self->predicted_state, 3, markov_jump_predicted_state_0, 3);
-    markov_jump_fill(self->predicted_covariance, 6, markov_jump_predicted_covariance_0, 6);
-    markov_jump_fill(self->filtered_state, 3, markov_jump_predicted_state_0, 3);
-    markov_jump_fill(self->filtered_covariance, 6, markov_jump_predicted_covariance_0, 6);
-    markov_jump_fill(self->innovation, 1, markov_jump_zero_0, 1);
-    markov_jump_fill(self->innovation_covariance, 1, markov_jump_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    self->fault_declared = 0.0;
-    self->test_statistic = 0.0;
-    self->test_threshold = 0.0;
-    self->test_dof = 0.0;
-    self->consecutive_rejections = 0.0;
-    markov_jump_fill(self->mode_law, 3, markov_jump_mode_law_0, 3);
-    markov_jump_fill(self->predicted_mode_law, 3, markov_jump_mode_law_0, 3);
-    markov_jump_fill(self->augmented_state, 9, markov_jump_augmented_state_0, 9);
-    markov_jump_fill(self->augmented_filtered_state, 9, markov_jump_augmented_state_0, 9);
-    markov_jump_fill(self->augmented_covariance, 45, markov_jump_augmented_covariance_0, 45);
-    markov_jump_fill(self->augmented_filtered_covariance, 45, markov_jump_augmented_covariance_0,
-        45);
-    markov_jump_fill(self->mode_second_moment, 18, markov_jump_mode_second_moment_0, 18);
-    markov_jump_fill(self->predicted_mode_second_moment, 18, markov_jump_mode_second_moment_0, 18);
+    markov_jump_t next;
+    int i;
+    markov_jump_status_t status;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return MARKOV_JUMP_NULL_POINTER; }
+    if (!markov_jump_all_finite(x, 3) || !markov_jump_all_finite(P, 6))
+    {
+        return MARKOV_JUMP_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < MARKOV_JUMP_NX; ++i)
+    {
+        if (P[MARKOV_JUMP_P(i, i)] < 0.0) { return MARKOV_JUMP_NOT_POSITIVE_DEFINITE; }
+    }
+    markov_jump_fill(next.predicted_state, 3, x, 3);
+    markov_jump_fill(next.predicted_covariance, 6, P, 6);
+    markov_jump_fill(next.filtered_state, 3, x, 3);
+    markov_jump_fill(next.filtered_covariance, 6, P, 6);
+    markov_jump_fill(next.innovation, 1, markov_jump_zero_0, 1);
+    markov_jump_fill(next.innovation_covariance, 1, markov_jump_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    next.fault_declared = 0.0;
+    next.test_statistic = 0.0;
+    next.test_threshold = 0.0;
+    next.test_dof = 0.0;
+    next.consecutive_rejections = 0.0;
+    markov_jump_fill(next.mode_law, 3, markov_jump_mode_law_0, 3);
+    markov_jump_fill(next.predicted_mode_law, 3, markov_jump_mode_law_0, 3);
+    next.updated = 0.0;
+    status = markov_jump_begin(x, P, &next);
+    if (status != MARKOV_JUMP_OK) { return status; }
+    *self = next;
     return MARKOV_JUMP_OK;
 }
 
+markov_jump_status_t markov_jump_init(markov_jump_t *self)
+{
+    return markov_jump_start(self, markov_jump_x_0, markov_jump_P_0);
+}
+
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void markov_jump_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static markov_jump_status_t markov_jump_pass(const markov_jump_t *self, markov_jump_t *next)
+{
+    return markov_jump_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate. */
+static markov_jump_status_t markov_jump_renew(const markov_jump_t *self, const double *y,
+    uint32_t present, markov_jump_t *next)
+{
+    markov_jump_status_t status;
+    if (self->updated > 0.0) { return MARKOV_JUMP_WRONG_ORDER; }
+    *next = *self;
+    status = markov_jump_correct(self, y, present, next);
+    next->updated = 1.0;
+    return status;
+}
 
 markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], uint32_t valid)
 {
@@ -1194,8 +1488,7 @@ markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], 
     markov_jump_status_t status;
     if ((self == NULL) || (y == NULL)) { return MARKOV_JUMP_NULL_POINTER; }
     if (!markov_jump_present_rows(y, valid, &present)) { return MARKOV_JUMP_INPUT_NOT_FINITE; }
-    next = *self;
-    status = markov_jump_correct(self, y, present, &next);
+    status = markov_jump_renew(self, y, present, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
@@ -1206,12 +1499,24 @@ markov_jump_status_t markov_jump_update(markov_jump_t *self, const double y[1], 
 markov_jump_status_t markov_jump_predict(markov_jump_t *self)
 {
     markov_jump_t next;
+    const markov_jump_t *latest = self;
     markov_jump_status_t status;
     if (self == NULL) { return MARKOV_JUMP_NULL_POINTER; }
-    next = *self;
-    status = markov_jump_propagate(self, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = markov_jump_pass(self, &next);
+        if (status != MARKOV_JUMP_OK) { return status; }
+        latest = &next;
+    }
+    status = markov_jump_propagate(latest, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
-    *self = next;
+    markov_jump_keep(next.predicted_state, self->predicted_state, 3);
+    markov_jump_keep(next.predicted_covariance, self->predicted_covariance, 6);
+    markov_jump_keep(next.predicted_mode_law, self->predicted_mode_law, 3);
+    markov_jump_keep(next.augmented_state, self->augmented_state, 9);
+    markov_jump_keep(next.augmented_covariance, self->augmented_covariance, 45);
+    markov_jump_keep(next.predicted_mode_second_moment, self->predicted_mode_second_moment, 18);
+    self->updated = 0.0;
     return MARKOV_JUMP_OK;
 }
 
@@ -1222,10 +1527,12 @@ markov_jump_status_t markov_jump_step(markov_jump_t *self, const double y[1], ui
     markov_jump_status_t status;
     if ((self == NULL) || (y == NULL)) { return MARKOV_JUMP_NULL_POINTER; }
     if (!markov_jump_present_rows(y, valid, &present)) { return MARKOV_JUMP_INPUT_NOT_FINITE; }
+    if (self->updated > 0.0) { return MARKOV_JUMP_WRONG_ORDER; }
     status = markov_jump_correct(self, y, present, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
     status = markov_jump_propagate(&next, &next);
     if (status != MARKOV_JUMP_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? ((self->consecutive_rejections > 9.5) ? MARKOV_JUMP_LOCKED_OUT
         : ((self->fault_declared > 0.5) ? MARKOV_JUMP_FAULT_DECLARED : MARKOV_JUMP_OK))

@@ -7,9 +7,10 @@
  * Covariance: moment_matched.
  * Modes: 0 = signal, R; 1 = signal, noise x 10; 2 = no signal, R; 3 = no signal, noise x 10.
  *
- * Time: the instance holds the prediction for sample k. sensor_faults_1_update() corrects it with
- * y[k], sensor_faults_1_predict() moves it to k + 1, sensor_faults_1_step() does both. Sample 0
- * corrects the prior; no prediction comes before it.
+ * Time: the instance holds one latest estimate. sensor_faults_1_update() corrects it with y[k],
+ * sensor_faults_1_predict() moves it to k + 1, sensor_faults_1_step() does both. Sample 0 corrects
+ * the prior; no prediction comes before it. A prediction after a prediction passes a sample without
+ * a measurement; an update after an update is refused.
  *
  * Model: x[k+1] = A x[k] + w[k], w ~ (0, Q); y[k] = C x[k] + v[k], v ~ (0, R); x[0] ~ (x0, P0).
  *   A = [[-0.8]]
@@ -37,9 +38,9 @@
  *   y[0]  y0
  *
  * Cost of one step with every row present: 148 floating-point operations and 4 exp and 5 log.
- * An instance is 24 doubles, 192 bytes; nothing else is kept. Tables of constants: 56 bytes. No
+ * An instance is 25 doubles, 200 bytes; nothing else is kept. Tables of constants: 72 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 2032 bytes at -O0, 1008 at -Os.
+ * Stack of one call, interrupts left out: at most 2496 bytes at -O0, 1056 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -76,8 +77,10 @@ typedef enum
     SENSOR_FAULTS_1_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
                                                       or an indicator with another value */
     SENSOR_FAULTS_1_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    SENSOR_FAULTS_1_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                              target */
+    SENSOR_FAULTS_1_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                               target */
+    SENSOR_FAULTS_1_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
+                                          take: predict first */
 } sensor_faults_1_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -97,12 +100,22 @@ typedef struct
     double predicted_mode_probability[4]; /**< probability of each mode at k+1 given y[0..k] */
     double log_weight[4]; /**< logarithm of mode_probability */
     double predicted_log_weight[4]; /**< logarithm of predicted_mode_probability */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } sensor_faults_1_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  sensor_faults_1_start(), before anything else. */
 sensor_faults_1_status_t sensor_faults_1_init(sensor_faults_1_t *self);
 
-/** Correct the prediction with sample k.
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return SENSOR_FAULTS_1_OK, or negative: refused, the instance is unchanged.
+ */
+sensor_faults_1_status_t sensor_faults_1_start(sensor_faults_1_t *self, const double x[1],
+    const double P[1]);
+
+/** Correct the latest estimate with sample k.
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
  *  @return SENSOR_FAULTS_1_OK, SENSOR_FAULTS_1_SKIPPED, or negative: refused, the instance is
@@ -111,7 +124,8 @@ sensor_faults_1_status_t sensor_faults_1_init(sensor_faults_1_t *self);
 sensor_faults_1_status_t sensor_faults_1_update(sensor_faults_1_t *self, const double y[1],
     uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are. */
 sensor_faults_1_status_t sensor_faults_1_predict(sensor_faults_1_t *self);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

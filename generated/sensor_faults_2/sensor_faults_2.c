@@ -169,6 +169,14 @@ static const double sensor_faults_2_log_weight_0[4] = {
     -0.29571424414904507, -1.6820086052689356, -2.8824035882469876, -4.268697949366878
 };
 
+static const double sensor_faults_2_x_0[1] = {
+    0.0
+};
+
+static const double sensor_faults_2_P_0[1] = {
+    0.0
+};
+
 /* ---- what may be used of a sample ---- */
 
 /* 0 for a finite number, NaN for NaN and infinities. */
@@ -181,6 +189,17 @@ static double sensor_faults_2_defect(double x)
 static int sensor_faults_2_finite(double defects)
 {
     return defects >= 0.0;
+}
+
+/* Nonzero if all numbers of an array are finite. */
+static int sensor_faults_2_all_finite(const double *values, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!sensor_faults_2_finite(sensor_faults_2_defect(values[i]))) { return 0; }
+    }
+    return 1;
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -261,14 +280,14 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     *self, const double *y, uint32_t present, sensor_faults_2_t *next)
 {
     double innovation_m0_0 = 0.0;
-    double mean_m0 = 0.0;
-    double covariance_m0 = 0.0;
-    double pivot_m0_0 = 0.0;
+    double mean_m0;
+    double covariance_m0;
+    double pivot_m0_0;
     double log_density_m0 = 0.0;
     double innovation_m1_0 = 0.0;
-    double mean_m1 = 0.0;
-    double covariance_m1 = 0.0;
-    double pivot_m1_0 = 0.0;
+    double mean_m1;
+    double covariance_m1;
+    double pivot_m1_0;
     double log_density_m1 = 0.0;
     double innovation_m2_0 = 0.0;
     double quadratic_m2 = 0.0;
@@ -422,20 +441,31 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     {
         return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
     }
-    next->nis = combined_innovation * combined_innovation * whitening_inverse_combined_0;
-    const double t24 = (weight[0] * covariance_m0) + (weight[1] * covariance_m1);
-    const double t25 = t24 + (weight[2] * self->predicted_covariance[0]);
-    const double t26 = t25 + (weight[3] * self->predicted_covariance[0]);
-    const double t27 = mean_m0 - combined_state;
-    const double t28 = weight[0] * t27 * t27;
-    const double t29 = mean_m1 - combined_state;
-    const double t30 = t28 + (weight[1] * t29 * t29);
-    const double t31 = self->predicted_state[0] - combined_state;
-    const double t32 = t30 + (weight[2] * t31 * t31);
-    const double t33 = self->predicted_state[0] - combined_state;
-    next->filtered_covariance[0] = t26 + (t32 + (weight[3] * t33 * t33));
+    const double t24 = combined_innovation * combined_innovation * whitening_inverse_combined_0;
+    const double t25 = (weight[0] * covariance_m0) + (weight[1] * covariance_m1);
+    const double t26 = t25 + (weight[2] * self->predicted_covariance[0]);
+    const double t27 = t26 + (weight[3] * self->predicted_covariance[0]);
+    const double t28 = mean_m0 - combined_state;
+    const double t29 = weight[0] * t28 * t28;
+    const double t30 = mean_m1 - combined_state;
+    const double t31 = t29 + (weight[1] * t30 * t30);
+    const double t32 = self->predicted_state[0] - combined_state;
+    const double t33 = t31 + (weight[2] * t32 * t32);
+    const double t34 = self->predicted_state[0] - combined_state;
+    const double t35 = t27 + (t33 + (weight[3] * t34 * t34));
+    if (!sensor_faults_2_finite((((sensor_faults_2_defect(combined_innovation) +
+        sensor_faults_2_defect(combined_variance)) + (sensor_faults_2_defect(t24) +
+        sensor_faults_2_defect(weight[0]))) + ((sensor_faults_2_defect(weight[1]) +
+        sensor_faults_2_defect(weight[2])) + sensor_faults_2_defect(weight[3]))) +
+        (((sensor_faults_2_defect(log_weight_now[0]) + sensor_faults_2_defect(log_weight_now[1])) +
+        sensor_faults_2_defect(log_weight_now[2])) + ((sensor_faults_2_defect(log_weight_now[3]) +
+        sensor_faults_2_defect(log_evidence)) + sensor_faults_2_defect(t35)))))
+    {
+        return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
+    }
     next->innovation[0] = combined_innovation;
     next->innovation_covariance[0] = combined_variance;
+    next->nis = t24;
     next->mode_probability[0] = weight[0];
     next->mode_probability[1] = weight[1];
     next->mode_probability[2] = weight[2];
@@ -446,6 +476,7 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     next->log_weight[3] = log_weight_now[3];
     next->log_likelihood = log_evidence;
     next->filtered_state[0] = combined_state;
+    next->filtered_covariance[0] = t35;
     return SENSOR_FAULTS_2_OK;
 }
 
@@ -465,24 +496,32 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_propagate(const 
     mode_prediction_1 = t5 + (0.08000000000000002 * self->mode_probability[3]);
 
     /* prediction of the next sample */
-    next->predicted_mode_probability[1] = 0.25 * mode_prediction_0;
-    next->predicted_mode_probability[3] = 0.25 * mode_prediction_1;
-    const double t6 = sensor_faults_2_log(mode_prediction_0);
-    next->predicted_log_weight[1] = t6 + -1.3862943611198906;
-    const double t7 = sensor_faults_2_log(mode_prediction_1);
-    next->predicted_log_weight[3] = t7 + -1.3862943611198906;
-    const double t8 = -0.8 * self->filtered_state[0];
-    const double t9 = (0.6400000000000001 * self->filtered_covariance[0]) + 1.0;
-    if (!sensor_faults_2_finite(sensor_faults_2_defect(t8) + sensor_faults_2_defect(t9)))
+    const double t6 = 0.25 * mode_prediction_0;
+    const double t7 = 0.25 * mode_prediction_1;
+    const double t8 = sensor_faults_2_log(mode_prediction_0);
+    const double t9 = t8 + -1.3862943611198906;
+    const double t10 = sensor_faults_2_log(mode_prediction_1);
+    const double t11 = t10 + -1.3862943611198906;
+    const double t12 = -0.8 * self->filtered_state[0];
+    const double t13 = (0.6400000000000001 * self->filtered_covariance[0]) + 1.0;
+    if (!sensor_faults_2_finite((((sensor_faults_2_defect(t12) + sensor_faults_2_defect(t13)) +
+        sensor_faults_2_defect(mode_prediction_0)) + (sensor_faults_2_defect(t6) +
+        sensor_faults_2_defect(mode_prediction_1))) + (((sensor_faults_2_defect(t7) +
+        sensor_faults_2_defect(t8)) + sensor_faults_2_defect(t9)) + (sensor_faults_2_defect(t10) +
+        sensor_faults_2_defect(t11)))))
     {
         return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
     }
     next->predicted_mode_probability[0] = mode_prediction_0;
+    next->predicted_mode_probability[1] = t6;
     next->predicted_mode_probability[2] = mode_prediction_1;
-    next->predicted_log_weight[0] = t6;
-    next->predicted_log_weight[2] = t7;
-    next->predicted_state[0] = t8;
-    next->predicted_covariance[0] = t9;
+    next->predicted_mode_probability[3] = t7;
+    next->predicted_log_weight[0] = t8;
+    next->predicted_log_weight[1] = t9;
+    next->predicted_log_weight[2] = t10;
+    next->predicted_log_weight[3] = t11;
+    next->predicted_state[0] = t12;
+    next->predicted_covariance[0] = t13;
     return SENSOR_FAULTS_2_OK;
 }
 
@@ -498,26 +537,72 @@ static void sensor_faults_2_fill(double *to, int size, const double *from, int p
     }
 }
 
-sensor_faults_2_status_t sensor_faults_2_init(sensor_faults_2_t *self)
+sensor_faults_2_status_t sensor_faults_2_start(sensor_faults_2_t *self, const double x[1],
+    const double P[1])
 {
-    if (self == NULL) { return SENSOR_FAULTS_2_NULL_POINTER; }
-    sensor_faults_2_fill(self->predicted_state, 1, sensor_faults_2_zero_0, 1);
-    sensor_faults_2_fill(self->predicted_covariance, 1, sensor_faults_2_zero_0, 1);
-    sensor_faults_2_fill(self->filtered_state, 1, sensor_faults_2_zero_0, 1);
-    sensor_faults_2_fill(self->filtered_covariance, 1, sensor_faults_2_zero_0, 1);
-    sensor_faults_2_fill(self->innovation, 1, sensor_faults_2_zero_0, 1);
-    sensor_faults_2_fill(self->innovation_covariance, 1, sensor_faults_2_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    sensor_faults_2_fill(self->mode_probability, 4, sensor_faults_2_mode_probability_0, 4);
-    sensor_faults_2_fill(self->predicted_mode_probability, 4, sensor_faults_2_mode_probability_0,
-        4);
-    sensor_faults_2_fill(self->log_weight, 4, sensor_faults_2_log_weight_0, 4);
-    sensor_faults_2_fill(self->predicted_log_weight, 4, sensor_faults_2_log_weight_0, 4);
+    sensor_faults_2_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return SENSOR_FAULTS_2_NULL_POINTER; }
+    if (!sensor_faults_2_all_finite(x, 1) || !sensor_faults_2_all_finite(P, 1))
+    {
+        return SENSOR_FAULTS_2_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < SENSOR_FAULTS_2_NX; ++i)
+    {
+        if (P[SENSOR_FAULTS_2_P(i, i)] < 0.0) { return SENSOR_FAULTS_2_NOT_POSITIVE_DEFINITE; }
+    }
+    sensor_faults_2_fill(next.predicted_state, 1, x, 1);
+    sensor_faults_2_fill(next.predicted_covariance, 1, P, 1);
+    sensor_faults_2_fill(next.filtered_state, 1, x, 1);
+    sensor_faults_2_fill(next.filtered_covariance, 1, P, 1);
+    sensor_faults_2_fill(next.innovation, 1, sensor_faults_2_zero_0, 1);
+    sensor_faults_2_fill(next.innovation_covariance, 1, sensor_faults_2_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    sensor_faults_2_fill(next.mode_probability, 4, sensor_faults_2_mode_probability_0, 4);
+    sensor_faults_2_fill(next.predicted_mode_probability, 4, sensor_faults_2_mode_probability_0, 4);
+    sensor_faults_2_fill(next.log_weight, 4, sensor_faults_2_log_weight_0, 4);
+    sensor_faults_2_fill(next.predicted_log_weight, 4, sensor_faults_2_log_weight_0, 4);
+    next.updated = 0.0;
+    *self = next;
     return SENSOR_FAULTS_2_OK;
 }
 
+sensor_faults_2_status_t sensor_faults_2_init(sensor_faults_2_t *self)
+{
+    return sensor_faults_2_start(self, sensor_faults_2_x_0, sensor_faults_2_P_0);
+}
+
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void sensor_faults_2_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static sensor_faults_2_status_t sensor_faults_2_pass(const sensor_faults_2_t *self,
+    sensor_faults_2_t *next)
+{
+    return sensor_faults_2_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate. */
+static sensor_faults_2_status_t sensor_faults_2_renew(const sensor_faults_2_t *self,
+    const double *y, uint32_t present, sensor_faults_2_t *next)
+{
+    sensor_faults_2_status_t status;
+    if (self->updated > 0.0) { return SENSOR_FAULTS_2_WRONG_ORDER; }
+    *next = *self;
+    status = sensor_faults_2_correct(self, y, present, next);
+    next->updated = 1.0;
+    return status;
+}
 
 sensor_faults_2_status_t sensor_faults_2_update(sensor_faults_2_t *self, const double y[1],
     uint32_t valid)
@@ -530,8 +615,7 @@ sensor_faults_2_status_t sensor_faults_2_update(sensor_faults_2_t *self, const d
     {
         return SENSOR_FAULTS_2_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = sensor_faults_2_correct(self, y, present, &next);
+    status = sensor_faults_2_renew(self, y, present, &next);
     if (status != SENSOR_FAULTS_2_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? SENSOR_FAULTS_2_OK : SENSOR_FAULTS_2_SKIPPED;
@@ -540,12 +624,22 @@ sensor_faults_2_status_t sensor_faults_2_update(sensor_faults_2_t *self, const d
 sensor_faults_2_status_t sensor_faults_2_predict(sensor_faults_2_t *self)
 {
     sensor_faults_2_t next;
+    const sensor_faults_2_t *latest = self;
     sensor_faults_2_status_t status;
     if (self == NULL) { return SENSOR_FAULTS_2_NULL_POINTER; }
-    next = *self;
-    status = sensor_faults_2_propagate(self, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = sensor_faults_2_pass(self, &next);
+        if (status != SENSOR_FAULTS_2_OK) { return status; }
+        latest = &next;
+    }
+    status = sensor_faults_2_propagate(latest, &next);
     if (status != SENSOR_FAULTS_2_OK) { return status; }
-    *self = next;
+    sensor_faults_2_keep(next.predicted_state, self->predicted_state, 1);
+    sensor_faults_2_keep(next.predicted_covariance, self->predicted_covariance, 1);
+    sensor_faults_2_keep(next.predicted_mode_probability, self->predicted_mode_probability, 4);
+    sensor_faults_2_keep(next.predicted_log_weight, self->predicted_log_weight, 4);
+    self->updated = 0.0;
     return SENSOR_FAULTS_2_OK;
 }
 
@@ -560,10 +654,12 @@ sensor_faults_2_status_t sensor_faults_2_step(sensor_faults_2_t *self, const dou
     {
         return SENSOR_FAULTS_2_INPUT_NOT_FINITE;
     }
+    if (self->updated > 0.0) { return SENSOR_FAULTS_2_WRONG_ORDER; }
     status = sensor_faults_2_correct(self, y, present, &next);
     if (status != SENSOR_FAULTS_2_OK) { return status; }
     status = sensor_faults_2_propagate(&next, &next);
     if (status != SENSOR_FAULTS_2_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? SENSOR_FAULTS_2_OK : SENSOR_FAULTS_2_SKIPPED;
 }

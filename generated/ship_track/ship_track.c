@@ -240,16 +240,20 @@ static const double ship_track_zero_0[1] = {
     0.0
 };
 
-static const double ship_track_predicted_covariance_0[10] = {
-    9000000.0, 0.0, 9000000.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 100.0
-};
-
 static const double ship_track_mode_probability_0[3] = {
     0.6, 0.2, 0.2
 };
 
 static const double ship_track_log_weight_0[3] = {
     -0.5108256237659907, -1.6094379124341003, -1.6094379124341003
+};
+
+static const double ship_track_x_0[4] = {
+    0.0, 0.0, 0.0, 0.0
+};
+
+static const double ship_track_P_0[10] = {
+    9000000.0, 0.0, 9000000.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 100.0
 };
 
 /* ---- what may be used of a sample ---- */
@@ -264,6 +268,23 @@ static double ship_track_defect(double x)
 static int ship_track_finite(double defects)
 {
     return defects >= 0.0;
+}
+
+/* Nonzero if all numbers of an array are finite. */
+static int ship_track_all_finite(const double *values, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!ship_track_finite(ship_track_defect(values[i]))) { return 0; }
+    }
+    return 1;
+}
+
+/* Nonzero if every parameter is finite. */
+static int ship_track_finite_params(const ship_track_params_t *params)
+{
+    return ship_track_finite(ship_track_defect(params->dt) + ship_track_defect(params->turn));
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -753,25 +774,16 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_innovation_of_the_mixture_2(con
     double predicted_y_m0[4];
     double predicted_y_m1[4];
     double predicted_y_m2[4];
-    double whitening_pivot_combined_0 = 0.0;
-    double whitening_pivot_combined_1 = 0.0;
-    double whitening_pivot_combined_2 = 0.0;
-    double whitening_pivot_combined_3 = 0.0;
+    double whitening_pivot_combined_0;
+    double whitening_pivot_combined_1;
+    double whitening_pivot_combined_2;
+    double whitening_pivot_combined_3;
     ship_track_status_t status;
 
     /* innovation of the mixture */
-    predicted_y_m0[0] = mode_state[0];
-    predicted_y_m0[1] = mode_state[1];
-    predicted_y_m0[2] = mode_state[2];
-    predicted_y_m0[3] = mode_state[3];
-    predicted_y_m1[0] = mode_state[4];
-    predicted_y_m1[1] = mode_state[5];
-    predicted_y_m1[2] = mode_state[6];
-    predicted_y_m1[3] = mode_state[7];
-    predicted_y_m2[0] = mode_state[8];
-    predicted_y_m2[1] = mode_state[9];
-    predicted_y_m2[2] = mode_state[10];
-    predicted_y_m2[3] = mode_state[11];
+    ship_track_copy(mode_state, predicted_y_m0, 4);
+    ship_track_copy(&mode_state[4], predicted_y_m1, 4);
+    ship_track_copy(&mode_state[8], predicted_y_m2, 4);
     const double t0 = predicted_mode_probability[0] * variance_m0[0];
     const double t1 = t0 + (predicted_mode_probability[1] * variance_m1[0]);
     const double t2 = t1 + (predicted_mode_probability[2] * variance_m2[0]);
@@ -1069,23 +1081,23 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double innovation_m0_1 = 0.0;
     double innovation_m0_2 = 0.0;
     double innovation_m0_3 = 0.0;
-    double variance_m0[10] = { 0.0 };
-    double mean_m0[4] = { 0.0 };
-    double covariance_m0[10] = { 0.0 };
+    double variance_m0[10];
+    double mean_m0[4];
+    double covariance_m0[10];
     double log_density_m0 = 0.0;
     double innovation_m1_0 = 0.0;
     double innovation_m1_1 = 0.0;
     double innovation_m1_2 = 0.0;
     double innovation_m1_3 = 0.0;
-    double variance_m1[10] = { 0.0 };
-    double mean_m1[4] = { 0.0 };
-    double covariance_m1[10] = { 0.0 };
+    double variance_m1[10];
+    double mean_m1[4];
+    double covariance_m1[10];
     double log_density_m1 = 0.0;
     double innovation_m2_0 = 0.0;
     double innovation_m2_1 = 0.0;
     double innovation_m2_2 = 0.0;
     double innovation_m2_3 = 0.0;
-    double variance_m2[10] = { 0.0 };
+    double variance_m2[10];
     double mean_m2[4] = { 0.0 };
     double covariance_m2[10] = { 0.0 };
     double quadratic_m2 = 0.0;
@@ -1101,8 +1113,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     double share_total = 0.0;
     double share_total_inverse = 0.0;
     double log_share_total = 0.0;
-    double combined_variance[10] = { 0.0 };
-    double combined_innovation[4] = { 0.0 };
+    double combined_variance[10];
+    double combined_innovation[4];
     double whitening_inverse_combined_0 = 0.0;
     double whitening_combined_0_1 = 0.0;
     double whitening_combined_0_2 = 0.0;
@@ -1161,12 +1173,8 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     log_density_m2 = -0.5 * (quadratic_m2 + (log_constant_m2 + ship_track_log(determinant_m2_0)));
 
     /* probabilities of the modes */
-    weight[0] = self->predicted_mode_probability[0];
-    weight[1] = self->predicted_mode_probability[1];
-    weight[2] = self->predicted_mode_probability[2];
-    log_weight_now[0] = self->predicted_log_weight[0];
-    log_weight_now[1] = self->predicted_log_weight[1];
-    log_weight_now[2] = self->predicted_log_weight[2];
+    ship_track_copy(self->predicted_mode_probability, weight, 3);
+    ship_track_copy(self->predicted_log_weight, log_weight_now, 3);
     if ((present) != 0u)
     {
         log_joint[0] = self->predicted_log_weight[0] + log_density_m0;
@@ -1218,9 +1226,9 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     combined_0_1_share[1] = weight[1] * combined_0_1_inverse;
     ship_track_part_2(mean_m0, mean_m1, combined_0_1_share, covariance_m0, covariance_m1, mean_m2,
         combined_0_2_share, combined_0_2_mean, covariance_m2, combined_0_2_covariance);
-    if (!ship_track_finite(ship_track_defect(combined_0_2_mean[0]) +
-        ship_track_defect(combined_0_2_mean[1]) + ship_track_defect(combined_0_2_mean[2]) +
-        ship_track_defect(combined_0_2_mean[3])))
+    if (!ship_track_finite((ship_track_defect(combined_0_2_mean[0]) +
+        ship_track_defect(combined_0_2_mean[1])) + (ship_track_defect(combined_0_2_mean[2]) +
+        ship_track_defect(combined_0_2_mean[3]))))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
@@ -1233,9 +1241,55 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     const double t11 = t8 + (t10 * t10 * whitening_inverse_combined_2);
     const double t12 = combined_innovation[3] - (whitening_combined_0_3 * combined_innovation[0]);
     const double t13 = (t12 - (whitening_combined_1_3 * t7)) - (whitening_combined_2_3 * t10);
-    next->nis = t11 + (t13 * t13 * whitening_inverse_combined_3);
+    const double t14 = t11 + (t13 * t13 * whitening_inverse_combined_3);
+    if (!ship_track_finite(((((((ship_track_defect(combined_innovation[0]) +
+        ship_track_defect(combined_innovation[1])) + ship_track_defect(combined_innovation[2])) +
+        (ship_track_defect(combined_innovation[3]) + ship_track_defect(combined_variance[0]))) +
+        (((ship_track_defect(combined_variance[1]) + ship_track_defect(combined_variance[2])) +
+        ship_track_defect(combined_variance[3])) + (ship_track_defect(combined_variance[4]) +
+        ship_track_defect(combined_variance[5])))) + ((((ship_track_defect(combined_variance[6]) +
+        ship_track_defect(combined_variance[7])) + ship_track_defect(combined_variance[8])) +
+        (ship_track_defect(combined_variance[9]) + ship_track_defect(t14))) +
+        ((ship_track_defect(weight[0]) + ship_track_defect(weight[1])) +
+        (ship_track_defect(weight[2]) + ship_track_defect(log_weight_now[0]))))) +
+        (((((ship_track_defect(log_weight_now[1]) + ship_track_defect(log_weight_now[2])) +
+        ship_track_defect(log_evidence)) + (ship_track_defect(combined_0_2_covariance[0]) +
+        ship_track_defect(combined_0_2_covariance[1]))) +
+        ((ship_track_defect(combined_0_2_covariance[2]) +
+        ship_track_defect(combined_0_2_covariance[3])) +
+        (ship_track_defect(combined_0_2_covariance[4]) +
+        ship_track_defect(combined_0_2_covariance[5])))) +
+        ((((ship_track_defect(combined_0_2_covariance[6]) +
+        ship_track_defect(combined_0_2_covariance[7])) +
+        ship_track_defect(combined_0_2_covariance[8])) +
+        (ship_track_defect(combined_0_2_covariance[9]) + ship_track_defect(mean_m0[0]))) +
+        ((ship_track_defect(mean_m0[1]) + ship_track_defect(mean_m0[2])) +
+        (ship_track_defect(mean_m0[3]) + ship_track_defect(mean_m1[0])))))) +
+        ((((((ship_track_defect(mean_m1[1]) + ship_track_defect(mean_m1[2])) +
+        ship_track_defect(mean_m1[3])) + (ship_track_defect(mean_m2[0]) +
+        ship_track_defect(mean_m2[1]))) + (((ship_track_defect(mean_m2[2]) +
+        ship_track_defect(mean_m2[3])) + ship_track_defect(covariance_m0[0])) +
+        (ship_track_defect(covariance_m0[1]) + ship_track_defect(covariance_m0[2])))) +
+        ((((ship_track_defect(covariance_m0[3]) + ship_track_defect(covariance_m0[4])) +
+        ship_track_defect(covariance_m0[5])) + (ship_track_defect(covariance_m0[6]) +
+        ship_track_defect(covariance_m0[7]))) + ((ship_track_defect(covariance_m0[8]) +
+        ship_track_defect(covariance_m0[9])) + (ship_track_defect(covariance_m1[0]) +
+        ship_track_defect(covariance_m1[1]))))) + (((((ship_track_defect(covariance_m1[2]) +
+        ship_track_defect(covariance_m1[3])) + ship_track_defect(covariance_m1[4])) +
+        (ship_track_defect(covariance_m1[5]) + ship_track_defect(covariance_m1[6]))) +
+        ((ship_track_defect(covariance_m1[7]) + ship_track_defect(covariance_m1[8])) +
+        (ship_track_defect(covariance_m1[9]) + ship_track_defect(covariance_m2[0])))) +
+        ((((ship_track_defect(covariance_m2[1]) + ship_track_defect(covariance_m2[2])) +
+        ship_track_defect(covariance_m2[3])) + (ship_track_defect(covariance_m2[4]) +
+        ship_track_defect(covariance_m2[5]))) + ((ship_track_defect(covariance_m2[6]) +
+        ship_track_defect(covariance_m2[7])) + (ship_track_defect(covariance_m2[8]) +
+        ship_track_defect(covariance_m2[9]))))))))
+    {
+        return SHIP_TRACK_RESULT_NOT_FINITE;
+    }
     ship_track_copy(combined_innovation, next->innovation, 4);
     ship_track_copy(combined_variance, next->innovation_covariance, 10);
+    next->nis = t14;
     ship_track_copy(weight, next->mode_probability, 3);
     ship_track_copy(log_weight_now, next->log_weight, 3);
     next->log_likelihood = log_evidence;
@@ -1343,26 +1397,65 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     ship_track_part_2(moved_state_0, moved_state_1, predicted_0_1_share, moved_covariance_0,
         moved_covariance_1, moved_state_2, predicted_0_2_share, predicted_0_2_mean,
         moved_covariance_2, predicted_0_2_covariance);
-    next->predicted_log_weight[0] = ship_track_log(mode_prediction_0);
-    next->predicted_log_weight[1] = log_path_largest_1 + ship_track_log(path_share_total_1);
-    next->predicted_log_weight[2] = log_path_largest_2 + ship_track_log(path_share_total_2);
-    const double t15 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0];
-    const double t16 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1];
-    const double t17 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2];
-    const double t18 = moved_state_0[3] + moved_state_1[3] + moved_state_2[3];
-    const double t19 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
-    const double t20 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
-    const double t21 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
-    const double t22 = moved_covariance_0[9] + moved_covariance_1[9] + moved_covariance_2[9];
-    if (!ship_track_finite(ship_track_defect(t15) + ship_track_defect(t16) +
-        ship_track_defect(t17) + ship_track_defect(t18) + ship_track_defect(t19) +
-        ship_track_defect(t20) + ship_track_defect(t21) + ship_track_defect(t22)))
+    const double t15 = ship_track_log(mode_prediction_0);
+    const double t16 = log_path_largest_1 + ship_track_log(path_share_total_1);
+    const double t17 = log_path_largest_2 + ship_track_log(path_share_total_2);
+    const double t18 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0];
+    const double t19 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1];
+    const double t20 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2];
+    const double t21 = moved_state_0[3] + moved_state_1[3] + moved_state_2[3];
+    const double t22 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
+    const double t23 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
+    const double t24 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
+    const double t25 = moved_covariance_0[9] + moved_covariance_1[9] + moved_covariance_2[9];
+    if (!ship_track_finite(((((((ship_track_defect(t18) + ship_track_defect(t19)) +
+        ship_track_defect(t20)) + (ship_track_defect(t21) + ship_track_defect(t22))) +
+        ((ship_track_defect(t23) + ship_track_defect(t24)) + (ship_track_defect(t25) +
+        ship_track_defect(mode_prediction_0)))) + ((((ship_track_defect(mode_prediction_1) +
+        ship_track_defect(mode_prediction_2)) + ship_track_defect(t15)) + (ship_track_defect(t16) +
+        ship_track_defect(t17))) + ((ship_track_defect(moved_state_0[0]) +
+        ship_track_defect(moved_state_0[1])) + (ship_track_defect(moved_state_0[2]) +
+        ship_track_defect(moved_state_0[3]))))) + (((((ship_track_defect(moved_state_1[0]) +
+        ship_track_defect(moved_state_1[1])) + ship_track_defect(moved_state_1[2])) +
+        (ship_track_defect(moved_state_1[3]) + ship_track_defect(moved_state_2[0]))) +
+        ((ship_track_defect(moved_state_2[1]) + ship_track_defect(moved_state_2[2])) +
+        (ship_track_defect(moved_state_2[3]) + ship_track_defect(moved_covariance_0[0])))) +
+        (((ship_track_defect(moved_covariance_0[1]) + ship_track_defect(moved_covariance_0[2])) +
+        (ship_track_defect(moved_covariance_0[3]) + ship_track_defect(moved_covariance_0[4]))) +
+        ((ship_track_defect(moved_covariance_0[5]) + ship_track_defect(moved_covariance_0[6])) +
+        (ship_track_defect(moved_covariance_0[7]) + ship_track_defect(moved_covariance_0[8])))))) +
+        ((((((ship_track_defect(moved_covariance_0[9]) + ship_track_defect(moved_covariance_1[0])) +
+        ship_track_defect(moved_covariance_1[1])) + (ship_track_defect(moved_covariance_1[2]) +
+        ship_track_defect(moved_covariance_1[3]))) + ((ship_track_defect(moved_covariance_1[4]) +
+        ship_track_defect(moved_covariance_1[5])) + (ship_track_defect(moved_covariance_1[6]) +
+        ship_track_defect(moved_covariance_1[7])))) + ((((ship_track_defect(moved_covariance_1[8]) +
+        ship_track_defect(moved_covariance_1[9])) + ship_track_defect(moved_covariance_2[0])) +
+        (ship_track_defect(moved_covariance_2[1]) + ship_track_defect(moved_covariance_2[2]))) +
+        ((ship_track_defect(moved_covariance_2[3]) + ship_track_defect(moved_covariance_2[4])) +
+        (ship_track_defect(moved_covariance_2[5]) + ship_track_defect(moved_covariance_2[6]))))) +
+        (((((ship_track_defect(moved_covariance_2[7]) + ship_track_defect(moved_covariance_2[8])) +
+        ship_track_defect(moved_covariance_2[9])) + (ship_track_defect(predicted_0_2_mean[0]) +
+        ship_track_defect(predicted_0_2_mean[1]))) + ((ship_track_defect(predicted_0_2_mean[2]) +
+        ship_track_defect(predicted_0_2_mean[3])) +
+        (ship_track_defect(predicted_0_2_covariance[0]) +
+        ship_track_defect(predicted_0_2_covariance[1])))) +
+        (((ship_track_defect(predicted_0_2_covariance[2]) +
+        ship_track_defect(predicted_0_2_covariance[3])) +
+        (ship_track_defect(predicted_0_2_covariance[4]) +
+        ship_track_defect(predicted_0_2_covariance[5]))) +
+        ((ship_track_defect(predicted_0_2_covariance[6]) +
+        ship_track_defect(predicted_0_2_covariance[7])) +
+        (ship_track_defect(predicted_0_2_covariance[8]) +
+        ship_track_defect(predicted_0_2_covariance[9]))))))))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
     next->predicted_mode_probability[0] = mode_prediction_0;
     next->predicted_mode_probability[1] = mode_prediction_1;
     next->predicted_mode_probability[2] = mode_prediction_2;
+    next->predicted_log_weight[0] = t15;
+    next->predicted_log_weight[1] = t16;
+    next->predicted_log_weight[2] = t17;
     ship_track_copy(moved_state_0, next->mode_state, 4);
     ship_track_copy(moved_state_1, &next->mode_state[4], 4);
     ship_track_copy(moved_state_2, &next->mode_state[8], 4);
@@ -1386,26 +1479,43 @@ static void ship_track_fill(double *to, int size, const double *from, int period
     }
 }
 
+ship_track_status_t ship_track_start(ship_track_t *self, const double x[4], const double P[10])
+{
+    ship_track_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return SHIP_TRACK_NULL_POINTER; }
+    if (!ship_track_all_finite(x, 4) || !ship_track_all_finite(P, 10))
+    {
+        return SHIP_TRACK_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < SHIP_TRACK_NX; ++i)
+    {
+        if (P[SHIP_TRACK_P(i, i)] < 0.0) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
+    }
+    ship_track_fill(next.predicted_state, 4, x, 4);
+    ship_track_fill(next.predicted_covariance, 10, P, 10);
+    ship_track_fill(next.filtered_state, 4, x, 4);
+    ship_track_fill(next.filtered_covariance, 10, P, 10);
+    ship_track_fill(next.innovation, 4, ship_track_zero_0, 1);
+    ship_track_fill(next.innovation_covariance, 10, ship_track_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    ship_track_fill(next.mode_probability, 3, ship_track_mode_probability_0, 3);
+    ship_track_fill(next.predicted_mode_probability, 3, ship_track_mode_probability_0, 3);
+    ship_track_fill(next.log_weight, 3, ship_track_log_weight_0, 3);
+    ship_track_fill(next.predicted_log_weight, 3, ship_track_log_weight_0, 3);
+    ship_track_fill(next.mode_state, 12, x, 4);
+    ship_track_fill(next.mode_covariance, 30, P, 10);
+    ship_track_fill(next.mode_filtered_state, 12, x, 4);
+    ship_track_fill(next.mode_filtered_covariance, 30, P, 10);
+    next.updated = 0.0;
+    *self = next;
+    return SHIP_TRACK_OK;
+}
+
 ship_track_status_t ship_track_init(ship_track_t *self)
 {
-    if (self == NULL) { return SHIP_TRACK_NULL_POINTER; }
-    ship_track_fill(self->predicted_state, 4, ship_track_zero_0, 1);
-    ship_track_fill(self->predicted_covariance, 10, ship_track_predicted_covariance_0, 10);
-    ship_track_fill(self->filtered_state, 4, ship_track_zero_0, 1);
-    ship_track_fill(self->filtered_covariance, 10, ship_track_predicted_covariance_0, 10);
-    ship_track_fill(self->innovation, 4, ship_track_zero_0, 1);
-    ship_track_fill(self->innovation_covariance, 10, ship_track_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    ship_track_fill(self->mode_probability, 3, ship_track_mode_probability_0, 3);
-    ship_track_fill(self->predicted_mode_probability, 3, ship_track_mode_probability_0, 3);
-    ship_track_fill(self->log_weight, 3, ship_track_log_weight_0, 3);
-    ship_track_fill(self->predicted_log_weight, 3, ship_track_log_weight_0, 3);
-    ship_track_fill(self->mode_state, 12, ship_track_zero_0, 1);
-    ship_track_fill(self->mode_covariance, 30, ship_track_predicted_covariance_0, 10);
-    ship_track_fill(self->mode_filtered_state, 12, ship_track_zero_0, 1);
-    ship_track_fill(self->mode_filtered_covariance, 30, ship_track_predicted_covariance_0, 10);
-    return SHIP_TRACK_OK;
+    return ship_track_start(self, ship_track_x_0, ship_track_P_0);
 }
 
 ship_track_status_t ship_track_params_init(ship_track_params_t *params)
@@ -1418,6 +1528,52 @@ ship_track_status_t ship_track_params_init(ship_track_params_t *params)
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
 
+/* Copy an array. */
+static void ship_track_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static ship_track_status_t ship_track_pass(const ship_track_t *self, ship_track_t *next)
+{
+    return ship_track_correct(self, NULL, 0u, next);
+}
+
+/* Correct the latest estimate: after an update, the filtered one. */
+static ship_track_status_t ship_track_renew(const ship_track_t *self, const double *y,
+    uint32_t present, ship_track_t *next)
+{
+    ship_track_status_t status;
+    const int again = self->updated > 0.0;
+    *next = *self;
+    if (again)
+    {
+        ship_track_keep(self->filtered_state, next->predicted_state, 4);
+        ship_track_keep(self->filtered_covariance, next->predicted_covariance, 10);
+        ship_track_keep(self->mode_probability, next->predicted_mode_probability, 3);
+        ship_track_keep(self->log_weight, next->predicted_log_weight, 3);
+        ship_track_keep(self->mode_filtered_state, next->mode_state, 12);
+        ship_track_keep(self->mode_filtered_covariance, next->mode_covariance, 30);
+    }
+    status = ship_track_correct(next, y, present, next);
+    if (again)
+    {
+        ship_track_keep(self->predicted_state, next->predicted_state, 4);
+        ship_track_keep(self->predicted_covariance, next->predicted_covariance, 10);
+        ship_track_keep(self->predicted_mode_probability, next->predicted_mode_probability, 3);
+        ship_track_keep(self->predicted_log_weight, next->predicted_log_weight, 3);
+        ship_track_keep(self->mode_state, next->mode_state, 12);
+        ship_track_keep(self->mode_covariance, next->mode_covariance, 30);
+    }
+    next->updated = 1.0;
+    return status;
+}
+
 ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_params_t *params,
     const double y[4], uint32_t valid)
 {
@@ -1425,9 +1581,9 @@ ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_param
     uint32_t present;
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
+    if (!ship_track_finite_params(params)) { return SHIP_TRACK_PARAMETER_OUT_OF_RANGE; }
     if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
-    next = *self;
-    status = ship_track_correct(self, y, present, &next);
+    status = ship_track_renew(self, y, present, &next);
     if (status != SHIP_TRACK_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
@@ -1436,12 +1592,25 @@ ship_track_status_t ship_track_update(ship_track_t *self, const ship_track_param
 ship_track_status_t ship_track_predict(ship_track_t *self, const ship_track_params_t *params)
 {
     ship_track_t next;
+    const ship_track_t *latest = self;
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL)) { return SHIP_TRACK_NULL_POINTER; }
-    next = *self;
-    status = ship_track_propagate(self, params, &next);
+    if (!ship_track_finite_params(params)) { return SHIP_TRACK_PARAMETER_OUT_OF_RANGE; }
+    if (!(self->updated > 0.0))
+    {
+        status = ship_track_pass(self, &next);
+        if (status != SHIP_TRACK_OK) { return status; }
+        latest = &next;
+    }
+    status = ship_track_propagate(latest, params, &next);
     if (status != SHIP_TRACK_OK) { return status; }
-    *self = next;
+    ship_track_keep(next.predicted_state, self->predicted_state, 4);
+    ship_track_keep(next.predicted_covariance, self->predicted_covariance, 10);
+    ship_track_keep(next.predicted_mode_probability, self->predicted_mode_probability, 3);
+    ship_track_keep(next.predicted_log_weight, self->predicted_log_weight, 3);
+    ship_track_keep(next.mode_state, self->mode_state, 12);
+    ship_track_keep(next.mode_covariance, self->mode_covariance, 30);
+    self->updated = 0.0;
     return SHIP_TRACK_OK;
 }
 
@@ -1452,11 +1621,20 @@ ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_
     uint32_t present;
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
+    if (!ship_track_finite_params(params)) { return SHIP_TRACK_PARAMETER_OUT_OF_RANGE; }
     if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
-    status = ship_track_correct(self, y, present, &next);
+    if (self->updated > 0.0)
+    {
+        status = ship_track_renew(self, y, present, &next);
+    }
+    else
+    {
+        status = ship_track_correct(self, y, present, &next);
+    }
     if (status != SHIP_TRACK_OK) { return status; }
     status = ship_track_propagate(&next, params, &next);
     if (status != SHIP_TRACK_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? SHIP_TRACK_OK : SHIP_TRACK_SKIPPED;
 }

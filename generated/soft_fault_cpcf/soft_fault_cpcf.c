@@ -97,7 +97,11 @@ static const double soft_fault_cpcf_zero_0[1] = {
     0.0
 };
 
-static const double soft_fault_cpcf_predicted_covariance_0[3] = {
+static const double soft_fault_cpcf_x_0[2] = {
+    0.0, 0.0
+};
+
+static const double soft_fault_cpcf_P_0[3] = {
     1.0, 0.0, 0.01
 };
 
@@ -113,6 +117,17 @@ static double soft_fault_cpcf_defect(double x)
 static int soft_fault_cpcf_finite(double defects)
 {
     return defects >= 0.0;
+}
+
+/* Nonzero if all numbers of an array are finite. */
+static int soft_fault_cpcf_all_finite(const double *values, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(values[i]))) { return 0; }
+    }
+    return 1;
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -277,8 +292,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
         new_compressed_cross_covariance[0] = 0.0;
         new_compressed_cross_covariance[1] = 0.0;
     }
-    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(mean[0]) + soft_fault_cpcf_defect(mean[1]) +
-        soft_fault_cpcf_defect(new_compressed_measurement)))
+    if (!soft_fault_cpcf_finite((soft_fault_cpcf_defect(mean[0]) +
+        soft_fault_cpcf_defect(mean[1])) + soft_fault_cpcf_defect(new_compressed_measurement)))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -291,9 +306,20 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     }
 
     /* results of the update */
-    next->innovation_covariance[0] = self->predicted_covariance[0] + 100.0;
-    next->innovation_covariance[2] = self->predicted_covariance[2] + 0.01;
-    next->log_likelihood = -0.5 * (quadratic + (log_constant + soft_fault_cpcf_log(determinant_0)));
+    const double t10 = self->predicted_covariance[0] + 100.0;
+    const double t11 = self->predicted_covariance[2] + 0.01;
+    const double t12 = -0.5 * (quadratic + (log_constant + soft_fault_cpcf_log(determinant_0)));
+    if (!soft_fault_cpcf_finite((((soft_fault_cpcf_defect(covariance[0]) +
+        soft_fault_cpcf_defect(covariance[2])) + soft_fault_cpcf_defect(innovation_0)) +
+        ((soft_fault_cpcf_defect(innovation_1) + soft_fault_cpcf_defect(t10)) +
+        soft_fault_cpcf_defect(t11))) + (((soft_fault_cpcf_defect(quadratic) +
+        soft_fault_cpcf_defect(t12)) + soft_fault_cpcf_defect(new_compressed_noise)) +
+        ((soft_fault_cpcf_defect(new_compressed_cross_covariance[0]) +
+        soft_fault_cpcf_defect(new_compressed_cross_covariance[1])) +
+        soft_fault_cpcf_defect(collecting_0)))))
+    {
+        return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
+    }
     next->filtered_state[0] = mean[0];
     next->filtered_state[1] = mean[1];
     next->filtered_covariance[0] = covariance[0];
@@ -301,8 +327,11 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     next->filtered_covariance[2] = covariance[2];
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
+    next->innovation_covariance[0] = t10;
     next->innovation_covariance[1] = self->predicted_covariance[1];
+    next->innovation_covariance[2] = t11;
     next->nis = quadratic;
+    next->log_likelihood = t12;
     next->compressed_measurement[0] = new_compressed_measurement;
     next->compressed_noise[0] = new_compressed_noise;
     next->compressed_cross_covariance[0] = new_compressed_cross_covariance[0];
@@ -405,11 +434,12 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     }
 
     /* results of the window */
-    next->test_statistic = quadratic_taken * self->collecting;
-    next->test_dof = rank * self->collecting;
-    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(closed_state[0]) +
-        soft_fault_cpcf_defect(closed_state[1]) + soft_fault_cpcf_defect(closed_covariance[0]) +
-        soft_fault_cpcf_defect(closed_covariance[2])))
+    const double t7 = quadratic_taken * self->collecting;
+    const double t8 = rank * self->collecting;
+    if (!soft_fault_cpcf_finite(((soft_fault_cpcf_defect(closed_state[0]) +
+        soft_fault_cpcf_defect(closed_state[1])) + (soft_fault_cpcf_defect(closed_covariance[0]) +
+        soft_fault_cpcf_defect(closed_covariance[2]))) + ((soft_fault_cpcf_defect(t7) +
+        soft_fault_cpcf_defect(t8)) + soft_fault_cpcf_defect(rejected))))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -419,6 +449,8 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     next->filtered_covariance[1] = closed_covariance[1];
     next->filtered_covariance[2] = closed_covariance[2];
     next->collecting = 0.0;
+    next->test_statistic = t7;
+    next->test_dof = t8;
     next->fault_declared = rejected;
     return SOFT_FAULT_CPCF_OK;
 }
@@ -448,12 +480,13 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     const double t9 = (-0.2 * self->compressed_cross_covariance[1]) + self->compressed_noise[0];
     const double t10 = t8 + t9 + 0.01;
     const double t11 = (-0.2 * self->filtered_covariance[1]) + self->compressed_cross_covariance[0];
-    next->predicted_compressed_cross_covariance[0] = t11 + (0.2 * t7) + -0.01;
-    next->predicted_compressed_cross_covariance[1] = t7 + -0.1;
-    if (!soft_fault_cpcf_finite(soft_fault_cpcf_defect(t1) +
-        soft_fault_cpcf_defect(self->filtered_state[1]) + soft_fault_cpcf_defect(t4) +
-        soft_fault_cpcf_defect(t6) + soft_fault_cpcf_defect(self->compressed_measurement[0]) +
-        soft_fault_cpcf_defect(t10)))
+    const double t12 = t11 + (0.2 * t7) + -0.01;
+    const double t13 = t7 + -0.1;
+    if (!soft_fault_cpcf_finite((((soft_fault_cpcf_defect(t1) +
+        soft_fault_cpcf_defect(self->filtered_state[1])) + soft_fault_cpcf_defect(t4)) +
+        (soft_fault_cpcf_defect(t6) + soft_fault_cpcf_defect(self->compressed_measurement[0]))) +
+        ((soft_fault_cpcf_defect(t10) + soft_fault_cpcf_defect(t12)) +
+        (soft_fault_cpcf_defect(t13) + soft_fault_cpcf_defect(left)))))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -463,6 +496,8 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     next->predicted_covariance[2] = t6;
     next->predicted_compressed_measurement[0] = self->compressed_measurement[0];
     next->predicted_compressed_noise[0] = t10;
+    next->predicted_compressed_cross_covariance[0] = t12;
+    next->predicted_compressed_cross_covariance[1] = t13;
     next->predicted_window_left = left;
     next->predicted_collecting = self->collecting;
     return SOFT_FAULT_CPCF_OK;
@@ -480,34 +515,90 @@ static void soft_fault_cpcf_fill(double *to, int size, const double *from, int p
     }
 }
 
-soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self)
+soft_fault_cpcf_status_t soft_fault_cpcf_start(soft_fault_cpcf_t *self, const double x[2],
+    const double P[3])
 {
-    if (self == NULL) { return SOFT_FAULT_CPCF_NULL_POINTER; }
-    soft_fault_cpcf_fill(self->predicted_state, 2, soft_fault_cpcf_zero_0, 1);
-    soft_fault_cpcf_fill(self->predicted_covariance, 3, soft_fault_cpcf_predicted_covariance_0, 3);
-    soft_fault_cpcf_fill(self->filtered_state, 2, soft_fault_cpcf_zero_0, 1);
-    soft_fault_cpcf_fill(self->filtered_covariance, 3, soft_fault_cpcf_predicted_covariance_0, 3);
-    soft_fault_cpcf_fill(self->innovation, 2, soft_fault_cpcf_zero_0, 1);
-    soft_fault_cpcf_fill(self->innovation_covariance, 3, soft_fault_cpcf_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    self->test_statistic = 0.0;
-    self->test_dof = 0.0;
-    self->fault_declared = 0.0;
-    self->window_left = 0.0;
-    self->collecting = 0.0;
-    self->predicted_window_left = 150.0;
-    self->predicted_collecting = 0.0;
-    soft_fault_cpcf_fill(self->compressed_measurement, 1, soft_fault_cpcf_zero_0, 1);
-    soft_fault_cpcf_fill(self->compressed_noise, 1, soft_fault_cpcf_zero_0, 1);
-    soft_fault_cpcf_fill(self->compressed_cross_covariance, 2, soft_fault_cpcf_zero_0, 1);
-    soft_fault_cpcf_fill(self->predicted_compressed_measurement, 1, soft_fault_cpcf_zero_0, 1);
-    soft_fault_cpcf_fill(self->predicted_compressed_noise, 1, soft_fault_cpcf_zero_0, 1);
-    soft_fault_cpcf_fill(self->predicted_compressed_cross_covariance, 2, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return SOFT_FAULT_CPCF_NULL_POINTER; }
+    if (!soft_fault_cpcf_all_finite(x, 2) || !soft_fault_cpcf_all_finite(P, 3))
+    {
+        return SOFT_FAULT_CPCF_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < SOFT_FAULT_CPCF_NX; ++i)
+    {
+        if (P[SOFT_FAULT_CPCF_P(i, i)] < 0.0) { return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE; }
+    }
+    soft_fault_cpcf_fill(next.predicted_state, 2, x, 2);
+    soft_fault_cpcf_fill(next.predicted_covariance, 3, P, 3);
+    soft_fault_cpcf_fill(next.filtered_state, 2, x, 2);
+    soft_fault_cpcf_fill(next.filtered_covariance, 3, P, 3);
+    soft_fault_cpcf_fill(next.innovation, 2, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(next.innovation_covariance, 3, soft_fault_cpcf_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    next.test_statistic = 0.0;
+    next.test_dof = 0.0;
+    next.fault_declared = 0.0;
+    next.window_left = 0.0;
+    next.collecting = 0.0;
+    next.predicted_window_left = 150.0;
+    next.predicted_collecting = 0.0;
+    soft_fault_cpcf_fill(next.compressed_measurement, 1, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(next.compressed_noise, 1, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(next.compressed_cross_covariance, 2, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(next.predicted_compressed_measurement, 1, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(next.predicted_compressed_noise, 1, soft_fault_cpcf_zero_0, 1);
+    soft_fault_cpcf_fill(next.predicted_compressed_cross_covariance, 2, soft_fault_cpcf_zero_0, 1);
+    next.updated = 0.0;
+    *self = next;
     return SOFT_FAULT_CPCF_OK;
 }
 
+soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self)
+{
+    return soft_fault_cpcf_start(self, soft_fault_cpcf_x_0, soft_fault_cpcf_P_0);
+}
+
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void soft_fault_cpcf_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static soft_fault_cpcf_status_t soft_fault_cpcf_pass(const soft_fault_cpcf_t *self,
+    soft_fault_cpcf_t *next)
+{
+    soft_fault_cpcf_status_t status = soft_fault_cpcf_correct(self, NULL, 0u, next);
+    if ((status == SOFT_FAULT_CPCF_OK) && !(next->window_left > 0.0))
+    {
+        status = soft_fault_cpcf_close_window(next, next);
+    }
+    return status;
+}
+
+/* Correct the latest estimate. */
+static soft_fault_cpcf_status_t soft_fault_cpcf_renew(const soft_fault_cpcf_t *self,
+    const double *y, uint32_t present, soft_fault_cpcf_t *next)
+{
+    soft_fault_cpcf_status_t status;
+    if (self->updated > 0.0) { return SOFT_FAULT_CPCF_WRONG_ORDER; }
+    *next = *self;
+    status = soft_fault_cpcf_correct(self, y, present, next);
+    if ((status == SOFT_FAULT_CPCF_OK) && !(next->window_left > 0.0))
+    {
+        status = soft_fault_cpcf_close_window(next, next);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const double y[2],
     uint32_t valid)
@@ -520,13 +611,7 @@ soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const d
     {
         return SOFT_FAULT_CPCF_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = soft_fault_cpcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_CPCF_OK) { return status; }
-    if (!(next.window_left > 0.0))
-    {
-        status = soft_fault_cpcf_close_window(&next, &next);
-    }
+    status = soft_fault_cpcf_renew(self, y, present, &next);
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
@@ -536,12 +621,37 @@ soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const d
 soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self)
 {
     soft_fault_cpcf_t next;
+    const soft_fault_cpcf_t *latest = self;
     soft_fault_cpcf_status_t status;
     if (self == NULL) { return SOFT_FAULT_CPCF_NULL_POINTER; }
-    next = *self;
-    status = soft_fault_cpcf_propagate(self, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = soft_fault_cpcf_pass(self, &next);
+        if (status != SOFT_FAULT_CPCF_OK) { return status; }
+        latest = &next;
+    }
+    status = soft_fault_cpcf_propagate(latest, &next);
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
-    *self = next;
+    if ((latest == &next) && !(next.window_left > 0.0))
+    {
+        soft_fault_cpcf_keep(self->innovation, next.innovation, 2);
+        soft_fault_cpcf_keep(self->innovation_covariance, next.innovation_covariance, 3);
+        next.nis = self->nis;
+        next.log_likelihood = self->log_likelihood;
+        next.updated = 0.0;
+        *self = next;
+        return SOFT_FAULT_CPCF_OK;
+    }
+    soft_fault_cpcf_keep(next.predicted_state, self->predicted_state, 2);
+    soft_fault_cpcf_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    self->predicted_window_left = next.predicted_window_left;
+    self->predicted_collecting = next.predicted_collecting;
+    soft_fault_cpcf_keep(next.predicted_compressed_measurement,
+        self->predicted_compressed_measurement, 1);
+    soft_fault_cpcf_keep(next.predicted_compressed_noise, self->predicted_compressed_noise, 1);
+    soft_fault_cpcf_keep(next.predicted_compressed_cross_covariance,
+        self->predicted_compressed_cross_covariance, 2);
+    self->updated = 0.0;
     return SOFT_FAULT_CPCF_OK;
 }
 
@@ -556,15 +666,16 @@ soft_fault_cpcf_status_t soft_fault_cpcf_step(soft_fault_cpcf_t *self, const dou
     {
         return SOFT_FAULT_CPCF_INPUT_NOT_FINITE;
     }
+    if (self->updated > 0.0) { return SOFT_FAULT_CPCF_WRONG_ORDER; }
     status = soft_fault_cpcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_CPCF_OK) { return status; }
-    if (!(next.window_left > 0.0))
+    if ((status == SOFT_FAULT_CPCF_OK) && !(next.window_left > 0.0))
     {
         status = soft_fault_cpcf_close_window(&next, &next);
     }
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
     status = soft_fault_cpcf_propagate(&next, &next);
     if (status != SOFT_FAULT_CPCF_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_CPCF_FAULT_DECLARED
         : SOFT_FAULT_CPCF_OK) : SOFT_FAULT_CPCF_SKIPPED;

@@ -6,9 +6,10 @@
  * Covariance update: short form.
  * Maintenance of the compressed measurement: optimal.
  *
- * Time: the instance holds the prediction for sample k. soft_fault_cpcf_update() corrects it with
- * y[k], soft_fault_cpcf_predict() moves it to k + 1, soft_fault_cpcf_step() does both. Sample 0
- * corrects the prior; no prediction comes before it.
+ * Time: the instance holds one latest estimate. soft_fault_cpcf_update() corrects it with y[k],
+ * soft_fault_cpcf_predict() moves it to k + 1, soft_fault_cpcf_step() does both. Sample 0 corrects
+ * the prior; no prediction comes before it. A prediction after a prediction passes a sample without
+ * a measurement; an update after an update is refused.
  * Sample time: 0.2 s.
  *
  * Model: x[k+1] = A x[k] + w[k], w ~ (0, Q); y[k] = C x[k] + v[k], v ~ (0, R); x[0] ~ (x0, P0).
@@ -36,9 +37,9 @@
  *
  * Cost of one step with every row present: 82 floating-point operations and 1 log; at the end of a
  * window 35 more.
- * An instance is 32 doubles, 256 bytes; nothing else is kept. Tables of constants: 32 bytes. No
+ * An instance is 33 doubles, 264 bytes; nothing else is kept. Tables of constants: 48 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1712 bytes at -O0, 1136 at -Os.
+ * Stack of one call, interrupts left out: at most 2320 bytes at -O0, 1168 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -76,8 +77,10 @@ typedef enum
     SOFT_FAULT_CPCF_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
                                                       or an indicator with another value */
     SOFT_FAULT_CPCF_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    SOFT_FAULT_CPCF_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                              target */
+    SOFT_FAULT_CPCF_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                               target */
+    SOFT_FAULT_CPCF_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
+                                          take: predict first */
 } soft_fault_cpcf_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -113,12 +116,22 @@ typedef struct
                                                (symmetric 1 x 1) */
     double predicted_compressed_cross_covariance[2]; /**< S: covariance of V with e before sample
                                                           k+1 (1 x 2) */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } soft_fault_cpcf_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  soft_fault_cpcf_start(), before anything else. */
 soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self);
 
-/** Correct the prediction with sample k.
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return SOFT_FAULT_CPCF_OK, or negative: refused, the instance is unchanged.
+ */
+soft_fault_cpcf_status_t soft_fault_cpcf_start(soft_fault_cpcf_t *self, const double x[2],
+    const double P[3]);
+
+/** Correct the latest estimate with sample k.
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
  *  @return SOFT_FAULT_CPCF_OK, SOFT_FAULT_CPCF_SKIPPED, SOFT_FAULT_CPCF_FAULT_DECLARED, or
@@ -127,7 +140,8 @@ soft_fault_cpcf_status_t soft_fault_cpcf_init(soft_fault_cpcf_t *self);
 soft_fault_cpcf_status_t soft_fault_cpcf_update(soft_fault_cpcf_t *self, const double y[2],
     uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are, unless sample k ends a window without an update. */
 soft_fault_cpcf_status_t soft_fault_cpcf_predict(soft_fault_cpcf_t *self);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

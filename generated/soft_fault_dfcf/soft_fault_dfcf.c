@@ -97,7 +97,11 @@ static const double soft_fault_dfcf_zero_0[1] = {
     0.0
 };
 
-static const double soft_fault_dfcf_predicted_covariance_0[3] = {
+static const double soft_fault_dfcf_x_0[2] = {
+    0.0, 0.0
+};
+
+static const double soft_fault_dfcf_P_0[3] = {
     1.0, 0.0, 0.01
 };
 
@@ -113,6 +117,17 @@ static double soft_fault_dfcf_defect(double x)
 static int soft_fault_dfcf_finite(double defects)
 {
     return defects >= 0.0;
+}
+
+/* Nonzero if all numbers of an array are finite. */
+static int soft_fault_dfcf_all_finite(const double *values, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(values[i]))) { return 0; }
+    }
+    return 1;
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -140,6 +155,19 @@ static int soft_fault_dfcf_present_rows(const double *y, uint32_t valid, uint32_
 }
 
 /* ---- correction with y[k], prediction of sample k + 1 ---- */
+
+/* Copy the elements of an array to another. */
+SOFT_FAULT_DFCF_INLINE void soft_fault_dfcf_copy(const double *from, double *to, int size)
+{
+    int i;
+#if defined(__GNUC__) && !defined(__clang__) && !defined(__OPTIMIZE_SIZE__)
+#pragma GCC unroll 128
+#endif
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
 
 /* Condition on y[k]: reads *self, writes the results to *next. */
 SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const soft_fault_dfcf_t
@@ -183,9 +211,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     }
     mean_host[0] = 0.0;
     mean_host[1] = 0.0;
-    covariance_host[0] = self->predicted_covariance[0];
-    covariance_host[1] = self->predicted_covariance[1];
-    covariance_host[2] = self->predicted_covariance[2];
+    soft_fault_dfcf_copy(self->predicted_covariance, covariance_host, 3);
 
     /* row 1 of y, measured_velocity: host */
     pivot_host_0 = self->predicted_covariance[2] + 0.01;
@@ -227,9 +253,7 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     /* filter with group 0 */
     mean_compression[0] = self->predicted_compression_deviation[0];
     mean_compression[1] = self->predicted_compression_deviation[1];
-    covariance_compression[0] = self->predicted_compression_covariance[0];
-    covariance_compression[1] = self->predicted_compression_covariance[1];
-    covariance_compression[2] = self->predicted_compression_covariance[2];
+    soft_fault_dfcf_copy(self->predicted_compression_covariance, covariance_compression, 3);
 
     /* filter with group 0: row 0 of y, measured_position: compression filter */
     pivot_compression_0 = self->predicted_compression_covariance[0] + 100.0;
@@ -281,9 +305,9 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     /* filter with group 0 */
     deviation_compression[0] = mean_compression[0] - mean_host[0];
     deviation_compression[1] = mean_compression[1] - mean_host[1];
-    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(host_state[0]) +
-        soft_fault_dfcf_defect(host_state[1]) + soft_fault_dfcf_defect(deviation_compression[0]) +
-        soft_fault_dfcf_defect(deviation_compression[1])))
+    if (!soft_fault_dfcf_finite((soft_fault_dfcf_defect(host_state[0]) +
+        soft_fault_dfcf_defect(host_state[1])) + (soft_fault_dfcf_defect(deviation_compression[0]) +
+        soft_fault_dfcf_defect(deviation_compression[1]))))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
@@ -296,24 +320,34 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     }
 
     /* results of the update */
-    next->innovation_covariance[0] = self->predicted_covariance[0] + 100.0;
-    next->innovation_covariance[2] = self->predicted_covariance[2] + 0.01;
-    const double t30 = log_constant_host + soft_fault_dfcf_log(determinant_host_0);
-    next->log_likelihood = -0.5 * (quadratic_host + t30);
+    const double t30 = self->predicted_covariance[0] + 100.0;
+    const double t31 = self->predicted_covariance[2] + 0.01;
+    const double t32 = log_constant_host + soft_fault_dfcf_log(determinant_host_0);
+    const double t33 = -0.5 * (quadratic_host + t32);
+    if (!soft_fault_dfcf_finite((((soft_fault_dfcf_defect(covariance_host[0]) +
+        soft_fault_dfcf_defect(covariance_host[2])) +
+        soft_fault_dfcf_defect(covariance_compression[0])) +
+        ((soft_fault_dfcf_defect(covariance_compression[2]) +
+        soft_fault_dfcf_defect(innovation_0)) + soft_fault_dfcf_defect(innovation_1))) +
+        (((soft_fault_dfcf_defect(t30) + soft_fault_dfcf_defect(t31)) +
+        soft_fault_dfcf_defect(quadratic_host)) + (soft_fault_dfcf_defect(t33) +
+        soft_fault_dfcf_defect(collecting_0)))))
+    {
+        return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
+    }
     next->filtered_state[0] = host_state[0];
     next->filtered_state[1] = host_state[1];
-    next->filtered_covariance[0] = covariance_host[0];
-    next->filtered_covariance[1] = covariance_host[1];
-    next->filtered_covariance[2] = covariance_host[2];
+    soft_fault_dfcf_copy(covariance_host, next->filtered_covariance, 3);
     next->compression_deviation[0] = deviation_compression[0];
     next->compression_deviation[1] = deviation_compression[1];
-    next->compression_covariance[0] = covariance_compression[0];
-    next->compression_covariance[1] = covariance_compression[1];
-    next->compression_covariance[2] = covariance_compression[2];
+    soft_fault_dfcf_copy(covariance_compression, next->compression_covariance, 3);
     next->innovation[0] = innovation_0;
     next->innovation[1] = innovation_1;
+    next->innovation_covariance[0] = t30;
     next->innovation_covariance[1] = self->predicted_covariance[1];
+    next->innovation_covariance[2] = t31;
     next->nis = quadratic_host;
+    next->log_likelihood = t33;
     next->window_left = self->predicted_window_left;
     next->collecting = collecting_0;
     next->test_statistic = 0.0;
@@ -399,9 +433,7 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     }
     closed_state[0] = self->filtered_state[0];
     closed_state[1] = self->filtered_state[1];
-    closed_covariance[0] = self->filtered_covariance[0];
-    closed_covariance[1] = self->filtered_covariance[1];
-    closed_covariance[2] = self->filtered_covariance[2];
+    soft_fault_dfcf_copy(self->filtered_covariance, closed_covariance, 3);
 
     /* the host takes over: group 0 */
     const double t11 = -0.5 + accepted_0;
@@ -409,28 +441,23 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
     {
         closed_state[0] = self->filtered_state[0] + self->compression_deviation[0];
         closed_state[1] = self->filtered_state[1] + self->compression_deviation[1];
-        closed_covariance[0] = self->compression_covariance[0];
-        closed_covariance[1] = self->compression_covariance[1];
-        closed_covariance[2] = self->compression_covariance[2];
+        soft_fault_dfcf_copy(self->compression_covariance, closed_covariance, 3);
     }
 
     /* results of the window */
-    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(closed_state[0]) +
-        soft_fault_dfcf_defect(closed_state[1]) + soft_fault_dfcf_defect(closed_covariance[0]) +
-        soft_fault_dfcf_defect(closed_covariance[2])))
+    if (!soft_fault_dfcf_finite(((soft_fault_dfcf_defect(closed_state[0]) +
+        soft_fault_dfcf_defect(closed_state[1])) + (soft_fault_dfcf_defect(closed_covariance[0]) +
+        soft_fault_dfcf_defect(closed_covariance[2]))) + ((soft_fault_dfcf_defect(statistic_0) +
+        soft_fault_dfcf_defect(dof_0)) + soft_fault_dfcf_defect(rejected_0))))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
     next->filtered_state[0] = closed_state[0];
     next->filtered_state[1] = closed_state[1];
-    next->filtered_covariance[0] = closed_covariance[0];
-    next->filtered_covariance[1] = closed_covariance[1];
-    next->filtered_covariance[2] = closed_covariance[2];
+    soft_fault_dfcf_copy(closed_covariance, next->filtered_covariance, 3);
     next->compression_deviation[0] = 0.0;
     next->compression_deviation[1] = 0.0;
-    next->compression_covariance[0] = closed_covariance[0];
-    next->compression_covariance[1] = closed_covariance[1];
-    next->compression_covariance[2] = closed_covariance[2];
+    soft_fault_dfcf_copy(closed_covariance, next->compression_covariance, 3);
     next->collecting = 0.0;
     next->test_statistic = statistic_0;
     next->test_dof = dof_0;
@@ -465,11 +492,11 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     const double t11 = self->compression_covariance[1] + (0.2 * self->compression_covariance[2]);
     next->predicted_compression_covariance[1] = t11 + 0.1;
     const double t12 = self->compression_covariance[2] + 1.0;
-    if (!soft_fault_dfcf_finite(soft_fault_dfcf_defect(t1) +
-        soft_fault_dfcf_defect(self->filtered_state[1]) + soft_fault_dfcf_defect(t4) +
-        soft_fault_dfcf_defect(t6) + soft_fault_dfcf_defect(t7) +
-        soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t10) +
-        soft_fault_dfcf_defect(t12)))
+    if (!soft_fault_dfcf_finite((((soft_fault_dfcf_defect(t1) +
+        soft_fault_dfcf_defect(self->filtered_state[1])) + soft_fault_dfcf_defect(t4)) +
+        (soft_fault_dfcf_defect(t6) + soft_fault_dfcf_defect(t7))) +
+        ((soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t10)) +
+        (soft_fault_dfcf_defect(t12) + soft_fault_dfcf_defect(left)))))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
@@ -498,34 +525,88 @@ static void soft_fault_dfcf_fill(double *to, int size, const double *from, int p
     }
 }
 
-soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self)
+soft_fault_dfcf_status_t soft_fault_dfcf_start(soft_fault_dfcf_t *self, const double x[2],
+    const double P[3])
 {
-    if (self == NULL) { return SOFT_FAULT_DFCF_NULL_POINTER; }
-    soft_fault_dfcf_fill(self->predicted_state, 2, soft_fault_dfcf_zero_0, 1);
-    soft_fault_dfcf_fill(self->predicted_covariance, 3, soft_fault_dfcf_predicted_covariance_0, 3);
-    soft_fault_dfcf_fill(self->filtered_state, 2, soft_fault_dfcf_zero_0, 1);
-    soft_fault_dfcf_fill(self->filtered_covariance, 3, soft_fault_dfcf_predicted_covariance_0, 3);
-    soft_fault_dfcf_fill(self->innovation, 2, soft_fault_dfcf_zero_0, 1);
-    soft_fault_dfcf_fill(self->innovation_covariance, 3, soft_fault_dfcf_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    soft_fault_dfcf_fill(self->compression_deviation, 2, soft_fault_dfcf_zero_0, 1);
-    soft_fault_dfcf_fill(self->compression_covariance, 3, soft_fault_dfcf_predicted_covariance_0,
-        3);
-    soft_fault_dfcf_fill(self->predicted_compression_deviation, 2, soft_fault_dfcf_zero_0, 1);
-    soft_fault_dfcf_fill(self->predicted_compression_covariance, 3,
-        soft_fault_dfcf_predicted_covariance_0, 3);
-    self->test_statistic = 0.0;
-    self->test_dof = 0.0;
-    self->fault_declared = 0.0;
-    self->window_left = 0.0;
-    self->collecting = 0.0;
-    self->predicted_window_left = 150.0;
-    self->predicted_collecting = 0.0;
+    soft_fault_dfcf_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return SOFT_FAULT_DFCF_NULL_POINTER; }
+    if (!soft_fault_dfcf_all_finite(x, 2) || !soft_fault_dfcf_all_finite(P, 3))
+    {
+        return SOFT_FAULT_DFCF_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < SOFT_FAULT_DFCF_NX; ++i)
+    {
+        if (P[SOFT_FAULT_DFCF_P(i, i)] < 0.0) { return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE; }
+    }
+    soft_fault_dfcf_fill(next.predicted_state, 2, x, 2);
+    soft_fault_dfcf_fill(next.predicted_covariance, 3, P, 3);
+    soft_fault_dfcf_fill(next.filtered_state, 2, x, 2);
+    soft_fault_dfcf_fill(next.filtered_covariance, 3, P, 3);
+    soft_fault_dfcf_fill(next.innovation, 2, soft_fault_dfcf_zero_0, 1);
+    soft_fault_dfcf_fill(next.innovation_covariance, 3, soft_fault_dfcf_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    soft_fault_dfcf_fill(next.compression_deviation, 2, soft_fault_dfcf_zero_0, 1);
+    soft_fault_dfcf_fill(next.compression_covariance, 3, P, 3);
+    soft_fault_dfcf_fill(next.predicted_compression_deviation, 2, soft_fault_dfcf_zero_0, 1);
+    soft_fault_dfcf_fill(next.predicted_compression_covariance, 3, P, 3);
+    next.test_statistic = 0.0;
+    next.test_dof = 0.0;
+    next.fault_declared = 0.0;
+    next.window_left = 0.0;
+    next.collecting = 0.0;
+    next.predicted_window_left = 150.0;
+    next.predicted_collecting = 0.0;
+    next.updated = 0.0;
+    *self = next;
     return SOFT_FAULT_DFCF_OK;
 }
 
+soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self)
+{
+    return soft_fault_dfcf_start(self, soft_fault_dfcf_x_0, soft_fault_dfcf_P_0);
+}
+
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
+
+/* Copy an array. */
+static void soft_fault_dfcf_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static soft_fault_dfcf_status_t soft_fault_dfcf_pass(const soft_fault_dfcf_t *self,
+    soft_fault_dfcf_t *next)
+{
+    soft_fault_dfcf_status_t status = soft_fault_dfcf_correct(self, NULL, 0u, next);
+    if ((status == SOFT_FAULT_DFCF_OK) && !(next->window_left > 0.0))
+    {
+        status = soft_fault_dfcf_close_window(next, next);
+    }
+    return status;
+}
+
+/* Correct the latest estimate. */
+static soft_fault_dfcf_status_t soft_fault_dfcf_renew(const soft_fault_dfcf_t *self,
+    const double *y, uint32_t present, soft_fault_dfcf_t *next)
+{
+    soft_fault_dfcf_status_t status;
+    if (self->updated > 0.0) { return SOFT_FAULT_DFCF_WRONG_ORDER; }
+    *next = *self;
+    status = soft_fault_dfcf_correct(self, y, present, next);
+    if ((status == SOFT_FAULT_DFCF_OK) && !(next->window_left > 0.0))
+    {
+        status = soft_fault_dfcf_close_window(next, next);
+    }
+    next->updated = 1.0;
+    return status;
+}
 
 soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const double y[2],
     uint32_t valid)
@@ -538,13 +619,7 @@ soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const d
     {
         return SOFT_FAULT_DFCF_INPUT_NOT_FINITE;
     }
-    next = *self;
-    status = soft_fault_dfcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_DFCF_OK) { return status; }
-    if (!(next.window_left > 0.0))
-    {
-        status = soft_fault_dfcf_close_window(&next, &next);
-    }
+    status = soft_fault_dfcf_renew(self, y, present, &next);
     if (status != SOFT_FAULT_DFCF_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED
@@ -554,12 +629,36 @@ soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const d
 soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self)
 {
     soft_fault_dfcf_t next;
+    const soft_fault_dfcf_t *latest = self;
     soft_fault_dfcf_status_t status;
     if (self == NULL) { return SOFT_FAULT_DFCF_NULL_POINTER; }
-    next = *self;
-    status = soft_fault_dfcf_propagate(self, &next);
+    if (!(self->updated > 0.0))
+    {
+        status = soft_fault_dfcf_pass(self, &next);
+        if (status != SOFT_FAULT_DFCF_OK) { return status; }
+        latest = &next;
+    }
+    status = soft_fault_dfcf_propagate(latest, &next);
     if (status != SOFT_FAULT_DFCF_OK) { return status; }
-    *self = next;
+    if ((latest == &next) && !(next.window_left > 0.0))
+    {
+        soft_fault_dfcf_keep(self->innovation, next.innovation, 2);
+        soft_fault_dfcf_keep(self->innovation_covariance, next.innovation_covariance, 3);
+        next.nis = self->nis;
+        next.log_likelihood = self->log_likelihood;
+        next.updated = 0.0;
+        *self = next;
+        return SOFT_FAULT_DFCF_OK;
+    }
+    soft_fault_dfcf_keep(next.predicted_state, self->predicted_state, 2);
+    soft_fault_dfcf_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    soft_fault_dfcf_keep(next.predicted_compression_deviation,
+        self->predicted_compression_deviation, 2);
+    soft_fault_dfcf_keep(next.predicted_compression_covariance,
+        self->predicted_compression_covariance, 3);
+    self->predicted_window_left = next.predicted_window_left;
+    self->predicted_collecting = next.predicted_collecting;
+    self->updated = 0.0;
     return SOFT_FAULT_DFCF_OK;
 }
 
@@ -574,15 +673,16 @@ soft_fault_dfcf_status_t soft_fault_dfcf_step(soft_fault_dfcf_t *self, const dou
     {
         return SOFT_FAULT_DFCF_INPUT_NOT_FINITE;
     }
+    if (self->updated > 0.0) { return SOFT_FAULT_DFCF_WRONG_ORDER; }
     status = soft_fault_dfcf_correct(self, y, present, &next);
-    if (status != SOFT_FAULT_DFCF_OK) { return status; }
-    if (!(next.window_left > 0.0))
+    if ((status == SOFT_FAULT_DFCF_OK) && !(next.window_left > 0.0))
     {
         status = soft_fault_dfcf_close_window(&next, &next);
     }
     if (status != SOFT_FAULT_DFCF_OK) { return status; }
     status = soft_fault_dfcf_propagate(&next, &next);
     if (status != SOFT_FAULT_DFCF_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? ((self->fault_declared > 0.5) ? SOFT_FAULT_DFCF_FAULT_DECLARED
         : SOFT_FAULT_DFCF_OK) : SOFT_FAULT_DFCF_SKIPPED;

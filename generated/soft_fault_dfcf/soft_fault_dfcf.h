@@ -5,9 +5,10 @@
  * Equations: Lee & Lee, Theorem 3, eqs. (28)-(36), (50), (51), as a second Kalman filter.
  * Covariance update: joseph form.
  *
- * Time: the instance holds the prediction for sample k. soft_fault_dfcf_update() corrects it with
- * y[k], soft_fault_dfcf_predict() moves it to k + 1, soft_fault_dfcf_step() does both. Sample 0
- * corrects the prior; no prediction comes before it.
+ * Time: the instance holds one latest estimate. soft_fault_dfcf_update() corrects it with y[k],
+ * soft_fault_dfcf_predict() moves it to k + 1, soft_fault_dfcf_step() does both. Sample 0 corrects
+ * the prior; no prediction comes before it. A prediction after a prediction passes a sample without
+ * a measurement; an update after an update is refused.
  * Sample time: 0.2 s.
  *
  * Model: x[k+1] = A x[k] + w[k], w ~ (0, Q); y[k] = C x[k] + v[k], v ~ (0, R); x[0] ~ (x0, P0).
@@ -35,9 +36,9 @@
  *
  * Cost of one step with every row present: 117 floating-point operations and 1 log; at the end of a
  * window 28 more.
- * An instance is 34 doubles, 272 bytes; nothing else is kept. Tables of constants: 32 bytes. No
+ * An instance is 35 doubles, 280 bytes; nothing else is kept. Tables of constants: 48 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 1872 bytes at -O0, 1136 at -Os.
+ * Stack of one call, interrupts left out: at most 2480 bytes at -O0, 1152 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -75,8 +76,10 @@ typedef enum
     SOFT_FAULT_DFCF_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
                                                       or an indicator with another value */
     SOFT_FAULT_DFCF_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    SOFT_FAULT_DFCF_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                              target */
+    SOFT_FAULT_DFCF_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                               target */
+    SOFT_FAULT_DFCF_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot
+                                          take: predict first */
 } soft_fault_dfcf_status_t;
 
 /** One filter. Owned by the caller; outputs are members. Symmetric matrices: lower triangle,
@@ -111,12 +114,22 @@ typedef struct
     double collecting; /**< 1 where the compression filter holds a measurement */
     double predicted_window_left; /**< window_left before sample k+1 */
     double predicted_collecting; /**< collecting before sample k+1 */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } soft_fault_dfcf_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or
+ *  soft_fault_dfcf_start(), before anything else. */
 soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self);
 
-/** Correct the prediction with sample k.
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return SOFT_FAULT_DFCF_OK, or negative: refused, the instance is unchanged.
+ */
+soft_fault_dfcf_status_t soft_fault_dfcf_start(soft_fault_dfcf_t *self, const double x[2],
+    const double P[3]);
+
+/** Correct the latest estimate with sample k.
  *  @param y       measurements; NaN = missing, an infinity is refused
  *  @param valid   bit i set: y[i] was measured; a row without its bit is not read
  *  @return SOFT_FAULT_DFCF_OK, SOFT_FAULT_DFCF_SKIPPED, SOFT_FAULT_DFCF_FAULT_DECLARED, or
@@ -125,7 +138,8 @@ soft_fault_dfcf_status_t soft_fault_dfcf_init(soft_fault_dfcf_t *self);
 soft_fault_dfcf_status_t soft_fault_dfcf_update(soft_fault_dfcf_t *self, const double y[2],
     uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are, unless sample k ends a window without an update. */
 soft_fault_dfcf_status_t soft_fault_dfcf_predict(soft_fault_dfcf_t *self);
 
 /** Update with sample k, then predict sample k + 1, as one transaction. */

@@ -103,7 +103,11 @@ static const double wheel_drift_zero_0[1] = {
     0.0
 };
 
-static const double wheel_drift_predicted_covariance_0[3] = {
+static const double wheel_drift_x_0[2] = {
+    0.0, 0.0
+};
+
+static const double wheel_drift_P_0[3] = {
     900.0, 0.0, 1.0
 };
 
@@ -121,15 +125,21 @@ static int wheel_drift_finite(double defects)
     return defects >= 0.0;
 }
 
-/* Nonzero if every input is finite. */
-static int wheel_drift_finite_input(const double *u)
+/* Nonzero if all numbers of an array are finite. */
+static int wheel_drift_all_finite(const double *values, int size)
 {
     int i;
-    for (i = 0; i < WHEEL_DRIFT_NU; ++i)
+    for (i = 0; i < size; ++i)
     {
-        if (!wheel_drift_finite(wheel_drift_defect(u[i]))) { return 0; }
+        if (!wheel_drift_finite(wheel_drift_defect(values[i]))) { return 0; }
     }
     return 1;
+}
+
+/* Nonzero if every parameter is finite. */
+static int wheel_drift_finite_params(const wheel_drift_params_t *params)
+{
+    return wheel_drift_finite(wheel_drift_defect(params->dt));
 }
 
 /* Bits of the rows of y that are valid and hold a number; zero is returned if one is infinite. */
@@ -527,48 +537,6 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_5(const do
     return WHEEL_DRIFT_OK;
 }
 
-/* prediction of the next. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next_2(const double A,
-    const double *compression_deviation, const double *compression_covariance, const double *Q,
-    double *predicted_compression_deviation, double *predicted_compression_covariance)
-{
-    const double t0 = compression_deviation[0] + (A * compression_deviation[1]);
-    const double t1 = compression_covariance[0] + (A * compression_covariance[1]);
-    const double t2 = t1 + ((compression_covariance[1] + (A * compression_covariance[2])) * A);
-    const double t3 = t2 + Q[0];
-    const double t4 = compression_covariance[2] + Q[1];
-    if (!wheel_drift_finite(wheel_drift_defect(t0) + wheel_drift_defect(compression_deviation[1]) +
-        wheel_drift_defect(t3) + wheel_drift_defect(t4)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    predicted_compression_deviation[0] = t0;
-    predicted_compression_deviation[1] = compression_deviation[1];
-    predicted_compression_covariance[0] = t3;
-    predicted_compression_covariance[2] = t4;
-    return WHEEL_DRIFT_OK;
-}
-
-/* prediction of the next sample. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next(const double A,
-    const double *compression_deviation, const double *compression_covariance, const double *Q,
-    double *predicted_compression_deviation, double *predicted_compression_covariance)
-{
-    wheel_drift_status_t status;
-    status = wheel_drift_prediction_of_the_next_2(A, compression_deviation, compression_covariance,
-        Q, predicted_compression_deviation, predicted_compression_covariance);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_prediction_of_the_next_2(A, &compression_deviation[2],
-        &compression_covariance[3], Q, &predicted_compression_deviation[2],
-        &predicted_compression_covariance[3]);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_prediction_of_the_next_2(A, &compression_deviation[4],
-        &compression_covariance[6], Q, &predicted_compression_deviation[4],
-        &predicted_compression_covariance[6]);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    return WHEEL_DRIFT_OK;
-}
-
 /* test of group 0; test of group 1; test of group 2; test of group 3. */
 WHEEL_DRIFT_INLINE void wheel_drift_test_of_group(const double collecting,
     const double *filtered_covariance, const double *compression_covariance,
@@ -717,18 +685,6 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct_2(const double
     return WHEEL_DRIFT_OK;
 }
 
-/* prediction of the next sample. */
-WHEEL_DRIFT_INLINE void wheel_drift_prediction_of_the_next_3(const double *compression_covariance,
-    const double A, double *predicted_compression_covariance)
-{
-    const double t0 = compression_covariance[1] * A;
-    predicted_compression_covariance[0] = compression_covariance[0] + t0;
-    const double t1 = compression_covariance[4] * A;
-    predicted_compression_covariance[3] = compression_covariance[3] + t1;
-    const double t2 = compression_covariance[7] * A;
-    predicted_compression_covariance[6] = compression_covariance[6] + t2;
-}
-
 /* verdict on group 0; verdict on group 1; verdict on group 2; verdict on group 3. */
 WHEEL_DRIFT_INLINE void wheel_drift_verdict_on_group(const double collecting, double *accepted,
     double *rejected, const double statistic, const double threshold)
@@ -787,58 +743,180 @@ WHEEL_DRIFT_INLINE void wheel_drift_filter_with_group_10(const double
     }
 }
 
-/* filter with group 1, 3: innovation, row by row. */
-WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const double
-    *predicted_compression_deviation, const double innovation_1, const double innovation_3,
-    const double innovation_4, const double innovation_5,
-    const double *predicted_compression_covariance, const double *mean_host,
-    const double innovation_2, const double innovation_0, const double *host_state,
-    const double *deviation_compression, const double *deviation_compression1,
-    const double *deviation_compression2, const double *deviation_compression3,
-    const double *deviation_compression4, const double *deviation_compression5,
-    const double *deviation_compression6, const double *deviation_compression7,
-    const double *predicted_collecting, const double predicted_covariance,
-    const double determinant_host_0, const double log_constant_host, const double quadratic_host,
-    double *filtered_state, const double *covariance_host, double *filtered_covariance,
-    double *compression_deviation, const double *covariance_compression,
-    double *compression_covariance, const double *covariance_compression1,
-    const double *covariance_compression2, const double *covariance_compression3,
-    const double *covariance_compression4, const double *covariance_compression5,
-    const double *covariance_compression6, const double *covariance_compression7,
-    double *innovation, double *innovation_covariance, double *nis, double *log_likelihood,
-    const double predicted_window_left, double *window_left, double *collecting,
-    double *test_statistic, double *test_dof, double *fault_declared, uint32_t present)
+/* innovation, row by row. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_innovation_2(const double *predicted_state,
+    const double *y, double *innovation_0, double *innovation_1, double *innovation_2,
+    double *innovation_3, double *innovation_4, double *innovation_5, double *mean_host,
+    const double *predicted_covariance, double *covariance_host, double *quadratic_host,
+    double *log_constant_host, double *determinant_host_0, double *host_state,
+    const double *predicted_compression_deviation, const double *predicted_compression_covariance,
+    double *covariance_compression, double *deviation_compression, double *covariance_compression1,
+    double *deviation_compression1, double *covariance_compression2, double *deviation_compression2,
+    double *covariance_compression3, double *deviation_compression3,
+    double *covariance_compression4, double *deviation_compression4,
+    double *covariance_compression5, double *deviation_compression5,
+    double *covariance_compression6, double *deviation_compression6,
+    double *covariance_compression7, double *deviation_compression7,
+    double *covariance_compression8, double *deviation_compression8,
+    double *covariance_compression9, double *deviation_compression9,
+    double *covariance_compression10, double *deviation_compression10,
+    double *covariance_compression11, double *deviation_compression11,
+    double *covariance_compression12, double *deviation_compression12,
+    double *covariance_compression13, double *deviation_compression13,
+    double *innovation_compression14_3, double *innovation_compression14_4,
+    double *innovation_compression14_5, double *mean_compression14,
+    double *covariance_compression14, uint32_t present)
 {
-    double covariance_compression8[3] = { 0.0 };
-    double deviation_compression8[2] = { 0.0 };
-    double covariance_compression9[3] = { 0.0 };
-    double deviation_compression9[2] = { 0.0 };
-    double covariance_compression10[3] = { 0.0 };
-    double deviation_compression10[2] = { 0.0 };
-    double covariance_compression11[3] = { 0.0 };
-    double deviation_compression11[2] = { 0.0 };
-    double covariance_compression12[3] = { 0.0 };
-    double deviation_compression12[2] = { 0.0 };
-    double covariance_compression13[3] = { 0.0 };
-    double deviation_compression13[2] = { 0.0 };
+    double pivot_host_0;
+    double inverse_host_0 = 0.0;
+    double pivot_host_1;
+    double inverse_host_1 = 0.0;
     double innovation_compression14_0 = 0.0;
     double innovation_compression14_1 = 0.0;
     double innovation_compression14_2 = 0.0;
-    double innovation_compression14_3 = 0.0;
-    double innovation_compression14_4 = 0.0;
-    double innovation_compression14_5 = 0.0;
-    double mean_compression14[2] = { 0.0 };
-    double covariance_compression14[3] = { 0.0 };
-    double deviation_compression14[2];
-    double collecting_0;
-    double collecting_1;
-    double collecting_2;
-    double collecting_3;
     wheel_drift_status_t status;
 
+    /* innovation, row by row */
+    wheel_drift_innovation(predicted_state[0], y, innovation_0, innovation_1,
+        wheel_drift_innovation_numbers[0], ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
+    wheel_drift_innovation(predicted_state[0], &y[2], innovation_2, innovation_3,
+        wheel_drift_innovation_numbers[1], ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
+    if ((present & 0x10u) != 0u)
+    {
+        innovation_4[0] = y[4] - predicted_state[0];
+    }
+    if ((present & 0x20u) != 0u)
+    {
+        innovation_5[0] = y[5] - predicted_state[0];
+    }
+    mean_host[0] = 0.0;
+    mean_host[1] = 0.0;
+    wheel_drift_copy(predicted_covariance, covariance_host, 3);
+
+    /* row 4 of y, ublox: host */
+    pivot_host_0 = predicted_covariance[0] + 0.25;
+    if ((present & 0x10u) != 0u)
+    {
+        if (!(pivot_host_0 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
+        inverse_host_0 = 1.0 / pivot_host_0;
+        const double t0 = innovation_4[0] * inverse_host_0;
+        quadratic_host[0] = innovation_4[0] * t0;
+        mean_host[0] = predicted_covariance[0] * t0;
+        mean_host[1] = predicted_covariance[1] * t0;
+        const double t1 = predicted_covariance[0] * inverse_host_0;
+        const double t2 = predicted_covariance[0] - (t1 * predicted_covariance[0]);
+        covariance_host[0] = t2 + (((0.25 * t1) - t2) * t1);
+        const double t3 = predicted_covariance[1] * inverse_host_0;
+        const double t4 = predicted_covariance[1] - (t3 * predicted_covariance[0]);
+        const double t5 = (0.25 * t3) - t4;
+        covariance_host[1] = t4 + (t5 * t1);
+        const double t6 = predicted_covariance[2] - (t3 * predicted_covariance[1]);
+        covariance_host[2] = t6 + (t5 * t3);
+        log_constant_host[0] = WHEEL_DRIFT_LOG_2_PI;
+        determinant_host_0[0] = pivot_host_0;
+    }
+
+    /* row 5 of y, qcom: host */
+    pivot_host_1 = covariance_host[0] + 9.0;
+    if ((present & 0x20u) != 0u)
+    {
+        if (!(pivot_host_1 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
+        inverse_host_1 = 1.0 / pivot_host_1;
+        const double t7 = innovation_5[0] - mean_host[0];
+        const double t8 = t7 * inverse_host_1;
+        quadratic_host[0] = quadratic_host[0] + (t7 * t8);
+        log_constant_host[0] = log_constant_host[0] + WHEEL_DRIFT_LOG_2_PI;
+        determinant_host_0[0] = determinant_host_0[0] * pivot_host_1;
+        mean_host[0] = mean_host[0] + (covariance_host[0] * t8);
+        mean_host[1] = mean_host[1] + (covariance_host[1] * t8);
+        const double t9 = covariance_host[0] * inverse_host_1;
+        const double t10 = covariance_host[0] - (t9 * covariance_host[0]);
+        const double t11 = t10 + (((9.0 * t9) - t10) * t9);
+        const double t12 = covariance_host[1] * inverse_host_1;
+        const double t13 = covariance_host[1] - (t12 * covariance_host[0]);
+        const double t14 = (9.0 * t12) - t13;
+        const double t15 = t13 + (t14 * t9);
+        covariance_host[2] = (covariance_host[2] - (t12 * covariance_host[1])) + (t14 * t12);
+        covariance_host[0] = t11;
+        covariance_host[1] = t15;
+    }
+    host_state[0] = predicted_state[0] + mean_host[0];
+    host_state[1] = predicted_state[1] + mean_host[1];
+
+    /* filter with group 0: innovation, row by row */
+    status = wheel_drift_filter_with_group_6(predicted_compression_deviation, innovation_0[0],
+        innovation_4[0], innovation_5[0], predicted_compression_covariance, covariance_compression,
+        mean_host, deviation_compression, wheel_drift_filter_with_group_6_numbers[0],
+        wheel_drift_filter_with_group_2_numbers[0], wheel_drift_filter_with_group_3_numbers[0],
+        wheel_drift_filter_with_group_3_numbers[1], present, ((present & 0x1u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 1: innovation, row by row */
+    status = wheel_drift_filter_with_group_6(&predicted_compression_deviation[2], innovation_1[0],
+        innovation_4[0], innovation_5[0], &predicted_compression_covariance[3],
+        covariance_compression1, mean_host, deviation_compression1,
+        wheel_drift_filter_with_group_6_numbers[1], wheel_drift_filter_with_group_2_numbers[1],
+        wheel_drift_filter_with_group_3_numbers[2], wheel_drift_filter_with_group_3_numbers[3],
+        present, ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_6(&predicted_compression_deviation[4], innovation_2[0],
+        innovation_4[0], innovation_5[0], &predicted_compression_covariance[6],
+        covariance_compression2, mean_host, deviation_compression2,
+        wheel_drift_filter_with_group_6_numbers[2], wheel_drift_filter_with_group_2_numbers[2],
+        wheel_drift_filter_with_group_3_numbers[4], wheel_drift_filter_with_group_3_numbers[5],
+        present, ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_6(&predicted_compression_deviation[6], innovation_3[0],
+        innovation_4[0], innovation_5[0], &predicted_compression_covariance[9],
+        covariance_compression3, mean_host, deviation_compression3,
+        wheel_drift_filter_with_group_6_numbers[3], wheel_drift_filter_with_group_2_numbers[3],
+        wheel_drift_filter_with_group_3_numbers[6], wheel_drift_filter_with_group_3_numbers[7],
+        present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[8], innovation_0[0],
+        innovation_1[0], innovation_4[0], innovation_5[0], &predicted_compression_covariance[12],
+        covariance_compression4, mean_host, deviation_compression4,
+        wheel_drift_filter_with_group_5_numbers[0], wheel_drift_filter_with_group_2_numbers[4],
+        wheel_drift_filter_with_group_numbers[0], present, ((present & 0x1u) != 0u),
+        ((present & 0x2u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[10], innovation_0[0],
+        innovation_2[0], innovation_4[0], innovation_5[0], &predicted_compression_covariance[15],
+        covariance_compression5, mean_host, deviation_compression5,
+        wheel_drift_filter_with_group_5_numbers[1], wheel_drift_filter_with_group_2_numbers[5],
+        wheel_drift_filter_with_group_numbers[1], present, ((present & 0x1u) != 0u),
+        ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 3: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[12], innovation_0[0],
+        innovation_3[0], innovation_4[0], innovation_5[0], &predicted_compression_covariance[18],
+        covariance_compression6, mean_host, deviation_compression6,
+        wheel_drift_filter_with_group_5_numbers[2], wheel_drift_filter_with_group_2_numbers[6],
+        wheel_drift_filter_with_group_numbers[2], present, ((present & 0x1u) != 0u),
+        ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 1, 2: innovation, row by row */
+    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[14], innovation_1[0],
+        innovation_2[0], innovation_4[0], innovation_5[0], &predicted_compression_covariance[21],
+        covariance_compression7, mean_host, deviation_compression7,
+        wheel_drift_filter_with_group_5_numbers[3], wheel_drift_filter_with_group_2_numbers[7],
+        wheel_drift_filter_with_group_numbers[3], present, ((present & 0x2u) != 0u),
+        ((present & 0x4u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
     /* filter with group 1, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(predicted_compression_deviation, innovation_1,
-        innovation_3, innovation_4, innovation_5, predicted_compression_covariance,
+    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[16], innovation_1[0],
+        innovation_3[0], innovation_4[0], innovation_5[0], &predicted_compression_covariance[24],
         covariance_compression8, mean_host, deviation_compression8,
         wheel_drift_filter_with_group_5_numbers[4], wheel_drift_filter_with_group_2_numbers[8],
         wheel_drift_filter_with_group_numbers[4], present, ((present & 0x2u) != 0u),
@@ -846,8 +924,8 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const d
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[2], innovation_2,
-        innovation_3, innovation_4, innovation_5, &predicted_compression_covariance[3],
+    status = wheel_drift_filter_with_group_5(&predicted_compression_deviation[18], innovation_2[0],
+        innovation_3[0], innovation_4[0], innovation_5[0], &predicted_compression_covariance[27],
         covariance_compression9, mean_host, deviation_compression9,
         wheel_drift_filter_with_group_5_numbers[5], wheel_drift_filter_with_group_2_numbers[9],
         wheel_drift_filter_with_group_numbers[5], present, ((present & 0x4u) != 0u),
@@ -855,242 +933,76 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_filter_with_group_12(const d
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[4], innovation_0,
-        innovation_1, innovation_2, innovation_4, innovation_5,
-        &predicted_compression_covariance[6], covariance_compression10, mean_host,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[20], innovation_0[0],
+        innovation_1[0], innovation_2[0], innovation_4[0], innovation_5[0],
+        &predicted_compression_covariance[30], covariance_compression10, mean_host,
         deviation_compression10, wheel_drift_filter_with_group_4_numbers[0],
         wheel_drift_filter_with_group_2_numbers[10], wheel_drift_filter_with_group_numbers[6],
         present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[6], innovation_0,
-        innovation_1, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[9], covariance_compression11, mean_host,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[22], innovation_0[0],
+        innovation_1[0], innovation_3[0], innovation_4[0], innovation_5[0],
+        &predicted_compression_covariance[33], covariance_compression11, mean_host,
         deviation_compression11, wheel_drift_filter_with_group_4_numbers[1],
         wheel_drift_filter_with_group_2_numbers[11], wheel_drift_filter_with_group_numbers[7],
         present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[8], innovation_0,
-        innovation_2, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[12], covariance_compression12, mean_host,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[24], innovation_0[0],
+        innovation_2[0], innovation_3[0], innovation_4[0], innovation_5[0],
+        &predicted_compression_covariance[36], covariance_compression12, mean_host,
         deviation_compression12, wheel_drift_filter_with_group_4_numbers[2],
         wheel_drift_filter_with_group_2_numbers[12], wheel_drift_filter_with_group_numbers[8],
         present, ((present & 0x1u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 1, 2, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[10], innovation_1,
-        innovation_2, innovation_3, innovation_4, innovation_5,
-        &predicted_compression_covariance[15], covariance_compression13, mean_host,
+    status = wheel_drift_filter_with_group_4(&predicted_compression_deviation[26], innovation_1[0],
+        innovation_2[0], innovation_3[0], innovation_4[0], innovation_5[0],
+        &predicted_compression_covariance[39], covariance_compression13, mean_host,
         deviation_compression13, wheel_drift_filter_with_group_4_numbers[3],
         wheel_drift_filter_with_group_2_numbers[13], wheel_drift_filter_with_group_numbers[9],
         present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 2, 3: innovation, row by row */
-    wheel_drift_filter_with_group_10(predicted_compression_deviation[12], innovation_0,
-        &innovation_compression14_0, innovation_1, &innovation_compression14_1,
+    wheel_drift_filter_with_group_10(predicted_compression_deviation[28], innovation_0[0],
+        &innovation_compression14_0, innovation_1[0], &innovation_compression14_1,
         wheel_drift_filter_with_group_10_numbers[0], ((present & 0x1u) != 0u), ((present & 0x2u) !=
         0u));
-    wheel_drift_filter_with_group_10(predicted_compression_deviation[12], innovation_2,
-        &innovation_compression14_2, innovation_3, &innovation_compression14_3,
+    wheel_drift_filter_with_group_10(predicted_compression_deviation[28], innovation_2[0],
+        &innovation_compression14_2, innovation_3[0], innovation_compression14_3,
         wheel_drift_filter_with_group_10_numbers[1], ((present & 0x4u) != 0u), ((present & 0x8u) !=
         0u));
-    wheel_drift_filter_with_group_9(innovation_4, predicted_compression_deviation[12],
-        &innovation_compression14_4, innovation_5, &innovation_compression14_5, present);
+    wheel_drift_filter_with_group_9(innovation_4[0], predicted_compression_deviation[28],
+        innovation_compression14_4, innovation_5[0], innovation_compression14_5, present);
 
     /* filter with group 0, 1, 2, 3 */
-    mean_compression14[0] = predicted_compression_deviation[12];
-    mean_compression14[1] = predicted_compression_deviation[13];
-    covariance_compression14[0] = predicted_compression_covariance[18];
-    covariance_compression14[1] = predicted_compression_covariance[19];
-    covariance_compression14[2] = predicted_compression_covariance[20];
+    mean_compression14[0] = predicted_compression_deviation[28];
+    mean_compression14[1] = predicted_compression_deviation[29];
+    wheel_drift_copy(&predicted_compression_covariance[42], covariance_compression14, 3);
 
     /* filter with group 0, 1, 2, 3: row 0 of y, wheel_fl: compression filter */
-    status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[18],
-        innovation_compression14_0, &predicted_compression_deviation[12], mean_compression14,
+    status = wheel_drift_filter_with_group_2(&predicted_compression_covariance[42],
+        innovation_compression14_0, &predicted_compression_deviation[28], mean_compression14,
         covariance_compression14, wheel_drift_filter_with_group_2_numbers[14], ((present & 0x1u) !=
         0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 2, 3: row 1 of y, wheel_fr: compression filter */
     status = wheel_drift_filter_with_group_7(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[12], innovation_compression14_1,
+        predicted_compression_deviation[28], innovation_compression14_1,
         wheel_drift_filter_with_group_7_numbers[0], ((present & 0x2u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* filter with group 0, 1, 2, 3: row 2 of y, wheel_rl: compression filter */
     status = wheel_drift_filter_with_group_7(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[12], innovation_compression14_2,
+        predicted_compression_deviation[28], innovation_compression14_2,
         wheel_drift_filter_with_group_7_numbers[1], ((present & 0x4u) != 0u));
     if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 0, 1, 2, 3: row 3 of y, wheel_rr: compression filter */
-    status = wheel_drift_filter_with_group(covariance_compression14, mean_compression14,
-        predicted_compression_deviation[12], innovation_compression14_3, innovation_compression14_4,
-        innovation_compression14_5, wheel_drift_filter_with_group_numbers[10], present,
-        ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 0, 1, 2, 3 */
-    deviation_compression14[0] = mean_compression14[0] - mean_host[0];
-    deviation_compression14[1] = mean_compression14[1] - mean_host[1];
-    if (!wheel_drift_finite(wheel_drift_defect(host_state[0]) + wheel_drift_defect(host_state[1]) +
-        wheel_drift_defect(deviation_compression[0]) +
-        wheel_drift_defect(deviation_compression[1]) +
-        wheel_drift_defect(deviation_compression1[0]) +
-        wheel_drift_defect(deviation_compression1[1]) +
-        wheel_drift_defect(deviation_compression2[0]) +
-        wheel_drift_defect(deviation_compression2[1]) +
-        wheel_drift_defect(deviation_compression3[0]) +
-        wheel_drift_defect(deviation_compression3[1]) +
-        wheel_drift_defect(deviation_compression4[0]) +
-        wheel_drift_defect(deviation_compression4[1]) +
-        wheel_drift_defect(deviation_compression5[0]) +
-        wheel_drift_defect(deviation_compression5[1]) +
-        wheel_drift_defect(deviation_compression6[0]) +
-        wheel_drift_defect(deviation_compression6[1]) +
-        wheel_drift_defect(deviation_compression7[0]) +
-        wheel_drift_defect(deviation_compression7[1]) +
-        wheel_drift_defect(deviation_compression8[0]) +
-        wheel_drift_defect(deviation_compression8[1]) +
-        wheel_drift_defect(deviation_compression9[0]) +
-        wheel_drift_defect(deviation_compression9[1]) +
-        wheel_drift_defect(deviation_compression10[0]) +
-        wheel_drift_defect(deviation_compression10[1]) +
-        wheel_drift_defect(deviation_compression11[0]) +
-        wheel_drift_defect(deviation_compression11[1]) +
-        wheel_drift_defect(deviation_compression12[0]) +
-        wheel_drift_defect(deviation_compression12[1]) +
-        wheel_drift_defect(deviation_compression13[0]) +
-        wheel_drift_defect(deviation_compression13[1]) +
-        wheel_drift_defect(deviation_compression14[0]) +
-        wheel_drift_defect(deviation_compression14[1])))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-
-    /* which compression filters hold a measurement */
-    collecting_0 = predicted_collecting[0];
-    if ((present & 0x1u) != 0u)
-    {
-        collecting_0 = 1.0;
-    }
-    collecting_1 = predicted_collecting[1];
-    if ((present & 0x2u) != 0u)
-    {
-        collecting_1 = 1.0;
-    }
-    collecting_2 = predicted_collecting[2];
-    if ((present & 0x4u) != 0u)
-    {
-        collecting_2 = 1.0;
-    }
-    collecting_3 = predicted_collecting[3];
-    if ((present & 0x8u) != 0u)
-    {
-        collecting_3 = 1.0;
-    }
-
-    /* results of the update */
-    innovation_covariance[1] = 0.9843852771361035 * predicted_covariance;
-    innovation_covariance[3] = 0.9826304058883615 * predicted_covariance;
-    innovation_covariance[4] = 0.9826304058883615 * predicted_covariance;
-    innovation_covariance[6] = 0.9826304058883615 * predicted_covariance;
-    innovation_covariance[7] = 0.9826304058883615 * predicted_covariance;
-    innovation_covariance[8] = 0.9808786630631667 * predicted_covariance;
-    innovation_covariance[10] = 0.9921619208254787 * predicted_covariance;
-    innovation_covariance[11] = 0.9921619208254787 * predicted_covariance;
-    innovation_covariance[12] = 0.9903931860948796 * predicted_covariance;
-    innovation_covariance[13] = 0.9903931860948796 * predicted_covariance;
-    innovation_covariance[14] = predicted_covariance + 0.25;
-    innovation_covariance[15] = 0.9921619208254787 * predicted_covariance;
-    innovation_covariance[16] = 0.9921619208254787 * predicted_covariance;
-    innovation_covariance[17] = 0.9903931860948796 * predicted_covariance;
-    innovation_covariance[18] = 0.9903931860948796 * predicted_covariance;
-    innovation_covariance[20] = predicted_covariance + 9.0;
-    const double t0 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
-    log_likelihood[0] = -0.5 * t0;
-    filtered_state[0] = host_state[0];
-    filtered_state[1] = host_state[1];
-    wheel_drift_copy(covariance_host, filtered_covariance, 3);
-    compression_deviation[0] = deviation_compression[0];
-    compression_deviation[1] = deviation_compression[1];
-    compression_deviation[2] = deviation_compression1[0];
-    compression_deviation[3] = deviation_compression1[1];
-    compression_deviation[4] = deviation_compression2[0];
-    compression_deviation[5] = deviation_compression2[1];
-    compression_deviation[6] = deviation_compression3[0];
-    compression_deviation[7] = deviation_compression3[1];
-    compression_deviation[8] = deviation_compression4[0];
-    compression_deviation[9] = deviation_compression4[1];
-    compression_deviation[10] = deviation_compression5[0];
-    compression_deviation[11] = deviation_compression5[1];
-    compression_deviation[12] = deviation_compression6[0];
-    compression_deviation[13] = deviation_compression6[1];
-    compression_deviation[14] = deviation_compression7[0];
-    compression_deviation[15] = deviation_compression7[1];
-    compression_deviation[16] = deviation_compression8[0];
-    compression_deviation[17] = deviation_compression8[1];
-    compression_deviation[18] = deviation_compression9[0];
-    compression_deviation[19] = deviation_compression9[1];
-    compression_deviation[20] = deviation_compression10[0];
-    compression_deviation[21] = deviation_compression10[1];
-    compression_deviation[22] = deviation_compression11[0];
-    compression_deviation[23] = deviation_compression11[1];
-    compression_deviation[24] = deviation_compression12[0];
-    compression_deviation[25] = deviation_compression12[1];
-    compression_deviation[26] = deviation_compression13[0];
-    compression_deviation[27] = deviation_compression13[1];
-    compression_deviation[28] = deviation_compression14[0];
-    compression_deviation[29] = deviation_compression14[1];
-    wheel_drift_copy(covariance_compression, compression_covariance, 3);
-    wheel_drift_copy(covariance_compression1, &compression_covariance[3], 3);
-    wheel_drift_copy(covariance_compression2, &compression_covariance[6], 3);
-    wheel_drift_copy(covariance_compression3, &compression_covariance[9], 3);
-    wheel_drift_copy(covariance_compression4, &compression_covariance[12], 3);
-    wheel_drift_copy(covariance_compression5, &compression_covariance[15], 3);
-    wheel_drift_copy(covariance_compression6, &compression_covariance[18], 3);
-    wheel_drift_copy(covariance_compression7, &compression_covariance[21], 3);
-    wheel_drift_copy(covariance_compression8, &compression_covariance[24], 3);
-    wheel_drift_copy(covariance_compression9, &compression_covariance[27], 3);
-    wheel_drift_copy(covariance_compression10, &compression_covariance[30], 3);
-    wheel_drift_copy(covariance_compression11, &compression_covariance[33], 3);
-    wheel_drift_copy(covariance_compression12, &compression_covariance[36], 3);
-    wheel_drift_copy(covariance_compression13, &compression_covariance[39], 3);
-    wheel_drift_copy(covariance_compression14, &compression_covariance[42], 3);
-    innovation[0] = innovation_0;
-    innovation[1] = innovation_1;
-    innovation[2] = innovation_2;
-    innovation[3] = innovation_3;
-    innovation[4] = innovation_4;
-    innovation[5] = innovation_5;
-    innovation_covariance[19] = predicted_covariance;
-    nis[0] = quadratic_host;
-    window_left[0] = predicted_window_left;
-    collecting[0] = collecting_0;
-    collecting[1] = collecting_1;
-    collecting[2] = collecting_2;
-    collecting[3] = collecting_3;
-    test_statistic[0] = 0.0;
-    test_statistic[1] = 0.0;
-    test_statistic[2] = 0.0;
-    test_statistic[3] = 0.0;
-    test_dof[0] = 0.0;
-    test_dof[1] = 0.0;
-    test_dof[2] = 0.0;
-    test_dof[3] = 0.0;
-    fault_declared[0] = 0.0;
-    fault_declared[1] = 0.0;
-    fault_declared[2] = 0.0;
-    fault_declared[3] = 0.0;
-    innovation_covariance[0] = (0.9843852771361035 * predicted_covariance) + 0.04;
-    innovation_covariance[2] = (0.9843852771361035 * predicted_covariance) + 0.04;
-    innovation_covariance[5] = (0.9808786630631667 * predicted_covariance) + 0.04;
-    innovation_covariance[9] = (0.9808786630631667 * predicted_covariance) + 0.04;
     return WHEEL_DRIFT_OK;
 }
 
@@ -1276,6 +1188,235 @@ WHEEL_DRIFT_INLINE void wheel_drift_test_of_group_2(const double *collecting,
     }
 }
 
+/* prediction of the next sample. */
+WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next(const double A,
+    const double *filtered_state, const double u, const double *filtered_covariance,
+    const double *Q, const double *compression_deviation, const double *compression_covariance,
+    const double left, double *predicted_state, double *predicted_covariance,
+    double *predicted_compression_deviation, double *predicted_compression_covariance,
+    double *predicted_window_left, const double *collecting, double *predicted_collecting,
+    const wheel_drift_params_t *params)
+{
+    const double t0 = filtered_state[0] + (A * filtered_state[1]) + (params->dt * u);
+    const double t1 = filtered_covariance[0] + (A * filtered_covariance[1]);
+    const double t2 = t1 + ((filtered_covariance[1] + (A * filtered_covariance[2])) * A) + Q[0];
+    const double t3 = filtered_covariance[1] + (filtered_covariance[2] * A);
+    const double t4 = filtered_covariance[2] + Q[1];
+    const double t5 = compression_deviation[0] + (A * compression_deviation[1]);
+    const double t6 = compression_deviation[2] + (A * compression_deviation[3]);
+    const double t7 = compression_deviation[4] + (A * compression_deviation[5]);
+    const double t8 = compression_deviation[6] + (A * compression_deviation[7]);
+    const double t9 = compression_deviation[8] + (A * compression_deviation[9]);
+    const double t10 = compression_deviation[10] + (A * compression_deviation[11]);
+    const double t11 = compression_deviation[12] + (A * compression_deviation[13]);
+    const double t12 = compression_deviation[14] + (A * compression_deviation[15]);
+    const double t13 = compression_deviation[16] + (A * compression_deviation[17]);
+    const double t14 = compression_deviation[18] + (A * compression_deviation[19]);
+    const double t15 = compression_deviation[20] + (A * compression_deviation[21]);
+    const double t16 = compression_deviation[22] + (A * compression_deviation[23]);
+    const double t17 = compression_deviation[24] + (A * compression_deviation[25]);
+    const double t18 = compression_deviation[26] + (A * compression_deviation[27]);
+    const double t19 = compression_deviation[28] + (A * compression_deviation[29]);
+    const double t20 = compression_covariance[0] + (A * compression_covariance[1]);
+    const double t21 = t20 + ((compression_covariance[1] + (A * compression_covariance[2])) * A);
+    const double t22 = t21 + Q[0];
+    const double t23 = compression_covariance[1] + (compression_covariance[2] * A);
+    const double t24 = compression_covariance[2] + Q[1];
+    const double t25 = compression_covariance[3] + (A * compression_covariance[4]);
+    const double t26 = t25 + ((compression_covariance[4] + (A * compression_covariance[5])) * A);
+    const double t27 = t26 + Q[0];
+    const double t28 = compression_covariance[4] + (compression_covariance[5] * A);
+    const double t29 = compression_covariance[5] + Q[1];
+    const double t30 = compression_covariance[6] + (A * compression_covariance[7]);
+    const double t31 = t30 + ((compression_covariance[7] + (A * compression_covariance[8])) * A);
+    const double t32 = t31 + Q[0];
+    const double t33 = compression_covariance[7] + (compression_covariance[8] * A);
+    const double t34 = compression_covariance[8] + Q[1];
+    const double t35 = compression_covariance[9] + (A * compression_covariance[10]);
+    const double t36 = t35 + ((compression_covariance[10] + (A * compression_covariance[11])) * A);
+    const double t37 = t36 + Q[0];
+    const double t38 = compression_covariance[10] + (compression_covariance[11] * A);
+    const double t39 = compression_covariance[11] + Q[1];
+    const double t40 = compression_covariance[12] + (A * compression_covariance[13]);
+    const double t41 = t40 + ((compression_covariance[13] + (A * compression_covariance[14])) * A);
+    const double t42 = t41 + Q[0];
+    const double t43 = compression_covariance[13] + (compression_covariance[14] * A);
+    const double t44 = compression_covariance[14] + Q[1];
+    const double t45 = compression_covariance[15] + (A * compression_covariance[16]);
+    const double t46 = t45 + ((compression_covariance[16] + (A * compression_covariance[17])) * A);
+    const double t47 = t46 + Q[0];
+    const double t48 = compression_covariance[16] + (compression_covariance[17] * A);
+    const double t49 = compression_covariance[17] + Q[1];
+    const double t50 = compression_covariance[18] + (A * compression_covariance[19]);
+    const double t51 = (compression_covariance[19] + (A * compression_covariance[20])) * A;
+    const double t52 = t50 + t51 + Q[0];
+    const double t53 = compression_covariance[19] + (compression_covariance[20] * A);
+    const double t54 = compression_covariance[20] + Q[1];
+    const double t55 = compression_covariance[21] + (A * compression_covariance[22]);
+    const double t56 = (compression_covariance[22] + (A * compression_covariance[23])) * A;
+    const double t57 = t55 + t56 + Q[0];
+    const double t58 = compression_covariance[22] + (compression_covariance[23] * A);
+    const double t59 = compression_covariance[23] + Q[1];
+    const double t60 = compression_covariance[24] + (A * compression_covariance[25]);
+    const double t61 = (compression_covariance[25] + (A * compression_covariance[26])) * A;
+    const double t62 = t60 + t61 + Q[0];
+    const double t63 = compression_covariance[25] + (compression_covariance[26] * A);
+    const double t64 = compression_covariance[26] + Q[1];
+    const double t65 = compression_covariance[27] + (A * compression_covariance[28]);
+    const double t66 = (compression_covariance[28] + (A * compression_covariance[29])) * A;
+    const double t67 = t65 + t66 + Q[0];
+    const double t68 = compression_covariance[28] + (compression_covariance[29] * A);
+    const double t69 = compression_covariance[29] + Q[1];
+    const double t70 = compression_covariance[30] + (A * compression_covariance[31]);
+    const double t71 = (compression_covariance[31] + (A * compression_covariance[32])) * A;
+    const double t72 = t70 + t71 + Q[0];
+    const double t73 = compression_covariance[31] + (compression_covariance[32] * A);
+    const double t74 = compression_covariance[32] + Q[1];
+    const double t75 = compression_covariance[33] + (A * compression_covariance[34]);
+    const double t76 = (compression_covariance[34] + (A * compression_covariance[35])) * A;
+    const double t77 = t75 + t76 + Q[0];
+    const double t78 = compression_covariance[34] + (compression_covariance[35] * A);
+    const double t79 = compression_covariance[35] + Q[1];
+    const double t80 = compression_covariance[36] + (A * compression_covariance[37]);
+    const double t81 = (compression_covariance[37] + (A * compression_covariance[38])) * A;
+    const double t82 = t80 + t81 + Q[0];
+    const double t83 = compression_covariance[37] + (compression_covariance[38] * A);
+    const double t84 = compression_covariance[38] + Q[1];
+    const double t85 = compression_covariance[39] + (A * compression_covariance[40]);
+    const double t86 = (compression_covariance[40] + (A * compression_covariance[41])) * A;
+    const double t87 = t85 + t86 + Q[0];
+    const double t88 = compression_covariance[40] + (compression_covariance[41] * A);
+    const double t89 = compression_covariance[41] + Q[1];
+    const double t90 = compression_covariance[42] + (A * compression_covariance[43]);
+    const double t91 = (compression_covariance[43] + (A * compression_covariance[44])) * A;
+    const double t92 = t90 + t91 + Q[0];
+    const double t93 = compression_covariance[43] + (compression_covariance[44] * A);
+    const double t94 = compression_covariance[44] + Q[1];
+    if (!wheel_drift_finite(((((((wheel_drift_defect(t0) + wheel_drift_defect(filtered_state[1])) +
+        wheel_drift_defect(t2)) + ((wheel_drift_defect(t4) + wheel_drift_defect(t5)) +
+        wheel_drift_defect(compression_deviation[1]))) + (((wheel_drift_defect(t22) +
+        wheel_drift_defect(t24)) + wheel_drift_defect(t6)) +
+        (wheel_drift_defect(compression_deviation[3]) + wheel_drift_defect(t27)))) +
+        ((((wheel_drift_defect(t29) + wheel_drift_defect(t7)) +
+        wheel_drift_defect(compression_deviation[5])) + (wheel_drift_defect(t32) +
+        wheel_drift_defect(t34))) + (((wheel_drift_defect(t8) +
+        wheel_drift_defect(compression_deviation[7])) + wheel_drift_defect(t37)) +
+        (wheel_drift_defect(t39) + wheel_drift_defect(t9))))) +
+        (((((wheel_drift_defect(compression_deviation[9]) + wheel_drift_defect(t42)) +
+        wheel_drift_defect(t44)) + (wheel_drift_defect(t10) +
+        wheel_drift_defect(compression_deviation[11]))) + (((wheel_drift_defect(t47) +
+        wheel_drift_defect(t49)) + wheel_drift_defect(t11)) +
+        (wheel_drift_defect(compression_deviation[13]) + wheel_drift_defect(t52)))) +
+        ((((wheel_drift_defect(t54) + wheel_drift_defect(t12)) +
+        wheel_drift_defect(compression_deviation[15])) + (wheel_drift_defect(t57) +
+        wheel_drift_defect(t59))) + (((wheel_drift_defect(t13) +
+        wheel_drift_defect(compression_deviation[17])) + wheel_drift_defect(t62)) +
+        (wheel_drift_defect(t64) + wheel_drift_defect(t14)))))) +
+        ((((((wheel_drift_defect(compression_deviation[19]) + wheel_drift_defect(t67)) +
+        wheel_drift_defect(t69)) + (wheel_drift_defect(t15) +
+        wheel_drift_defect(compression_deviation[21]))) + (((wheel_drift_defect(t72) +
+        wheel_drift_defect(t74)) + wheel_drift_defect(t16)) +
+        (wheel_drift_defect(compression_deviation[23]) + wheel_drift_defect(t77)))) +
+        ((((wheel_drift_defect(t79) + wheel_drift_defect(t17)) +
+        wheel_drift_defect(compression_deviation[25])) + (wheel_drift_defect(t82) +
+        wheel_drift_defect(t84))) + (((wheel_drift_defect(t18) +
+        wheel_drift_defect(compression_deviation[27])) + wheel_drift_defect(t87)) +
+        (wheel_drift_defect(t89) + wheel_drift_defect(t19))))) +
+        (((((wheel_drift_defect(compression_deviation[29]) + wheel_drift_defect(t92)) +
+        wheel_drift_defect(t94)) + (wheel_drift_defect(t3) + wheel_drift_defect(t23))) +
+        (((wheel_drift_defect(t28) + wheel_drift_defect(t33)) + wheel_drift_defect(t38)) +
+        (wheel_drift_defect(t43) + wheel_drift_defect(t48)))) + ((((wheel_drift_defect(t53) +
+        wheel_drift_defect(t58)) + wheel_drift_defect(t63)) + (wheel_drift_defect(t68) +
+        wheel_drift_defect(t73))) + (((wheel_drift_defect(t78) + wheel_drift_defect(t83)) +
+        wheel_drift_defect(t88)) + (wheel_drift_defect(t93) + wheel_drift_defect(left))))))))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    predicted_state[0] = t0;
+    predicted_state[1] = filtered_state[1];
+    predicted_covariance[0] = t2;
+    predicted_covariance[1] = t3;
+    predicted_covariance[2] = t4;
+    predicted_compression_deviation[0] = t5;
+    predicted_compression_deviation[1] = compression_deviation[1];
+    predicted_compression_deviation[2] = t6;
+    predicted_compression_deviation[3] = compression_deviation[3];
+    predicted_compression_deviation[4] = t7;
+    predicted_compression_deviation[5] = compression_deviation[5];
+    predicted_compression_deviation[6] = t8;
+    predicted_compression_deviation[7] = compression_deviation[7];
+    predicted_compression_deviation[8] = t9;
+    predicted_compression_deviation[9] = compression_deviation[9];
+    predicted_compression_deviation[10] = t10;
+    predicted_compression_deviation[11] = compression_deviation[11];
+    predicted_compression_deviation[12] = t11;
+    predicted_compression_deviation[13] = compression_deviation[13];
+    predicted_compression_deviation[14] = t12;
+    predicted_compression_deviation[15] = compression_deviation[15];
+    predicted_compression_deviation[16] = t13;
+    predicted_compression_deviation[17] = compression_deviation[17];
+    predicted_compression_deviation[18] = t14;
+    predicted_compression_deviation[19] = compression_deviation[19];
+    predicted_compression_deviation[20] = t15;
+    predicted_compression_deviation[21] = compression_deviation[21];
+    predicted_compression_deviation[22] = t16;
+    predicted_compression_deviation[23] = compression_deviation[23];
+    predicted_compression_deviation[24] = t17;
+    predicted_compression_deviation[25] = compression_deviation[25];
+    predicted_compression_deviation[26] = t18;
+    predicted_compression_deviation[27] = compression_deviation[27];
+    predicted_compression_deviation[28] = t19;
+    predicted_compression_deviation[29] = compression_deviation[29];
+    predicted_compression_covariance[0] = t22;
+    predicted_compression_covariance[1] = t23;
+    predicted_compression_covariance[2] = t24;
+    predicted_compression_covariance[3] = t27;
+    predicted_compression_covariance[4] = t28;
+    predicted_compression_covariance[5] = t29;
+    predicted_compression_covariance[6] = t32;
+    predicted_compression_covariance[7] = t33;
+    predicted_compression_covariance[8] = t34;
+    predicted_compression_covariance[9] = t37;
+    predicted_compression_covariance[10] = t38;
+    predicted_compression_covariance[11] = t39;
+    predicted_compression_covariance[12] = t42;
+    predicted_compression_covariance[13] = t43;
+    predicted_compression_covariance[14] = t44;
+    predicted_compression_covariance[15] = t47;
+    predicted_compression_covariance[16] = t48;
+    predicted_compression_covariance[17] = t49;
+    predicted_compression_covariance[18] = t52;
+    predicted_compression_covariance[19] = t53;
+    predicted_compression_covariance[20] = t54;
+    predicted_compression_covariance[21] = t57;
+    predicted_compression_covariance[22] = t58;
+    predicted_compression_covariance[23] = t59;
+    predicted_compression_covariance[24] = t62;
+    predicted_compression_covariance[25] = t63;
+    predicted_compression_covariance[26] = t64;
+    predicted_compression_covariance[27] = t67;
+    predicted_compression_covariance[28] = t68;
+    predicted_compression_covariance[29] = t69;
+    predicted_compression_covariance[30] = t72;
+    predicted_compression_covariance[31] = t73;
+    predicted_compression_covariance[32] = t74;
+    predicted_compression_covariance[33] = t77;
+    predicted_compression_covariance[34] = t78;
+    predicted_compression_covariance[35] = t79;
+    predicted_compression_covariance[36] = t82;
+    predicted_compression_covariance[37] = t83;
+    predicted_compression_covariance[38] = t84;
+    predicted_compression_covariance[39] = t87;
+    predicted_compression_covariance[40] = t88;
+    predicted_compression_covariance[41] = t89;
+    predicted_compression_covariance[42] = t92;
+    predicted_compression_covariance[43] = t93;
+    predicted_compression_covariance[44] = t94;
+    predicted_window_left[0] = left;
+    wheel_drift_copy(collecting, predicted_collecting, 4);
+    return WHEEL_DRIFT_OK;
+}
+
 /* Condition on y[k]: reads *self, writes the results to *next. */
 WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t *self,
     const double *y, uint32_t present, wheel_drift_t *next)
@@ -1286,15 +1427,11 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double innovation_3 = 0.0;
     double innovation_4 = 0.0;
     double innovation_5 = 0.0;
-    double mean_host[2] = { 0.0 };
-    double covariance_host[3] = { 0.0 };
-    double pivot_host_0;
-    double inverse_host_0 = 0.0;
+    double mean_host[2];
+    double covariance_host[3];
     double quadratic_host = 0.0;
     double log_constant_host = 0.0;
     double determinant_host_0 = 1.0;
-    double pivot_host_1;
-    double inverse_host_1 = 0.0;
     double host_state[2] = { 0.0 };
     double covariance_compression[3] = { 0.0 };
     double deviation_compression[2] = { 0.0 };
@@ -1312,6 +1449,28 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     double deviation_compression6[2] = { 0.0 };
     double covariance_compression7[3] = { 0.0 };
     double deviation_compression7[2] = { 0.0 };
+    double covariance_compression8[3] = { 0.0 };
+    double deviation_compression8[2] = { 0.0 };
+    double covariance_compression9[3] = { 0.0 };
+    double deviation_compression9[2] = { 0.0 };
+    double covariance_compression10[3] = { 0.0 };
+    double deviation_compression10[2] = { 0.0 };
+    double covariance_compression11[3] = { 0.0 };
+    double deviation_compression11[2] = { 0.0 };
+    double covariance_compression12[3] = { 0.0 };
+    double deviation_compression12[2] = { 0.0 };
+    double covariance_compression13[3] = { 0.0 };
+    double deviation_compression13[2] = { 0.0 };
+    double innovation_compression14_3 = 0.0;
+    double innovation_compression14_4 = 0.0;
+    double innovation_compression14_5 = 0.0;
+    double mean_compression14[2] = { 0.0 };
+    double covariance_compression14[3] = { 0.0 };
+    double deviation_compression14[2];
+    double collecting_0;
+    double collecting_1;
+    double collecting_2;
+    double collecting_3;
     wheel_drift_status_t status;
     if (!((self->predicted_covariance[0] >= 0.0) && (self->predicted_covariance[2] >= 0.0)))
     {
@@ -1329,161 +1488,270 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     if (status != WHEEL_DRIFT_OK) { return status; }
 
     /* innovation, row by row */
-    wheel_drift_innovation(self->predicted_state[0], y, &innovation_0, &innovation_1,
-        wheel_drift_innovation_numbers[0], ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
-    wheel_drift_innovation(self->predicted_state[0], &y[2], &innovation_2, &innovation_3,
-        wheel_drift_innovation_numbers[1], ((present & 0x4u) != 0u), ((present & 0x8u) != 0u));
-    if ((present & 0x10u) != 0u)
+    status = wheel_drift_innovation_2(self->predicted_state, y, &innovation_0, &innovation_1,
+        &innovation_2, &innovation_3, &innovation_4, &innovation_5, mean_host,
+        self->predicted_covariance, covariance_host, &quadratic_host, &log_constant_host,
+        &determinant_host_0, host_state, self->predicted_compression_deviation,
+        self->predicted_compression_covariance, covariance_compression, deviation_compression,
+        covariance_compression1, deviation_compression1, covariance_compression2,
+        deviation_compression2, covariance_compression3, deviation_compression3,
+        covariance_compression4, deviation_compression4, covariance_compression5,
+        deviation_compression5, covariance_compression6, deviation_compression6,
+        covariance_compression7, deviation_compression7, covariance_compression8,
+        deviation_compression8, covariance_compression9, deviation_compression9,
+        covariance_compression10, deviation_compression10, covariance_compression11,
+        deviation_compression11, covariance_compression12, deviation_compression12,
+        covariance_compression13, deviation_compression13, &innovation_compression14_3,
+        &innovation_compression14_4, &innovation_compression14_5, mean_compression14,
+        covariance_compression14, present);
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1, 2, 3: row 3 of y, wheel_rr: compression filter */
+    status = wheel_drift_filter_with_group(covariance_compression14, mean_compression14,
+        self->predicted_compression_deviation[28], innovation_compression14_3,
+        innovation_compression14_4, innovation_compression14_5,
+        wheel_drift_filter_with_group_numbers[10], present, ((present & 0x8u) != 0u));
+    if (status != WHEEL_DRIFT_OK) { return status; }
+
+    /* filter with group 0, 1, 2, 3 */
+    deviation_compression14[0] = mean_compression14[0] - mean_host[0];
+    deviation_compression14[1] = mean_compression14[1] - mean_host[1];
+    if (!wheel_drift_finite(((((wheel_drift_defect(host_state[0]) +
+        wheel_drift_defect(host_state[1])) + (wheel_drift_defect(deviation_compression[0]) +
+        wheel_drift_defect(deviation_compression[1]))) +
+        ((wheel_drift_defect(deviation_compression1[0]) +
+        wheel_drift_defect(deviation_compression1[1])) +
+        (wheel_drift_defect(deviation_compression2[0]) +
+        wheel_drift_defect(deviation_compression2[1])))) +
+        (((wheel_drift_defect(deviation_compression3[0]) +
+        wheel_drift_defect(deviation_compression3[1])) +
+        (wheel_drift_defect(deviation_compression4[0]) +
+        wheel_drift_defect(deviation_compression4[1]))) +
+        ((wheel_drift_defect(deviation_compression5[0]) +
+        wheel_drift_defect(deviation_compression5[1])) +
+        (wheel_drift_defect(deviation_compression6[0]) +
+        wheel_drift_defect(deviation_compression6[1]))))) +
+        ((((wheel_drift_defect(deviation_compression7[0]) +
+        wheel_drift_defect(deviation_compression7[1])) +
+        (wheel_drift_defect(deviation_compression8[0]) +
+        wheel_drift_defect(deviation_compression8[1]))) +
+        ((wheel_drift_defect(deviation_compression9[0]) +
+        wheel_drift_defect(deviation_compression9[1])) +
+        (wheel_drift_defect(deviation_compression10[0]) +
+        wheel_drift_defect(deviation_compression10[1])))) +
+        (((wheel_drift_defect(deviation_compression11[0]) +
+        wheel_drift_defect(deviation_compression11[1])) +
+        (wheel_drift_defect(deviation_compression12[0]) +
+        wheel_drift_defect(deviation_compression12[1]))) +
+        ((wheel_drift_defect(deviation_compression13[0]) +
+        wheel_drift_defect(deviation_compression13[1])) +
+        (wheel_drift_defect(deviation_compression14[0]) +
+        wheel_drift_defect(deviation_compression14[1])))))))
     {
-        innovation_4 = y[4] - self->predicted_state[0];
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
-    if ((present & 0x20u) != 0u)
+
+    /* which compression filters hold a measurement */
+    collecting_0 = self->predicted_collecting[0];
+    if ((present & 0x1u) != 0u)
     {
-        innovation_5 = y[5] - self->predicted_state[0];
+        collecting_0 = 1.0;
     }
-    mean_host[0] = 0.0;
-    mean_host[1] = 0.0;
-    covariance_host[0] = self->predicted_covariance[0];
-    covariance_host[1] = self->predicted_covariance[1];
-    covariance_host[2] = self->predicted_covariance[2];
-
-    /* row 4 of y, ublox: host */
-    pivot_host_0 = self->predicted_covariance[0] + 0.25;
-    if ((present & 0x10u) != 0u)
+    collecting_1 = self->predicted_collecting[1];
+    if ((present & 0x2u) != 0u)
     {
-        if (!(pivot_host_0 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
-        inverse_host_0 = 1.0 / pivot_host_0;
-        const double t0 = innovation_4 * inverse_host_0;
-        quadratic_host = innovation_4 * t0;
-        mean_host[0] = self->predicted_covariance[0] * t0;
-        mean_host[1] = self->predicted_covariance[1] * t0;
-        const double t1 = self->predicted_covariance[0] * inverse_host_0;
-        const double t2 = self->predicted_covariance[0] - (t1 * self->predicted_covariance[0]);
-        covariance_host[0] = t2 + (((0.25 * t1) - t2) * t1);
-        const double t3 = self->predicted_covariance[1] * inverse_host_0;
-        const double t4 = self->predicted_covariance[1] - (t3 * self->predicted_covariance[0]);
-        const double t5 = (0.25 * t3) - t4;
-        covariance_host[1] = t4 + (t5 * t1);
-        const double t6 = self->predicted_covariance[2] - (t3 * self->predicted_covariance[1]);
-        covariance_host[2] = t6 + (t5 * t3);
-        log_constant_host = WHEEL_DRIFT_LOG_2_PI;
-        determinant_host_0 = pivot_host_0;
+        collecting_1 = 1.0;
     }
-
-    /* row 5 of y, qcom: host */
-    pivot_host_1 = covariance_host[0] + 9.0;
-    if ((present & 0x20u) != 0u)
+    collecting_2 = self->predicted_collecting[2];
+    if ((present & 0x4u) != 0u)
     {
-        if (!(pivot_host_1 > 0.0)) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
-        inverse_host_1 = 1.0 / pivot_host_1;
-        const double t7 = innovation_5 - mean_host[0];
-        const double t8 = t7 * inverse_host_1;
-        quadratic_host = quadratic_host + (t7 * t8);
-        log_constant_host = log_constant_host + WHEEL_DRIFT_LOG_2_PI;
-        determinant_host_0 = determinant_host_0 * pivot_host_1;
-        mean_host[0] = mean_host[0] + (covariance_host[0] * t8);
-        mean_host[1] = mean_host[1] + (covariance_host[1] * t8);
-        const double t9 = covariance_host[0] * inverse_host_1;
-        const double t10 = covariance_host[0] - (t9 * covariance_host[0]);
-        const double t11 = t10 + (((9.0 * t9) - t10) * t9);
-        const double t12 = covariance_host[1] * inverse_host_1;
-        const double t13 = covariance_host[1] - (t12 * covariance_host[0]);
-        const double t14 = (9.0 * t12) - t13;
-        const double t15 = t13 + (t14 * t9);
-        covariance_host[2] = (covariance_host[2] - (t12 * covariance_host[1])) + (t14 * t12);
-        covariance_host[0] = t11;
-        covariance_host[1] = t15;
+        collecting_2 = 1.0;
     }
-    host_state[0] = self->predicted_state[0] + mean_host[0];
-    host_state[1] = self->predicted_state[1] + mean_host[1];
+    collecting_3 = self->predicted_collecting[3];
+    if ((present & 0x8u) != 0u)
+    {
+        collecting_3 = 1.0;
+    }
 
-    /* filter with group 0: innovation, row by row */
-    status = wheel_drift_filter_with_group_6(self->predicted_compression_deviation, innovation_0,
-        innovation_4, innovation_5, self->predicted_compression_covariance, covariance_compression,
-        mean_host, deviation_compression, wheel_drift_filter_with_group_6_numbers[0],
-        wheel_drift_filter_with_group_2_numbers[0], wheel_drift_filter_with_group_3_numbers[0],
-        wheel_drift_filter_with_group_3_numbers[1], present, ((present & 0x1u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 1: innovation, row by row */
-    status = wheel_drift_filter_with_group_6(&self->predicted_compression_deviation[2],
-        innovation_1, innovation_4, innovation_5, &self->predicted_compression_covariance[3],
-        covariance_compression1, mean_host, deviation_compression1,
-        wheel_drift_filter_with_group_6_numbers[1], wheel_drift_filter_with_group_2_numbers[1],
-        wheel_drift_filter_with_group_3_numbers[2], wheel_drift_filter_with_group_3_numbers[3],
-        present, ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_6(&self->predicted_compression_deviation[4],
-        innovation_2, innovation_4, innovation_5, &self->predicted_compression_covariance[6],
-        covariance_compression2, mean_host, deviation_compression2,
-        wheel_drift_filter_with_group_6_numbers[2], wheel_drift_filter_with_group_2_numbers[2],
-        wheel_drift_filter_with_group_3_numbers[4], wheel_drift_filter_with_group_3_numbers[5],
-        present, ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_6(&self->predicted_compression_deviation[6],
-        innovation_3, innovation_4, innovation_5, &self->predicted_compression_covariance[9],
-        covariance_compression3, mean_host, deviation_compression3,
-        wheel_drift_filter_with_group_6_numbers[3], wheel_drift_filter_with_group_2_numbers[3],
-        wheel_drift_filter_with_group_3_numbers[6], wheel_drift_filter_with_group_3_numbers[7],
-        present, ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 0, 1: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[8],
-        innovation_0, innovation_1, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[12], covariance_compression4, mean_host,
-        deviation_compression4, wheel_drift_filter_with_group_5_numbers[0],
-        wheel_drift_filter_with_group_2_numbers[4], wheel_drift_filter_with_group_numbers[0],
-        present, ((present & 0x1u) != 0u), ((present & 0x2u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 0, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[10],
-        innovation_0, innovation_2, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[15], covariance_compression5, mean_host,
-        deviation_compression5, wheel_drift_filter_with_group_5_numbers[1],
-        wheel_drift_filter_with_group_2_numbers[5], wheel_drift_filter_with_group_numbers[1],
-        present, ((present & 0x1u) != 0u), ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 0, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[12],
-        innovation_0, innovation_3, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[18], covariance_compression6, mean_host,
-        deviation_compression6, wheel_drift_filter_with_group_5_numbers[2],
-        wheel_drift_filter_with_group_2_numbers[6], wheel_drift_filter_with_group_numbers[2],
-        present, ((present & 0x1u) != 0u), ((present & 0x8u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 1, 2: innovation, row by row */
-    status = wheel_drift_filter_with_group_5(&self->predicted_compression_deviation[14],
-        innovation_1, innovation_2, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[21], covariance_compression7, mean_host,
-        deviation_compression7, wheel_drift_filter_with_group_5_numbers[3],
-        wheel_drift_filter_with_group_2_numbers[7], wheel_drift_filter_with_group_numbers[3],
-        present, ((present & 0x2u) != 0u), ((present & 0x4u) != 0u));
-    if (status != WHEEL_DRIFT_OK) { return status; }
-
-    /* filter with group 1, 3: innovation, row by row */
-    status = wheel_drift_filter_with_group_12(&self->predicted_compression_deviation[16],
-        innovation_1, innovation_3, innovation_4, innovation_5,
-        &self->predicted_compression_covariance[24], mean_host, innovation_2, innovation_0,
-        host_state, deviation_compression, deviation_compression1, deviation_compression2,
-        deviation_compression3, deviation_compression4, deviation_compression5,
-        deviation_compression6, deviation_compression7, self->predicted_collecting,
-        self->predicted_covariance[0], determinant_host_0, log_constant_host, quadratic_host,
-        next->filtered_state, covariance_host, next->filtered_covariance,
-        next->compression_deviation, covariance_compression, next->compression_covariance,
-        covariance_compression1, covariance_compression2, covariance_compression3,
-        covariance_compression4, covariance_compression5, covariance_compression6,
-        covariance_compression7, next->innovation, next->innovation_covariance, &next->nis,
-        &next->log_likelihood, self->predicted_window_left, &next->window_left, next->collecting,
-        next->test_statistic, next->test_dof, next->fault_declared, present);
-    if (status != WHEEL_DRIFT_OK) { return status; }
+    /* results of the update */
+    const double t0 = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
+    const double t1 = 0.9843852771361035 * self->predicted_covariance[0];
+    const double t2 = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
+    const double t3 = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t4 = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t5 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
+    const double t6 = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t7 = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t8 = 0.9808786630631667 * self->predicted_covariance[0];
+    const double t9 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
+    const double t10 = 0.9921619208254787 * self->predicted_covariance[0];
+    const double t11 = 0.9921619208254787 * self->predicted_covariance[0];
+    const double t12 = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t13 = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t14 = self->predicted_covariance[0] + 0.25;
+    const double t15 = 0.9921619208254787 * self->predicted_covariance[0];
+    const double t16 = 0.9921619208254787 * self->predicted_covariance[0];
+    const double t17 = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t18 = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t19 = self->predicted_covariance[0] + 9.0;
+    const double t20 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
+    const double t21 = -0.5 * t20;
+    if (!wheel_drift_finite(((((((wheel_drift_defect(covariance_host[0]) +
+        wheel_drift_defect(covariance_host[1])) + wheel_drift_defect(covariance_host[2])) +
+        (wheel_drift_defect(covariance_compression[0]) +
+        wheel_drift_defect(covariance_compression[1]))) +
+        (((wheel_drift_defect(covariance_compression[2]) +
+        wheel_drift_defect(covariance_compression1[0])) +
+        wheel_drift_defect(covariance_compression1[1])) +
+        (wheel_drift_defect(covariance_compression1[2]) +
+        wheel_drift_defect(covariance_compression2[0])))) +
+        ((((wheel_drift_defect(covariance_compression2[1]) +
+        wheel_drift_defect(covariance_compression2[2])) +
+        wheel_drift_defect(covariance_compression3[0])) +
+        (wheel_drift_defect(covariance_compression3[1]) +
+        wheel_drift_defect(covariance_compression3[2]))) +
+        (((wheel_drift_defect(covariance_compression4[0]) +
+        wheel_drift_defect(covariance_compression4[1])) +
+        wheel_drift_defect(covariance_compression4[2])) +
+        (wheel_drift_defect(covariance_compression5[0]) +
+        wheel_drift_defect(covariance_compression5[1]))))) +
+        (((((wheel_drift_defect(covariance_compression5[2]) +
+        wheel_drift_defect(covariance_compression6[0])) +
+        wheel_drift_defect(covariance_compression6[1])) +
+        (wheel_drift_defect(covariance_compression6[2]) +
+        wheel_drift_defect(covariance_compression7[0]))) +
+        (((wheel_drift_defect(covariance_compression7[1]) +
+        wheel_drift_defect(covariance_compression7[2])) +
+        wheel_drift_defect(covariance_compression8[0])) +
+        (wheel_drift_defect(covariance_compression8[1]) +
+        wheel_drift_defect(covariance_compression8[2])))) +
+        ((((wheel_drift_defect(covariance_compression9[0]) +
+        wheel_drift_defect(covariance_compression9[1])) +
+        wheel_drift_defect(covariance_compression9[2])) +
+        (wheel_drift_defect(covariance_compression10[0]) +
+        wheel_drift_defect(covariance_compression10[1]))) +
+        (((wheel_drift_defect(covariance_compression10[2]) +
+        wheel_drift_defect(covariance_compression11[0])) +
+        wheel_drift_defect(covariance_compression11[1])) +
+        (wheel_drift_defect(covariance_compression11[2]) +
+        wheel_drift_defect(covariance_compression12[0])))))) +
+        ((((((wheel_drift_defect(covariance_compression12[1]) +
+        wheel_drift_defect(covariance_compression12[2])) +
+        wheel_drift_defect(covariance_compression13[0])) +
+        (wheel_drift_defect(covariance_compression13[1]) +
+        wheel_drift_defect(covariance_compression13[2]))) +
+        (((wheel_drift_defect(covariance_compression14[0]) +
+        wheel_drift_defect(covariance_compression14[1])) +
+        wheel_drift_defect(covariance_compression14[2])) + (wheel_drift_defect(innovation_0) +
+        wheel_drift_defect(innovation_1)))) + ((((wheel_drift_defect(innovation_2) +
+        wheel_drift_defect(innovation_3)) + wheel_drift_defect(innovation_4)) +
+        (wheel_drift_defect(innovation_5) + wheel_drift_defect(t0))) + (((wheel_drift_defect(t1) +
+        wheel_drift_defect(t2)) + wheel_drift_defect(t3)) + (wheel_drift_defect(t4) +
+        wheel_drift_defect(t5))))) + (((((wheel_drift_defect(t6) + wheel_drift_defect(t7)) +
+        wheel_drift_defect(t8)) + (wheel_drift_defect(t9) + wheel_drift_defect(t10))) +
+        (((wheel_drift_defect(t11) + wheel_drift_defect(t12)) + wheel_drift_defect(t13)) +
+        (wheel_drift_defect(t14) + wheel_drift_defect(t15)))) + ((((wheel_drift_defect(t16) +
+        wheel_drift_defect(t17)) + wheel_drift_defect(t18)) + (wheel_drift_defect(t19) +
+        wheel_drift_defect(quadratic_host))) + (((wheel_drift_defect(t21) +
+        wheel_drift_defect(collecting_0)) + wheel_drift_defect(collecting_1)) +
+        (wheel_drift_defect(collecting_2) + wheel_drift_defect(collecting_3))))))))
+    {
+        return WHEEL_DRIFT_RESULT_NOT_FINITE;
+    }
+    next->filtered_state[0] = host_state[0];
+    next->filtered_state[1] = host_state[1];
+    wheel_drift_copy(covariance_host, next->filtered_covariance, 3);
+    next->compression_deviation[0] = deviation_compression[0];
+    next->compression_deviation[1] = deviation_compression[1];
+    next->compression_deviation[2] = deviation_compression1[0];
+    next->compression_deviation[3] = deviation_compression1[1];
+    next->compression_deviation[4] = deviation_compression2[0];
+    next->compression_deviation[5] = deviation_compression2[1];
+    next->compression_deviation[6] = deviation_compression3[0];
+    next->compression_deviation[7] = deviation_compression3[1];
+    next->compression_deviation[8] = deviation_compression4[0];
+    next->compression_deviation[9] = deviation_compression4[1];
+    next->compression_deviation[10] = deviation_compression5[0];
+    next->compression_deviation[11] = deviation_compression5[1];
+    next->compression_deviation[12] = deviation_compression6[0];
+    next->compression_deviation[13] = deviation_compression6[1];
+    next->compression_deviation[14] = deviation_compression7[0];
+    next->compression_deviation[15] = deviation_compression7[1];
+    next->compression_deviation[16] = deviation_compression8[0];
+    next->compression_deviation[17] = deviation_compression8[1];
+    next->compression_deviation[18] = deviation_compression9[0];
+    next->compression_deviation[19] = deviation_compression9[1];
+    next->compression_deviation[20] = deviation_compression10[0];
+    next->compression_deviation[21] = deviation_compression10[1];
+    next->compression_deviation[22] = deviation_compression11[0];
+    next->compression_deviation[23] = deviation_compression11[1];
+    next->compression_deviation[24] = deviation_compression12[0];
+    next->compression_deviation[25] = deviation_compression12[1];
+    next->compression_deviation[26] = deviation_compression13[0];
+    next->compression_deviation[27] = deviation_compression13[1];
+    next->compression_deviation[28] = deviation_compression14[0];
+    next->compression_deviation[29] = deviation_compression14[1];
+    wheel_drift_copy(covariance_compression, next->compression_covariance, 3);
+    wheel_drift_copy(covariance_compression1, &next->compression_covariance[3], 3);
+    wheel_drift_copy(covariance_compression2, &next->compression_covariance[6], 3);
+    wheel_drift_copy(covariance_compression3, &next->compression_covariance[9], 3);
+    wheel_drift_copy(covariance_compression4, &next->compression_covariance[12], 3);
+    wheel_drift_copy(covariance_compression5, &next->compression_covariance[15], 3);
+    wheel_drift_copy(covariance_compression6, &next->compression_covariance[18], 3);
+    wheel_drift_copy(covariance_compression7, &next->compression_covariance[21], 3);
+    wheel_drift_copy(covariance_compression8, &next->compression_covariance[24], 3);
+    wheel_drift_copy(covariance_compression9, &next->compression_covariance[27], 3);
+    wheel_drift_copy(covariance_compression10, &next->compression_covariance[30], 3);
+    wheel_drift_copy(covariance_compression11, &next->compression_covariance[33], 3);
+    wheel_drift_copy(covariance_compression12, &next->compression_covariance[36], 3);
+    wheel_drift_copy(covariance_compression13, &next->compression_covariance[39], 3);
+    wheel_drift_copy(covariance_compression14, &next->compression_covariance[42], 3);
+    next->innovation[0] = innovation_0;
+    next->innovation[1] = innovation_1;
+    next->innovation[2] = innovation_2;
+    next->innovation[3] = innovation_3;
+    next->innovation[4] = innovation_4;
+    next->innovation[5] = innovation_5;
+    next->innovation_covariance[0] = t0;
+    next->innovation_covariance[1] = t1;
+    next->innovation_covariance[2] = t2;
+    next->innovation_covariance[3] = t3;
+    next->innovation_covariance[4] = t4;
+    next->innovation_covariance[5] = t5;
+    next->innovation_covariance[6] = t6;
+    next->innovation_covariance[7] = t7;
+    next->innovation_covariance[8] = t8;
+    next->innovation_covariance[9] = t9;
+    next->innovation_covariance[10] = t10;
+    next->innovation_covariance[11] = t11;
+    next->innovation_covariance[12] = t12;
+    next->innovation_covariance[13] = t13;
+    next->innovation_covariance[14] = t14;
+    next->innovation_covariance[15] = t15;
+    next->innovation_covariance[16] = t16;
+    next->innovation_covariance[17] = t17;
+    next->innovation_covariance[18] = t18;
+    next->innovation_covariance[19] = self->predicted_covariance[0];
+    next->innovation_covariance[20] = t19;
+    next->nis = quadratic_host;
+    next->log_likelihood = t21;
+    next->window_left = self->predicted_window_left;
+    next->collecting[0] = collecting_0;
+    next->collecting[1] = collecting_1;
+    next->collecting[2] = collecting_2;
+    next->collecting[3] = collecting_3;
+    next->test_statistic[0] = 0.0;
+    next->test_statistic[1] = 0.0;
+    next->test_statistic[2] = 0.0;
+    next->test_statistic[3] = 0.0;
+    next->test_dof[0] = 0.0;
+    next->test_dof[1] = 0.0;
+    next->test_dof[2] = 0.0;
+    next->test_dof[3] = 0.0;
+    next->fault_declared[0] = 0.0;
+    next->fault_declared[1] = 0.0;
+    next->fault_declared[2] = 0.0;
+    next->fault_declared[3] = 0.0;
     return WHEEL_DRIFT_OK;
 }
 
@@ -1519,9 +1787,15 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
         closed_covariance);
 
     /* results of the window */
-    if (!wheel_drift_finite(wheel_drift_defect(closed_state[0]) +
-        wheel_drift_defect(closed_state[1]) + wheel_drift_defect(closed_covariance[0]) +
-        wheel_drift_defect(closed_covariance[2])))
+    if (!wheel_drift_finite(((((wheel_drift_defect(closed_state[0]) +
+        wheel_drift_defect(closed_state[1])) + wheel_drift_defect(closed_covariance[0])) +
+        (wheel_drift_defect(closed_covariance[2]) + wheel_drift_defect(closed_covariance[1]))) +
+        ((wheel_drift_defect(statistic_0) + wheel_drift_defect(statistic_1)) +
+        (wheel_drift_defect(statistic_2) + wheel_drift_defect(statistic_3)))) +
+        (((wheel_drift_defect(dof_0) + wheel_drift_defect(dof_1)) + (wheel_drift_defect(dof_2) +
+        wheel_drift_defect(dof_3))) + ((wheel_drift_defect(rejected_0) +
+        wheel_drift_defect(rejected_1)) + (wheel_drift_defect(rejected_2) +
+        wheel_drift_defect(rejected_3))))))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -1596,8 +1870,8 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
 WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_t *self,
     const wheel_drift_params_t *params, const double *u, wheel_drift_t *next)
 {
-    double A = 0.0;
-    double Q[2] = { 0.0 };
+    double A;
+    double Q[2];
     double left;
     wheel_drift_status_t status;
     A = -params->dt;
@@ -1614,54 +1888,12 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_propagate(const wheel_drift_
     }
 
     /* prediction of the next sample */
-    const double t1 = self->filtered_state[0] + (A * self->filtered_state[1]) + (params->dt * u[0]);
-    const double t2 = self->filtered_covariance[0] + (A * self->filtered_covariance[1]);
-    const double t3 = (self->filtered_covariance[1] + (A * self->filtered_covariance[2])) * A;
-    const double t4 = t2 + t3 + Q[0];
-    const double t5 = self->filtered_covariance[2] + Q[1];
-    if (!wheel_drift_finite(wheel_drift_defect(t1) + wheel_drift_defect(self->filtered_state[1]) +
-        wheel_drift_defect(t4) + wheel_drift_defect(t5)))
-    {
-        return WHEEL_DRIFT_RESULT_NOT_FINITE;
-    }
-    next->predicted_state[0] = t1;
-    next->predicted_state[1] = self->filtered_state[1];
-    next->predicted_covariance[0] = t4;
-    next->predicted_covariance[2] = t5;
-    next->predicted_window_left = left;
-    wheel_drift_copy(self->collecting, next->predicted_collecting, 4);
-    const double t6 = self->filtered_covariance[2] * A;
-    next->predicted_covariance[1] = self->filtered_covariance[1] + t6;
-    status = wheel_drift_prediction_of_the_next(A, self->compression_deviation,
-        self->compression_covariance, Q, next->predicted_compression_deviation,
-        next->predicted_compression_covariance);
+    status = wheel_drift_prediction_of_the_next(A, self->filtered_state, u[0],
+        self->filtered_covariance, Q, self->compression_deviation, self->compression_covariance,
+        left, next->predicted_state, next->predicted_covariance,
+        next->predicted_compression_deviation, next->predicted_compression_covariance,
+        &next->predicted_window_left, self->collecting, next->predicted_collecting, params);
     if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_prediction_of_the_next(A, &self->compression_deviation[6],
-        &self->compression_covariance[9], Q, &next->predicted_compression_deviation[6],
-        &next->predicted_compression_covariance[9]);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_prediction_of_the_next(A, &self->compression_deviation[12],
-        &self->compression_covariance[18], Q, &next->predicted_compression_deviation[12],
-        &next->predicted_compression_covariance[18]);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_prediction_of_the_next(A, &self->compression_deviation[18],
-        &self->compression_covariance[27], Q, &next->predicted_compression_deviation[18],
-        &next->predicted_compression_covariance[27]);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    status = wheel_drift_prediction_of_the_next(A, &self->compression_deviation[24],
-        &self->compression_covariance[36], Q, &next->predicted_compression_deviation[24],
-        &next->predicted_compression_covariance[36]);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[1], A,
-        &next->predicted_compression_covariance[1]);
-    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[10], A,
-        &next->predicted_compression_covariance[10]);
-    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[19], A,
-        &next->predicted_compression_covariance[19]);
-    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[28], A,
-        &next->predicted_compression_covariance[28]);
-    wheel_drift_prediction_of_the_next_3(&self->compression_covariance[37], A,
-        &next->predicted_compression_covariance[37]);
     return WHEEL_DRIFT_OK;
 }
 
@@ -1677,30 +1909,46 @@ static void wheel_drift_fill(double *to, int size, const double *from, int perio
     }
 }
 
+wheel_drift_status_t wheel_drift_start(wheel_drift_t *self, const double x[2], const double P[3])
+{
+    wheel_drift_t next;
+    int i;
+    if ((self == NULL) || (x == NULL) || (P == NULL)) { return WHEEL_DRIFT_NULL_POINTER; }
+    if (!wheel_drift_all_finite(x, 2) || !wheel_drift_all_finite(P, 3))
+    {
+        return WHEEL_DRIFT_INPUT_NOT_FINITE;
+    }
+    for (i = 0; i < WHEEL_DRIFT_NX; ++i)
+    {
+        if (P[WHEEL_DRIFT_P(i, i)] < 0.0) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
+    }
+    wheel_drift_fill(next.predicted_state, 2, x, 2);
+    wheel_drift_fill(next.predicted_covariance, 3, P, 3);
+    wheel_drift_fill(next.filtered_state, 2, x, 2);
+    wheel_drift_fill(next.filtered_covariance, 3, P, 3);
+    wheel_drift_fill(next.innovation, 6, wheel_drift_zero_0, 1);
+    wheel_drift_fill(next.innovation_covariance, 21, wheel_drift_zero_0, 1);
+    next.nis = 0.0;
+    next.log_likelihood = 0.0;
+    wheel_drift_fill(next.compression_deviation, 30, wheel_drift_zero_0, 1);
+    wheel_drift_fill(next.compression_covariance, 45, P, 3);
+    wheel_drift_fill(next.predicted_compression_deviation, 30, wheel_drift_zero_0, 1);
+    wheel_drift_fill(next.predicted_compression_covariance, 45, P, 3);
+    wheel_drift_fill(next.test_statistic, 4, wheel_drift_zero_0, 1);
+    wheel_drift_fill(next.test_dof, 4, wheel_drift_zero_0, 1);
+    wheel_drift_fill(next.fault_declared, 4, wheel_drift_zero_0, 1);
+    next.window_left = 0.0;
+    wheel_drift_fill(next.collecting, 4, wheel_drift_zero_0, 1);
+    next.predicted_window_left = 98.0;
+    wheel_drift_fill(next.predicted_collecting, 4, wheel_drift_zero_0, 1);
+    next.updated = 0.0;
+    *self = next;
+    return WHEEL_DRIFT_OK;
+}
+
 wheel_drift_status_t wheel_drift_init(wheel_drift_t *self)
 {
-    if (self == NULL) { return WHEEL_DRIFT_NULL_POINTER; }
-    wheel_drift_fill(self->predicted_state, 2, wheel_drift_zero_0, 1);
-    wheel_drift_fill(self->predicted_covariance, 3, wheel_drift_predicted_covariance_0, 3);
-    wheel_drift_fill(self->filtered_state, 2, wheel_drift_zero_0, 1);
-    wheel_drift_fill(self->filtered_covariance, 3, wheel_drift_predicted_covariance_0, 3);
-    wheel_drift_fill(self->innovation, 6, wheel_drift_zero_0, 1);
-    wheel_drift_fill(self->innovation_covariance, 21, wheel_drift_zero_0, 1);
-    self->nis = 0.0;
-    self->log_likelihood = 0.0;
-    wheel_drift_fill(self->compression_deviation, 30, wheel_drift_zero_0, 1);
-    wheel_drift_fill(self->compression_covariance, 45, wheel_drift_predicted_covariance_0, 3);
-    wheel_drift_fill(self->predicted_compression_deviation, 30, wheel_drift_zero_0, 1);
-    wheel_drift_fill(self->predicted_compression_covariance, 45, wheel_drift_predicted_covariance_0,
-        3);
-    wheel_drift_fill(self->test_statistic, 4, wheel_drift_zero_0, 1);
-    wheel_drift_fill(self->test_dof, 4, wheel_drift_zero_0, 1);
-    wheel_drift_fill(self->fault_declared, 4, wheel_drift_zero_0, 1);
-    self->window_left = 0.0;
-    wheel_drift_fill(self->collecting, 4, wheel_drift_zero_0, 1);
-    self->predicted_window_left = 98.0;
-    wheel_drift_fill(self->predicted_collecting, 4, wheel_drift_zero_0, 1);
-    return WHEEL_DRIFT_OK;
+    return wheel_drift_start(self, wheel_drift_x_0, wheel_drift_P_0);
 }
 
 wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params)
@@ -1712,6 +1960,43 @@ wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params)
 
 /* ---- one sample: arguments are checked, results are stored only if all is well ---- */
 
+/* Copy an array. */
+static void wheel_drift_keep(const double *from, double *to, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i)
+    {
+        to[i] = from[i];
+    }
+}
+
+/* Pass over sample k, of which no row was measured. */
+static wheel_drift_status_t wheel_drift_pass(const wheel_drift_t *self, wheel_drift_t *next)
+{
+    wheel_drift_status_t status = wheel_drift_correct(self, NULL, 0u, next);
+    if ((status == WHEEL_DRIFT_OK) && !(next->window_left > 0.0))
+    {
+        status = wheel_drift_close_window(next, next);
+    }
+    return status;
+}
+
+/* Correct the latest estimate. */
+static wheel_drift_status_t wheel_drift_renew(const wheel_drift_t *self, const double *y,
+    uint32_t present, wheel_drift_t *next)
+{
+    wheel_drift_status_t status;
+    if (self->updated > 0.0) { return WHEEL_DRIFT_WRONG_ORDER; }
+    *next = *self;
+    status = wheel_drift_correct(self, y, present, next);
+    if ((status == WHEEL_DRIFT_OK) && !(next->window_left > 0.0))
+    {
+        status = wheel_drift_close_window(next, next);
+    }
+    next->updated = 1.0;
+    return status;
+}
+
 wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_params_t *params,
     const double u[1], const double y[6], uint32_t valid)
 {
@@ -1722,15 +2007,10 @@ wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_p
     {
         return WHEEL_DRIFT_NULL_POINTER;
     }
-    if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (!wheel_drift_all_finite(u, WHEEL_DRIFT_NU)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (!wheel_drift_finite_params(params)) { return WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE; }
     if (!wheel_drift_present_rows(y, valid, &present)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
-    next = *self;
-    status = wheel_drift_correct(self, y, present, &next);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    if (!(next.window_left > 0.0))
-    {
-        status = wheel_drift_close_window(&next, &next);
-    }
+    status = wheel_drift_renew(self, y, present, &next);
     if (status != WHEEL_DRIFT_OK) { return status; }
     *self = next;
     return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
@@ -1743,13 +2023,38 @@ wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_
     const double u[1])
 {
     wheel_drift_t next;
+    const wheel_drift_t *latest = self;
     wheel_drift_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL)) { return WHEEL_DRIFT_NULL_POINTER; }
-    if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
-    next = *self;
-    status = wheel_drift_propagate(self, params, u, &next);
+    if (!wheel_drift_all_finite(u, WHEEL_DRIFT_NU)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (!wheel_drift_finite_params(params)) { return WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE; }
+    if (!(self->updated > 0.0))
+    {
+        status = wheel_drift_pass(self, &next);
+        if (status != WHEEL_DRIFT_OK) { return status; }
+        latest = &next;
+    }
+    status = wheel_drift_propagate(latest, params, u, &next);
     if (status != WHEEL_DRIFT_OK) { return status; }
-    *self = next;
+    if ((latest == &next) && !(next.window_left > 0.0))
+    {
+        wheel_drift_keep(self->innovation, next.innovation, 6);
+        wheel_drift_keep(self->innovation_covariance, next.innovation_covariance, 21);
+        next.nis = self->nis;
+        next.log_likelihood = self->log_likelihood;
+        next.updated = 0.0;
+        *self = next;
+        return WHEEL_DRIFT_OK;
+    }
+    wheel_drift_keep(next.predicted_state, self->predicted_state, 2);
+    wheel_drift_keep(next.predicted_covariance, self->predicted_covariance, 3);
+    wheel_drift_keep(next.predicted_compression_deviation, self->predicted_compression_deviation,
+        30);
+    wheel_drift_keep(next.predicted_compression_covariance, self->predicted_compression_covariance,
+        45);
+    self->predicted_window_left = next.predicted_window_left;
+    wheel_drift_keep(next.predicted_collecting, self->predicted_collecting, 4);
+    self->updated = 0.0;
     return WHEEL_DRIFT_OK;
 }
 
@@ -1763,17 +2068,19 @@ wheel_drift_status_t wheel_drift_step(wheel_drift_t *self, const wheel_drift_par
     {
         return WHEEL_DRIFT_NULL_POINTER;
     }
-    if (!wheel_drift_finite_input(u)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (!wheel_drift_all_finite(u, WHEEL_DRIFT_NU)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (!wheel_drift_finite_params(params)) { return WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE; }
     if (!wheel_drift_present_rows(y, valid, &present)) { return WHEEL_DRIFT_INPUT_NOT_FINITE; }
+    if (self->updated > 0.0) { return WHEEL_DRIFT_WRONG_ORDER; }
     status = wheel_drift_correct(self, y, present, &next);
-    if (status != WHEEL_DRIFT_OK) { return status; }
-    if (!(next.window_left > 0.0))
+    if ((status == WHEEL_DRIFT_OK) && !(next.window_left > 0.0))
     {
         status = wheel_drift_close_window(&next, &next);
     }
     if (status != WHEEL_DRIFT_OK) { return status; }
     status = wheel_drift_propagate(&next, params, u, &next);
     if (status != WHEEL_DRIFT_OK) { return status; }
+    next.updated = 0.0;
     *self = next;
     return ((present) != 0u) ? (((self->fault_declared[0] > 0.5) ||
         (self->fault_declared[1] > 0.5) || (self->fault_declared[2] > 0.5) ||

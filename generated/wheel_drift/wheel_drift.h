@@ -5,9 +5,10 @@
  * Equations: Lee & Lee, Theorem 3, eqs. (28)-(36), (50), (51), as a second Kalman filter.
  * Covariance update: joseph form.
  *
- * Time: the instance holds the prediction for sample k. wheel_drift_update() corrects it with y[k],
+ * Time: the instance holds one latest estimate. wheel_drift_update() corrects it with y[k],
  * wheel_drift_predict() moves it to k + 1, wheel_drift_step() does both. Sample 0 corrects the
- * prior; no prediction comes before it.
+ * prior; no prediction comes before it. A prediction after a prediction passes a sample without a
+ * measurement; an update after an update is refused.
  *
  * Model: x[k+1] = A x[k] + B u[k] + w[k], w ~ (0, Q); y[k] = C x[k] + D u[k] + v[k], v ~ (0, R);
  * x[0] ~ (x0, P0).
@@ -49,9 +50,9 @@
  *
  * Cost of one step with every row present: 2237 floating-point operations and 1 log; at the end of
  * a window 190 more.
- * An instance is 211 doubles, 1688 bytes; nothing else is kept. Tables of constants: 528 bytes. No
+ * An instance is 212 doubles, 1696 bytes; nothing else is kept. Tables of constants: 544 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 29600 bytes at -O0, 3904 at -Os.
+ * Stack of one call, interrupts left out: at most 30592 bytes at -O0, 4496 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */
@@ -87,8 +88,10 @@ typedef enum
     WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or
                                                   an indicator with another value */
     WHEEL_DRIFT_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
-    WHEEL_DRIFT_SELFTEST_FAILED = -6 /**< the self-test does not give the recorded bits on this
-                                          target */
+    WHEEL_DRIFT_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
+                                           target */
+    WHEEL_DRIFT_WRONG_ORDER = -7 /**< a second update of this sample, which this filter cannot take:
+                                      predict first */
 } wheel_drift_status_t;
 
 /** Run-time parameters: what the model needs at this sample. */
@@ -129,15 +132,24 @@ typedef struct
     double collecting[4]; /**< 1 where the compression filter of each group holds a measurement */
     double predicted_window_left; /**< window_left before sample k+1 */
     double predicted_collecting[4]; /**< collecting before sample k+1 */
+    double updated; /**< 1 after an update, 0 after a prediction: which estimate is the latest */
 } wheel_drift_t;
 
-/** Start from the prior: the prediction for sample 0. Call it before anything else. */
+/** Start from the prior of the spec: the prediction for sample 0. Call it, or wheel_drift_start(),
+ *  before anything else. */
 wheel_drift_status_t wheel_drift_init(wheel_drift_t *self);
+
+/** Start from another prior: the prediction for sample 0, finite, with no variance below 0.
+ *  @param x       mean of the state
+ *  @param P       its covariance, lower triangle by rows
+ *  @return WHEEL_DRIFT_OK, or negative: refused, the instance is unchanged.
+ */
+wheel_drift_status_t wheel_drift_start(wheel_drift_t *self, const double x[2], const double P[3]);
 
 /** Set every parameter to its default. */
 wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params);
 
-/** Correct the prediction with sample k.
+/** Correct the latest estimate with sample k.
  *  @param params  run-time parameters of this sample
  *  @param u       inputs of this sample, finite
  *  @param y       measurements; NaN = missing, an infinity is refused
@@ -148,7 +160,8 @@ wheel_drift_status_t wheel_drift_params_init(wheel_drift_params_t *params);
 wheel_drift_status_t wheel_drift_update(wheel_drift_t *self, const wheel_drift_params_t *params,
     const double u[1], const double y[6], uint32_t valid);
 
-/** Predict sample k + 1 from the corrected sample k. */
+/** Predict sample k + 1 from the latest estimate of sample k; ports about sample k stay as they
+ *  are, unless sample k ends a window without an update. */
 wheel_drift_status_t wheel_drift_predict(wheel_drift_t *self, const wheel_drift_params_t *params,
     const double u[1]);
 

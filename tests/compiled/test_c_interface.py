@@ -164,7 +164,8 @@ def test_macros_say_the_dimensions_and_where_covariances_are(tmp_path):
 
 def test_an_instance_holds_its_members_and_nothing_else(tmp_path):
     plant = spread.specs("float")["mkf_independent"]
-    scalars = sum(port.size for port in generated(plant).program.ports)
+    program = generated(plant).program
+    scalars = sum(port.size for port in program.ports) + 1 + len(program.repeats or ())
     assert lines(tmp_path, plant, "    SHOW(sizeof(plant_t));") == [str(4 * scalars)]
     assert f"An instance is {scalars} floats" in generated(plant).files["plant.h"]
 

@@ -135,21 +135,87 @@ def test_a_parameter_outside_the_domain_of_a_function_is_refused():
 
 
 @pytest.mark.parametrize("name", list(PLANTS))
-def test_a_refused_sample_leaves_the_rest_of_a_record_as_if_it_were_not_there(name):
+def test_a_refused_sample_of_a_record_counts_as_missing(name):
     plant = PLANTS[name]
     rng = np.random.default_rng(3)
     y, u = rng.standard_normal((12, 2)), np.ones((12, 1))
-    broken = y.copy()
-    broken[5, 1] = INF
+    broken, missing = y.copy(), y.copy()
+    broken[[0, 5], 1] = INF
+    missing[[0, 5]] = NAN
     found = fkgen.build(plant)
-    with_it = found.run(broken, u)
-    without = found.run(np.delete(y, 5, axis=0), np.delete(u, 5, axis=0))
-    np.testing.assert_array_equal(with_it.refused, np.arange(12) == 5)
+    got, expected = found.run(broken, u), found.run(missing, u)
+    np.testing.assert_array_equal(got.status, np.where(expected.status == 1, -2, 0))
+    np.testing.assert_array_equal(got.refused, np.isin(np.arange(12), [0, 5]))
+    assert not got.held.any()
     for port in found.ports:
-        got = np.delete(with_it[port], 5, axis=0)
-        np.testing.assert_array_equal(got, without[port])
-        if port != "innovation":  # NaN where y is no number
-            np.testing.assert_array_equal(with_it[port][5], with_it[port][4])
+        np.testing.assert_array_equal(got[port], expected[port])
+
+
+@pytest.mark.parametrize("name", list(PLANTS))
+def test_a_sample_with_an_input_that_is_no_number_is_held(name):
+    plant = PLANTS[name]
+    rng = np.random.default_rng(4)
+    y, u = rng.standard_normal((12, 2)), np.ones((12, 1))
+    y[4, 0] = NAN
+    u[[0, 5, 6]] = NAN
+    found = fkgen.build(plant)
+    got = found.run(y, u)
+    np.testing.assert_array_equal(got.held, np.isnan(u[:, 0]))
+    np.testing.assert_array_equal(got.held, got["held"])
+    left = found.run(y[~got.held], u[~got.held])
+    start = found.run(y[:0], u[:0], start=(found.reset(), found.snapshot())[1])
+    assert start.status.size == 0
+    for port in found.ports:
+        np.testing.assert_array_equal(got[port][~got.held], left[port])
+        for k in (5, 6):
+            np.testing.assert_array_equal(got[port][k], got[port][4])
+    x0, P0 = plant.model.x0.values().ravel(), plant.model.P0.values()
+    for of in ("filtered", "predicted"):
+        np.testing.assert_array_equal(got[f"{of}_state"][0], x0.astype(found.layout.dtype))
+        np.testing.assert_array_equal(got[f"{of}_covariance"][0], P0.astype(found.layout.dtype))
+    assert np.isnan(got.innovation[0]).all()
+
+
+def test_a_sample_with_a_parameter_out_of_its_range_or_no_number_is_held():
+    found = fkgen.build(spec(VARYING, family="kf", parameters=PARAMETERS))
+    y, u = np.full((8, 2), 0.1), np.ones((8, 1))
+    dt = np.array([0.1, 0.1, -0.05, 0.1, NAN, INF, 0.1, 0.1])
+    got = found.run(y, u, {"dt": dt})
+    wrong = ~(dt > 0) | np.isinf(dt)
+    np.testing.assert_array_equal(got.held, wrong)
+    np.testing.assert_array_equal(got.status[wrong], -4)
+    kept = found.run(y[~wrong], u[~wrong], {"dt": dt[~wrong]})
+    np.testing.assert_array_equal(got.predicted_state[~wrong], kept.predicted_state)
+
+
+def test_a_sample_of_which_even_the_prediction_overflows_is_held():
+    found = fkgen.build(motor("kf", MOTOR | {"A": [["a", 0.0], [0.0, 0.9]]}, parameters={"a": 0.9}))
+    a = np.array([0.9, 0.9, 1e200, 0.9])
+    got = found.run(np.full(4, 0.1), np.ones(4), {"a": a})
+    np.testing.assert_array_equal(got.held, [False, False, True, False])
+    np.testing.assert_array_equal(got.status, [0, 0, -5, 0])
+
+
+@pytest.mark.parametrize(
+    ("scalar", "huge", "far"), [("double", 1e308, 1e307), ("float", 3e38, 1e38)]
+)
+def test_no_port_of_an_accepted_sample_is_anything_but_finite(scalar, huge, far):
+    model = {"A": [[1.0]], "Q": [["q"]], "x0": [0.0], "P0": [[1.0]]}
+    one = model | {"C": [[1.0]], "R": [["r"]]}
+    two = model | {"C": [[1.0], [0.0]], "R": [["r", "c"], ["c", "2*r"]]}
+    wild = {"r": [1.0, huge, INF, 1.0], "q": [1.0, huge, 1.0], "c": [0.1, huge, -INF, NAN]}
+    for table, p in ((one, 1), (two, 2)):
+        given = {"q": 1.0, "r": 1.0} | ({"c": 0.0} if p == 2 else {})
+        found = fkgen.build(spec(table, family="kf", parameters=given, code={"scalar": scalar}))
+        for name, values in wild.items():
+            for value in values if name in given else ():
+                for size in (0.1, far, -far):
+                    y = np.full((4, p), 0.1)
+                    y[2, 0], y[3, 1:] = size, NAN
+                    got = found.run(y, params={name: np.array([given[name], value] * 2)})
+                    for port in found.ports:
+                        sound = np.isfinite(got[port][~got.refused])
+                        assert sound.all() or port == "innovation"
 
 
 def test_the_message_names_the_status_and_says_what_it_means():

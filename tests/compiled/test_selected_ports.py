@@ -99,7 +99,9 @@ def test_nothing_is_computed_that_nobody_reads(name):
     }
     decisive = {"filtered_state", *(outcome.port for outcome in found.outcomes)}
     decisive |= {phase.unless for phase in found.phases if phase.unless}
-    assert kept <= carried | decisive | {p.given for p in found.ports}
+    assert kept <= carried | decisive | {p.given for p in found.ports} | {
+        p.corrected for p in found.ports
+    }
 
 
 @needs_compiler()

@@ -59,10 +59,10 @@ def selected(
     ports: tuple[Port, ...], phases: Mapping[str, ir.Phase], asked: Iterable[str]
 ) -> tuple[tuple[Port, ...], dict[str, ir.Phase]]:
     """The ports that stay if only some are asked for, and the phases without the others."""
-    given = {port.name: port.given for port in ports}
+    partners = {port.name: {port.given, port.corrected} - {""} for port in ports}
     kept = {ALWAYS, *asked, *(phase.unless for phase in phases.values() if phase.unless)}
     while True:
-        kept |= {given[name] for name in kept if given.get(name)}
+        kept = kept.union(*(partners.get(name, set()) for name in kept))
         left = {name: _pruned(phase, frozenset(kept)) for name, phase in phases.items()}
         read = {
             e.name

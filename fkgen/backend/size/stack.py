@@ -20,6 +20,9 @@ BYTES = {"double": 8, "float": 4}
 _SAVED, _SAVED_SMALL = 96, 48
 _LEAF, _LEAF_SMALL = 128, 128
 
+#: Copies of the instance that a compiler keeps at -O0: the next one, and those of branches.
+_COPIES = 3
+
 #: Printed as a question, whose answer has a place of its own.
 _ASKING = {ir.Operator.ABS, ir.Operator.MAX, ir.Operator.MIN}
 
@@ -35,7 +38,7 @@ class Stack:
 def stack_of(program: ir.CProgram, outlined: Outline, *, inlined: bool) -> Stack:
     """Bounds on the stack of a call of update, predict or step."""
     size = BYTES[program.scalar]
-    instance = size * sum(port.size for port in program.ports)
+    instance = instance_of(program)
     routines = {each.name: each for each in outlined.routines}
     plain, small = [], []
     for phase in outlined.phases:
@@ -44,9 +47,17 @@ def stack_of(program: ir.CProgram, outlined: Outline, *, inlined: bool) -> Stack
     together = sum(plain) if inlined else max(plain)
     together += together // 8  # what expressions keep on the way
     return Stack(
-        plain=_rounded(instance + 2 * _SAVED + _LEAF + together),
+        plain=_rounded(_COPIES * instance + 2 * _SAVED + _LEAF + together),
         small=_rounded(instance + _SAVED_SMALL + _LEAF_SMALL + sum(small)),
     )
+
+
+def instance_of(program: ir.CProgram) -> int:
+    """Bytes of an instance: ports, which estimate is the latest, and bits of rows."""
+    size = BYTES[program.scalar]
+    scalars = sum(port.size for port in program.ports) + 1 + len(program.repeats or ())
+    words = -(-len(program.outputs) // 32) * sum(port.flags for port in program.ports)
+    return -(-(size * scalars + 4 * words) // size) * size
 
 
 def _plain(

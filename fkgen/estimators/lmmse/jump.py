@@ -49,7 +49,14 @@ from fkgen.symbolic.linalg import (
     unpack,
 )
 from fkgen.symbolic.plant import Plant, mode_plants
-from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    carried,
+    innovation_ports,
+    prior_symbols,
+    shown,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 Array = NDArray[np.float64]
@@ -85,7 +92,7 @@ class AugmentedState:
                 modes = chain.times(faults.channel).modes
         lumping = chain.lumped(tuple((i,) for i in range(len(chain.modes))))
         if faults is None:  # modes of jump faults are the user's: each has its part
-            lumped = chain.lumped(chain.alike("ABCDQc"))
+            lumped = chain.lumped(chain.alike("ABCDQcd"))
             lumping = lumped if lumped.unequal_successors <= EQUAL else lumping
         self.groups = lumping.groups  # the modes that share a part
         self.kernel = np.array(lumping.transition)  # (N, N), of the groups
@@ -94,7 +101,7 @@ class AugmentedState:
         #: For names and sizes, which all modes share, and whether one may measure without noise
         self.base = replace(self.plants[0], noise_free=exact)
         #: Parts are (x, 1) 1{mode}: something known is added to the state, or to y
-        self.ones = bool(spec.model.nu) or any(plant.c.nnz() for plant in self.plants)
+        self.ones = bool(spec.model.nu) or any(p.c.nnz() or p.d.nnz() for p in self.plants)
         self.modes = len(self.groups)  # N
         self.parts = len(self.shares) * self.modes
         self.width = self.base.nx + int(self.ones)  # of a part
@@ -171,36 +178,45 @@ def ports_of(z: AugmentedState, *, covariances: bool) -> tuple[Port, ...]:
     return (*state_ports(spec), *innovation_ports(spec), *loss_ports(spec), *ports)
 
 
-def start_values(z: AugmentedState) -> dict[str, Array]:
-    """The prior, shared out by the law of the mode: x has P0, every part its share of it."""
-    law = np.array(z.chain.initial)
+def start_of(z: AugmentedState, ports: Sequence[Port], symbols: dict[str, ca.SX]) -> Phase:
+    """The prior, shared out by the law of the mode: x has P, every part its share of it."""
+    given, law = prior_symbols(z.base.nx), np.array(z.chain.initial)
+    builder, x, P = PhaseBuilder({**symbols, **given}), given["x"], unpack(given["P"], z.base.nx)
     groups = np.array([law[list(group)].sum() for group in z.groups])
     share, inner = np.kron(z.shares, groups)[:-1], z.own.start
-    x0, P0 = z.spec.model.x0.values().ravel(), z.spec.model.P0.values()
-    mean = np.append(x0, 1.0)[: z.width]
-    spread = np.zeros((z.width, z.width))
-    spread[: len(x0), : len(x0)] = P0
-    X = np.zeros((z.size, z.size))
+    mean = ca.vertcat(x, 1)[: z.width]
+    spread = ca.SX(z.width, z.width)
+    spread[: x.numel(), : x.numel()] = P
+    X = ca.SX(z.size, z.size)
     # 1{i} - share: covariance of the indicators; times the mean on both sides.
-    X[:inner, :inner] = np.kron(np.diag(share), spread) + np.kron(
-        np.diag(share) - np.outer(share, share), np.outer(mean, mean)
+    X[:inner, :inner] = ca.kron(constant(np.diag(share)), spread) + ca.kron(
+        constant(np.diag(share) - np.outer(share, share)), mean @ mean.T
     )
-    X[z.own, :inner] = np.kron(share, spread[: len(x0)])
-    X[z.own, z.own] = P0
-    second = P0 + np.outer(x0, x0)
-    return {
-        "mode_law": law,
-        "augmented_state": np.concatenate([np.kron(share, mean), x0]),
-        "augmented_covariance": X[np.tril_indices(z.size)],
-        "mode_second_moment": np.kron(groups, second[np.tril_indices(len(x0))]),
-        "mode_first_moment": np.kron(groups, x0),
+    X[z.own, :inner] = ca.kron(ca.SX(ca.DM(share)).T, spread[: x.numel(), :])
+    X[z.own, z.own] = P
+    start = {
+        "augmented_state": ca.vertcat(ca.kron(ca.SX(ca.DM(share)), mean), x),
+        "augmented_covariance": pack(X),
+        "mode_second_moment": ca.kron(ca.SX(ca.DM(groups)), given["P"] + outer_lower(x, x)),
+        "mode_first_moment": ca.kron(ca.SX(ca.DM(groups)), x),
     }
+    of = {port.name: _stem(port) for port in ports}
+    values = {name: start[stem] for name, stem in of.items() if stem in start}
+    builder.assign(values)
+    return builder.phase()
+
+
+def _stem(port: Port) -> str:
+    """The name without what tells a prediction and a filtered estimate apart."""
+    return port.name.replace("filtered_", "").replace("predicted_", "")
 
 
 def measured(z: AugmentedState, plants: Sequence[Plant], u: ca.SX) -> tuple[ca.SX, ca.SX]:
     """L and what is known: E[y | z] = L z + offset, without the rate."""
     own = [z.plant(plants, part) for part in range(z.parts)]
-    signals = ca.horzcat(*[ca.horzcat(each.C, each.D @ u)[:, : z.width] for each in own])
+    signals = ca.horzcat(
+        *[ca.horzcat(each.C, sensed_offset(each, u))[:, : z.width] for each in own]
+    )
     return sparse(signals @ z.E), signals @ z.e
 
 
@@ -249,6 +265,11 @@ def shared(matrices: list[ca.SX], weights: list[ca.SX]) -> ca.SX:
 def offset_of(plant: Plant, u: ca.SX) -> ca.SX:
     """What is known and added to the state: B u + c."""
     return plant.B @ u + plant.c
+
+
+def sensed_offset(plant: Plant, u: ca.SX) -> ca.SX:
+    """What is known and added to the signal: D u + d."""
+    return plant.D @ u + plant.d
 
 
 def step_of(z: AugmentedState, plant: Plant, u: ca.SX) -> ca.SX:
@@ -398,19 +419,16 @@ def recursion_of(
     notes: tuple[str, ...] = (),
 ) -> Recursion:
     """Write both phases over the ports that they need; without a form the gain is constant."""
-    spec, start = z.spec, start_values(z)
+    spec = z.spec
     ports = ports_of(z, covariances=form is not None)
     symbols = symbols_of(spec, z.base, ports)
-    initial = {}
-    for port in ports:
-        of = port.name.replace("filtered_", "").replace("predicted_", "")
-        if of in start:
-            initial[port.name] = tuple(start[of].tolist())
+    laws = [port.name for port in ports if _stem(port) == "mode_law"]
     return Recursion(
         spec=spec,
         source=source,
         ports=ports,
-        initial=initial,
+        start=start_of(z, ports, symbols),
+        initial=dict.fromkeys(laws, tuple(map(float, z.chain.initial))),
         update=update(z, symbols),
         predict=predict(z, symbols),
         form=form,
@@ -444,16 +462,16 @@ def mean_noise(
 
 def signal_moment(z: AugmentedState, plants: Sequence[Plant], now: Moments, u: ca.SX) -> ca.SX:
     """Packed E[s s'] of the signal s = C x + D u; modes that measure alike are added first."""
-    alike: dict[tuple[int, int], list[int]] = {}
+    alike: dict[tuple[int, ...], list[int]] = {}
     for i in range(z.modes):
         plant = z.plant(plants, i)
-        alike.setdefault((id(plant.C), id(plant.D)), []).append(i)
+        alike.setdefault((id(plant.C), id(plant.D), id(plant.d)), []).append(i)
     terms = []
     for modes in alike.values():
         plant = z.plant(plants, modes[0])
         signal, moment = plant.C, total([now.second[i] for i in modes])
-        if plant.D.nnz():
-            signal, moment = ca.horzcat(plant.C, plant.D @ u), now.joint(*modes)
+        if plant.D.nnz() or plant.d.nnz():
+            signal, moment = ca.horzcat(plant.C, sensed_offset(plant, u)), now.joint(*modes)
         terms.append(congruence(signal, moment))
     return total(terms)
 
@@ -462,7 +480,7 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, form: Form) -> Phas
     builder, u = PhaseBuilder(symbols), symbols["u"]
     prior = symbols["augmented_state"], symbols["augmented_covariance"]
     demand_positive(builder, prior[1], z.size)
-    plants = bound_all(builder, z.plants, "CDR")
+    plants = bound_all(builder, z.plants, "CDRd")
     now = moments_of(z, symbols, "predicted_")
     noise = mean_noise(builder, z, plants, z.law(symbols, "predicted_"))
     L, offset = measured(z, plants, u)

@@ -35,10 +35,17 @@ from fkgen.estimators.models.weights import TINY
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import congruence, is_zero, pack, sparse, unpack
+from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.linalg import congruence, is_zero, outer_lower, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant, plant_of
-from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
+from fkgen.symbolic.ports import (
+    carried,
+    innovation_ports,
+    prior_symbols,
+    shown,
+    state_ports,
+    symbols_of,
+)
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: Moments that the prediction moves on and y[k] does not change.
@@ -60,14 +67,23 @@ class UncertainFilter:
         self.symbols = symbols_of(spec, self.plant, self.ports)
         self.form = update_form(spec, self.plant, augmented=False)
 
-    def start(self) -> dict[str, tuple[float, ...]]:
+    def start(self) -> Phase:
+        """The moments of the prior; without a constant term its mean has to be 0."""
+        prior = prior_symbols(self.plant.nx)
+        builder, x = PhaseBuilder({**self.symbols, **prior}), prior["x"]
+        if not self.white:
+            squares = [-x[i] * x[i] for i in range(self.plant.nx)]
+            builder.demand(Kind.NONNEGATIVE, squares, Status.PARAMETER_OUT_OF_RANGE)
+        results = {"predicted_state_second_moment": prior["P"] + outer_lower(x, x)}
+        if self.plant.nu:
+            results["predicted_state_mean"] = x
+        builder.assign(results)
+        return builder.phase()
+
+    def initial(self) -> dict[str, tuple[float, ...]]:
         """Start values; at sample 0 nothing came before: E[gamma] takes the place of p11."""
-        n, model, law = self.plant.nx, self.spec.model, self.faults.initial
-        x0 = model.x0.values().ravel()
-        second = model.P0.values() + np.outer(x0, x0)
+        n, law = self.plant.nx, self.faults.initial
         start = {
-            "predicted_state_second_moment": tuple(second[np.tril_indices(n)].tolist()),
-            "predicted_state_mean": tuple(x0.tolist()),
             "transition": tuple(np.eye(n).ravel().tolist()),
             "predicted_mode_law": law,
             "predicted_signal_law": law,
@@ -148,7 +164,8 @@ def uncertain_filter(spec: Spec, source: str) -> Recursion:
         spec=spec,
         source=source,
         ports=design.ports,
-        initial=design.start(),
+        start=design.start(),
+        initial=design.initial(),
         update=_update(design),
         predict=_predict(design),
         form=design.form,
@@ -170,6 +187,11 @@ def _law_ports(*, white: bool, stationary: bool) -> tuple[Port, ...]:
     )
 
 
+def has_mean(plant: Plant) -> bool:
+    """Whether the mean of the state is carried along: something known is added to it, or to y."""
+    return bool(plant.nu or plant.c.nnz() or plant.d.nnz())
+
+
 def _ports(plant: Plant) -> tuple[Port, ...]:
     """Gains and unconditional moments."""
     n, p = plant.nx, plant.ny
@@ -183,7 +205,7 @@ def _ports(plant: Plant) -> tuple[Port, ...]:
     for prefix, k in (("", "k"), ("predicted_", "k+1")):
         second, name = f"E[x[{k}] x[{k}]'], unconditional", f"{prefix}state_second_moment"
         ports.append(carried(name, (n, n), second, unit="xx", symmetric=True))
-        if plant.nu:
+        if has_mean(plant):
             mean = f"E[x[{k}]], unconditional"
             ports.append(carried(f"{prefix}state_mean", (n,), mean, unit="x"))
     return tuple(ports)
@@ -193,7 +215,7 @@ def _update(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
     demand_positive(builder, symbols["predicted_covariance"], n)
-    plant = bound(builder, design.plant, "CDR")
+    plant = bound(builder, design.plant, "CDRd")
     with builder.titled("moments of the measurement"):
         C, found, gain = _condition(builder, design, plant)
     demand_finite(builder, found.mean)
@@ -237,7 +259,7 @@ def _condition(
         plant,
         y=symbols["y"],
         C=C,
-        offset=ca.diag(pi) @ plant.D @ symbols["u"],
+        offset=ca.diag(pi) @ (plant.D @ symbols["u"] + plant.d),
         R=noise,
     )
     found = condition(builder, (state, covariance), measurement, form=design.form, with_gain=True)
@@ -262,9 +284,9 @@ def _noise(builder: PhaseBuilder, design: UncertainFilter, plant: Plant, signal:
 def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca.SX:
     """Second moment of C x + D u."""
     moment = unpack(congruence(plant.C, second), plant.ny)
-    if not plant.D.nnz():
+    if not (plant.D.nnz() or plant.d.nnz()):
         return moment
-    direct = plant.D @ symbols["u"]
+    direct = plant.D @ symbols["u"] + plant.d
     common = plant.C @ symbols["predicted_state_mean"] @ direct.T
     return moment + common + common.T + direct @ direct.T
 
@@ -272,7 +294,7 @@ def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca
 def _predict(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
-    plant = bound(builder, design.plant, "ABQ")
+    plant = bound(builder, design.plant, "ABQc")
     inputs = certain(symbols["u"])
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, inputs, filtered)
@@ -284,8 +306,8 @@ def _predict(design: UncertainFilter) -> Phase:
         "transition": by_rows(plant.A),
         **design.advanced(),
     }
-    if plant.nu:
-        mean, forced = plant.A @ symbols["state_mean"], plant.B @ symbols["u"]
+    if has_mean(plant):
+        mean, forced = plant.A @ symbols["state_mean"], plant.B @ symbols["u"] + plant.c
         common = mean @ forced.T
         moved += pack(common + common.T + forced @ forced.T)
         assign["predicted_state_mean"] = mean + forced

@@ -13,7 +13,7 @@ import casadi as ca
 
 from fkgen.errors import InternalError
 from fkgen.estimators.gaussian.actuation import Actuation, intermittent
-from fkgen.estimators.gaussian.decorrelation import whiten
+from fkgen.estimators.gaussian.decorrelation import correlated_rows, whiten
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
@@ -115,6 +115,7 @@ def multiple_model_bank(spec: Spec) -> Recursion:
         update=_update(bank),
         predict=_predict(bank),
         form=bank.form,
+        repeats=None if any(random) else correlated_rows((plant.R,)),
         notes=(
             f"likelihood: {'mixture' if bank.mixture else 'Gaussian'}",
             f"weight floor: {options.weight_floor:g}",
@@ -137,7 +138,7 @@ def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
         carried("mode_probability", (count,), held, start=options.prior),
         shown("success_rate_estimate", rate, "mean success rate given y[0..k]"),
         shown("paper_state", (n,), paper, unit="x"),
-        carried("log_weight", (count,), "logarithm of mode_probability", start=logarithms),
+        *_weight_ports(logarithms, floored=options.weight_floor > 0.0 and not any(random)),
         *mode_estimate_ports(spec, count, means),
     )
     about = "of gamma[k] minus its mean under each hypothesis, given y[0..k]"
@@ -150,13 +151,33 @@ def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
     return (*ports, *deviations) if r else ports
 
 
+def _weight_ports(start: tuple[float, ...], *, floored: bool) -> tuple[Port, ...]:
+    """Logarithms of the weights; what a second update goes on from has no floor yet."""
+    weight, shape = "logarithm of mode_probability", (len(start),)
+    if not floored:
+        return (carried("log_weight", shape, weight, start=start),)
+    return (
+        carried("log_weight", shape, weight, start=start, corrected="log_weight_unfloored"),
+        carried("log_weight_unfloored", shape, f"{weight} before the floor", start=start),
+    )
+
+
+def _held(builder: PhaseBuilder, symbols: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Probabilities before this sample and their logarithms: copies, as the ports change."""
+    with builder.titled("probabilities before this sample"):
+        return (
+            builder.define("held_probability", symbols["mode_probability"]),
+            builder.define("held_logarithm", symbols["log_weight"]),
+        )
+
+
 def _update(bank: Bank) -> Phase:
     builder, symbols, spec = PhaseBuilder(bank.symbols), bank.symbols, bank.spec
-    y, held = symbols["y"], (symbols["mode_probability"], symbols["log_weight"])
+    y, held = symbols["y"], _held(builder, symbols)
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
         demand_positive(builder, packed, bank.plant.nx)
-    bank = replace(bank, plant=bound(builder, bank.plant, "CDR"))
+    bank = replace(bank, plant=bound(builder, bank.plant, "CDRd"))
     found, posteriors = [], []
     for i, prior in enumerate(priors):
         with builder.titled(f"hypothesis {i}"):
@@ -170,14 +191,13 @@ def _update(bank: Bank) -> Phase:
         logs = [_log_likelihood(builder, bank, i, priors[i], each) for i, each in enumerate(found)]
         weights = reweigh(builder, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
     with builder.titled("combination"):
-        C, D = bank.plant.C, bank.plant.D
+        C, D, d = bank.plant.C, bank.plant.D, bank.plant.d
         predicted = [
-            builder.define(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean)
+            builder.define(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean + d)
             for i, (mean, _) in enumerate(priors)
         ]
         results = combined_innovation(builder, held[0], predicted, found)
-        w = weights.probability
-        parts = [(each.state, each.covariance) for each in posteriors]
+        w, parts = weights.probability, [(each.state, each.covariance) for each in posteriors]
         state = weighted_sum(w, [mean for mean, _ in parts])
         rates = [ca.SX(list(rates)) for rates in spec.filter.options.hypotheses]
         results |= {
@@ -192,6 +212,8 @@ def _update(bank: Bank) -> Phase:
             "mode_deviation_cross": ca.vertcat(*(by_rows(p.cross_covariance) for p in posteriors)),
             **weights.ports(),
         }
+        if "log_weight_unfloored" in symbols:
+            results["log_weight_unfloored"] = weights.unfloored
         builder.assign({name: value for name, value in results.items() if value.numel()})
     return builder.phase()
 
@@ -222,7 +244,7 @@ def _log_likelihood(
 
 def _predict(bank: Bank) -> Phase:
     builder = PhaseBuilder(bank.symbols)
-    plant = bound(builder, bank.plant, "ABQ")
+    plant = bound(builder, bank.plant, "ABQc")
     moved = [propagate(plant, bank.actuation(i), bank.filtered(i)) for i in range(len(bank.random))]
     with builder.titled("prediction of every hypothesis"):
         states = builder.define("moved_state", ca.vertcat(*(state for state, _, _ in moved)))

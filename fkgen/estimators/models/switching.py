@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from fkgen.estimators.gaussian.actuation import certain
+from fkgen.estimators.gaussian.decorrelation import correlated_rows
 from fkgen.estimators.gaussian.estimate import (
     Posterior,
     bound,
@@ -52,7 +53,6 @@ from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
     mode_estimate_ports,
-    prior_of,
     state_ports,
     symbols_of,
     twins,
@@ -193,7 +193,13 @@ class Switching:
             form=update_form(spec, plants[0], augmented=False),
         )
 
-    def recursion(self, source: str, phases: tuple[Phase, Phase], *notes: str) -> Recursion:
+    def recursion(
+        self,
+        source: str,
+        phases: tuple[Phase, Phase],
+        *notes: str,
+        repeats: tuple[tuple[int, ...], ...] | None = None,
+    ) -> Recursion:
         """The recursion of these two phases."""
         return Recursion(
             spec=self.spec,
@@ -203,6 +209,7 @@ class Switching:
             predict=phases[1],
             form=self.form,
             notes=notes,
+            repeats=repeats,
         )
 
     def bound(self, builder: PhaseBuilder, letters: str) -> Modes:
@@ -219,7 +226,7 @@ class Switching:
         builder, symbols = PhaseBuilder(self.symbols), self.symbols
         for packed in {id(packed): packed for _, packed in priors}.values():
             demand_positive(builder, packed, self.spec.model.nx)
-        modes = self.bound(builder, "CDR")
+        modes = self.bound(builder, "CDRd")
         each = [self.corrected(builder, modes, j, prior) for j, prior in enumerate(priors)]
         held = (symbols["predicted_mode_probability"], symbols["predicted_log_weight"])
         with builder.titled("probabilities of the modes"):
@@ -229,7 +236,7 @@ class Switching:
             predicted = []
             for j, (prior, variants) in enumerate(zip(priors, modes.variants, strict=True)):
                 plant = variants[0].plant
-                y = plant.C @ prior[0] + plant.D @ symbols["u"]
+                y = plant.C @ prior[0] + plant.D @ symbols["u"] + plant.d
                 predicted.append(builder.define(f"predicted_y_m{j}", y))
             results = combined_innovation(builder, held[0], predicted, each)
         with builder.titled("combination"):
@@ -305,10 +312,10 @@ def one_step_optimal(spec: Spec) -> Recursion:
 
 
 def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
-    n, start = spec.model.nx, prior_of(spec)[1] * count
+    n = spec.model.nx
     shape = (count, n, n) if count > 1 else (n, n)
     what = f"as if gamma were always 1, for delta = 1{' and C' if count > 1 else ''}"
-    covariance = partial(carried, unit="xx", symmetric=True, start=start)
+    covariance = partial(carried, unit="xx", symmetric=True, prior="P")
     ports = (
         covariance("riccati_covariance", shape, f"P(k+1|k) {what}"),
         covariance("riccati_filtered_covariance", shape, f"P(k|k) {what}"),
@@ -318,7 +325,7 @@ def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
 
 def _one_prediction(filtering: Switching, beside: int) -> Phase:
     builder, symbols, spec = PhaseBuilder(filtering.symbols), filtering.symbols, filtering.spec
-    plant = bound(builder, filtering.plants[0], "ABQ")
+    plant = bound(builder, filtering.plants[0], "ABQc")
     now = (symbols["mode_probability"], symbols["log_weight"])
     with builder.titled("law of the next mode"):
         law = advance(builder, filtering.modes.kernel, now, spec.code.scalar, mixing=False)
@@ -369,7 +376,9 @@ def interacting_models(spec: Spec) -> Recursion:
     if spec.faults.jump is not None:
         source = "Blom & Bar-Shalom 1988, IEEE Trans. Automatic Control 33(8)"
         notes.append(JUMPING)
-    return filtering.recursion(source, phases, *notes)
+    lumped = any(len(variants) > 1 for variants in filtering.modes.variants)
+    repeats = None if lumped else correlated_rows([plant.R for plant in filtering.plants])
+    return filtering.recursion(source, phases, *notes, repeats=repeats)
 
 
 def _predictions(filtering: Switching) -> Phase:

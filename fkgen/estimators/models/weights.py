@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 
 import casadi as ca
@@ -42,6 +42,7 @@ class Weights:
     probability: ca.SX
     logarithm: ca.SX
     log_likelihood: ca.SX
+    unfloored: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # As Bayes' rule gives it
 
     def ports(self) -> dict[str, ca.SX]:
         """What is shown of them."""
@@ -85,13 +86,14 @@ def reweigh(
     """
     n = len(log_likelihoods)
     if n == 1:
-        return Weights(*held, log_likelihoods[0])
-    result = Weights(
-        builder.local("weight", n),
-        builder.local("log_weight_now", n),
-        builder.local("log_evidence", 1, initial=0.0),
-    )
+        return Weights(*held, log_likelihoods[0], held[1])
+    weights = builder.local("weight", n), builder.local("log_weight_now", n)
+    evidence = builder.local("log_evidence", 1, initial=0.0)
     builder.assign({"weight": held[0], "log_weight_now": held[1]})
+    unfloored = weights[1]
+    if floor > 0.0:
+        unfloored = builder.local("log_weight_by_rule", n)
+        builder.assign({"log_weight_by_rule": held[1]})
     with builder.if_present(None):
         names = "log_joint", "log_largest", "share_of_largest", "share_total"
         joint, top, share, total = _relative(builder, names, held[1] + column(log_likelihoods), 0.0)
@@ -101,12 +103,13 @@ def reweigh(
         log_total = builder.define("log_share_total", ca.log(total), initial=0.0)
         weight, logarithm = share * inverse, ca.fmax((joint - top) - log_total, LOG_ZERO[scalar])
         if floor > 0.0:
+            builder.assign({"log_weight_by_rule": logarithm})
             weight = builder.define("floored", floor + (1.0 - n * floor) * weight, initial=0.0)
             logarithm = ca.log(weight)
         builder.assign(
             {"weight": weight, "log_weight_now": logarithm, "log_evidence": top + log_total}
         )
-    return result
+    return Weights(*weights, evidence, unfloored)
 
 
 def _relative(

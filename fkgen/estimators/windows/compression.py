@@ -37,7 +37,7 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import column, congruence, diagonal, pack, split_packed, unpack
-from fkgen.symbolic.ports import estimate_ports, prior_of
+from fkgen.symbolic.ports import estimate_ports
 from fkgen.symbolic.recursion import Phase, Recursion
 
 Groups = tuple[int, ...]
@@ -53,14 +53,18 @@ def compression_filter(spec: Spec, source: str) -> Recursion:
 
 
 def _ports(spec: Spec, count: int) -> tuple[Port, ...]:
-    n, start = spec.model.nx, ((), prior_of(spec)[1])
+    n = spec.model.nx
     shape = (count, n) if count > 1 else (n,)
     covariance = "error covariance of the estimate with the compressed rows"
     result: list[Port] = []
     for prefix, k in (("", "k"), ("predicted_", "k+1")):
         deviation = f"estimate of x[{k}] with the compressed rows minus that of the host"
         result += estimate_ports(
-            f"{prefix}compression_", shape, (deviation, covariance), state="deviation", start=start
+            f"{prefix}compression_",
+            shape,
+            (deviation, covariance),
+            state="deviation",
+            priors=("", "P"),
         )
     return tuple(result)
 
@@ -189,7 +193,7 @@ def _test(design: window.Design, builder: PhaseBuilder, group: int) -> Quadratic
 def _predict(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
-    plant = bound(builder, design.plant, "ABQ")
+    plant = bound(builder, design.plant, "ABQc")
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, certain(symbols["u"]), filtered)
     filters = _filters(design)

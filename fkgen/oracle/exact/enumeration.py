@@ -98,9 +98,9 @@ def _update(
     """Update all Kalman filters with the finite rows of y; the ports of the measurement."""
     from scipy.special import log_softmax, logsumexp, softmax  # noqa: PLC0415 - slow to import
 
-    C, D, R = (each[k][prior.mode] for each in (system.C, system.D, system.R))
+    C, D, R, d = (each[k][prior.mode] for each in (system.C, system.D, system.R, system.d))
     x, P = prior.state, prior.covariance
-    expected = (C @ x[..., None])[..., 0] + D @ u
+    expected = (C @ x[..., None])[..., 0] + D @ u + d
     S = C @ P @ C.transpose(0, 2, 1) + R
     mean, covariance = mixture(softmax(prior.log_weight), expected, S)
     finite = np.isfinite(y)

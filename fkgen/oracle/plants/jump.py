@@ -17,11 +17,8 @@ from fkgen.problem import Spec
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JumpSystem(Plant):
-    """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u) + v, with i = mode[k]."""
+    """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u + d_i) + v, i = mode[k]."""
 
-    VARYING = (*Plant.VARYING, "c")
-
-    c: Array  # (T, N, n): Known offsets
     #: transition, initial: (N, N), (N,): Pr(j at k+1 | i at k), and the law of mode[0]
     transition: Array
     initial: Array
@@ -36,9 +33,9 @@ class JumpSystem(Plant):
         return int(self.A.shape[1])
 
     def offsets(self, u: Array) -> tuple[Array, Array]:
-        """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u, (T, N, p)."""
+        """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u + d_i, (T, N, p)."""
         added, sensed = (np.einsum("kiab,kb->kia", each, u) for each in (self.B, self.D))
-        return added + self.c, sensed
+        return added + self.c, sensed + self.d
 
     def mode_law(self) -> Array:
         """Law of mode[k] by powers of the transition matrix, (T, N)."""
@@ -68,7 +65,7 @@ class JumpSystem(Plant):
             )[which]
             for name in cls.VARYING
         }
-        plant["c"] = plant["c"][..., 0]
+        plant |= {name: plant[name][..., 0] for name in ("c", "d")}
         rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
         arrival = np.array(faults.arrival_chain or [[1.0 - rate, rate]] * 2)
         start = lasting_law(arrival) if faults.arrival_chain else arrival[0]

@@ -60,6 +60,11 @@ class Matrix:
         """Whether it depends on no parameter."""
         return all(isinstance(entry, Number) for row in self.rows for entry in row)
 
+    @property
+    def is_zero(self) -> bool:
+        """Whether every entry is the constant zero."""
+        return all(entry == ZERO for row in self.rows for entry in row)
+
     def mapped(self, change: Callable[[int, int, Expression], Expression]) -> Matrix:
         """Return the matrix of ``change(i, j, entry)``."""
         return Matrix(
@@ -77,6 +82,10 @@ class Matrix:
     def plain(self) -> Any:
         """Return the entries as a spec file writes them: numbers, and texts for expressions."""
         return plain(self.rows)
+
+    def plain_column(self) -> Any:
+        """Return the entries of a column as a list."""
+        return [plain(row[0]) for row in self.rows]
 
 
 def plain(value: object) -> object:

@@ -126,7 +126,7 @@ def fault_effect(
     """
     scenario = _checked(as_spec(spec), (sensor, input, u, y), params, mode, steps)
     traits = spec.filter.traits
-    if traits.linear:
+    if traits.linear and spec.model.S.is_zero:
         return _linear_response(scenario)
     if traits.moments and spec.faults.sensor is not None and not scenario.anomaly.any():
         return _differenced_response(scenario)
@@ -292,6 +292,8 @@ def _with_lost_commands(spec: Spec, roots: Array) -> tuple[Spec, dict[str, Array
         B=_blocks((model.B,), (Matrix.zeros(r, model.nu),)),
         C=_blocks((model.C, into_y)),
         Q=_blocks((model.Q, above), (below, noise)),
+        S=Matrix.zeros(n + r, model.ny),
+        c=_blocks((model.c,), (Matrix.zeros(r, 1),)),
         P0=_blocks((model.P0, above), (below, noise)),
         x0=Matrix.zeros(n + r, 1),
         states=(*model.states, *(Signal(f"{prefix}_{j}") for j in range(r))),
@@ -333,8 +335,9 @@ def _paired_response(scenario: _Scenario, runs: int, seed: int) -> FaultEffect:
 
 def _silent(system: LinearSystem) -> LinearSystem:
     """The plant from rest, without noise, measuring every state; the same commands are lost."""
-    zeros = {name: np.zeros_like(getattr(system, name)) for name in ("Q", "x0", "P0")}
-    zeros |= {"D": np.zeros_like(system.B), "R": np.zeros_like(system.A)}
+    zeros = {name: np.zeros_like(getattr(system, name)) for name in ("Q", "c", "x0", "P0")}
+    rows = (("d", system.c), ("D", system.B), ("R", system.A))
+    zeros |= {name: np.zeros_like(like) for name, like in rows}
     return replace(system, C=np.broadcast_to(np.eye(system.nx), system.A.shape), **zeros)
 
 

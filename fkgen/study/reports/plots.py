@@ -66,8 +66,8 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     states, outputs, soft = spec.model.states[:LARGEST], spec.model.outputs, spec.faults.soft
     units = {one.unit: [i for i, s in enumerate(outputs) if s.unit == one.unit] for one in outputs}
     time, label = np.asarray(table.time, dtype=float), table.time_name or "sample"
-    if not table.time_name and spec.model.sample_time is not None:
-        time, label = time * spec.model.sample_time, "t_s"
+    if not table.time_name and spec.period is not None:
+        time, label = time * spec.period, "t_s"
     sheet = _Sheet(spec, run, time, np.isfinite(table.y))
     draws = [partial(_draw_state, sheet=sheet, i=i) for i in range(len(states))]
     if "innovation" in run.ports:
