@@ -212,12 +212,15 @@ def generate(spec: Spec, output: Path | None) -> None:
     """Prove the filter of SPEC and write it as C."""
     from fkgen import pipeline
     from fkgen.backend.render import cost
+    from fkgen.backend.source import own_files
 
     design = pipeline.validate(spec)
     source = pipeline.generate(design)
     folder = source.write(output or Path(spec.name))
-    for name in sorted(source.files):
+    left = source.files.keys() - own_files(folder)
+    for name in sorted(source.files.keys() - left):
         click.echo(folder / name)
+    _say("note", (f"{folder / name} is yours and stays; add {spec.name}.c to it" for name in left))
     click.echo(f"{len(design.claims)} claims hold; one step: {cost(source.program)}")
 
 

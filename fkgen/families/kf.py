@@ -45,14 +45,14 @@ class KalmanOptions(GateOptions):
 
 def build(spec: Spec) -> Recursion:
     """Build the filter with the gain that the spec asks for."""
-    if spec.filter.options.gain == "stationary":
+    if spec.filter.option("gain", None) == "stationary":
         return built_by("lmmse.constant_gain:constant_gain_filter", source=CONSTANT)(spec)
     return built_by("lmmse.kalman:linear_filter", source=SOURCE, with_gain=False)(spec)
 
 
 def check(spec: Spec) -> None:
     """Refuse a stationary gain that does not exist."""
-    if spec.filter.options.gain != "stationary":
+    if spec.filter.option("gain", None) != "stationary":
         return
     from fkgen.oracle.textbook.riccati import stationary_prediction
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fkgen.errors import of_type
 from fkgen.problem.code import Code, read_code
 from fkgen.problem.filter import Filter, Parameter, registry
 from fkgen.problem.model import Model, read_model
 from fkgen.problem.record import Columns, read_record
 from fkgen.problem.signals import PARAMETER, PREFIX, check_distinct, read_name
-from fkgen.problem.table.place import Place
+from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_number, as_table
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
@@ -81,7 +82,7 @@ class Spec:
         SpecError
             If anything in it is missing, unknown, of the wrong type or shape, or impossible.
         """
-        place = Place(file)
+        place = Place(of_type("file", file, str, "a text, for messages"))
         if not as_table(table, place, "a table (a dict) with a spec in it"):
             raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
         whole = Section(table, place, known=_KEYS)
@@ -151,6 +152,11 @@ class Spec:
         told = self.filter.traits.told
         return tuple(item for item in self.parameters if item not in told)
 
+    @property
+    def whole(self) -> Spec:
+        """The same filter with all its ports, for those who look into it."""
+        return replace(self, code=replace(self.code, ports=None))
+
     def to_dict(self) -> dict[str, object]:
         """Return plain dicts, lists, numbers and texts; `from_dict` gives an equal spec back."""
         table: dict[str, object] = {
@@ -169,6 +175,19 @@ class Spec:
         table = self.to_dict()
         table["parameters"] = [[item.name, item.default] for item in self.stated_parameters]
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def as_spec(value: object, what: str = "spec") -> Spec:
+    """Return what was given as a spec.
+
+    Raises
+    ------
+    DataError
+        If it is none.
+    """
+    expected = "a Spec: fkgen.load(path) or fkgen.Spec.from_dict(table)"
+    spec: Spec = of_type(what, value, Spec, expected)
+    return spec
 
 
 def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
@@ -224,6 +243,8 @@ def load(path: str | os.PathLike[str]) -> Spec:
     SpecError
         If the file cannot be read, is not UTF-8 or not TOML, or does not hold a spec.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise Place().entry("path").error(describe(path), "the path of a spec file")
     file = str(path)
     place = Place(file, "file")
     try:

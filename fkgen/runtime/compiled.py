@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import Advance
-from fkgen.errors import DataError, InternalError, StepRefused
+from fkgen.errors import DataError, InternalError, StepRefused, of_type
 from fkgen.runtime import cache, record
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
@@ -306,6 +306,7 @@ class CompiledFilter:
 
     def state(self, name: str) -> Array:
         """Writable view of one stored member of the instance, packed as in C."""
+        of_type("port", name, str, "the name of a port")
         if name not in self.ports:
             raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
         field = getattr(self._type, next(p.member for p in self.layout.ports if p.name == name))

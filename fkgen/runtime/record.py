@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.errors import DataError
+from fkgen.errors import DataError, names_of
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.values import column_of, headings, is_plain, place, read
 from fkgen.symbolic.interface import Port
@@ -198,7 +198,7 @@ def _listed(names: Sequence[str]) -> str:
 def kept(layout: Layout, keep: Sequence[str] | None) -> list[Port]:
     """The ports to store; all of them by default."""
     known = [port.name for port in layout.ports]
-    names = known if keep is None else [keep] if isinstance(keep, str) else list(keep)
+    names = known if keep is None else names_of("keep", keep, "names of ports")
     for name in names:
         if name not in known and name != "status":
             raise DataError("keep", given=repr(name), expected=choice(name, known))
@@ -217,7 +217,7 @@ def probability(name: str, value: Any) -> float:
     """A probability strictly between 0 and 1."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not 0.0 < number < 1.0:
         raise DataError(name, given=repr(value), expected="a probability in (0, 1), such as 0.001")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.errors import DataError
+from fkgen.errors import DataError, of_type
 from fkgen.runtime import record
 from fkgen.runtime.layout import Layout
 
@@ -48,6 +48,7 @@ class Run:
         return np.asarray(self.status < 0)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
+        of_type("port", name, str, "the name of a port")
         if name in {"status", "held"}:
             return np.asarray(getattr(self, name))
         if name not in self._values:
@@ -81,6 +82,7 @@ class Snapshot:
         self.layout, self.data, self.status = layout, data, status
 
     def __getitem__(self, name: str) -> NDArray[Any]:
+        of_type("port", name, str, "the name of a port")
         dtype = np.dtype(self.layout.dtype)
         offset = 0
         for port in self.layout.ports:

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from fkgen.problem import Matrix, Number, Spec
+from fkgen.problem.table.place import Place, suggestion
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status, triangle
 from fkgen.symbolic.ports import prior_of
 
@@ -128,6 +129,12 @@ class Recursion:
             if phase is not None:
                 sound = _guarded(phase, self.ports, bounded=bounded)
                 object.__setattr__(self, name, sound)
+        names = [port.name for port in self.ports]
+        for i, name in enumerate(self.spec.code.ports or ()):
+            if name not in names:
+                expected = f"one of {', '.join(names)}{suggestion(name, names)}"
+                place = Place(self.spec.file, "code").entry("ports").item(i)
+                raise place.error(f"{name!r}, which {self.spec.filter.family} has not", expected)
 
     @property
     def phases(self) -> tuple[Phase, ...]:

@@ -16,9 +16,10 @@ import casadi as ca
 import numpy as np
 
 from fkgen.backend.ir import Element, Operate, Operator, Phase, Require, Space, every, read
+from fkgen.backend.lines import filled
 from fkgen.backend.lower import lower_phase
 from fkgen.backend.printer import StatementPrinter
-from fkgen.backend.render import elementary_context, filled
+from fkgen.backend.render import elementary_context
 from fkgen.problem import Spec
 from fkgen.symbolic import recursion
 from fkgen.symbolic.builder import PhaseBuilder

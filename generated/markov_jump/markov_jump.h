@@ -63,8 +63,9 @@
  *   y[0]  measured_position, m
  *
  * Cost of one step with every row present: 1302 floating-point operations and 3 log.
- * An instance is 178 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 178 doubles, 1424 bytes; nothing else is kept. Tables of constants: 648 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 15280 bytes at -O0, 5024 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

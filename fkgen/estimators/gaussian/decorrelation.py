@@ -32,6 +32,7 @@ class Measurement:
     rows: tuple[str, ...]
     at: tuple[int, ...]  # which rows of y these are
     rank_tolerance: float | None  # for a singular R: rows that bring nothing new are left out
+    shows_variance: bool  # S is shown, so it may as well give the innovations
     pivots_per_log: int  # so many may be multiplied before their logarithm
     S: ca.SX | None = None  # (m, p), covariance of z with w, if it has any
 

@@ -134,6 +134,7 @@ def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX)
         rows=plant.rows,
         at=tuple(range(plant.ny)),
         rank_tolerance=RANK_TOLERANCE[plant.scalar] if plant.noise_free else None,
+        shows_variance=plant.shows_variance,
         pivots_per_log=1 if plant.wide else PIVOTS_PER_LOG[plant.scalar],
     )
 

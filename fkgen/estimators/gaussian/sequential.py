@@ -136,13 +136,14 @@ def _variance(
 ) -> ca.SX | None:
     """S = C P C' + R, packed; None if it comes cheaper from the factors of the row updates.
 
-    With many rows and few states, products of rows with each other cost more than C P C'.
+    With many rows and few states, products of rows with each other cost more than C P C'. Where S
+    is not shown, C drops it, and innovations that are corrected through the mean cost least.
     """
     C, R = measurement.C, measurement.R
     p, S = C.shape[0], congruence(C, covariance) + pack(R)
     by_factors = p * (p - 1) * C.nnz() / p + 1.5 * p * (p - 1) + p**3 / 3
     decided = R.sparsity().is_diag() and measurement.rank_tolerance is None
-    if decided and by_factors <= operations(S):
+    if decided and measurement.shows_variance and by_factors <= operations(S):
         return None
     return builder.define(f"variance{tag}", S)
 

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import progressing
-from fkgen.errors import DataError
+from fkgen.errors import DataError, names_of, of_type
 from fkgen.families import family
 from fkgen.pipeline import build
 from fkgen.problem import Signal, Spec
+from fkgen.problem.spec import as_spec
 from fkgen.runtime.record import probability
 from fkgen.study.comparisons.candidates import (
     GENIE,
@@ -82,7 +83,12 @@ def compare(
     SpecError, DataError
         If a family does not fit the faults, a number is out of range, or the plant overflows.
     """
-    given = (specs,) if isinstance(specs, Spec) else tuple(specs)
+    several = specs if isinstance(specs, list | tuple) else (specs,)
+    given = tuple(as_spec(each, "specs").whole for each in several)
+    if families is not None:
+        families = names_of("families", families, "names of families, such as 'kf'")
+    if params is not None:
+        of_type("params", params, Mapping, "a mapping of names to numbers or (T,) arrays")
     ready = counted("steps", steps) // 4 if skip is None else counted("skip", skip, least=0)
     size = {"runs": runs, "steps": steps, "skip": ready, "seed": seed}
     signals = {"u": u, "params": params, "sensor": sensor, "input": input, "present": present}

@@ -84,7 +84,7 @@ def gaps_of(time: Array, silent: NDArray[np.bool_]) -> list[tuple[float, float]]
 def draw(spec: Spec, table: Table, run: Run) -> Figure:
     """Draw a run: a panel per state, then innovations, NIS, and probabilities or verdicts.
 
-    It needs ``filtered_state``, ``filtered_covariance``, ``innovation`` and ``nis``;
+    It needs ``filtered_state``. ``filtered_covariance``, ``innovation``, ``nis``,
     ``mode_probability``, and ``test_statistic``, ``test_dof`` and ``fault_declared`` are drawn if
     they are there.
     """
@@ -95,8 +95,10 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
         time, label = time * spec.period, "time (s)"
     sheet = _Sheet(spec, run, time, np.isfinite(table.y))
     draws = [partial(_draw_state, sheet=sheet, i=i) for i in range(len(states))]
-    draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
-    draws.append(partial(_draw_nis, sheet=sheet))
+    if "innovation" in run.ports:
+        draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
+    if "nis" in run.ports:
+        draws.append(partial(_draw_nis, sheet=sheet))
     if "mode_probability" in run.ports:
         draws.append(partial(_draw_modes, sheet=sheet))
     if soft is not None and "test_statistic" in run.ports:
@@ -152,9 +154,11 @@ def label_of(signal: Signal) -> str:
 def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
     """One filtered state within three of its standard deviations."""
     mean = sheet.run["filtered_state"][:, i]
-    band = 3.0 * np.sqrt(np.maximum(sheet.run["filtered_covariance"][:, i, i], 0.0))
-    area = (sheet.time, mean - band, mean + band)
-    axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
+    band = np.zeros_like(mean)
+    if "filtered_covariance" in sheet.run.ports:
+        band = 3.0 * np.sqrt(np.maximum(sheet.run["filtered_covariance"][:, i, i], 0.0))
+        area = (sheet.time, mean - band, mean + band)
+        axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
     axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
     axis.set_ylabel(label_of(sheet.spec.model.states[i]))
     # room for the state and its usual band: a vague start does not set the scale
