@@ -35,6 +35,14 @@ def test_scipy_and_control_agree(n, p, crossed):
 
 
 @pytest.mark.parametrize("solve", SOLVERS)
+def test_rounding_that_leaves_q_and_r_unsymmetric_changes_nothing(solve):
+    A, C, Q, R, S = plant(np.random.default_rng(4), 3, 2)
+    rounded = [matrix + np.triu(2e-16 * np.abs(matrix), 1) for matrix in (Q, R)]
+    # What is moved by one rounding moves the solution by some: its condition is moderate.
+    np.testing.assert_allclose(solve(A, C, *rounded, S)[0], solve(A, C, Q, R, S)[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("solve", SOLVERS)
 def test_a_filter_started_at_the_stationary_covariance_stays_there(solve):
     rng = np.random.default_rng(1)
     A, C, Q, R, _ = plant(rng, 2, 1)

@@ -212,7 +212,7 @@ def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | Non
     F, L = drop @ split.F @ lift, rate * split.L @ lift
     R = split.R + rate * (1.0 - rate) * split.signal
     noise = drop @ split.noise @ drop.T
-    found = stationary_prediction_by_control(F, L, 0.5 * (noise + noise.T), R)
+    found = stationary_prediction_by_control(F, L, noise, R)
     if found is None:
         return None
     X = lift @ found[0] @ lift.T

@@ -40,6 +40,7 @@ def stationary_prediction_by_control(
     import control  # noqa: PLC0415 - slow to import
 
     S = np.zeros((len(A), len(C))) if S is None else S
+    Q, R = 0.5 * (Q + Q.T), 0.5 * (R + R.T)  # it refuses what rounding has left unsymmetric
     try:
         P, _, _ = control.dare(A.T, C.T, Q, R, S, np.eye(len(A)))
     except (np.linalg.LinAlgError, ValueError, control.ControlArgument, control.ControlDimension):
