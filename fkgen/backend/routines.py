@@ -127,6 +127,8 @@ class _Function:
                 pieces, size = _halves(chunk, name)
                 self.locals.append(ir.Local(name, size, None))
                 _Run(self, at, at + 1).put(pieces)
+                # What crosses may make a part longer again than what it was cut to.
+                at += len(pieces[0]) > LONGEST
             else:
                 at += 1
 

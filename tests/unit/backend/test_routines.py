@@ -154,3 +154,12 @@ def test_what_is_required_with_one_status_is_asked_at_once():
     first, last = body_of(*required)
     assert first == replace(required[0], values=(required[0].values + required[1].values))
     assert last == required[2]
+
+
+def test_a_block_in_which_every_cut_is_crossed_by_many_values_is_cut_all_the_same():
+    made = [Operate(Temp(i), Operator.MUL, (Literal(2.0), ELEMENT)) for i in range(400)]
+    read = [Assign(replace(ELEMENT, name="b", index=i), Temp(i)) for i in range(400)]
+    phase = Phase((), (*made, *read), reads_input=False, reads_parameters=False, chunks=((0, ""),))
+    program = replace(program_of(motor("kf")), update=phase)
+    outlined = outline(program)
+    assert all(lines_of(body) < 400 for body in outlined.bodies)
