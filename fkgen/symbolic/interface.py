@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum
 from typing import Literal, Self
@@ -115,6 +116,13 @@ class Port:
         for at, (i, j) in enumerate(pairs):
             index[i, j] = index[j, i] = at
         return values.reshape(-1, len(pairs))[:, index].reshape(self.shape)
+
+    def shown(self, stored: Mapping[str, ArrayLike], y: ArrayLike) -> NDArray[np.floating]:
+        """Its value after a sample: NaN where it says nothing, and where a row of y is missing."""
+        value = self.unpacked(stored[self.name])
+        if self.given:
+            value = np.where(self.unpacked(stored[self.given]) > 0, value, np.nan)
+        return np.where(np.isnan(y), np.nan, value) if self.per_row else value
 
 
 class Kind(Enum):

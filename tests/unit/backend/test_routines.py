@@ -14,6 +14,7 @@ from fkgen.backend.ir import (
     Assign,
     Call,
     Expression,
+    Heading,
     Literal,
     Operate,
     Operator,
@@ -163,3 +164,15 @@ def test_a_block_in_which_every_cut_is_crossed_by_many_values_is_cut_all_the_sam
     program = replace(program_of(motor("kf")), update=phase)
     outlined = outline(program)
     assert all(lines_of(body) < 400 for body in outlined.bodies)
+
+
+def test_a_heading_between_two_blocks_that_do_the_same_does_not_hide_it():
+    steps = [Operate(Temp(i), Operator.MUL, (Literal(2.0 + i), ELEMENT)) for i in range(20)]
+    there = [replace(ELEMENT, name="b", index=i) for i in range(40)]
+    one = (*steps, *(Assign(to, Temp(i)) for i, to in enumerate(there[:20])))
+    two = (*steps, *(Assign(to, Temp(i)) for i, to in enumerate(there[20:])))
+    body = (*one, Heading("again"), *two)
+    starts = ((0, ""), (len(one) + 1, ""))  # the heading stands at the end of the first block
+    phase = Phase((), body, reads_input=False, reads_parameters=False, chunks=starts)
+    outlined = outline(replace(program_of(motor("kf")), update=phase))
+    assert len(calls_of(outlined.phases[0].body)) == 2
