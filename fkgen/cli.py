@@ -9,6 +9,7 @@ from __future__ import annotations
 # ruff: noqa: PLC0415 - what takes long to import is imported by the commands that need it
 import contextlib
 import errno
+import functools
 import os
 import sys
 from collections.abc import Iterable
@@ -23,6 +24,7 @@ from fkgen.version import __version__
 
 if TYPE_CHECKING:
     from fkgen.problem import Spec
+    from fkgen.study.records.reading import Reading
 
 _INTERRUPTED = 130
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan"}
@@ -72,7 +74,7 @@ def _loaded(_ctx: click.Context, _parameter: click.Parameter, path: Any) -> Any:
 
 
 _SPEC = click.argument("spec", callback=_loaded)
-_RECORD = click.option("--record", type=Path, help="CSV file: u, parameters, missing rows.")
+_RECORD = click.option("--record", type=Path, help="Record: u, parameters, missing rows.")
 _INPUTS = click.option("--u", "inputs", default="", help="Constant inputs instead: 1.5,0,...")
 _SOFT_FAULTS = click.option("--profile", type=Path, help="CSV file: soft faults of signals.")
 _STEPS = click.option("--steps", type=int, help="Samples; default 200, or those of the files.")
@@ -81,6 +83,36 @@ _CSV = click.option("-o", "--output", type=Path, help="CSV file; default: standa
 _PLOT = click.option("--plot", type=Path, help="Picture to draw, as PNG, PDF or SVG.")
 _FORCE = click.option("--force", is_flag=True, help="Replace files that exist.")
 _JSON = click.option("--json", "as_json", is_flag=True, help="Everything as JSON.")
+
+
+_DIALECT = (
+    click.option("--column", multiple=True, help="Its heading: gnss='GPS height [m]'; repeat."),
+    click.option("--time", help="Heading of the time column; '' goes without."),
+    click.option("--delimiter", help="Between fields of a CSV file: ';', tab, space, ..."),
+    click.option("--decimal", help="Of its numbers: '.' or ','."),
+    click.option("--encoding", help="Of its text: utf-8, latin-1, utf-16, ..."),
+    click.option("--skip-rows", type=int, help="Lines before its header."),
+    click.option("--missing", multiple=True, help="A mark of missing values: -9999; repeat."),
+)
+
+
+def _reading(command: Any) -> Any:
+    """Hand a record file over together with how it is written; what is not said is found out."""
+
+    @functools.wraps(command)
+    def call(*arguments: Any, record: Path | None, **options: Any) -> Any:
+        from fkgen.study.records.reading import checked
+
+        names = ("time", "delimiter", "decimal", "encoding", "skip_rows", "missing")
+        written = {name: options.pop(name) for name in names}
+        columns, given = options.pop("column"), None
+        if record is not None:
+            given = checked(record, columns=columns, **written)
+        return command(*arguments, record=given, **options)
+
+    for option in reversed(_DIALECT):
+        call = option(call)
+    return call
 
 
 def _tell(found: Any, table: Any, lines: Iterable[str], *, as_json: bool, names: int = 1) -> None:
@@ -105,7 +137,7 @@ def main() -> None:
     """Kalman filters for systems with faults: described once, proved, printed as C99.
 
     \b
-    fkgen new mkf -o motor.toml      a spec to begin with
+    fkgen new mkf -o motor.toml      a spec to begin with; or --from record.csv
     fkgen check motor.toml           is the model sound?
     fkgen generate motor.toml        C code
     fkgen run motor.toml record.csv  filter a record
@@ -123,13 +155,17 @@ def families() -> None:
 
 
 @main.command()
-@click.argument("family")
+@click.argument("family", required=False)
+@click.option("--from", "record", type=Path, help="Record whose signals and noises it is to have.")
+@click.option("--inputs", default="", help="Columns of it that are inputs: a,b; default: by name.")
 @click.option("-o", "--output", type=Path, help="File to write; never one that exists.")
-def new(family: str, output: Path | None) -> None:
-    """Write a commented spec of FAMILY to begin with."""
-    from fkgen.study.reports.starters import starter
+@_reading
+def new(family: str | None, record: Reading | None, inputs: str, output: Path | None) -> None:
+    """Write a commented spec of FAMILY to begin with, or one of kf from a record."""
+    from fkgen.study.reports.starters import begun
 
-    _write(starter(family), output, f"fkgen check {output}", force=False, err=False)
+    text, then = begun(family, record, inputs, str(output))
+    _write(text, output, then, force=False, err=False)
 
 
 def _write(text: str, output: Path | None, then: str, *, force: bool, err: bool) -> None:
@@ -176,12 +212,15 @@ def generate(spec: Spec, output: Path | None) -> None:
     """Prove the filter of SPEC and write it as C."""
     from fkgen import pipeline
     from fkgen.backend.render import cost
+    from fkgen.backend.source import own_files
 
     design = pipeline.validate(spec)
     source = pipeline.generate(design)
     folder = source.write(output or Path(spec.name))
-    for name in sorted(source.files):
+    left = source.files.keys() - own_files(folder)
+    for name in sorted(source.files.keys() - left):
         click.echo(folder / name)
+    _say("note", (f"{folder / name} is yours and stays; add {spec.name}.c to it" for name in left))
     click.echo(f"{len(design.claims)} claims hold; one step: {cost(source.program)}")
 
 
@@ -218,15 +257,19 @@ def verify(spec: Spec) -> None:
 @_PLOT
 @click.option("--keep", default="", help="Columns instead of the usual ones: port,port,...")
 @_FORCE
-def run(spec: Spec, record: Path, **options: Any) -> None:
-    """Filter RECORD, a CSV file, with the compiled filter of SPEC."""
+@_reading
+def run(spec: Spec, record: Reading, **options: Any) -> None:
+    """Filter RECORD, a CSV, Parquet, npz or mat file, with the compiled filter of SPEC.
+
+    Numbers go to the standard output, a summary and what is to be said to the standard error.
+    """
     from fkgen.study.records import filtering
 
-    text, notes, problems = filtering.run(spec, record, **options)
-    _say("note", notes)
-    click.echo(text, nl=False)
-    _say("warning", problems)
-    sys.exit(1 if problems else 0)
+    told = filtering.run(spec, record, **options)
+    _say("note", told.notes)
+    _say("warning", (*told.warnings, *told.refused))
+    _say("summary", [told.summary])
+    sys.exit(1 if told.refused else 0)
 
 
 @main.command("fault-effect")
@@ -249,6 +292,7 @@ def run(spec: Spec, record: Path, **options: Any) -> None:
 @_JSON
 @_PLOT
 @_FORCE
+@_reading
 def fault_effect(
     spec: Spec, *, as_json: bool, plot: Path | None, force: bool, **options: Any
 ) -> None:
@@ -286,6 +330,7 @@ def detectability(spec: Spec, *, as_json: bool, **options: Any) -> None:
 @_SOFT_FAULTS
 @_CSV
 @_FORCE
+@_reading
 def simulate(spec: Spec, *, output: Path | None, force: bool, **options: Any) -> None:
     """Draw one trial of the plant of SPEC, with its faults, as a record for fkgen run."""
     from fkgen.study.comparisons.comparison import drawn
@@ -310,6 +355,7 @@ def simulate(spec: Spec, *, output: Path | None, force: bool, **options: Any) ->
 @_JSON
 @_PLOT
 @_FORCE
+@_reading
 def compare(specs: tuple[Spec, ...], *, as_json: bool, **options: Any) -> None:
     """Say which filter to take for the plant and the faults of the first of SPECS.
 

@@ -6,6 +6,11 @@ was expected and, where it helps, how to mend it. The facts are attributes too.
 
 from __future__ import annotations
 
+from typing import Any
+
+#: Characters of what was given that an error shows.
+_SHOWN = 120
+
 
 class FkgenError(Exception):
     """Root of every exception raised on purpose; picklable, to leave a worker process."""
@@ -53,6 +58,8 @@ class DataError(UserError):
     """A record (measurements, inputs, times, parameters) cannot be filtered as it stands."""
 
     def __init__(self, what: str, *, given: str, expected: str) -> None:
+        line = " ".join(given.split())
+        given = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}..."
         self.what, self.given, self.expected = what, given, expected
         super().__init__(f"{what}: given {given}; expected {expected}")
 
@@ -99,3 +106,31 @@ class ValidationError(InternalError):
     def __init__(self, family: str, failed: tuple[str, ...]) -> None:
         self.family, self.failed = family, failed
         super().__init__(f"{family}: not so: " + "; ".join(failed))
+
+
+def of_type(what: str, value: Any, kind: Any, expected: str) -> Any:
+    """Return a value if it is of a type, or of one of several.
+
+    Raises
+    ------
+    DataError
+        If it is not.
+    """
+    if not isinstance(value, kind):
+        raise DataError(what, given=f"a value of type {type(value).__name__}", expected=expected)
+    return value
+
+
+def names_of(what: str, value: Any, expected: str) -> tuple[str, ...]:
+    """Return one text, or several, as a tuple.
+
+    Raises
+    ------
+    DataError
+        If it is something else.
+    """
+    try:
+        names = (value,) if isinstance(value, str) else tuple(value)
+    except TypeError:
+        names = (value,)
+    return tuple(of_type(what, name, str, expected) for name in names)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from fkgen.errors import of_type
+from fkgen.problem.spec import as_spec
 from fkgen.runtime import cache
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.compiler import compile_source as compile
@@ -32,14 +34,15 @@ def validate(spec: Spec) -> Validated:
     """
     from fkgen.proof import validate as proof  # noqa: PLC0415 - see above
 
-    return proof.validate(spec)
+    return proof.validate(as_spec(spec))
 
 
 def generate(design: Validated) -> Source:
     """Generate the C code of one validated filter. Nothing is written to disk."""
     from fkgen.backend import lower as backend  # noqa: PLC0415 - see above
+    from fkgen.symbolic.validated import Validated  # noqa: PLC0415 - see above
 
-    return backend.generate(design)
+    return backend.generate(of_type("design", design, Validated, "what fkgen.validate returns"))
 
 
 def build(spec: Spec) -> CompiledFilter:
@@ -50,6 +53,7 @@ def build(spec: Spec) -> CompiledFilter:
     ValidationError, CompilerError, OutputError
         As the stages do.
     """
+    spec = as_spec(spec)
     if ":" in spec.filter.family:  # its code is not fkgen's, so it has no digest here
         return compile(generate(validate(spec)))
     compiler = find_compiler()

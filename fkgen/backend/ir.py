@@ -319,7 +319,7 @@ class CProgram:
     states: tuple[Signal, ...]
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
-    sample_time: float | None
+    sample_time: float | str | None  # seconds, or the parameter that holds them
     parameters: tuple[tuple[str, float], ...]
     ports: tuple[Port, ...]
     prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed

@@ -1,11 +1,15 @@
-"""Lines of generated C, at most 100 characters each; units in them."""
+"""Text of generated files: templates filled in, lines of at most 100 characters, units in them."""
 
 from __future__ import annotations
 
 import re
 import textwrap
 from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
 from typing import Any
+
+import jinja2
 
 WIDTH = 100
 #: Longest list of units that is written out.
@@ -17,6 +21,32 @@ _ELSEWHERE = re.compile(r"(?<=[ (])(?=\S)")
 _WHOLE = re.compile(r"\[[^][]{1,60}\]|\([^()]{1,40}\)")
 _REMARK = re.compile(r"^(?P<code> *\S.*?)(?P<open>/\*\*?<?) (?P<text>.*) \*/$")
 _COMMENT = re.compile(r"^(?P<open> *(?:/\*\*?|\*)) (?P<text>.*)$")
+
+
+@cache
+def environment() -> jinja2.Environment:
+    """Templates from the wheel, or from the source tree."""
+    here = Path(__file__).resolve().parents[1]
+    folders = [here / "templates", here.parent / "templates"]
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folders),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # noqa: S701 - C, not HTML
+    )
+
+
+def filled(template: str, context: dict[str, object]) -> str:
+    """A template filled in, without gaps, blanks at the end of lines and long lines."""
+    text = environment().get_template(template).render(context)
+    code = template.endswith((".c.j2", ".h.j2"))
+    lines = [line.rstrip() for line in (guards_joined(text) if code else text).splitlines()]
+    if code:
+        lines = [part for line in lines for part in folded(line)]
+    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
+    return "\n".join(kept).rstrip() + "\n"
 
 
 #: ``if (...)``, and nothing but a return in its braces.

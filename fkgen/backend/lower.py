@@ -13,6 +13,7 @@ import casadi as ca
 from fkgen.backend import ir
 from fkgen.backend.ir import Copy, Element, Literal, Operand, Operate, Operator, Space, Temp
 from fkgen.backend.render import render
+from fkgen.backend.size.selection import selected
 from fkgen.backend.source import Source
 from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError
@@ -50,7 +51,11 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     }
     if recursion.start is not None:
         lowered["start"] = lower_phase(recursion.ports, recursion.start, ("x", "P"))
-    phases = list(lowered.values())
+    ports = recursion.ports
+    if spec.code.ports is not None:
+        shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
+        ports, lowered = selected(ports, lowered, shown)
+    names, phases = {port.name for port in ports}, list(lowered.values())
     form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
     return verify(
         ir.CProgram(
@@ -62,11 +67,11 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             digest=hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16],
             sample_time=model.sample_time,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
-            ports=recursion.ports,
+            ports=ports,
             outcomes=recursion.outcomes,
             repeats=recursion.repeats,
             prior=prior_of(spec),
-            initial=tuple(sorted(recursion.initial.items())),
+            initial=tuple(sorted((k, v) for k, v in recursion.initial.items() if k in names)),
             constants=constants_of(spec.code.scalar, phases),
             shares_functions=spec.code.elementary == "shared",
             stated=stated(spec, phases),

@@ -31,6 +31,7 @@ class StatementPrinter:
         self.real = scalar
         self.upper = name.upper()
         self.names: dict[float, str] = {}
+        self.members: dict[str, str] = {}  # Of ports that the instance holds under another name
         self.routines: dict[str, ir.Routine] = {}
         self.needs: dict[str, set[str]] = {}
         #: The largest finite number, and the smallest normal one
@@ -220,7 +221,8 @@ class StatementPrinter:
                 return text if operator.is_function else f"({text})"
             case Element(space, name, index):
                 place = "" if index is None else f"[{index}]"
-                return f"{_PREFIX.get(space, '')}{name}{place}"
+                own = self.members.get(name, name) if space in {Space.SELF, Space.NEXT} else name
+                return f"{_PREFIX.get(space, '')}{own}{place}"
 
 
 class Printer(StatementPrinter):
@@ -231,6 +233,7 @@ class Printer(StatementPrinter):
         self.program = program
         if program.shares_functions:
             self.elementary = SHARED_PREFIX.format(program.scalar)
+        self.members = {port.name: port.member for port in program.ports if port.flags}
         self.names = {each.value: f"{self.upper}_{each.name}" for each in program.constants}
 
     def take(self, routines: Iterable[ir.Routine]) -> None:
@@ -274,14 +277,21 @@ class Printer(StatementPrinter):
         return f"{head}({', '.join(arguments) or 'void'})"
 
     @property
+    def padded(self) -> bool:
+        """Whether the words of flags leave room at the end of an instance, of doubles."""
+        words = self.words * len(self.members)
+        return self.real == "double" and words % 2 > 0
+
+    @property
     def outcome(self) -> str:
         """Status of a sample with a row: that of the first outcome that applies."""
         text = self.status(Status.OK)
         sizes = {port.name: port.size for port in self.program.ports if port.shape}
         for outcome in reversed(self.program.outcomes):
             places = [f"[{i}]" for i in range(sizes.get(outcome.port, 0))] or [""]
-            level = self.literal(outcome.level)
-            above = combined([f"self->{outcome.port}{place} > {level}" for place in places], "||")
+            level, port = self.literal(outcome.level), outcome.port
+            member = self.members.get(port, port)
+            above = combined([f"self->{member}{place} > {level}" for place in places], "||")
             text = f"(({above}) ? {self.status(outcome.status)} : {text})"
         return text
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from fkgen.backend.elementary import FORMATS
-from fkgen.backend.execute import self_test_vectors
+from fkgen.backend.execute import MARKED, self_test_vectors
 from fkgen.backend.expressions import joined
 from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
-from fkgen.backend.lines import filled_lines, folded, guards_joined, unit_text, units_of
+from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
-from fkgen.backend.routines import outline
-from fkgen.backend.source import Source, with_manifest
+from fkgen.backend.routines import Outline, outline
+from fkgen.backend.size.stack import BYTES, instance_of, stack_of
+from fkgen.backend.source import SHARED, Source, complete
 from fkgen.symbolic.interface import Port, Role, Status
 from fkgen.version import API_VERSION, __version__
 
@@ -25,30 +22,12 @@ from fkgen.version import API_VERSION, __version__
 #: between them costs more than the code.
 INLINED = 2500
 
-#: Name of the files that hold the functions for all filters of a program, by scalar.
-SHARED = "fkgen_elementary_{}"
-
 _COMMENTS = {
     "correct": "Condition on y[k]",
     "close_window": "At the end of a window",
     "propagate": "Move to k + 1",
     "begin": "Compute what follows from a prior",
 }
-
-
-@cache
-def environment() -> jinja2.Environment:
-    """Templates from the wheel, or from the source tree."""
-    here = Path(__file__).resolve().parents[1]
-    folders = [here / "templates", here.parent / "templates"]
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folders),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,  # noqa: S701 - C, not HTML
-    )
 
 
 def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
@@ -60,25 +39,13 @@ def render(program: CProgram, claims: tuple[str, ...] = ()) -> Source:
         f"{name}.c": filled("source.c.j2", context),
         f"{name}_selftest.c": filled("selftest.c.j2", context),
         f"{name}_selftest_main.c": filled("selftest_main.c.j2", context),
-        "CMakeLists.txt": filled("CMakeLists.txt.j2", context),
     }
     if context["shared"]:
         shared = _shared_context(program.scalar) | {"version": __version__}
         files |= {f"{shared['file']}.{end}": filled(f"shared.{end}.j2", shared) for end in "hc"}
-    complete = with_manifest(files, _facts(program, claims))
+    files = complete(files, _facts(program, claims) | {"bytes": context["bytes"]})
     record = filled("record.c.j2", context)
-    return Source(program=program, files=complete, record=record, claims=claims)
-
-
-def filled(template: str, context: dict[str, object]) -> str:
-    """A template filled in, without gaps, blanks at the end of lines and long lines."""
-    text = environment().get_template(template).render(context)
-    code = template.endswith((".c.j2", ".h.j2"))
-    lines = [line.rstrip() for line in (guards_joined(text) if code else text).splitlines()]
-    if code:
-        lines = [part for line in lines for part in folded(line)]
-    kept = [line for i, line in enumerate(lines) if line or (i and lines[i - 1] not in ("", "{"))]
-    return "\n".join(kept).rstrip() + "\n"
+    return Source(program=program, files=files, record=record, claims=claims)
 
 
 def _context(program: CProgram) -> dict[str, object]:
@@ -86,6 +53,8 @@ def _context(program: CProgram) -> dict[str, object]:
     c.take(outlined.routines)
     units = units_of(program)
     vectors, starts = self_test_vectors(program), _starts(program)
+    form = FORMATS[program.scalar]
+    infinite = (2 * form.bias + 1) << form.mantissa
     modes = (port.shape[0] for port in program.ports if port.name == "mode_probability")
     return elementary_context(c, program.functions) | {
         "program": program,
@@ -94,7 +63,10 @@ def _context(program: CProgram) -> dict[str, object]:
         "title": _title(program),
         "modes": next(modes, 0),
         "cost": cost(program),
+        "padded": c.padded,
+        "flags": [port for port in program.ports if port.flags],
         "scalars": sum(port.size for port in program.ports),
+        "bytes": _bytes(program, outlined, starts),
         "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
         "statuses": program.statuses,
         "positive": [c.status(status) for status in program.statuses if status.value >= 0],
@@ -118,10 +90,29 @@ def _context(program: CProgram) -> dict[str, object]:
         "order": _order(c),
         "vectors": vectors,
         "compared": [
-            f"{{ {'' if port.shape else '&'}filter.{port.name}, {port.size} }}"
+            f"{{ {'' if port.shape else '&'}filter.{port.member}, {port.size} }}"
             for port in program.ports
         ],
-        "masks": [_mask(c, row) for row in vectors.y],
+        "masks": [_mask(c, row, k) for k, row in enumerate(vectors.y)],
+        "marked": MARKED,
+        "infinite": infinite,
+        "not_a_number": infinite | (1 << (form.mantissa - 1)),
+    }
+
+
+def _bytes(
+    program: CProgram, outlined: Outline, starts: Mapping[str, tuple[tuple[float, ...], str]]
+) -> dict[str, int]:
+    """Sizes in bytes: instance, tables of constants, and bounds on the stack of a call."""
+    size = BYTES[program.scalar]
+    tables = {owner: len(values) for values, owner in starts.values()}
+    numbers = [len(row) for each in outlined.routines for row in each.constants]
+    stack = stack_of(program, outlined, inlined=program.flops <= INLINED)
+    return {
+        "instance": instance_of(program),
+        "constants": size * (sum(tables.values()) + sum(map(len, program.prior)) + sum(numbers)),
+        "stack_O0": stack.plain,
+        "stack_Os": stack.small,
     }
 
 
@@ -240,7 +231,7 @@ def _shared_context(scalar: Scalar) -> dict[str, object]:
     """What the templates of the shared files read: every function, whatever a filter needs."""
     c = StatementPrinter(SHARED_PREFIX.format(scalar), scalar, 1)
     functions = frozenset(operator for operator in Operator if operator.is_function)
-    return elementary_context(c, functions) | {"storage": "", "file": SHARED.format(scalar)}
+    return elementary_context(c, functions) | {"storage": "", "file": f"{SHARED}{scalar}"}
 
 
 def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> dict[str, object]:
@@ -262,7 +253,7 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
         "f": FORMATS[c.real],
         "needs": needs,
         "needs_elementary": bool(functions),
-        "shared": SHARED.format(c.real) if functions and c.elementary != c.name else "",
+        "shared": f"{SHARED}{c.real}" if functions and c.elementary != c.name else "",
         "root2": math.sqrt(2.0),
         "ln2": math.log(2.0),
         "pi": math.pi,
@@ -289,8 +280,10 @@ def _calls(program: CProgram) -> dict[str, int]:
     return dict(sorted(calls.items()))
 
 
-def _mask(c: Printer, row: tuple[float, ...]) -> str:
+def _mask(c: Printer, row: tuple[float, ...], k: int) -> str:
+    """Bits of the rows that are measured; row 0 of one sample is marked although it is not."""
     bits = sum(1 << i for i, value in enumerate(row) if not math.isnan(value))
+    bits |= int(k == MARKED)
     words = [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
     return words[0] if c.words == 1 else "{ " + ", ".join(words) + " }"
 

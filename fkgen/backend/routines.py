@@ -389,7 +389,8 @@ class _Book:
 
     def locals(self, function: _Function) -> tuple[ir.Local, ...]:
         """Locals; what a refusal may leave unwritten begins at 0: compilers do not follow it."""
-        left = {e.name for call in ir.every(ir.Call, function.body) for e in self._left(call)}
+        calls = ir.every(ir.Call, function.body)
+        left = {e.name for call in calls for e in self._left(call) if e.space is Space.LOCAL}
         return tuple(
             replace(local, initial=0.0) if local.name in left and local.initial is None else local
             for local in function.locals

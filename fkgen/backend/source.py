@@ -1,4 +1,8 @@
-"""The generated files as one value, and the one way to put them on disk."""
+"""The generated files as one value, and the one way to put them on disk.
+
+A folder may hold several filters and files of others. Its manifest says which files are fkgen's:
+the facts and digests of one filter, or a list of them under ``filters``.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,23 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from fkgen.backend.ir import CProgram
-from fkgen.errors import OutputError
+from fkgen.backend.lines import filled
+from fkgen.errors import OutputError, of_type
 
-MANIFEST = "manifest.json"
+MANIFEST, BUILD = "manifest.json", "CMakeLists.txt"
+
+#: Beginning of the names of files that hold functions for all filters of a program.
+SHARED = "fkgen_elementary_"
+
+#: What a manifest says of one filter.
+Entry = dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,29 +56,27 @@ class Source:
         Parameters
         ----------
         directory : path
-            Created if missing. If it exists it has to be empty, or hold nothing but unchanged
-            output of an earlier call, which is replaced, or files that are what is to be written
-            (the elementary functions that filters share).
+            Created if missing. Unchanged output of an earlier call for a filter of this name is
+            replaced; other filters and files of others stay as they are. A ``CMakeLists.txt`` of
+            others stays too, otherwise it builds all filters of the folder.
 
         Raises
         ------
         OutputError
-            If the folder holds other or edited files, or cannot be written.
+            If a generated file was edited, if a file of others has the name of one that would be
+            written, or if the folder cannot be written.
         """
+        of_type("directory", directory, (str, os.PathLike), "the path of a folder")
         target = Path(directory)
-        _refuse_foreign(target, self.files)
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            prefix = f".{target.name}-"
-            with tempfile.TemporaryDirectory(
-                prefix=prefix, dir=target.parent, ignore_cleanup_errors=True
-            ) as folder:
-                new, old = Path(folder, f"{prefix}new"), Path(folder, f"{prefix}old")
-                new.mkdir()
-                new.chmod(0o755)
-                for name, text in self.files.items():
-                    (new / name).write_text(text, encoding="utf-8", newline="\n")
-                _swap(new, target, old)
+            if target.exists() and not target.is_dir():
+                raise OutputError(str(target), given="a file", expected="a folder, or nothing yet")
+            files, gone = _planned(target, self.files)
+            with _scratch(target) as scratch:
+                _exchange(target, scratch, files, gone)
+        except ValueError:
+            given = "a path with a null character"
+            raise OutputError(repr(directory), given=given, expected="a path") from None
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
             expected = "a folder that can be written"
@@ -73,61 +84,144 @@ class Source:
         return target
 
 
-def _refuse_foreign(target: Path, files: Mapping[str, str]) -> None:
-    """Refuse a folder with files of others; one that would be written just so does no harm."""
-    if not target.exists():
-        return
-    if not target.is_dir():
-        raise OutputError(str(target), given="a file", expected="a folder, or nothing yet")
-    present, known = {entry.name for entry in target.iterdir()}, _own_files(target)
-    same = {
-        name
-        for name in (present & files.keys()) - known.keys()
-        if (target / name).read_bytes() == files[name].encode()
-    }
-    foreign = sorted(present - known.keys() - same)
-    if foreign:
-        raise OutputError(
-            str(target),
-            given=f"a folder with other files ({', '.join(foreign[:3])})",
-            expected="an empty or new folder; choose another one",
-        )
-    for name, digest in known.items():
-        if name in present and digest and _digest((target / name).read_bytes()) != digest:
+@contextmanager
+def _scratch(target: Path) -> Iterator[Path]:
+    """A folder for a while inside another, which is made; and goes if it is new and that fails."""
+    new = not target.exists()
+    target.mkdir(parents=True, exist_ok=True)
+    try:
+        with tempfile.TemporaryDirectory(
+            prefix=".fkgen-", dir=target, ignore_cleanup_errors=True
+        ) as folder:
+            yield Path(folder)
+    except BaseException:
+        if new:
+            with suppress(OSError):
+                target.rmdir()
+        raise
+
+
+def _planned(target: Path, files: Mapping[str, str]) -> tuple[dict[str, str], set[str]]:
+    """What to write into a folder, by name, and which files of earlier output are to go."""
+    entry = json.loads(files[MANIFEST])
+    entries, build = _found(target)
+    before = entries.pop(entry["name"], {"files": {}})["files"]
+    entries = {k: each for k, each in entries.items() if (target / f"{k}.c").exists()}
+    others = {name: d for each in entries.values() for name, d in each["files"].items()}
+    texts = {name: text for name, text in files.items() if name not in {MANIFEST, BUILD}}
+    _refuse_edited(target, before | others | build)
+    _refuse_taken(target, texts, before, others)
+    entry["files"] = {name: _digest(text) for name, text in texts.items()}
+    for each in entries.values():  # what filters share is written anew for all of them
+        each["files"] |= {name: _digest(texts[name]) for name in each["files"] if name in texts}
+    foreign = BUILD not in build and (target / BUILD).exists()
+    texts |= _summary([*entries.values(), entry], build_file=not foreign)
+    return texts, before.keys() - others.keys() - texts.keys()
+
+
+def own_files(target: Path) -> frozenset[str]:
+    """Names of the files of a folder that fkgen wrote."""
+    entries, build = _found(target)
+    return frozenset((MANIFEST, *build, *(f for each in entries.values() for f in each["files"])))
+
+
+def _found(target: Path) -> tuple[dict[str, Entry], dict[str, str]]:
+    """What the manifest of a folder says of each filter, and of the build file."""
+    if not (target / MANIFEST).exists():
+        return {}, {}
+    try:
+        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
+        if manifest["generator"] == "fkgen":
+            listed: list[Entry] = manifest.get("filters", [manifest])
+            entries = {each["name"]: each | {"files": _plain(each["files"])} for each in listed}
+            return entries, {k: d for k, d in manifest["files"].items() if k == BUILD}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        pass
+    raise _taken(target / MANIFEST)
+
+
+def _plain(files: Mapping[str, str]) -> dict[str, str]:
+    """Digests of the files of a filter, by names that do not lead out of the folder."""
+    return {k: d for k, d in sorted(files.items()) if k != BUILD and Path(k).name == k}
+
+
+def _refuse_edited(target: Path, own: Mapping[str, str]) -> None:
+    for name, digest in own.items():
+        path = target / name
+        if path.exists() and _digest(path.read_bytes()) != digest:
             raise OutputError(
-                str(target / name),
+                str(path),
                 given="a generated file that was edited",
                 expected="unchanged files; move the edited one away first",
             )
 
 
-def _own_files(target: Path) -> dict[str, str]:
-    """File names and digests of an earlier output; empty if there was none."""
-    try:
-        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
-        return {**manifest["files"], MANIFEST: ""} if manifest["generator"] == "fkgen" else {}
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
+def _refuse_taken(
+    target: Path, texts: Mapping[str, str], before: Iterable[str], others: Iterable[str]
+) -> None:
+    """Refuse names that files of others or of other filters have; the same bytes do no harm."""
+    for name in sorted(texts.keys() - set(before)):
+        path = target / name
+        if name in others and not name.startswith(SHARED):
+            given, expected = "a file of another filter", "another name of one of the two filters"
+            raise OutputError(str(path), given=given, expected=expected)
+        if name not in others and path.exists() and path.read_bytes() != texts[name].encode():
+            raise _taken(path)
 
 
-def _swap(new: Path, target: Path, old: Path) -> None:
-    """Put a folder into the place of another, which comes back if that fails."""
-    if target.exists():
-        target.rename(old)
+def _taken(path: Path) -> OutputError:
+    given = "a file that fkgen did not write"
+    return OutputError(
+        str(path), given=given, expected="a free name; move it away or choose another folder"
+    )
+
+
+def _exchange(target: Path, scratch: Path, files: Mapping[str, str], gone: Iterable[str]) -> None:
+    """Write files into a folder and take others away; all is as it was if that fails."""
+    new, old = scratch / "new", scratch / "old"
+    new.mkdir()
+    old.mkdir()
+    for name, text in files.items():
+        (new / name).write_text(text, encoding="utf-8", newline="\n")
+    moved: list[tuple[Path, Path]] = []
     try:
-        new.rename(target)
-    except OSError:
-        if old.exists():
-            old.rename(target)
+        for name in [*gone, *files]:
+            if (target / name).exists():
+                moved.append((target / name, old / name))
+                (target / name).rename(old / name)
+        for name in files:
+            moved.append((new / name, target / name))
+            (new / name).rename(target / name)
+    except BaseException:
+        for source, place in reversed(moved):
+            if place.exists() and not source.exists():
+                place.rename(source)
         raise
 
 
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
+def _digest(data: str | bytes) -> str:
+    return hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()
 
 
-def with_manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> dict[str, str]:
-    """Add ``manifest.json``: facts about the filter, and a digest per file."""
-    digests = {name: _digest(text.encode()) for name, text in sorted(files.items())}
-    manifest = {"generator": "fkgen", **facts, "files": digests}
-    return {**files, MANIFEST: json.dumps(manifest, indent=2) + "\n"}
+def complete(files: Mapping[str, str], facts: Mapping[str, object]) -> dict[str, str]:
+    """Add the build file and ``manifest.json``: facts about the filter, and a digest per file."""
+    digests = {name: _digest(text) for name, text in files.items()}
+    return {**files, **_summary([{**facts, "files": digests}], build_file=True)}
+
+
+def _summary(entries: list[Entry], *, build_file: bool) -> dict[str, str]:
+    """The files that are about all filters of a folder: build file and manifest."""
+    named = {each["name"]: each | {"files": _plain(each["files"])} for each in entries}
+    filters = [{k: v for k, v in named[name].items() if k != "generator"} for name in sorted(named)]
+    units = {each["name"]: [f for f in each["files"] if _is_unit(f, each)] for each in filters}
+    build = {BUILD: filled("CMakeLists.txt.j2", {"filters": units})} if build_file else {}
+    digests = {name: _digest(text) for name, text in build.items()}
+    several: Entry = {"filters": filters, "files": digests}
+    one = filters[0] | {"files": dict(sorted((filters[0]["files"] | digests).items()))}
+    manifest = {"generator": "fkgen", **(several if len(filters) > 1 else one)}
+    return {**build, MANIFEST: json.dumps(manifest, indent=2) + "\n"}
+
+
+def _is_unit(file: str, entry: Entry) -> bool:
+    """Whether a file is part of the library of a filter."""
+    return file.endswith(".c") and not file.startswith(f"{entry['name']}_selftest")

@@ -6,20 +6,23 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, combinations_with_replacement
+from typing import Any
 
 from fkgen.backend.ir import Constant, Literal, Phase, Scalar, Stated, read
 from fkgen.backend.lines import WIDTH, unit_text, units_of, wrapped
 from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI
 from fkgen.estimators.models.weights import LOG_ZERO, TINY
 from fkgen.faults import ActuatorFaults, JumpFaults, SensorFaults, SoftFaults
+from fkgen.faults.chain import LETTERS
 from fkgen.problem import Parameter
 from fkgen.problem.spec import Spec
-from fkgen.problem.text.expression import ZERO, Expression, Name, Number, names, to_text
+from fkgen.problem.text.discretise import OF_TIME
+from fkgen.problem.text.expression import ZERO, Computed, Expression, Name, Number, names, to_text
 from fkgen.problem.text.matrix import Matrix
 
 #: Units of the entries of each matrix.
 _UNITS = {"A": "x/x", "B": "x/u", "C": "y/x", "D": "y/u", "Q": "xx", "R": "yy"}
-_UNITS |= {"x0": "x", "P0": "xx", "c": "x"}
+_UNITS |= {"x0": "x", "P0": "xx", "c": "x", "d": "y", "S": "x/y"}
 #: Widest matrix whose entries stand below each other.
 _ALIGNED = 80
 
@@ -45,22 +48,33 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
 
 
 def _model(spec: Spec) -> _Part:
-    inputs = spec.model.nu > 0
-    offset = " + c" if spec.faults.jump is not None else ""
-    move = f"x[k+1] = A x[k]{' + B u[k]' if inputs else ''}{offset} + w[k], w ~ (0, Q)"
-    see = f"y[k] = C x[k]{' + D u[k]' if inputs else ''} + v[k], v ~ (0, R)"
-    letters = (*("ABCDQR" if inputs else "ACQR"), "x0", "P0")
-    listings = [_matrix(spec, letter, getattr(spec.model, letter)) for letter in letters]
-    return f"Model: {move}; {see}; x[0] ~ (x0, P0)", listings
+    inputs, absent = spec.model.nu > 0, "" if spec.model.nu else "BD"
+    absent += "".join(each for each in "cd" if getattr(spec.model, each).is_zero)
+    c, d = (
+        f" + {each}" if any(not getattr(plant, each).is_zero for plant in spec.plants) else ""
+        for each in "cd"
+    )
+    move = f"x[k+1] = A x[k]{' + B u[k]' if inputs else ''}{c} + w[k], w ~ (0, Q)"
+    see = f"y[k] = C x[k]{' + D u[k]' if inputs else ''}{d} + v[k], v ~ (0, R)"
+    letters = (*(letter for letter in LETTERS if letter not in absent), "x0", "P0")
+    letters += () if spec.model.S.is_zero else ("S",)
+    both = "" if spec.model.S.is_zero else "; Cov(w[k], v[k]) = S"
+    source: Any = spec.model
+    if spec.model.source is not None and any(
+        isinstance(entry, Computed) for row in spec.model.A.rows for entry in row
+    ):
+        source, T = spec.model.source, spec.model.source.sample_time
+        move = f"dx/dt = A x{' + B u' if inputs else ''}{c} + w, w white of density Q, for {T} s"
+    own = [(x, getattr(source if x in OF_TIME else spec.model, x)) for x in letters]
+    listings = [_matrix(spec, letter, matrix) for letter, matrix in own]
+    return f"Model: {move}; {see}; x[0] ~ (x0, P0){both}", listings
 
 
 def _modes(spec: Spec) -> Iterator[_Part]:
     """What each mode has of its own."""
     for index, mode in enumerate(spec.faults.jump.modes if spec.faults.jump is not None else ()):
-        own = {letter: getattr(mode, letter) for letter in "ABCDQR"}
+        own = {letter: getattr(mode, letter) for letter in LETTERS}
         own = {name: matrix for name, matrix in own.items() if matrix != getattr(spec.model, name)}
-        if any(entry != ZERO for (entry,) in mode.c.rows):
-            own["c"] = mode.c
         title = f"Mode {index}: {'what differs' if own else 'the model itself'}"
         yield title, [_matrix(spec, name, matrix) for name, matrix in own.items()]
 
@@ -70,7 +84,7 @@ def _matrix(spec: Spec, name: str, matrix: Matrix) -> list[str]:
     rows = [tuple(map(_text, row)) for row in matrix.rows]
     unit = unit_text(units_of(spec.model), _UNITS.get(name, ""))
     nonzero = [i != j for i, row in enumerate(matrix.rows) for j, e in enumerate(row) if e != ZERO]
-    if name in {"x0", "c"}:
+    if name in {"x0", "c", "d"}:
         return _vector(name, (row[0] for row in rows), unit)
     if not nonzero and matrix.shape != (1, 1):
         return _vector(name, map(str, matrix.shape), unit, "zeros(", ")")
@@ -219,7 +233,7 @@ def _range(spec: Spec, item: Parameter) -> str:
         found.append("keeps the laws of the faults probabilities")
     found += [f"keeps {_text(rate)} in [0, 1]" for rate in rates if name in names(rate)]
     used = []
-    for letter in "ABCDQR":
+    for letter in LETTERS:
         matrices = [getattr(plant, letter) for plant in spec.plants]
         if any(name in matrix.names for matrix in matrices):
             used.append(letter)

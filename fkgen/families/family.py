@@ -11,6 +11,7 @@ from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
+from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
 if TYPE_CHECKING:  # reading a spec loads none of what proves and builds its filter
@@ -102,6 +103,16 @@ class Family:
     def check_spec(self, spec: Spec) -> None:
         """Refuse a spec for which the family is not defined."""
         demand_noise(spec, f"the family {self.name}" if self.traits.densities else "")
+        if not (spec.model.S.is_zero or self.traits.correlated):
+            raise (
+                Place(spec.file)
+                .entry("model")
+                .entry("S")
+                .error(
+                    f"a covariance of w with v for the family {self.name}",
+                    "none: only the family kf takes noises that are correlated",
+                )
+            )
         self.check(spec)
 
 

@@ -13,6 +13,7 @@ from fkgen.families.family import Family, Proof, Table
 from fkgen.faults.sensor import read_sensor_faults
 from fkgen.problem import Parameter, Spec
 from fkgen.problem.filter import Traits
+from fkgen.problem.gate import GateOptions
 
 if TYPE_CHECKING:
     from fkgen.symbolic.recursion import Recursion
@@ -44,6 +45,7 @@ FAMILY = Family(
     build=build,
     proof=proof,
     traits=Traits(linear=True, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0))),
+    options=GateOptions,
     accepts={"sensor": partial(read_sensor_faults, law="optional")},
     adopt=without_law,
     starter="starter_genie.toml",

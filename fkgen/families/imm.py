@@ -7,6 +7,7 @@ sample the estimates are mixed by what the chain says about the mode before, eqs
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Self
 
 from fkgen.families.family import Family, Table, built_by, proved_by
@@ -87,7 +88,7 @@ FAMILY = Family(
     proof=proved_by("sensor", "IMM", "ENUMERATION"),
     traits=Traits(models="mixed", densities=True),
     options=ImmOptions,
-    accepts={"sensor": read_sensor_faults, "jump": read_jump_faults},
+    accepts={"sensor": read_sensor_faults, "jump": partial(read_jump_faults, sizes=True)},
     caveats=three_modes,
     adopt=without_channel,
     starter="starter_imm.toml",

@@ -6,18 +6,88 @@ One step corrects the prediction for sample k with y[k] and predicts sample k + 
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, Self, get_args
+
 from fkgen.families.family import Family, built_by, proved_by
+from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Traits
+from fkgen.problem.gate import GateOptions, read_gate
+from fkgen.problem.table.place import Place
+from fkgen.problem.table.section import Section
+
+if TYPE_CHECKING:
+    from fkgen.symbolic.recursion import Recursion
+
+Gain = Literal["time_varying", "stationary"]
+
+SOURCE = "Anderson & Moore 1979, Optimal Filtering, sec. 3.1 and 6.5"
+CONSTANT = "Anderson & Moore 1979, Optimal Filtering, sec. 4.4"
+
+
+@dataclass(frozen=True, slots=True)
+class KalmanOptions(GateOptions):
+    """A gate, and a gain that follows the covariance (None) or is that of the steady state."""
+
+    gain: Literal["stationary"] | None = None
+
+    @classmethod
+    def read(cls, section: Section, _: object, __: Model) -> Self:
+        """The gate, and the gain."""
+        gain: Gain = section.choice("gain", get_args(Gain), "time_varying")
+        return cls(*read_gate(section), "stationary" if gain == "stationary" else None)
+
+    def adapted(self, traits: Traits) -> Traits:
+        """Not optimal for the samples of a record if the gain is that of the steady state."""
+        linear = self.gain is None and self.gate is None
+        return replace(traits, linear=traits.linear and linear)
+
+
+def build(spec: Spec) -> Recursion:
+    """Build the filter with the gain that the spec asks for."""
+    if spec.filter.option("gain", None) == "stationary":
+        return built_by("lmmse.constant_gain:constant_gain_filter", source=CONSTANT)(spec)
+    return built_by("lmmse.kalman:linear_filter", source=SOURCE, with_gain=False)(spec)
+
+
+def check(spec: Spec) -> None:
+    """Refuse a stationary gain that does not exist."""
+    if spec.filter.option("gain", None) != "stationary":
+        return
+    from fkgen.oracle.textbook.riccati import stationary_prediction
+
+    place, model, instead = Place(spec.file), spec.model, "use gain = 'time_varying'"
+    for letter in "ACQRS":
+        if not getattr(model, letter).is_constant:
+            moving = ", ".join(sorted(getattr(model, letter).names))
+            raise (
+                place.entry("filter")
+                .entry("gain")
+                .error(
+                    f"'stationary' with a model.{letter} that depends on {moving}",
+                    f"constant A, C, Q, R and S; {instead}",
+                )
+            )
+    found = stationary_prediction(*(getattr(model, letter).values() for letter in "ACQRS"))
+    if found is None:
+        raise (
+            place.entry("filter")
+            .entry("gain")
+            .error(
+                "'stationary' for a plant without a stabilising solution of the Riccati equation",
+                "every state that does not die away by itself to be seen by y, and every one on the"
+                f" unit circle to be moved by Q; {instead}",
+            )
+        )
+
 
 FAMILY = Family(
     name="kf",
     title="Kalman filter, no faults: missing samples, time-varying models",
-    build=built_by(
-        "lmmse.kalman:linear_filter",
-        source="Anderson & Moore 1979, Optimal Filtering, sec. 3.1 and 6.5",
-        with_gain=False,
-    ),
-    proof=proved_by("gaussian", "BATCH", "RICCATI"),
-    traits=Traits(linear=True),
+    build=build,
+    proof=proved_by("gaussian", "BATCH", "RICCATI", "CONSTANT_GAIN"),
+    traits=Traits(linear=True, correlated=True),
+    options=KalmanOptions,
+    check=check,
     starter="starter_kf.toml",
 )

@@ -14,7 +14,7 @@ from typing import Literal, Self, get_args
 import numpy as np
 
 from fkgen.families.family import Family, built_by, by_option, proved_by
-from fkgen.faults import Faults
+from fkgen.faults import Faults, SensorFaults
 from fkgen.faults.sensor import is_white, read_sensor_faults
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Options, Traits
@@ -52,14 +52,7 @@ def check(spec: Spec) -> None:
     if faults is None:
         return
     if spec.filter.options.form == "augmented":
-        at = place.entry("filter").entry("form")
-        if faults.moments is not None:
-            given = '"augmented" with problem "moments"'
-            raise at.error(given, "a law: problem 1, 2, 3 or 4")
-        if faults.law is not None:
-            given = '"augmented" with probabilities that depend on parameters'
-            expected = '"lemma2", which is exact in problem 1 and 2, or numbers'
-            raise at.error(given, expected)
+        _check_augmented(faults, place.entry("filter").entry("form"))
         return
     if is_white(faults):
         return
@@ -71,6 +64,20 @@ def check(spec: Spec) -> None:
         raise place.entry("model").entry("x0").error("a start that is not zero", f"zero {because}")
     if spec.model.nu:
         raise place.entry("model").entry("B").error("known inputs", f"none {because}")
+    for key in "cd":
+        if not getattr(spec.model, key).is_zero:
+            raise place.entry("model").entry(key).error("a known offset", f"none {because}")
+
+
+def _check_augmented(faults: SensorFaults, place: Place) -> None:
+    """Refuse what the augmented form does not cover."""
+    if faults.moments is not None:
+        given = '"augmented" with problem "moments"'
+        raise place.error(given, "a law: problem 1, 2, 3 or 4")
+    if faults.law is not None:
+        given = '"augmented" with probabilities that depend on parameters'
+        expected = '"lemma2", which is exact in problem 1 and 2, or numbers'
+        raise place.error(given, expected)
 
 
 def lemma_2(spec: Spec) -> tuple[Finding, ...]:

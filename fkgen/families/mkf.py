@@ -12,6 +12,7 @@ from fkgen.families.family import Family, Table, built_by, proved_by
 from fkgen.faults.actuator import read_actuator_faults
 from fkgen.problem import Spec
 from fkgen.problem.filter import Traits
+from fkgen.problem.gate import GateOptions
 
 
 def with_rate(table: Table, _: Spec) -> Table:
@@ -35,6 +36,7 @@ FAMILY = Family(
     ),
     proof=proved_by("gaussian", "BATCH", "OPTIMAL_GAIN", "RICCATI", theorems="mkf:IDENTITIES"),
     traits=Traits(linear=True),
+    options=GateOptions,
     accepts={"actuator": read_actuator_faults},
     adopt=with_rate,
     starter="starter_mkf.toml",

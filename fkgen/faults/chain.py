@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.problem.model import plain_source
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
+from fkgen.problem.text.discretise import Continuous
 from fkgen.problem.text.expression import ZERO, Number, operation
-from fkgen.problem.text.matrix import Matrix, plain, plain_fields
+from fkgen.problem.text.matrix import Matrix, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
-LETTERS = ("A", "B", "C", "D", "Q", "R", "c")
+LETTERS = ("A", "B", "C", "D", "Q", "R", "c", "d")
 
 #: Mean-square radii closer to one than this are not told from one.
 MARGIN = 1e-9
@@ -28,7 +31,7 @@ Groups = tuple[tuple[int, ...], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mode:
-    """x[k+1] = A x + B u + c + w and y[k] = C x + D u + v, with Cov(w) = Q and Cov(v) = R."""
+    """x[k+1] = A x + B u + c + w and y[k] = C x + D u + d + v, with Cov(w) = Q and Cov(v) = R."""
 
     A: Matrix
     B: Matrix
@@ -37,7 +40,10 @@ class Mode:
     Q: Matrix
     R: Matrix
     c: Matrix  # (n, 1)
+    d: Matrix  # (p, 1)
     title: str = field(default="", compare=False)
+    kept: tuple[int, ...] | None = None  # States that the mode has, if not all; the others are 0
+    source: Continuous | None = None  # What A, B, c and Q were computed from, if time is continuous
 
     @property
     def is_constant(self) -> bool:
@@ -47,14 +53,25 @@ class Mode:
     @property
     def silent(self) -> Mode:
         """The mode of a lost sample: y is noise alone."""
-        C, D = Matrix.zeros(*self.C.shape), Matrix.zeros(*self.D.shape)
-        return replace(self, C=C, D=D, title=f"{self.title}, lost")
+        C, D, d = (Matrix.zeros(*each.shape) for each in (self.C, self.D, self.d))
+        return replace(self, C=C, D=D, d=d, title=f"{self.title}, lost")
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        table = plain_fields(self) | {"c": [plain(row[0]) for row in self.c.rows]}
-        absent = ("title",) if self.B.shape[1] else ("title", "B", "D")
+        table = plain_fields(self) | {key: getattr(self, key).plain_column() for key in "cd"}
+        if self.source is not None:
+            table |= plain_source(self.source)
+        if self.kept is not None:
+            table |= {key: _cut(table[key], key, self.kept) for key in "ABCQc"}
+            table["states"] = list(self.kept)
+        absent = ["title", "source", "kept", *([] if self.B.shape[1] else ["B", "D"])]
         return {key: entry for key, entry in table.items() if key not in absent}
+
+
+def _cut(table: Any, letter: str, kept: tuple[int, ...]) -> object:
+    """The rows and columns of some states."""
+    rows = table if letter == "C" else [table[i] for i in kept]
+    return [[row[j] for j in kept] for row in rows] if letter in "ACQ" else rows
 
 
 @dataclass(frozen=True, slots=True)

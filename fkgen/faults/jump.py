@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from fkgen.faults.chain import LETTERS, Channel, Mode, ModeChain
-from fkgen.problem.model import Model
+from fkgen.problem.model import Model, discretised, offset
 from fkgen.problem.probability import (
     Distribution,
     Transition,
@@ -21,8 +21,11 @@ from fkgen.problem.probability import (
     rows_of,
     stationary_law,
 )
+from fkgen.problem.table.place import show
 from fkgen.problem.table.section import Section, as_list
+from fkgen.problem.text.discretise import OF_TIME
 from fkgen.problem.text.expression import (
+    ZERO,
     Expression,
     Name,
     Number,
@@ -101,7 +104,8 @@ class JumpFaults:
 
             return matrices[0].mapped(entry)
 
-        return replace(self.modes[0], title="", **{letter: chosen(letter) for letter in LETTERS})
+        told: dict[str, Any] = {letter: chosen(letter) for letter in LETTERS}
+        return replace(self.modes[0], title="", source=None, **told)
 
     @property
     def channel(self) -> Channel | None:
@@ -118,15 +122,17 @@ class JumpFaults:
 
 def _title(mode: Mode, model: Model) -> str:
     """What tells a mode from the model."""
-    own = [letter for letter in "ABCDQR" if getattr(mode, letter) != getattr(model, letter)]
-    own += ["c"] if mode.c != Matrix.zeros(model.nx, 1) else []
+    own = [letter for letter in LETTERS if getattr(mode, letter) != getattr(model, letter)]
     return "with its own " + ", ".join(own) if own else "the model"
 
 
 def read_jump_faults(
-    section: Section, model: Model, family: str, *, arrivals: bool = False
+    section: Section, model: Model, family: str, *, arrivals: bool = False, sizes: bool = False
 ) -> JumpFaults:
-    """The jump faults that a table describes; ``arrivals``: the family knows of lost samples."""
+    """The jump faults that a table describes; ``arrivals``: the family knows of lost samples.
+
+    ``sizes``: modes may leave states out.
+    """
     for key in () if arrivals else _ARRIVAL_KEYS:
         if key in section:
             raise section.error(
@@ -135,7 +141,7 @@ def read_jump_faults(
                 "no key about arrivals: they are for mjls_lmmse; write the loss of samples as"
                 " modes with C = 0",
             )
-    modes = _modes(section, model)
+    modes = _modes(section, model, "" if sizes else family)
     section.require("transition", f"a {len(modes)} x {len(modes)} matrix, one row per mode")
     law = read_transition(section, "transition", "as the modes are", len(modes))
     transition = at_defaults(law, section)
@@ -147,35 +153,98 @@ def read_jump_faults(
     return JumpFaults(transition, initial, modes, arrival, known, chain, varying, moving)
 
 
-def _modes(section: Section, model: Model) -> tuple[Mode, ...]:
+def _modes(section: Section, model: Model, refuses: str) -> tuple[Mode, ...]:
     place = section.place.entry("modes")
     expected = "a list of modes, each a table of the matrices in which it differs from the model"
     entries = as_list(section.require("modes", expected), place, expected)
     if not entries:
         raise place.error("an empty list", expected)
     sections = (
-        Section(entry, place.item(i), known=LETTERS, defaults=section.defaults)
+        Section(entry, place.item(i), known=(*LETTERS, "states"), defaults=section.defaults)
         for i, entry in enumerate(entries)
     )
-    return tuple(_mode(each, model) for each in sections)
+    return tuple(_mode(each, model, _kept(each, model, refuses)) for each in sections)
 
 
-def _mode(section: Section, model: Model) -> Mode:
+def _kept(section: Section, model: Model, refuses: str) -> tuple[int, ...] | None:
+    """The states that a mode has, if it says so."""
+    if "states" not in section:
+        return None
+    place, names = section.place.entry("states"), [signal.name for signal in model.states]
+    if refuses:
+        raise place.error(f"states for the family {refuses}", "none: only imm has modes with fewer")
+    expected = f"some of the states {', '.join(names)}, each once"
+    kept: set[int] = set()
+    for i, entry in enumerate(as_list(section.table["states"], place, expected)):
+        at = names.index(str(entry)) if entry in names else entry
+        known = isinstance(at, int) and not isinstance(at, bool) and at in range(len(names))
+        if not isinstance(at, int) or not known or at in kept:
+            raise place.item(i).error(show(entry), expected)
+        kept.add(at)
+    if not kept:
+        raise place.error("an empty list", expected)
+    return tuple(sorted(kept))
+
+
+def _widened(matrix: Matrix, letter: str, kept: tuple[int, ...], n: int) -> Matrix:
+    """A matrix over some states as one over all of them: 0 elsewhere."""
+    place = {state: at for at, state in enumerate(kept)}
+
+    def entry(i: int, j: int, _: Expression) -> Expression:
+        row = i if letter == "C" else place.get(i)
+        column = place.get(j) if letter in "ACQ" else j
+        return ZERO if row is None or column is None else matrix.rows[row][column]
+
+    rows = len(matrix.rows) if letter == "C" else n
+    columns = n if letter in "ACQ" else matrix.shape[1]
+    return Matrix.zeros(rows, columns).mapped(entry)
+
+
+def _narrowed(matrix: Matrix, letter: str, kept: tuple[int, ...]) -> Matrix:
+    """The rows and columns of some states."""
+    rows = matrix.rows if letter == "C" else tuple(matrix.rows[i] for i in kept)
+    if letter in "ACQ":
+        rows = tuple(tuple(row[j] for j in kept) for row in rows)
+    return Matrix(rows)
+
+
+def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
     """The mode whose matrices are those of the model, but for those that are stated."""
     for key in ("B", "D"):
         if key in section and not model.nu:
             expected = "model.B first (zeros will do): it says how many inputs there are"
             raise section.error(key, f"{key} where model.B is missing", expected)
-    found = {letter: getattr(model, letter) for letter in LETTERS if letter != "c"}
+    source = model.source
+    found = {
+        letter: getattr(model if source is None or letter not in OF_TIME else source, letter)
+        for letter in LETTERS
+    }
+    if kept is not None:
+        found |= {letter: _narrowed(found[letter], letter, kept) for letter in "ABCQc"}
+    _state_own(section, found)
+    if kept is not None:
+        found |= {letter: _widened(found[letter], letter, kept, model.nx) for letter in "ABCQc"}
+    if source is not None:
+        stated: dict[str, Any] = {letter: found[letter] for letter in OF_TIME}
+        source = replace(source, **stated)
+        moved = discretised(source, section.place, section)
+        found |= dict(zip(OF_TIME, moved, strict=True))
+        if kept is not None:  # what is left out does not stay: it is 0
+            found["A"] = _widened(_narrowed(found["A"], "A", kept), "A", kept, model.nx)
+    return Mode(**found, kept=kept, source=source)
+
+
+def _state_own(section: Section, found: dict[str, Matrix]) -> None:
+    """Put what the mode states in place of what is the model's."""
     for key, own in found.items():
         because = f"all modes share the states, inputs and rows of y; so is model.{key}"
-        if key in section and key in {"Q", "R"}:
+        if key in {"c", "d"} and key in section:
+            of = "state" if key == "c" else "measurement"
+            found[key] = offset(section, key, len(own.rows), of)
+        elif key in section and key in {"Q", "R"}:
             found[key] = section.covariance(key, len(own.rows), because)
         elif key in section:
             found[key] = section.matrix(key, own.shape, because)
-    n = model.nx
-    c = section.column("c", n, "numbers or expressions") if "c" in section else Matrix.zeros(n, 1)
-    return Mode(**found, c=c)
 
 
 def _channel(section: Section) -> tuple[Arrival, Expression | None, Transition]:

@@ -73,7 +73,7 @@ class Moments:
 
 @dataclass(frozen=True, slots=True)
 class SensorFaults:
-    """y = G (C x + D u) + v: rows may lose their signal (gamma = 0) or be noisier (delta = C).
+    """y = G (C x + D u + d) + v: rows may lose their signal (gamma = 0) or be noisier (delta = C).
 
     Modes are (1,1) (1,C) (0,1) (0,C) as (gamma, delta). There is no kernel where moments take its
     place, or nothing is said (``genie``).
@@ -135,13 +135,12 @@ class SensorFaults:
         """
         scale = (ONE, operation("sqrt", delta), delta)
         fails = [i in self.rows for i in range(model.ny)]
-        C, D = (
+        C, D, d = (
             matrix.mapped(lambda i, _, entry: operation("*", gamma if fails[i] else ONE, entry))
-            for matrix in (model.C, model.D)
+            for matrix in (model.C, model.D, model.d)
         )
         R = model.R.mapped(lambda i, j, entry: operation("*", entry, scale[fails[i] + fails[j]]))
-        still = Matrix.zeros(model.nx, 1)
-        return Mode(A=model.A, B=model.B, C=C, D=D, Q=model.Q, R=R, c=still)
+        return Mode(A=model.A, B=model.B, C=C, D=D, Q=model.Q, R=R, c=model.c, d=d)
 
     def entangles(self, R: Matrix) -> bool:
         """Whether R correlates rows that can fail with rows that cannot."""

@@ -49,6 +49,7 @@ def informed(
         system,
         C=signal[:, :, None] * system.C,
         D=signal[:, :, None] * system.D,
+        d=signal * system.d,
         R=noise[:, :, None] * system.R * noise[:, None, :],
     )
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from fkgen.problem.table.place import Place
-from fkgen.problem.table.section import Section
+from fkgen.problem.table.place import Place, describe
+from fkgen.problem.table.section import Section, as_list
 
 Scalar = Literal["double", "float"]
 Update = Literal["auto", "short", "joseph"]
@@ -23,18 +23,36 @@ class Code:
     #: Where exp, log and their like are: "static" in the file of the filter, or "shared" in
     #: files beside it, the same for all filters of one program
     elementary: Copies = "static"
+    #: The ports that C shows besides those that the recursion needs; all of them if None
+    ports: tuple[str, ...] | None = None
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table: dict[str, object] = {"scalar": self.scalar, "update": self.update}
-        return table if self.elementary == "static" else table | {"elementary": self.elementary}
+        table |= {} if self.elementary == "static" else {"elementary": self.elementary}
+        return table if self.ports is None else table | {"ports": list(self.ports)}
+
+    def shows(self, port: str) -> bool:
+        """Whether a port is asked for."""
+        return self.ports is None or port in self.ports
 
 
 def read_code(table: object, place: Place) -> Code:
     """Return the options that a table states; an empty mapping gives the defaults."""
-    section = Section(table, place, known=("scalar", "update", "elementary"))
+    section = Section(table, place, known=("scalar", "update", "elementary", "ports"))
     return Code(
         scalar=section.choice("scalar", get_args(Scalar), "double"),
         update=section.choice("update", get_args(Update), "auto"),
         elementary=section.choice("elementary", get_args(Copies), "static"),
+        ports=_read_ports(section) if "ports" in section else None,
     )
+
+
+def _read_ports(section: Section) -> tuple[str, ...]:
+    """Names of ports; which there are, the family knows."""
+    expected, place = "a list of names of ports", section.place.entry("ports")
+    names = as_list(section.table["ports"], place, expected)
+    for i, name in enumerate(names):
+        if not isinstance(name, str):
+            raise place.item(i).error(describe(name), "the name of a port")
+    return tuple(dict.fromkeys(map(str, names)))

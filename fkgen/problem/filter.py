@@ -49,6 +49,7 @@ class Traits:
     #: "one"; "bank": several side by side, combined by weights; "merged": several from one
     #: Gaussian, merged again; "mixed": several estimates, mixed before every sample
     models: Literal["one", "bank", "merged", "mixed"] = "one"
+    correlated: bool = False  # Noise of the state may be correlated with that of y
     densities: bool = False  # It compares densities of y, so R has to be positive definite
     moments: bool = False  # Gains follow from unconditional second moments, P0 among them
     #: "none"; rows of y wait for the end of a window as an estimate of the whole state
@@ -71,6 +72,10 @@ class Options:
         """The keys that a spec file would hold; None is left out."""
         return plain_fields(self)
 
+    def adapted(self, traits: Traits) -> Traits:
+        """What of the traits of the family these options change."""
+        return traits
+
 
 @dataclass(frozen=True, slots=True)
 class Filter:
@@ -82,7 +87,7 @@ class Filter:
     @property
     def traits(self) -> Traits:
         """What the family is like."""
-        traits: Traits = registry().family(self.family).traits
+        traits: Traits = self.options.adapted(registry().family(self.family).traits)
         return traits
 
     def option(self, name: str, default: Any) -> Any:

@@ -8,16 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fkgen.errors import SpecError
+from fkgen.problem.covariance import checked_covariance
 from fkgen.problem.signals import Signal, read_signals
-from fkgen.problem.table.place import Place
+from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.table.section import Section, check_finite
+from fkgen.problem.text.discretise import OF_TIME, Continuous
 from fkgen.problem.text.expression import is_large
 from fkgen.problem.text.foreign import state_space
-from fkgen.problem.text.matrix import Matrix, congruence, plain, plain_fields
+from fkgen.problem.text.matrix import Matrix, congruence, plain_fields
 
 _KEYS = (
-    *("A", "B", "C", "D", "Q", "R", "F", "V", "G", "W", "x0", "P0"),
-    *("sample_time", "states", "inputs", "outputs", "system"),
+    *("A", "B", "C", "D", "Q", "R", "c", "d", "S", "F", "V", "G", "W", "x0", "P0"),
+    *("sample_time", "time", "states", "inputs", "outputs", "system"),
 )
 
 
@@ -27,7 +30,7 @@ class Model:
 
     .. math::
 
-        x_{k+1} = A x_k + B u_k + w_k, \qquad y_k = C x_k + D u_k + v_k
+        x_{k+1} = A x_k + B u_k + c + w_k, \qquad y_k = C x_k + D u_k + d + v_k
     """
 
     A: Matrix  # (n, n)
@@ -38,13 +41,17 @@ class Model:
     #: triangle mirrors the lower
     Q: Matrix
     R: Matrix
+    c: Matrix  # c, d: (n, 1) and (p, 1): known offsets of x and of y
+    d: Matrix
+    S: Matrix  # (n, p): covariance of w[k] with v[k]
     #: x0, P0: (n, 1) and (n, n): Mean and covariance of the prediction for sample 0; constant
     x0: Matrix
     P0: Matrix
-    sample_time: float | None  # In seconds
+    sample_time: float | str | None  # In seconds, or the parameter that holds it
     states: tuple[Signal, ...]  # states, inputs, outputs: n, q and p of them
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
+    source: Continuous | None = None  # What A, B, c and Q were computed from, if the time was
 
     @property
     def nx(self) -> int:
@@ -63,8 +70,14 @@ class Model:
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        table = plain_fields(self) | {"x0": [plain(row[0]) for row in self.x0.rows]}
-        absent = () if self.nu else ("B", "D")
+        absent = [key for key in ("c", "d", "S") if getattr(self, key).is_zero]
+        absent += [] if self.nu else ["B", "D"]
+        columns = {key: getattr(self, key).plain_column() for key in ("x0", "c", "d")}
+        table = plain_fields(self) | columns
+        if self.source is not None:
+            table |= {"time": "continuous"} | plain_source(self.source)
+            absent = ["source", *(key for key in absent if key != "c")]
+            absent += ["c"] if self.source.c.is_zero else []
         return {key: entry for key, entry in table.items() if key not in absent}
 
 
@@ -89,13 +102,24 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
             raise section.error("D", "D without B", "no D where there is no input")
         D = section.matrix("D", (p, q), "D maps the input to the measurement")
     because = "P0 is the covariance of the error of x0"
+    Q = _noise(section, ("Q", "F", "V"), n, "state")
+    R = _noise(section, ("R", "G", "W"), p, "measurement")
+    c = offset(section, "c", n, "state")
+    source = None
+    if section.choice("time", ("discrete", "continuous"), "discrete") == "continuous":
+        source = _continuous(section, (A, B, c, Q), sample_time)
+        A, B, c, Q = discretised(source, section.place.entry("sample_time"), section)
     return Model(
+        source=source,
         A=A,
         B=B,
         C=C,
         D=D,
-        Q=_noise(section, ("Q", "F", "V"), n, "state"),
-        R=_noise(section, ("R", "G", "W"), p, "measurement"),
+        Q=Q,
+        R=R,
+        S=_cross_covariance(section, Q, R),
+        c=c,
+        d=offset(section, "d", p, "measurement"),
         x0=_constant(section, "x0", section.column("x0", n, "numbers")),
         P0=_constant(section, "P0", section.covariance("P0", n, because)),
         sample_time=sample_time,
@@ -103,6 +127,13 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
         inputs=read_signals(section, "inputs", "u", q),
         outputs=read_signals(section, "outputs", "y", p),
     )
+
+
+def offset(section: Section, key: str, count: int, of: str) -> Matrix:
+    """The known offset of the state or of the measurement that was given, or zeros."""
+    if key not in section:
+        return Matrix.zeros(count, 1)
+    return section.column(key, count, "numbers or expressions", of)
 
 
 def _noise(section: Section, keys: tuple[str, str, str], count: int, target: str) -> Matrix:
@@ -123,6 +154,28 @@ def _noise(section: Section, keys: tuple[str, str, str], count: int, target: str
     return section.covariance(
         whole, count, f"{whole} is the covariance of the noise in the {target}"
     )
+
+
+def _cross_covariance(section: Section, Q: Matrix, R: Matrix) -> Matrix:
+    """Cov(w, v), which Q and R have to allow, or zeros."""
+    n, p = len(Q.rows), len(R.rows)
+    if "S" not in section:
+        return Matrix.zeros(n, p)
+    S = section.matrix("S", (n, p), "S is the covariance of w[k], row by row, with v[k]")
+    joint = joint_noise(Q, S, R)
+    try:
+        checked_covariance(joint, section.place.entry("S"), section.defaults)
+    except SpecError as fault:
+        expected = "what Q and R allow: [[Q, S], [S', R]] without a negative eigenvalue"
+        raise section.error("S", f"{fault.given}, of [[Q, S], [S', R]]", expected) from None
+    return S
+
+
+def joint_noise(Q: Matrix, S: Matrix, R: Matrix) -> Matrix:
+    """[[Q, S], [S', R]], the covariance of (w, v)."""
+    above = (Q_row + S_row for Q_row, S_row in zip(Q.rows, S.rows, strict=True))
+    below = (S_row + R_row for S_row, R_row in zip(zip(*S.rows, strict=True), R.rows, strict=True))
+    return Matrix((*above, *below))
 
 
 def _factored(section: Section, factor: str, inner: str, mapped: tuple[int, str]) -> Matrix:
@@ -152,18 +205,68 @@ def _constant(section: Section, key: str, matrix: Matrix) -> Matrix:
     return matrix
 
 
-def _expand_system(section: Section) -> float | None:
+def _continuous(
+    section: Section, stated: tuple[Matrix, Matrix, Matrix, Matrix], sample_time: float | str | None
+) -> Continuous:
+    """What a continuous plant is discretised from."""
+    if sample_time is None:
+        given = 'nothing (the key is missing) beside time = "continuous"'
+        expected = "the seconds from sample to sample, or the name of a parameter"
+        raise section.error("sample_time", given, expected)
+    return Continuous(*stated, sample_time)
+
+
+def discretised(
+    source: Continuous, place: Place, section: Section
+) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """A, B, c and Q from sample to sample."""
+    try:
+        found = source.discrete
+    except ArithmeticError as fault:
+        given = f"{source.sample_time!r} for a continuous plant"
+        raise place.error(given, f"a sample over which A stays finite, but {fault}") from None
+    for matrix in found.values():
+        for expression in itertools.chain(*matrix.rows):
+            if is_large(expression):
+                raise place.error("very large expressions once discretised", "simpler entries")
+            check_finite(expression, place, section.defaults)
+    A, B, c, Q = (found[letter] for letter in OF_TIME)
+    return A, B, c, Q
+
+
+def plain_source(source: Continuous) -> dict[str, object]:
+    """The matrices of dx/dt as a spec file writes them."""
+    return {letter: getattr(source, letter).plain() for letter in "ABQ"} | {
+        "c": source.c.plain_column()
+    }
+
+
+def _sample_time(section: Section) -> float | str | None:
+    """A number of seconds, or the name of a parameter whose default is one."""
+    expected = "a positive number of seconds, or the name of a parameter"
+    given = section.table.get("sample_time", 1.0)
+    if not isinstance(given, str):
+        number = section.number("sample_time", expected, lambda number: number > 0.0, 1.0)
+        return number if "sample_time" in section else None
+    if given not in section.defaults:
+        hint = suggestion(given, section.defaults)
+        raise section.error("sample_time", show(given), f"{expected} in [parameters]{hint}")
+    if not section.defaults[given] > 0.0:
+        shown = f"{show(given)}, whose default is {section.defaults[given]!r}"
+        raise section.error("sample_time", shown, "a parameter with a positive default")
+    return given
+
+
+def _expand_system(section: Section) -> float | str | None:
     """Replace ``system`` by its matrices and return the sample time."""
-    stated = None
-    if "sample_time" in section:
-        expected = "a positive number of seconds"
-        stated = section.number("sample_time", expected, lambda number: number > 0.0)
+    stated = _sample_time(section)
     if "system" not in section:
         return stated
     for key in ("A", "B", "C", "D"):
         if key in section:
             raise section.error(key, f"{key} beside system", f"either system or {key}")
-    matrices, own = state_space(section.table.pop("system"), section.place.entry("system"))
+    system, where = section.table.pop("system"), section.place.entry("system")
+    matrices, own = state_space(system, where, continuous="time" in section)
     if stated is not None and own is not None and stated != own:
         expected = f"{own!r}, the sample time of system"
         raise section.error("sample_time", f"{stated!r}", expected)

@@ -6,18 +6,20 @@ import json
 import os
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fkgen.errors import of_type
 from fkgen.problem.code import Code, read_code
 from fkgen.problem.filter import Filter, Parameter, registry
 from fkgen.problem.model import Model, read_model
+from fkgen.problem.record import Columns, read_record
 from fkgen.problem.scope import check_float, read_parameters, read_tables
 from fkgen.problem.signals import PREFIX, read_name
-from fkgen.problem.table.place import Place
+from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_table
 from fkgen.problem.text.expression import Expression, Scope
 from fkgen.problem.text.lookup import Table
@@ -29,7 +31,7 @@ if TYPE_CHECKING:  # types alone: faults are read by their families
 #: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
 LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 
-_KEYS = ("name", "model", "parameters", "tables", "faults", "filter", "code")
+_KEYS = ("name", "model", "parameters", "tables", "faults", "filter", "code", "record")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,8 @@ class Spec:
         Options of the generated code.
     tables : tuple of Table
         What expressions may look up.
+    record : Columns
+        Names of columns in record files.
     file : str
         Where it comes from.
     """
@@ -65,6 +69,7 @@ class Spec:
     filter: Filter
     code: Code
     tables: tuple[Table, ...] = ()
+    record: Columns = field(default_factory=Columns)
     file: str = field(default="<dict>", compare=False)
 
     @classmethod
@@ -85,7 +90,7 @@ class Spec:
         SpecError
             If anything in it is missing, unknown, of the wrong type or shape, or impossible.
         """
-        place = Place(file)
+        place = Place(of_type("file", file, str, "a text, for messages"))
         if not as_table(table, place, "a table (a dict) with a spec in it"):
             raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
         whole = Section(table, place, known=_KEYS)
@@ -108,6 +113,11 @@ class Spec:
             filter=Filter(options.table["family"], family.options.read(options, faults, model)),
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             tables=tables,
+            record=read_record(
+                whole.table.get("record", {}),
+                place.entry("record"),
+                [*(s.name for s in (*model.outputs, *model.inputs)), *defaults],
+            ),
             file=file,
         )
         _check_numbers(spec, place)
@@ -123,6 +133,12 @@ class Spec:
     def expressions(self) -> Iterator[Expression]:
         """Every entry of the plants and of what is said about faults."""
         return expressions((self.plants, self.faults))
+
+    @property
+    def period(self) -> float | None:
+        """The sample time in seconds; that of the defaults where it is a parameter."""
+        stated = self.model.sample_time
+        return self.defaults[stated] if isinstance(stated, str) else stated
 
     @property
     def placed_plants(self) -> tuple[tuple[Model | Mode, Place], ...]:
@@ -149,19 +165,24 @@ class Spec:
         told = self.filter.traits.told
         return tuple(item for item in self.parameters if item not in told)
 
+    @property
+    def whole(self) -> Spec:
+        """The same filter with all its ports, for those who look into it."""
+        return replace(self, code=replace(self.code, ports=None))
+
     def to_dict(self) -> dict[str, object]:
         """Return plain dicts, lists, numbers and texts; `from_dict` gives an equal spec back."""
-        return {
+        table: dict[str, object] = {
             "name": self.name,
             "model": self.model.plain(),
             "parameters": {item.name: item.plain() for item in self.stated_parameters},
-            **(
-                {"tables": {each.name: each.plain() for each in self.tables}} if self.tables else {}
-            ),
             "faults": self.faults.plain(),
             "filter": self.filter.plain(),
             "code": self.code.plain(),
         }
+        tables = {each.name: each.plain() for each in self.tables}
+        optional = {"tables": tables, "record": self.record.plain()}
+        return table | {key: value for key, value in optional.items() if value}
 
     def canonical(self) -> str:
         """Return a JSON text that is equal for equal specs and different for different ones."""
@@ -178,11 +199,24 @@ def _check_numbers(spec: Spec, place: Place) -> None:
         _check_magnitudes(plant, at, spec)
 
 
+def as_spec(value: object, what: str = "spec") -> Spec:
+    """Return what was given as a spec.
+
+    Raises
+    ------
+    DataError
+        If it is none.
+    """
+    expected = "a Spec: fkgen.load(path) or fkgen.Spec.from_dict(table)"
+    spec: Spec = of_type(what, value, Spec, expected)
+    return spec
+
+
 def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
     """Refuse entries beyond `LIMITS`; parameters have their default values."""
     scalar = spec.code.scalar
     smallest, largest = LIMITS[scalar]
-    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c"):
+    for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c", "d", "S"):
         values = getattr(plant, name).values(spec.defaults) if hasattr(plant, name) else ()
         for at, value in np.ndenumerate(values):
             expected = ""
@@ -191,7 +225,7 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
             elif name in {"Q", "R", "P0"} and at[0] == at[1] and 0.0 < value < smallest:
                 expected = f"0 or at least {smallest:g}"
             if expected:
-                indices = at[:1] if name in {"x0", "c"} else at
+                indices = at[:1] if name in {"x0", "c", "d"} else at
                 where = place.entry(name).item(*indices)
                 raise where.error(f"{value:g}", f"{expected} with scalar {scalar!r}")
 
@@ -218,6 +252,8 @@ def load(path: str | os.PathLike[str]) -> Spec:
     SpecError
         If the file cannot be read, is not UTF-8 or not TOML, or does not hold a spec.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise Place().entry("path").error(describe(path), "the path of a spec file")
     file = str(path)
     place = Place(file, "file")
     try:

@@ -85,17 +85,16 @@ def _machine(program: CProgram, record: Record) -> dict[str, Array]:
     for k, y in enumerate(record.y):
         now = {name: float(value[k]) for name, value in record.parameters.items()}
         machine.step(tuple(record.u[k]), tuple(y), now)
+        stored = {name: np.array(values, machine.real) for name, values in machine.ports.items()}
         for port in program.ports:
-            value = port.unpacked(np.array(machine.ports[port.name], machine.real))
-            if port.given:
-                given = port.unpacked(np.array(machine.ports[port.given], machine.real))
-                value = np.where(given > 0, value, np.nan)
-            rows[port.name].append(np.where(np.isnan(y), np.nan, value) if port.per_row else value)
+            rows[port.name].append(port.shown(stored, y))
     return {name: np.array(values) for name, values in rows.items()}
 
 
 def _difference(found: Array, expected: Array) -> float:
     """0 if all bits are the same (any NaN is one), else the relative distance, never 0."""
+    if found.dtype == np.bool_:
+        return 0.0 if np.array_equal(found, expected > 0) else float("inf")
     expected = expected.astype(found.dtype)
     word = np.uint32 if found.dtype == np.float32 else np.uint64
     same = np.ascontiguousarray(found).view(word) == np.ascontiguousarray(expected).view(word)

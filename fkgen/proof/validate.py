@@ -14,6 +14,8 @@ from fkgen.oracle.claims.gaussian import digits_at_stake
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
+from fkgen.problem.covariance import is_singular
+from fkgen.problem.model import joint_noise
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.recursion import Recursion
 from fkgen.symbolic.validated import Claim, Validated
@@ -27,6 +29,9 @@ LONG, SHORT, MANY_STATES = 6, 4, 8
 #: Ports that start as the prior covariance of the spec.
 _OF = ("predicted_", "filtered_", "mode_", "mode_filtered_", "riccati_", "compression_")
 _PRIORS = {f"{of}covariance" for of in (*_OF, "predicted_compression_")}
+
+#: How far out, in terms of the largest entry, is what a gate meets.
+OUTLIER = 30.0
 
 _COVARIANCE = {
     "filtered_state": "filtered_covariance",
@@ -117,13 +122,26 @@ def _trial(spec: Spec, *, steady: bool) -> Record:
     y, drawn = draw_record(spec, parameters, u, rng)
     if steady:
         drawn = {name: np.full(T, spec.defaults[name]) for name in drawn}
-    else:  # none is missing at first, then row 0 alone, then all of them, then some
+    else:
+        if spec.filter.option("gate", None) is not None:
+            _disturb(spec, y, rng)
+        # none is missing at first, then row 0 alone, then all of them, then some
         missing = rng.random(y.shape) < 0.25
         missing[:3] = False
         missing[1, 0] = True
         missing[2] = True
         y[missing] = np.nan
     return Record(y=y, u=u, parameters=drawn, P0=_mild_prior(spec))
+
+
+def _disturb(spec: Spec, y: Array, rng: np.random.Generator) -> None:
+    """Move rows far out, or whole samples where rows without noise may have to agree."""
+    out = rng.random(y.shape) < 0.25
+    out[3, 0] = True
+    if is_singular(spec.model.R.values(spec.defaults)):
+        y *= 1.0 + OUTLIER * out[:, :1]
+    else:
+        y += OUTLIER * np.abs(y).max() * out
 
 
 def _vary(spec: Spec, parameters: dict[str, Array], rng: np.random.Generator) -> None:
@@ -146,11 +164,14 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
         if not spec.faults.in_domain({**spec.defaults, **parameters}):
             return False
         for plant in (spec.model, *spec.plants):
-            for letter in "ABCDQR":
+            for letter in "ABCDQRcd":
                 M = getattr(plant, letter).values(parameters)
                 if letter in "QR" and np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
                     return False
         system = LinearSystem.from_spec(spec, 1, dict(parameters), spec.first_rates)
+        noise = joint_noise(spec.model.Q, spec.model.S, spec.model.R).values(parameters)
+        if np.linalg.eigvalsh(noise)[0] < -1e-12 * np.abs(noise).max():
+            return False
     except ArithmeticError:
         return False
     return bool(np.all((system.rate >= 0.0) & (system.rate <= 1.0)))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
 from fkgen.console import Advance
+from fkgen.errors import of_type
 
 
 def cores() -> int:
@@ -20,6 +21,8 @@ def in_blocks(
     work: Callable[[int, int], object], total: int, size: int, advance: Advance | None = None
 ) -> None:
     """Call ``work(start, stop)`` for blocks of ``size`` pieces out of ``total``, in threads."""
+    if advance is not None:
+        of_type("advance", advance, Callable, "a function of one number, or None")
     blocks = [(start, min(start + size, total)) for start in range(0, total, size)]
     with ThreadPoolExecutor(max(1, min(cores(), len(blocks)))) as pool:
         waiting = {pool.submit(work, *block): block for block in blocks}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import Advance
-from fkgen.errors import DataError, InternalError, StepRefused
+from fkgen.errors import DataError, InternalError, StepRefused, of_type
 from fkgen.runtime import cache, record
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
@@ -115,13 +115,28 @@ class CompiledFilter:
         DataError
             If shapes, types or names do not fit. Samples that C refuses have a negative ``status``.
         """
-        measured = record.signal("y", y, len(self.layout.outputs), self._dtype)
+        measured = record.measurements(self.layout, y)
         driven = record.inputs(self.layout, u, len(measured))
         given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
         found = self._room((len(measured),), keep)
         instance = self._starts(start, given)[0]
         self._filter(instance, (measured, driven), given, found)
         return found
+
+    def pieces(self, keep: Sequence[str] | None = None) -> Callable[..., Run]:
+        """A function of (y, u, params) that filters a record piece by piece, as `run` the whole."""
+        latest: list[bytes] = []
+
+        def piece(y: ArrayLike, u: ArrayLike | None, params: Mapping[str, ArrayLike] | None) -> Run:
+            measured = record.measurements(self.layout, y)
+            driven = record.inputs(self.layout, u, len(measured))
+            given = record.values_of(self.layout.parameters, params, len(measured), self._dtype)
+            found = self._room((len(measured),), keep)
+            start = latest.pop() if latest else self._starts(None, given)[0]
+            latest.append(self._filter(start, (measured, driven), given, found))
+            return found
+
+        return piece
 
     def run_batch(
         self,
@@ -291,9 +306,10 @@ class CompiledFilter:
 
     def state(self, name: str) -> Array:
         """Writable view of one stored member of the instance, packed as in C."""
+        of_type("port", name, str, "the name of a port")
         if name not in self.ports:
             raise DataError("port", given=repr(name), expected=record.choice(name, self.ports))
-        field = getattr(self._type, name)
+        field = getattr(self._type, next(p.member for p in self.layout.ports if p.name == name))
         view: Array = np.frombuffer(memoryview(self._instance), self._dtype)
         size = np.dtype(self._dtype).itemsize
         return view[field.offset // size : (field.offset + field.size) // size]
@@ -304,7 +320,9 @@ class CompiledFilter:
 
     def _room(self, shape: tuple[int, ...], keep: Sequence[str] | None) -> Run:
         ports = record.kept(self.layout, keep)
-        values = {port.name: np.empty((*shape, *port.shape), self._dtype) for port in ports}
+        values = {
+            port.name: np.empty((*shape, *port.shape), self.layout.dtype_of(port)) for port in ports
+        }
         return Run(values, np.empty(shape, np.int32), np.empty(shape, np.bool_))
 
     def _starts(
@@ -318,7 +336,7 @@ class CompiledFilter:
             return [own_bytes(self.layout, start)]
         prior = None if start is None else priors(self.layout, start, records)
         of_each = [len(values) for values in parameters if values.ndim == 2]
-        count = max([1 if prior is None else len(prior[0]), *of_each])
+        count = max([1, *map(len, prior or ()), *of_each])
         instance, first = self._type(), self._parameters.copy()
         call = (ctypes.c_void_p * 4)(ctypes.addressof(instance), first.ctypes.data)
         found = []
@@ -338,8 +356,8 @@ class CompiledFilter:
 
     def _filter(
         self, start: bytes, data: tuple[Array, Array], parameters: list[Array], found: Run
-    ) -> None:
-        """Filter y and u."""
+    ) -> bytes:
+        """Filter y and u; return the instance as it is afterwards."""
         instance = self._type.from_buffer_copy(start)
         count = max(1, len(parameters))
         out = [found[p.name].ctypes.data if p.name in found else None for p in self.layout.ports]
@@ -354,6 +372,7 @@ class CompiledFilter:
             found.status.ctypes.data,
             found.held.ctypes.data,
         )
+        return bytes(instance)
 
     def _told(self, status: int) -> int:
         """The status of a call, unless it is a refusal."""
@@ -380,17 +399,10 @@ class CompiledFilter:
         if params is not None or self._varied:
             self._place_parameters(params or {})
 
-    def _place(self, what: str, value: ArrayLike | None, place: Array) -> None:
-        """Copy one sample to where C reads it; a number will do for a single row."""
-        if value is None:
-            raise DataError(what, given="nothing", expected=f"numbers of shape {place.shape}")
-        try:
-            sample = np.asarray(value, self._dtype)
-        except (TypeError, ValueError):
-            raise DataError(what, given=repr(value), expected="real numbers") from None
-        if sample.shape != place.shape and (sample.ndim or place.size != 1):
-            raise DataError(what, given=f"shape {sample.shape}", expected=f"shape {place.shape}")
-        place[:] = sample
+    def _place(self, what: str, value: Any, place: Array) -> None:
+        """Copy one sample to where C reads it."""
+        names = self.layout.outputs if what == "y" else self.layout.inputs
+        place[:] = record.sample(what, value, names, place)
 
     def _place_parameters(self, given: Mapping[str, float]) -> None:
         """Parameters of this sample; those not given take their defaults."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fkgen.errors import CompilerError
+from fkgen.errors import CompilerError, of_type
 from fkgen.runtime import cache
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.layout import Layout, layout_of
@@ -126,6 +126,9 @@ def compile_source(source: Source) -> CompiledFilter:
     OutputError
         If the cache folder cannot be written.
     """
+    from fkgen.backend.source import Source  # noqa: PLC0415 - a filter in the cache needs none
+
+    of_type("source", source, Source, "what fkgen.generate returns")
     compiler = find_compiler()
     key = cache.key_of(source.record, *source.files.values(), compiler.identity)
     return CompiledFilter(cache.find(key) or make(key, source, compiler))

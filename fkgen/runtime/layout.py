@@ -36,12 +36,21 @@ class Layout:
         """The NumPy scalar."""
         return np.float64 if self.scalar == "double" else np.float32
 
+    def dtype_of(self, port: Port) -> type[np.generic]:
+        """The NumPy scalar of a port in Python."""
+        return np.bool_ if port.flags else self.dtype
+
     def structure(self) -> type[ctypes.Structure]:
         """The C instance as a ctypes structure."""
         real: Any = ctypes.c_double if self.scalar == "double" else ctypes.c_float
-        fields = [(port.name, real * port.size if port.shape else real) for port in self.ports]
+        fields = [(port.member, real * port.size if port.shape else real) for port in self.ports]
         fields.append((UPDATED, real))
         fields += [(CORRELATED, real * self.groups)] if self.groups else []
+        words = -(-len(self.outputs) // 32)
+        flags = [port.name for port in self.ports if port.flags]
+        fields += [(name, ctypes.c_uint32 * words) for name in flags]
+        if self.scalar == "double" and words * len(flags) % 2:
+            fields.append(("unused", ctypes.c_uint32))
         return type(f"{self.name}_t", (ctypes.Structure,), {"_fields_": fields})
 
     def to_json(self) -> str:

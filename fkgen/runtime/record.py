@@ -9,104 +9,196 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from fkgen.errors import DataError
+from fkgen.errors import DataError, names_of
 from fkgen.runtime.layout import Layout
+from fkgen.runtime.values import column_of, headings, is_plain, place, read
 from fkgen.symbolic.interface import Port
 
 Array = NDArray[np.floating]
 
-
-def numbers(what: str, value: ArrayLike, dtype: type[np.floating]) -> Array:
-    """Anything numeric as a contiguous array; no copy if it is one already."""
-    array = np.asarray(value)
-    if array.dtype.kind == "O":
-        with contextlib.suppress(TypeError, ValueError):
-            array = array.astype(np.float64)
-    if array.dtype.kind not in "fiu":
-        kind = "text" if array.dtype.kind in "US" else f"type {array.dtype.name}"
-        raise DataError(what, given=kind, expected="real numbers")
-    return np.ascontiguousarray(array, dtype=dtype)
+_QUICK = frozenset((float, int, list, tuple))  # types of which most samples are
+_INPUT = "an input is never missing"
 
 
-def signal(what: str, value: ArrayLike, width: int, dtype: type[np.floating]) -> Array:
+def numbers(
+    what: str,
+    value: Any,
+    dtype: type[np.floating],
+    names: Sequence[str] = (),
+    *,
+    role: str = "",
+) -> Array:
+    """Anything numeric as a contiguous array; no copy if it is one already.
+
+    What is marked as missing is NaN, or an error where a value has a ``role`` that forbids it.
+    """
+    if type(value) is np.ndarray and value.dtype == dtype:
+        return np.ascontiguousarray(value)
+    if dtype is np.float64 and type(value) in _QUICK and is_plain(value):
+        with contextlib.suppress(ValueError, OverflowError):  # ragged, or huge: told below
+            return np.array(value, dtype, ndmin=1)
+    found = read(what, value, names)
+    if role and found.missing is not None:
+        where = place(what, np.argwhere(found.missing)[0].tolist(), names)
+        raise DataError(where, given="a missing value", expected=f"a number: {role}")
+    with np.errstate(over="ignore"):  # an infinity is what the filter refuses
+        return np.ascontiguousarray(found.array, dtype=dtype)
+
+
+def signal(
+    what: str,
+    value: Any,
+    width: int,
+    dtype: type[np.floating],
+    names: Sequence[str] = (),
+    *,
+    role: str = "",
+) -> Array:
     """A record of shape (T, width); (T,) is taken as one column when the width is one."""
-    array = numbers(what, value, dtype)
+    array = numbers(what, value, dtype, names, role=role)
     if array.ndim == 1 and width == 1:
         array = array[:, np.newaxis]
     if array.ndim != 2 or array.shape[1] != width:
-        raise DataError(what, given=f"shape {array.shape}", expected=f"shape (T, {width})")
+        expected = f"shape (T, {width}){_listed(names)}"
+        raise DataError(what, given=f"shape {array.shape}", expected=expected)
     return array
 
 
-def inputs(layout: Layout, u: ArrayLike | None, samples: int) -> Array:
+def measurements(layout: Layout, y: Any) -> Array:
+    """The measurements of a record, (T, p)."""
+    return signal("y", y, len(layout.outputs), layout.dtype, layout.outputs)
+
+
+def inputs(layout: Layout, u: Any, samples: int) -> Array:
     """The inputs of a record, (T, q)."""
     q = len(layout.inputs)
     if u is None and q:
-        names = ", ".join(layout.inputs)
-        raise DataError("u", given="nothing", expected=f"shape (T, {q}): {names}")
+        raise DataError("u", given="nothing", expected=f"shape (T, {q}){_listed(layout.inputs)}")
     if not q:
-        if u is not None and np.size(u):
+        if u is not None and _size(u):
             raise DataError("u", given="inputs", expected="none: the model has no B")
         return np.zeros((samples, 0), layout.dtype)
-    array = signal("u", np.asarray(u), q, layout.dtype)
+    array = signal("u", u, q, layout.dtype, layout.inputs, role=_INPUT)
     if len(array) != samples:
-        raise DataError("u", given=f"{len(array)} samples", expected=f"{samples}, as many as y has")
+        expected = f"{samples}, as many as y has{_listed(layout.inputs)}"
+        raise DataError("u", given=f"{len(array)} samples", expected=expected)
     return array
 
 
-def batch(layout: Layout, y: ArrayLike, u: ArrayLike | None) -> tuple[Array, Array | None]:
+def batch(layout: Layout, y: Any, u: Any) -> tuple[Array, Array | None]:
     """Measurements (M, T, p), and inputs (M, T, q) or (T, q) as they were given."""
     dtype, p = layout.dtype, len(layout.outputs)
-    records = numbers("y", y, dtype)
+    records = numbers("y", _each("y", y, layout.outputs), dtype, layout.outputs)
     if records.ndim != 3 or records.shape[2] != p:
-        raise DataError("y", given=f"shape {records.shape}", expected=f"shape (M, T, {p})")
-    driven = None if u is None else numbers("u", u, dtype)
+        expected = f"shape (M, T, {p}){_listed(layout.outputs)}"
+        raise DataError("y", given=f"shape {records.shape}", expected=expected)
+    driven = None
+    if u is not None and (layout.inputs or _size(u)):
+        driven = numbers("u", _each("u", u, layout.inputs), dtype, layout.inputs, role=_INPUT)
     if driven is not None and driven.ndim == 3 and len(driven) != len(records):
         given, expected = f"{len(driven)} records", f"{len(records)}, as y has"
         raise DataError("u", given=given, expected=expected)
     return records, driven
 
 
+def sample(what: str, value: Any, names: Sequence[str], shown: Array) -> Array:
+    """One sample in the shape and type of ``shown``; of y all of it may be missing."""
+    measured, width = what == "y", len(names)
+    if measured and (value is None or value is np.ma.masked):
+        return np.full(width, np.nan, shown.dtype)
+    if value is None:
+        expected = f"numbers of shape {shown.shape}{_listed(names)}"
+        raise DataError(what, given="nothing", expected=expected)
+    labels = getattr(value, "index", None)
+    if labels is not None and not callable(labels) and set(names) <= set(labels):
+        value = {name: value[name] for name in names}  # a row of a frame
+    role = "" if measured else _INPUT
+    array = numbers(what, value, shown.dtype.type, names, role=role)
+    if array.size != width or sorted(array.shape)[:-1] != [1] * (array.ndim - 1):
+        expected = f"shape {shown.shape}{_listed(names)}"
+        raise DataError(what, given=f"shape {array.shape}", expected=expected)
+    return array.reshape(width)
+
+
 def values_of(
     named: Sequence[tuple[str, float]],
-    given: Mapping[str, ArrayLike] | None,
+    given: Any,
     samples: int,
     dtype: type[np.floating],
     *,
     records: int | None = None,
 ) -> list[Array]:
     """One array per parameter: (1,), (samples,) or, for several records, (records, samples)."""
-    values = dict(given or {})
-    known = [name for name, _ in named]
-    for name in values:
-        if name not in known:
-            raise DataError(f"params.{name}", given="an unknown name", expected=choice(name, known))
+    values = _mapping(given, [name for name, _ in named])
     result = []
     for name, default in named:
-        array = np.atleast_1d(numbers(f"params.{name}", values.get(name, default), dtype))
+        what = f"params.{name}"
+        value = values.get(name, default)
+        array = np.atleast_1d(numbers(what, value, dtype, role="a parameter is never missing"))
         if array.shape not in ((1,), (samples,), (records, samples)):
             several = "" if records is None else f" or ({records}, {samples})"
-            raise DataError(
-                f"params.{name}",
-                given=f"shape {array.shape}",
-                expected=f"a number or shape ({samples},){several}",
-            )
+            expected = f"a number or shape ({samples},){several}"
+            raise DataError(what, given=f"shape {array.shape}", expected=expected)
         if array.size == 1 and not np.isfinite(array).all():  # else the samples are held
             at = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-            where = ", ".join(map(str, at))
-            raise DataError(
-                f"params.{name}[{where}]", given=str(array[at]), expected="a finite number"
-            )
+            raise DataError(place(what, at, ()), given=str(array[at]), expected="a finite number")
         result.append(array)
     return result
+
+
+def _mapping(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
+    """Values of parameters by name; of a frame those columns that are parameters."""
+    if given is None:
+        return {}
+    if isinstance(given, Mapping):
+        for name in given:
+            if name not in known:
+                expected = choice(name, known)
+                raise DataError(f"params.{name}", given="an unknown name", expected=expected)
+        return given
+    columns = headings(given)
+    if columns is None:
+        kind = f"a value of type {type(given).__name__}"
+        expected = "a mapping of names to numbers, or a frame"
+        raise DataError("params", given=kind, expected=f"{expected}{_listed(known)}")
+    found = {name: column_of("params", given, name) for name in known if name in columns}
+    if not found:
+        there = f"columns {', '.join(map(str, columns))}"
+        raise DataError("params", given=there, expected=choice(str(next(iter(columns), "")), known))
+    return found
+
+
+def _each(what: str, value: Any, names: Sequence[str]) -> Any:
+    """Of a list of frames the records (M, T, w); anything else as it is."""
+    if not isinstance(value, list | tuple) or not value or headings(value[0]) is None:
+        return value
+    frames = [read(f"{what}[{m}]", frame, names) for m, frame in enumerate(value)]
+    for m, frame in enumerate(frames):
+        if frame.array.shape != frames[0].array.shape:
+            given, expected = (f"shape {each.array.shape}" for each in (frame, frames[0]))
+            raise DataError(f"{what}[{m}]", given=given, expected=f"{expected}, as {what}[0] has")
+    masks = [np.zeros(f.array.shape, bool) if f.missing is None else f.missing for f in frames]
+    return np.ma.array(np.stack([frame.array for frame in frames]), mask=np.stack(masks))
+
+
+def _size(value: Any) -> int:
+    """How many numbers something holds, as far as it can be told."""
+    try:
+        return int(np.size(value))
+    except Exception:  # noqa: BLE001 - what has no size holds something
+        return 1
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f": {', '.join(names)}" if names else ""
 
 
 def kept(layout: Layout, keep: Sequence[str] | None) -> list[Port]:
     """The ports to store; all of them by default."""
     known = [port.name for port in layout.ports]
-    names = known if keep is None else [keep] if isinstance(keep, str) else list(keep)
+    names = known if keep is None else names_of("keep", keep, "names of ports")
     for name in names:
         if name not in known and name != "status":
             raise DataError("keep", given=repr(name), expected=choice(name, known))
@@ -125,7 +217,7 @@ def probability(name: str, value: Any) -> float:
     """A probability strictly between 0 and 1."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not 0.0 < number < 1.0:
         raise DataError(name, given=repr(value), expected="a probability in (0, 1), such as 0.001")

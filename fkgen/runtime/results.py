@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fkgen.errors import DataError
+from fkgen.errors import DataError, of_type
 from fkgen.runtime import record
 from fkgen.runtime.layout import Layout
 
@@ -30,6 +30,13 @@ class Run:
         self._values = dict(values)
         self.status, self.held = status, held
 
+    @classmethod
+    def joined(cls, runs: Sequence[Run]) -> Run:
+        """Pieces of one record as one."""
+        values = {name: np.concatenate([run[name] for run in runs]) for name in runs[0].ports}
+        status, held = (np.concatenate([run[name] for run in runs]) for name in ("status", "held"))
+        return cls(values, status, held)
+
     @property
     def ports(self) -> tuple[str, ...]:
         """Names of the ports that were kept."""
@@ -41,6 +48,7 @@ class Run:
         return np.asarray(self.status < 0)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
+        of_type("port", name, str, "the name of a port")
         if name in {"status", "held"}:
             return np.asarray(getattr(self, name))
         if name not in self._values:
@@ -73,12 +81,15 @@ class Snapshot:
     def __init__(self, layout: Layout, data: bytes, status: int) -> None:
         self.layout, self.data, self.status = layout, data, status
 
-    def __getitem__(self, name: str) -> Array:
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        of_type("port", name, str, "the name of a port")
         dtype = np.dtype(self.layout.dtype)
         offset = 0
         for port in self.layout.ports:
             if port.name == name:
                 value = port.unpacked(np.frombuffer(self.data, dtype, port.size, offset))
+                if port.flags:
+                    return value > 0
                 return np.where(self[port.given] > 0, value, np.nan) if port.given else value
             offset += port.size * dtype.itemsize
         names = [port.name for port in self.layout.ports]

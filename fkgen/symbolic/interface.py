@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum
 from typing import Literal, Self
@@ -87,9 +88,16 @@ class Port:
     given: str = ""
     #: Of a prediction that updates read: the port that holds the same once an update has been
     corrected: str = ""
+    #: 1 or 0 for each row of y, which C also shows as the bits of words, and Python as booleans
+    flags: bool = False
     start: tuple[float, ...] = field(default=(), compare=False)  # As stored; empty for zeros
     #: What it starts as in place of ``start``, repeated: mean or packed covariance of the prior
     prior: Literal["", "x", "P"] = ""
+
+    @property
+    def member(self) -> str:
+        """The member of the C instance that holds the values."""
+        return f"{self.name}_rows" if self.flags else self.name
 
     @property
     def size(self) -> int:
@@ -108,6 +116,13 @@ class Port:
         for at, (i, j) in enumerate(pairs):
             index[i, j] = index[j, i] = at
         return values.reshape(-1, len(pairs))[:, index].reshape(self.shape)
+
+    def shown(self, stored: Mapping[str, ArrayLike], y: ArrayLike) -> NDArray[np.floating]:
+        """Its value after a sample: NaN where it says nothing, and where a row of y is missing."""
+        value = self.unpacked(stored[self.name])
+        if self.given:
+            value = np.where(self.unpacked(stored[self.given]) > 0, value, np.nan)
+        return np.where(np.isnan(y), np.nan, value) if self.per_row else value
 
 
 class Kind(Enum):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -61,16 +60,11 @@ class Interpreter:
     ) -> dict[str, Array]:
         """Filter a record; ports by name, (T, ...), NaN in innovations of missing rows."""
         ports = [p for p in self.recursion.ports if keep is None or p.name in keep]
-        rows: dict[str, list[Array]] = {port.name: [] for port in ports}
+        rows: dict[str, list[NDArray[np.floating]]] = {port.name: [] for port in ports}
         for k in range(len(y)):
             self.step(y[k], u[k], {name: float(value[k]) for name, value in parameters.items()})
             for port in ports:
-                value: Any = port.unpacked(self.values[port.name])
-                if port.given:
-                    value = np.where(self.values[port.given].reshape(port.shape) > 0, value, np.nan)
-                rows[port.name].append(
-                    np.where(np.isnan(y[k]), np.nan, value) if port.per_row else value
-                )
+                rows[port.name].append(port.shown(self.values, y[k]))
         return {name: np.array(value) for name, value in rows.items()}
 
 

@@ -15,8 +15,10 @@ from fkgen.errors import InternalError
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
 from fkgen.problem.covariance import is_singular
-from fkgen.problem.text.expression import COMPARISONS, FUNCTIONS
+from fkgen.problem.text.discretise import OF_TIME, Continuous
+from fkgen.problem.text.expression import COMPARISONS, FUNCTIONS, Computed
 from fkgen.problem.text.lookup import Table
+from fkgen.symbolic.discretise import discretised, doublings
 
 #: Variances of which four may be multiplied, with some room for those that follow from them.
 TAME = 1e-60, 1e60
@@ -24,7 +26,7 @@ TAME = 1e-60, 1e60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """x[k+1] = A x + B g u + c + v, y = C x + D g u + w, with Cov(v) = Q and Cov(w) = R."""
+    """x[k+1] = A x + B g u + c + v, y = C x + D g u + d + w, with Cov(v) = Q and Cov(w) = R."""
 
     parameters: Mapping[str, ca.SX]  # Symbols of the run-time parameters
     A: ca.SX  # A, B, C, D, Q, R: (n, n), (n, q), (p, n), (p, q), (n, n), (p, p)
@@ -33,9 +35,13 @@ class Plant:
     D: ca.SX
     Q: ca.SX
     R: ca.SX
-    c: ca.SX  # (n, 1), a known offset: nothing but in modes of jump faults
+    c: ca.SX  # (n, 1), (p, 1), known offsets
+    d: ca.SX
+    S: ca.SX  # (n, p), covariance of the noise of x with that of y
+    limits: tuple[ca.SX, ...] = ()  # What must not be negative where A, B, c and Q are computed
     rows: tuple[str, ...]  # Names of the rows of y, for headings in the C code
     scalar: str  # Of the C code, for tolerances
+    shows_variance: bool  # The covariance of the innovation is shown
     #: R is singular: rows of y may be exact, so a rank decision is needed when conditioning
     noise_free: bool
     #: Variances follow parameters or are so large or small that products of some overflow
@@ -60,12 +66,14 @@ class Plant:
 def plant_of(spec: Spec) -> Plant:
     """Lift the matrices of a spec to CasADi."""
     parameters, model = {p.name: ca.SX.sym(p.name) for p in spec.parameters}, spec.model
+    wholes = Wholes(spec, parameters)
     return Plant(
         parameters=parameters,
-        **{letter: lift(getattr(model, letter), parameters) for letter in "ABCDQR"},
-        c=ca.SX(model.nx, 1),
+        **{letter: lift(getattr(model, letter), parameters, wholes) for letter in (*LETTERS, "S")},
+        limits=tuple(wholes.limits),
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
+        shows_variance=spec.code.shows("innovation_covariance"),
         noise_free=_is_noise_free(model.R),
         wide=_is_wide(model.R) or _is_wide(model.P0),
     )
@@ -74,6 +82,7 @@ def plant_of(spec: Spec) -> Plant:
 def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
     """Lift modes of a spec to CasADi: one set of parameters, and equal matrices are one object."""
     base = plant_of(spec)
+    wholes = Wholes(spec, base.parameters)
     known: dict[tuple[str, Matrix], ca.SX] = {}
     plants = []
     for mode in modes:
@@ -81,11 +90,11 @@ def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
         for letter in LETTERS:
             key = letter, getattr(mode, letter)
             if key not in known:
-                known[key] = lift(key[1], base.parameters)
+                known[key] = lift(key[1], base.parameters, wholes)
             lifted[letter] = known[key]
         wide = base.wide or _is_wide(mode.R)
         plants.append(replace(base, noise_free=_is_noise_free(mode.R), wide=wide, **lifted))
-    return tuple(plants)
+    return tuple(replace(plant, limits=tuple(wholes.limits)) for plant in plants)
 
 
 def _is_noise_free(R: Matrix) -> bool:
@@ -101,17 +110,41 @@ def _is_wide(covariance: Matrix) -> bool:
     return any(not TAME[0] <= value <= TAME[1] for value in variances[variances > 0.0])
 
 
-def lift(matrix: Matrix, parameters: Mapping[str, ca.SX]) -> ca.SX:
+class Wholes:
+    """Matrices that are computed as a whole, each once, and what must not be negative for them."""
+
+    def __init__(self, spec: Spec, parameters: Mapping[str, ca.SX]) -> None:
+        self.spec, self.parameters = spec, parameters
+        self.limits: list[ca.SX] = []
+        self._known: dict[Continuous, dict[str, ca.SX]] = {}
+
+    def entry(self, entry: Computed) -> ca.SX:
+        """One entry of one of them."""
+        source = entry.whole
+        if not isinstance(source, Continuous):
+            raise InternalError(f"no expression: {entry!r}")
+        if source not in self._known:
+            matrices = {x: lift(getattr(source, x), self.parameters) for x in OF_TIME}
+            T = lift_expression(source.T, self.parameters)
+            count = doublings(self.spec, source)
+            self._known[source], limits = discretised(source, matrices, T, count)
+            self.limits += limits
+        return self._known[source][entry.letter][entry.row, entry.column]
+
+
+def lift(matrix: Matrix, parameters: Mapping[str, ca.SX], wholes: Wholes | None = None) -> ca.SX:
     """A matrix of expressions as SX; entries that are zero are not stored."""
     result = ca.SX(*matrix.shape)
     for i, row in enumerate(matrix.rows):
         for j, entry in enumerate(row):
             if entry != Number(0.0):
-                result[i, j] = lift_expression(entry, parameters)
+                result[i, j] = lift_expression(entry, parameters, wholes)
     return result
 
 
-def lift_expression(expression: Expression, parameters: Mapping[str, ca.SX]) -> ca.SX:
+def lift_expression(  # noqa: PLR0911 - one per node
+    expression: Expression, parameters: Mapping[str, ca.SX], wholes: Wholes | None = None
+) -> ca.SX:
     """One expression of a spec as SX."""
     match expression:
         case Number(value):
@@ -127,7 +160,9 @@ def lift_expression(expression: Expression, parameters: Mapping[str, ca.SX]) -> 
         case Operation(symbol, _) if symbol in COMPARISONS:
             return _alternatives(expression, parameters)[0]
         case Operation(symbol, arguments):
-            return _OPERATIONS[symbol](*(lift_expression(a, parameters) for a in arguments))
+            return _OPERATIONS[symbol](*(lift_expression(a, parameters, wholes) for a in arguments))
+        case Computed() if wholes is not None:
+            return wholes.entry(expression)
     raise InternalError(f"no expression: {expression!r}")
 
 

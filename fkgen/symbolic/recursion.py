@@ -15,7 +15,8 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from fkgen.problem import Spec
+from fkgen.problem import Matrix, Number, Spec
+from fkgen.problem.table.place import Place, suggestion
 from fkgen.symbolic.domain import demands
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status, triangle
 from fkgen.symbolic.ports import PARAMETER, prior_of
@@ -123,13 +124,20 @@ class Recursion:
         }
         computed = {} if self.start is None else _evaluated(self.start, prior)
         object.__setattr__(self, "initial", {**starts, **computed, **self.initial})
+        bounded = all(_is_bounded(getattr(plant, x)) for plant in self.spec.plants for x in "QR")
         for name in ("update", "predict", "closing", "start"):
             phase = getattr(self, name)
             if phase is not None:
-                sound = _guarded(phase, self.ports, bounded=not self.spec.stated_parameters)
+                sound = _guarded(phase, self.ports, bounded=bounded)
                 object.__setattr__(self, name, sound)
         for name in ("update", "predict"):
             object.__setattr__(self, name, _within_domain(self.spec, getattr(self, name)))
+        names = [port.name for port in self.ports]
+        for i, name in enumerate(self.spec.code.ports or ()):
+            if name not in names:
+                expected = f"one of {', '.join(names)}{suggestion(name, names)}"
+                place = Place(self.spec.file, "code").entry("ports").item(i)
+                raise place.error(f"{name!r}, which {self.spec.filter.family} has not", expected)
 
     @property
     def phases(self) -> tuple[Phase, ...]:
@@ -195,6 +203,14 @@ def _guarded(phase: Phase, ports: Sequence[Port], *, bounded: bool) -> Phase:
         for name in block.assign:
             sound -= {e.element_hash() for e in ca.symvar(phase.symbols[name])}
     return replace(phase, blocks=tuple(blocks))
+
+
+def _is_bounded(covariance: Matrix) -> bool:
+    """Whether a covariance is finite where its variances are: parameters change nothing else."""
+    entries = enumerate(covariance.rows)
+    return all(
+        isinstance(entry, Number) for i, row in entries for j, entry in enumerate(row) if i != j
+    )
 
 
 def _places(port: Port, *, bounded: bool) -> list[int]:

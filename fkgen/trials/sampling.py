@@ -16,9 +16,10 @@ import casadi as ca
 import numpy as np
 
 from fkgen.backend.ir import Element, Operate, Operator, Phase, Require, Space, every, read
+from fkgen.backend.lines import filled
 from fkgen.backend.lower import lower_phase
 from fkgen.backend.printer import StatementPrinter
-from fkgen.backend.render import elementary_context, filled
+from fkgen.backend.render import elementary_context
 from fkgen.problem import Spec
 from fkgen.symbolic import recursion
 from fkgen.symbolic.builder import PhaseBuilder
@@ -166,25 +167,30 @@ def _law(
 def _sample(
     plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX], port: str
 ) -> recursion.Phase:
-    """y[k] = s (C x + D u) + d root(R) v, or x[k+1] = A x + B u + root(Q) w + c."""
+    """y[k] = s (C x + D u + d) + f root(R) v, or x[k+1] = A x + B u + c + root(Q) w."""
     builder, indicator = PhaseBuilder(symbols), symbols["indicator"]
-    letters, noise = ("CDR", "v") if port == "measurement" else ("ABQ", "w")
-    M, N, covariances = ([getattr(plant, letter) for plant in plants] for letter in letters)
+    letters, noise = ("CDRd", "v") if port == "measurement" else ("ABQc", "w")
+    M, N, covariances, offsets = ([getattr(p, letter) for p in plants] for letter in letters)
     for covariance in covariances:
         variances = ca.vertsplit(sparse(ca.diag(covariance)))
         builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
     roots = {id(covariance): lower_root(covariance) for covariance in covariances}
     root = _moving([roots[id(covariance)] for covariance in covariances], indicator)
     u = symbols["coin"] * symbols["u"] if conditions.coins else symbols["u"]
+    shared = plants[0].S if port == "state" else ca.SX(0, 0)
     value = _moving(M, indicator) @ symbols["x"] + _moving(N, indicator) @ u
-    added = root @ symbols[noise]
+    offset, added = _moving(offsets, indicator), root @ symbols[noise]
     if port == "measurement":
         signal, deviation = ca.SX.ones(plants[0].ny), ca.SX.ones(plants[0].ny)
         for row in conditions.rows:
             signal[row], deviation[row] = ca.vertsplit(indicator[conditions.plants :][:2])
-        value = signal * value + deviation * added
+        value = signal * (value + offset) + deviation * added
     else:
-        value = value + added + _moving([plant.c for plant in plants], indicator)
+        if shared.nnz():  # w given v, which y[k] was drawn with
+            R = plants[0].R
+            joint = lower_root(ca.blockcat(R, shared.T, shared, plants[0].Q))
+            added = joint[R.shape[0] :, :] @ ca.vertcat(symbols["v"], symbols["w"])
+        value = value + added + offset
     builder.assign({port: value})
     builder.demand(Kind.FINITE, ca.vertsplit(symbols[port]), Status.RESULT_NOT_FINITE)
     return builder.phase()

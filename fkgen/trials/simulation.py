@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.console import progressing
 from fkgen.errors import DataError
 from fkgen.problem import Spec
+from fkgen.problem.spec import as_spec
 from fkgen.runtime import record
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.record import whole
@@ -35,6 +36,7 @@ class Request:
     first: int
 
     def __post_init__(self) -> None:
+        as_spec(self.spec)
         counted("runs", self.runs)
         counted("steps", self.steps, LARGEST_STEPS)
         counted("seed", self.seed, LARGEST_SEED, least=0)
@@ -158,12 +160,13 @@ def simulate(
     SpecError, DataError
         If faults have no law, a number or shape does not fit, or an unstable plant overflows.
     """
+    request = Request(spec, runs, steps, seed, first)
     told = _inputs(spec, u, runs, steps)
     driving = _added("input", told, input, (runs, steps, spec.model.nu))
     named = {item.name: item.default for item in spec.stated_parameters}
     values = record.values_of(tuple(named.items()), params, steps, np.float64)
     given = {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
-    request = Request(_with_laws(spec, given), runs, steps, seed, first)
+    request = replace(request, spec=_with_laws(spec, given))
     trials = _drawn(request, driving, tuple(given.values()), shown=progress)
     trials = replace(trials, measurement=_measured(spec, trials, present))
     y = _added("sensor", trials.measurement, sensor, trials.measurement.shape)
@@ -240,7 +243,11 @@ def _measured(spec: Spec, trials: Trials, present: ArrayLike | None) -> Array:
         y[trials.lost[trials.condition] > 0] = np.nan
     if present is None:
         return y
-    mask, shapes = np.asarray(present), (y.shape[1:], y.shape)
+    shapes = y.shape[1:], y.shape
+    try:
+        mask = np.asarray(present)
+    except ValueError:  # rows of different lengths
+        mask = np.asarray(present, object)
     if mask.dtype != np.bool_ or mask.shape not in shapes:
         given = f"shape {mask.shape} of {mask.dtype.name}"
         expected = f"booleans of shape {shapes[0]} or {shapes[1]}"

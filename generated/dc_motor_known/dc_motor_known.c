@@ -4,8 +4,13 @@
 #include <float.h>
 #include <stddef.h>
 
-#ifdef __FAST_MATH__
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST)
 #error "-ffast-math removes the tests for missing samples and the checks of results"
+#elif defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0)
+#error "-ffinite-math-only removes the tests for missing samples and the checks of results"
+#endif
+#if DBL_MANT_DIG != 53
+#error "double has no 53 bits on this target: generate the filter with code.scalar = 'float'"
 #endif
 
 /* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
@@ -228,11 +233,11 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
 
     /* results of the update */
     const double t4 = -0.5 * (quadratic + (log_constant + dc_motor_known_log(determinant_0)));
-    if (!dc_motor_known_finite((((dc_motor_known_defect(covariance[0]) +
-        dc_motor_known_defect(covariance[1])) + dc_motor_known_defect(covariance[2])) +
-        (dc_motor_known_defect(innovation_0) + dc_motor_known_defect(pivot_0))) +
-        ((dc_motor_known_defect(quadratic) + dc_motor_known_defect(t4)) +
-        (dc_motor_known_defect(update_gain[0]) + dc_motor_known_defect(update_gain[1])))))
+    if (!dc_motor_known_finite(((dc_motor_known_defect(covariance[0]) +
+        dc_motor_known_defect(covariance[2])) + (dc_motor_known_defect(innovation_0) +
+        dc_motor_known_defect(pivot_0))) + ((dc_motor_known_defect(quadratic) +
+        dc_motor_known_defect(t4)) + (dc_motor_known_defect(update_gain[0]) +
+        dc_motor_known_defect(update_gain[1])))))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
@@ -274,26 +279,25 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_propagate(const dc_
     const double t14 = t13 + (-0.00018096000000000003 * self->filtered_covariance[2]);
     const double t15 = 0.0001 * u[0];
     const double t16 = t15 * t10;
-    const double t17 = t14 + (t16 * t9);
-    const double t18 = 8.836e-05 * self->filtered_covariance[0];
-    const double t19 = t18 + (0.017010240000000003 * self->filtered_covariance[1]);
-    const double t20 = t19 + (0.8186630400000001 * self->filtered_covariance[2]) + 0.0001;
-    const double t21 = t20 + (t16 * t15);
-    const double t22 = (0.9802 * self->filtered_gain[0]) + (-0.0002 * self->filtered_gain[1]);
-    const double t23 = (0.0094 * self->filtered_gain[0]) + (0.9048 * self->filtered_gain[1]);
+    next->predicted_covariance[1] = t14 + (t16 * t9);
+    const double t17 = 8.836e-05 * self->filtered_covariance[0];
+    const double t18 = t17 + (0.017010240000000003 * self->filtered_covariance[1]);
+    const double t19 = t18 + (0.8186630400000001 * self->filtered_covariance[2]) + 0.0001;
+    const double t20 = t19 + (t16 * t15);
+    const double t21 = (0.9802 * self->filtered_gain[0]) + (-0.0002 * self->filtered_gain[1]);
+    const double t22 = (0.0094 * self->filtered_gain[0]) + (0.9048 * self->filtered_gain[1]);
     if (!dc_motor_known_finite(((dc_motor_known_defect(t3) + dc_motor_known_defect(t5)) +
-        (dc_motor_known_defect(t11) + dc_motor_known_defect(t21))) + ((dc_motor_known_defect(t17) +
-        dc_motor_known_defect(t22)) + dc_motor_known_defect(t23))))
+        dc_motor_known_defect(t11)) + ((dc_motor_known_defect(t20) + dc_motor_known_defect(t21)) +
+        dc_motor_known_defect(t22))))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
     next->predicted_state[0] = t3;
     next->predicted_state[1] = t5;
     next->predicted_covariance[0] = t11;
-    next->predicted_covariance[1] = t17;
-    next->predicted_covariance[2] = t21;
-    next->gain[0] = t22;
-    next->gain[1] = t23;
+    next->predicted_covariance[2] = t20;
+    next->gain[0] = t21;
+    next->gain[1] = t22;
     return DC_MOTOR_KNOWN_OK;
 }
 

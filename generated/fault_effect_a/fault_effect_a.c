@@ -4,8 +4,13 @@
 #include <float.h>
 #include <stddef.h>
 
-#ifdef __FAST_MATH__
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST)
 #error "-ffast-math removes the tests for missing samples and the checks of results"
+#elif defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0)
+#error "-ffinite-math-only removes the tests for missing samples and the checks of results"
+#endif
+#if DBL_MANT_DIG != 53
+#error "double has no 53 bits on this target: generate the filter with code.scalar = 'float'"
 #endif
 
 /* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */

@@ -4,8 +4,13 @@
 #include <float.h>
 #include <stddef.h>
 
-#ifdef __FAST_MATH__
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST)
 #error "-ffast-math removes the tests for missing samples and the checks of results"
+#elif defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0)
+#error "-ffinite-math-only removes the tests for missing samples and the checks of results"
+#endif
+#if DBL_MANT_DIG != 53
+#error "double has no 53 bits on this target: generate the filter with code.scalar = 'float'"
 #endif
 
 /* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
@@ -1220,41 +1225,31 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     const double t21 = self->filtered_covariance[2] + params->dt;
     const double t22 = self->filtered_covariance[3] + (self->filtered_covariance[4] * params->dt);
     const double t23 = self->filtered_covariance[5] + Q[3];
-    const double t24 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0] + moved_state_3[0];
-    const double t25 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1] + moved_state_3[1];
-    const double t26 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2] + moved_state_3[2];
-    const double t27 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
-    const double t28 = t27 + moved_covariance_3[0];
-    const double t29 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
-    const double t30 = t29 + moved_covariance_3[2];
-    const double t31 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
-    const double t32 = t31 + moved_covariance_3[5];
-    if (!gps_glitch_finite((((((gps_glitch_defect(t24) + gps_glitch_defect(t25)) +
-        (gps_glitch_defect(t26) + gps_glitch_defect(t28))) + ((gps_glitch_defect(t30) +
-        gps_glitch_defect(t32)) + gps_glitch_defect(mode_prediction_0))) +
-        (((gps_glitch_defect(mode_prediction_1) + gps_glitch_defect(mode_prediction_2)) +
-        (gps_glitch_defect(mode_prediction_3) + gps_glitch_defect(t11))) +
-        ((gps_glitch_defect(t12) + gps_glitch_defect(t13)) + gps_glitch_defect(t14)))) +
-        ((((gps_glitch_defect(moved_state_0[0]) + gps_glitch_defect(moved_state_0[1])) +
-        (gps_glitch_defect(moved_state_0[2]) + gps_glitch_defect(moved_state_1[0]))) +
-        ((gps_glitch_defect(moved_state_1[1]) + gps_glitch_defect(moved_state_1[2])) +
-        gps_glitch_defect(moved_state_2[0]))) + (((gps_glitch_defect(moved_state_2[1]) +
-        gps_glitch_defect(moved_state_2[2])) + (gps_glitch_defect(moved_state_3[0]) +
-        gps_glitch_defect(moved_state_3[1]))) + ((gps_glitch_defect(moved_state_3[2]) +
-        gps_glitch_defect(moved_covariance_0[0])) + gps_glitch_defect(moved_covariance_0[1]))))) +
-        (((((gps_glitch_defect(moved_covariance_0[2]) + gps_glitch_defect(moved_covariance_0[3])) +
-        (gps_glitch_defect(moved_covariance_0[4]) + gps_glitch_defect(moved_covariance_0[5]))) +
-        ((gps_glitch_defect(moved_covariance_1[0]) + gps_glitch_defect(moved_covariance_1[1])) +
-        gps_glitch_defect(moved_covariance_1[2]))) + (((gps_glitch_defect(moved_covariance_1[3]) +
-        gps_glitch_defect(moved_covariance_1[4])) + (gps_glitch_defect(moved_covariance_1[5]) +
-        gps_glitch_defect(moved_covariance_2[0]))) + ((gps_glitch_defect(moved_covariance_2[1]) +
-        gps_glitch_defect(moved_covariance_2[2])) + gps_glitch_defect(moved_covariance_2[3])))) +
-        ((((gps_glitch_defect(moved_covariance_2[4]) + gps_glitch_defect(moved_covariance_2[5])) +
-        (gps_glitch_defect(moved_covariance_3[0]) + gps_glitch_defect(moved_covariance_3[1]))) +
-        ((gps_glitch_defect(moved_covariance_3[2]) + gps_glitch_defect(moved_covariance_3[3])) +
-        gps_glitch_defect(moved_covariance_3[4]))) + (((gps_glitch_defect(moved_covariance_3[5]) +
-        gps_glitch_defect(t15)) + (gps_glitch_defect(t18) + gps_glitch_defect(t20))) +
-        ((gps_glitch_defect(t21) + gps_glitch_defect(t22)) + gps_glitch_defect(t23)))))))
+    if (!gps_glitch_finite((((((gps_glitch_defect(mode_prediction_0) +
+        gps_glitch_defect(mode_prediction_1)) + (gps_glitch_defect(mode_prediction_2) +
+        gps_glitch_defect(mode_prediction_3))) + ((gps_glitch_defect(t11) +
+        gps_glitch_defect(t12)) + gps_glitch_defect(t13))) + (((gps_glitch_defect(t14) +
+        gps_glitch_defect(moved_state_0[0])) + gps_glitch_defect(moved_state_0[1])) +
+        ((gps_glitch_defect(moved_state_0[2]) + gps_glitch_defect(moved_state_1[0])) +
+        gps_glitch_defect(moved_state_1[1])))) + ((((gps_glitch_defect(moved_state_1[2]) +
+        gps_glitch_defect(moved_state_2[0])) + gps_glitch_defect(moved_state_2[1])) +
+        ((gps_glitch_defect(moved_state_2[2]) + gps_glitch_defect(moved_state_3[0])) +
+        gps_glitch_defect(moved_state_3[1]))) + (((gps_glitch_defect(moved_state_3[2]) +
+        gps_glitch_defect(moved_covariance_0[0])) + gps_glitch_defect(moved_covariance_0[1])) +
+        ((gps_glitch_defect(moved_covariance_0[2]) + gps_glitch_defect(moved_covariance_0[3])) +
+        gps_glitch_defect(moved_covariance_0[4]))))) +
+        (((((gps_glitch_defect(moved_covariance_0[5]) + gps_glitch_defect(moved_covariance_1[0])) +
+        (gps_glitch_defect(moved_covariance_1[1]) + gps_glitch_defect(moved_covariance_1[2]))) +
+        ((gps_glitch_defect(moved_covariance_1[3]) + gps_glitch_defect(moved_covariance_1[4])) +
+        gps_glitch_defect(moved_covariance_1[5]))) + (((gps_glitch_defect(moved_covariance_2[0]) +
+        gps_glitch_defect(moved_covariance_2[1])) + gps_glitch_defect(moved_covariance_2[2])) +
+        ((gps_glitch_defect(moved_covariance_2[3]) + gps_glitch_defect(moved_covariance_2[4])) +
+        gps_glitch_defect(moved_covariance_2[5])))) + ((((gps_glitch_defect(moved_covariance_3[0]) +
+        gps_glitch_defect(moved_covariance_3[1])) + gps_glitch_defect(moved_covariance_3[2])) +
+        ((gps_glitch_defect(moved_covariance_3[3]) + gps_glitch_defect(moved_covariance_3[4])) +
+        gps_glitch_defect(moved_covariance_3[5]))) + (((gps_glitch_defect(t15) +
+        gps_glitch_defect(t18)) + gps_glitch_defect(t20)) + ((gps_glitch_defect(t21) +
+        gps_glitch_defect(t22)) + gps_glitch_defect(t23)))))))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }

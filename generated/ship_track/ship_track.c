@@ -4,8 +4,13 @@
 #include <float.h>
 #include <stddef.h>
 
-#ifdef __FAST_MATH__
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST)
 #error "-ffast-math removes the tests for missing samples and the checks of results"
+#elif defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0)
+#error "-ffinite-math-only removes the tests for missing samples and the checks of results"
+#endif
+#if DBL_MANT_DIG != 53
+#error "double has no 53 bits on this target: generate the filter with code.scalar = 'float'"
 #endif
 
 /* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
@@ -1395,53 +1400,43 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     const double t15 = ship_track_log(mode_prediction_0);
     const double t16 = log_path_largest_1 + ship_track_log(path_share_total_1);
     const double t17 = log_path_largest_2 + ship_track_log(path_share_total_2);
-    const double t18 = moved_state_0[0] + moved_state_1[0] + moved_state_2[0];
-    const double t19 = moved_state_0[1] + moved_state_1[1] + moved_state_2[1];
-    const double t20 = moved_state_0[2] + moved_state_1[2] + moved_state_2[2];
-    const double t21 = moved_state_0[3] + moved_state_1[3] + moved_state_2[3];
-    const double t22 = moved_covariance_0[0] + moved_covariance_1[0] + moved_covariance_2[0];
-    const double t23 = moved_covariance_0[2] + moved_covariance_1[2] + moved_covariance_2[2];
-    const double t24 = moved_covariance_0[5] + moved_covariance_1[5] + moved_covariance_2[5];
-    const double t25 = moved_covariance_0[9] + moved_covariance_1[9] + moved_covariance_2[9];
-    if (!ship_track_finite(((((((ship_track_defect(t18) + ship_track_defect(t19)) +
-        ship_track_defect(t20)) + (ship_track_defect(t21) + ship_track_defect(t22))) +
-        ((ship_track_defect(t23) + ship_track_defect(t24)) + (ship_track_defect(t25) +
-        ship_track_defect(mode_prediction_0)))) + ((((ship_track_defect(mode_prediction_1) +
-        ship_track_defect(mode_prediction_2)) + ship_track_defect(t15)) + (ship_track_defect(t16) +
-        ship_track_defect(t17))) + ((ship_track_defect(moved_state_0[0]) +
-        ship_track_defect(moved_state_0[1])) + (ship_track_defect(moved_state_0[2]) +
-        ship_track_defect(moved_state_0[3]))))) + (((((ship_track_defect(moved_state_1[0]) +
-        ship_track_defect(moved_state_1[1])) + ship_track_defect(moved_state_1[2])) +
-        (ship_track_defect(moved_state_1[3]) + ship_track_defect(moved_state_2[0]))) +
-        ((ship_track_defect(moved_state_2[1]) + ship_track_defect(moved_state_2[2])) +
-        (ship_track_defect(moved_state_2[3]) + ship_track_defect(moved_covariance_0[0])))) +
-        (((ship_track_defect(moved_covariance_0[1]) + ship_track_defect(moved_covariance_0[2])) +
-        (ship_track_defect(moved_covariance_0[3]) + ship_track_defect(moved_covariance_0[4]))) +
-        ((ship_track_defect(moved_covariance_0[5]) + ship_track_defect(moved_covariance_0[6])) +
-        (ship_track_defect(moved_covariance_0[7]) + ship_track_defect(moved_covariance_0[8])))))) +
-        ((((((ship_track_defect(moved_covariance_0[9]) + ship_track_defect(moved_covariance_1[0])) +
-        ship_track_defect(moved_covariance_1[1])) + (ship_track_defect(moved_covariance_1[2]) +
-        ship_track_defect(moved_covariance_1[3]))) + ((ship_track_defect(moved_covariance_1[4]) +
-        ship_track_defect(moved_covariance_1[5])) + (ship_track_defect(moved_covariance_1[6]) +
-        ship_track_defect(moved_covariance_1[7])))) + ((((ship_track_defect(moved_covariance_1[8]) +
-        ship_track_defect(moved_covariance_1[9])) + ship_track_defect(moved_covariance_2[0])) +
-        (ship_track_defect(moved_covariance_2[1]) + ship_track_defect(moved_covariance_2[2]))) +
-        ((ship_track_defect(moved_covariance_2[3]) + ship_track_defect(moved_covariance_2[4])) +
-        (ship_track_defect(moved_covariance_2[5]) + ship_track_defect(moved_covariance_2[6]))))) +
-        (((((ship_track_defect(moved_covariance_2[7]) + ship_track_defect(moved_covariance_2[8])) +
-        ship_track_defect(moved_covariance_2[9])) + (ship_track_defect(predicted_0_2_mean[0]) +
-        ship_track_defect(predicted_0_2_mean[1]))) + ((ship_track_defect(predicted_0_2_mean[2]) +
-        ship_track_defect(predicted_0_2_mean[3])) +
-        (ship_track_defect(predicted_0_2_covariance[0]) +
-        ship_track_defect(predicted_0_2_covariance[1])))) +
-        (((ship_track_defect(predicted_0_2_covariance[2]) +
-        ship_track_defect(predicted_0_2_covariance[3])) +
-        (ship_track_defect(predicted_0_2_covariance[4]) +
-        ship_track_defect(predicted_0_2_covariance[5]))) +
-        ((ship_track_defect(predicted_0_2_covariance[6]) +
-        ship_track_defect(predicted_0_2_covariance[7])) +
-        (ship_track_defect(predicted_0_2_covariance[8]) +
-        ship_track_defect(predicted_0_2_covariance[9]))))))))
+    if (!ship_track_finite((((((ship_track_defect(mode_prediction_0) +
+        ship_track_defect(mode_prediction_1)) + (ship_track_defect(mode_prediction_2) +
+        ship_track_defect(t15))) + ((ship_track_defect(t16) + ship_track_defect(t17)) +
+        (ship_track_defect(moved_state_0[0]) + ship_track_defect(moved_state_0[1])))) +
+        (((ship_track_defect(moved_state_0[2]) + ship_track_defect(moved_state_0[3])) +
+        (ship_track_defect(moved_state_1[0]) + ship_track_defect(moved_state_1[1]))) +
+        ((ship_track_defect(moved_state_1[2]) + ship_track_defect(moved_state_1[3])) +
+        (ship_track_defect(moved_state_2[0]) + ship_track_defect(moved_state_2[1]))))) +
+        ((((ship_track_defect(moved_state_2[2]) + ship_track_defect(moved_state_2[3])) +
+        (ship_track_defect(moved_covariance_0[0]) + ship_track_defect(moved_covariance_0[1]))) +
+        ((ship_track_defect(moved_covariance_0[2]) + ship_track_defect(moved_covariance_0[3])) +
+        (ship_track_defect(moved_covariance_0[4]) + ship_track_defect(moved_covariance_0[5])))) +
+        (((ship_track_defect(moved_covariance_0[6]) + ship_track_defect(moved_covariance_0[7])) +
+        (ship_track_defect(moved_covariance_0[8]) + ship_track_defect(moved_covariance_0[9]))) +
+        ((ship_track_defect(moved_covariance_1[0]) + ship_track_defect(moved_covariance_1[1])) +
+        ship_track_defect(moved_covariance_1[2]))))) +
+        (((((ship_track_defect(moved_covariance_1[3]) + ship_track_defect(moved_covariance_1[4])) +
+        (ship_track_defect(moved_covariance_1[5]) + ship_track_defect(moved_covariance_1[6]))) +
+        ((ship_track_defect(moved_covariance_1[7]) + ship_track_defect(moved_covariance_1[8])) +
+        (ship_track_defect(moved_covariance_1[9]) + ship_track_defect(moved_covariance_2[0])))) +
+        (((ship_track_defect(moved_covariance_2[1]) + ship_track_defect(moved_covariance_2[2])) +
+        (ship_track_defect(moved_covariance_2[3]) + ship_track_defect(moved_covariance_2[4]))) +
+        ((ship_track_defect(moved_covariance_2[5]) + ship_track_defect(moved_covariance_2[6])) +
+        (ship_track_defect(moved_covariance_2[7]) + ship_track_defect(moved_covariance_2[8]))))) +
+        ((((ship_track_defect(moved_covariance_2[9]) + ship_track_defect(predicted_0_2_mean[0])) +
+        (ship_track_defect(predicted_0_2_mean[1]) + ship_track_defect(predicted_0_2_mean[2]))) +
+        ((ship_track_defect(predicted_0_2_mean[3]) +
+        ship_track_defect(predicted_0_2_covariance[0])) +
+        (ship_track_defect(predicted_0_2_covariance[1]) +
+        ship_track_defect(predicted_0_2_covariance[2])))) +
+        (((ship_track_defect(predicted_0_2_covariance[3]) +
+        ship_track_defect(predicted_0_2_covariance[4])) +
+        (ship_track_defect(predicted_0_2_covariance[5]) +
+        ship_track_defect(predicted_0_2_covariance[6]))) +
+        ((ship_track_defect(predicted_0_2_covariance[7]) +
+        ship_track_defect(predicted_0_2_covariance[8])) +
+        ship_track_defect(predicted_0_2_covariance[9])))))))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }

@@ -37,8 +37,9 @@
  *
  * Cost of one step with every row present: 82 floating-point operations and 1 log; at the end of a
  * window 35 more.
- * An instance is 33 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 33 doubles, 264 bytes; nothing else is kept. Tables of constants: 48 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 2320 bytes at -O0, 1168 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

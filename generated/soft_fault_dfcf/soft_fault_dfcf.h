@@ -36,8 +36,9 @@
  *
  * Cost of one step with every row present: 117 floating-point operations and 1 log; at the end of a
  * window 28 more.
- * An instance is 35 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 35 doubles, 280 bytes; nothing else is kept. Tables of constants: 48 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 2480 bytes at -O0, 1152 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

@@ -4,8 +4,13 @@
 #include <float.h>
 #include <stddef.h>
 
-#ifdef __FAST_MATH__
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST)
 #error "-ffast-math removes the tests for missing samples and the checks of results"
+#elif defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0)
+#error "-ffinite-math-only removes the tests for missing samples and the checks of results"
+#endif
+#if DBL_MANT_DIG != 53
+#error "double has no 53 bits on this target: generate the filter with code.scalar = 'float'"
 #endif
 
 /* No product and sum in one rounding; gcc takes this from -std=c99 or -ffp-contract=off instead. */
@@ -1195,218 +1200,212 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next(const
     const double t0 = filtered_state[0] + (A * filtered_state[1]) + (params->dt * u);
     const double t1 = filtered_covariance[0] + (A * filtered_covariance[1]);
     const double t2 = t1 + ((filtered_covariance[1] + (A * filtered_covariance[2])) * A) + Q[0];
-    const double t3 = filtered_covariance[1] + (filtered_covariance[2] * A);
-    const double t4 = filtered_covariance[2] + Q[1];
-    const double t5 = compression_deviation[0] + (A * compression_deviation[1]);
-    const double t6 = compression_deviation[2] + (A * compression_deviation[3]);
-    const double t7 = compression_deviation[4] + (A * compression_deviation[5]);
-    const double t8 = compression_deviation[6] + (A * compression_deviation[7]);
-    const double t9 = compression_deviation[8] + (A * compression_deviation[9]);
-    const double t10 = compression_deviation[10] + (A * compression_deviation[11]);
-    const double t11 = compression_deviation[12] + (A * compression_deviation[13]);
-    const double t12 = compression_deviation[14] + (A * compression_deviation[15]);
-    const double t13 = compression_deviation[16] + (A * compression_deviation[17]);
-    const double t14 = compression_deviation[18] + (A * compression_deviation[19]);
-    const double t15 = compression_deviation[20] + (A * compression_deviation[21]);
-    const double t16 = compression_deviation[22] + (A * compression_deviation[23]);
-    const double t17 = compression_deviation[24] + (A * compression_deviation[25]);
-    const double t18 = compression_deviation[26] + (A * compression_deviation[27]);
-    const double t19 = compression_deviation[28] + (A * compression_deviation[29]);
-    const double t20 = compression_covariance[0] + (A * compression_covariance[1]);
-    const double t21 = t20 + ((compression_covariance[1] + (A * compression_covariance[2])) * A);
-    const double t22 = t21 + Q[0];
-    const double t23 = compression_covariance[1] + (compression_covariance[2] * A);
-    const double t24 = compression_covariance[2] + Q[1];
-    const double t25 = compression_covariance[3] + (A * compression_covariance[4]);
-    const double t26 = t25 + ((compression_covariance[4] + (A * compression_covariance[5])) * A);
-    const double t27 = t26 + Q[0];
-    const double t28 = compression_covariance[4] + (compression_covariance[5] * A);
-    const double t29 = compression_covariance[5] + Q[1];
-    const double t30 = compression_covariance[6] + (A * compression_covariance[7]);
-    const double t31 = t30 + ((compression_covariance[7] + (A * compression_covariance[8])) * A);
-    const double t32 = t31 + Q[0];
-    const double t33 = compression_covariance[7] + (compression_covariance[8] * A);
-    const double t34 = compression_covariance[8] + Q[1];
-    const double t35 = compression_covariance[9] + (A * compression_covariance[10]);
-    const double t36 = t35 + ((compression_covariance[10] + (A * compression_covariance[11])) * A);
-    const double t37 = t36 + Q[0];
-    const double t38 = compression_covariance[10] + (compression_covariance[11] * A);
-    const double t39 = compression_covariance[11] + Q[1];
-    const double t40 = compression_covariance[12] + (A * compression_covariance[13]);
-    const double t41 = t40 + ((compression_covariance[13] + (A * compression_covariance[14])) * A);
-    const double t42 = t41 + Q[0];
-    const double t43 = compression_covariance[13] + (compression_covariance[14] * A);
-    const double t44 = compression_covariance[14] + Q[1];
-    const double t45 = compression_covariance[15] + (A * compression_covariance[16]);
-    const double t46 = t45 + ((compression_covariance[16] + (A * compression_covariance[17])) * A);
-    const double t47 = t46 + Q[0];
-    const double t48 = compression_covariance[16] + (compression_covariance[17] * A);
-    const double t49 = compression_covariance[17] + Q[1];
-    const double t50 = compression_covariance[18] + (A * compression_covariance[19]);
-    const double t51 = (compression_covariance[19] + (A * compression_covariance[20])) * A;
-    const double t52 = t50 + t51 + Q[0];
-    const double t53 = compression_covariance[19] + (compression_covariance[20] * A);
-    const double t54 = compression_covariance[20] + Q[1];
-    const double t55 = compression_covariance[21] + (A * compression_covariance[22]);
-    const double t56 = (compression_covariance[22] + (A * compression_covariance[23])) * A;
-    const double t57 = t55 + t56 + Q[0];
-    const double t58 = compression_covariance[22] + (compression_covariance[23] * A);
-    const double t59 = compression_covariance[23] + Q[1];
-    const double t60 = compression_covariance[24] + (A * compression_covariance[25]);
-    const double t61 = (compression_covariance[25] + (A * compression_covariance[26])) * A;
-    const double t62 = t60 + t61 + Q[0];
-    const double t63 = compression_covariance[25] + (compression_covariance[26] * A);
-    const double t64 = compression_covariance[26] + Q[1];
-    const double t65 = compression_covariance[27] + (A * compression_covariance[28]);
-    const double t66 = (compression_covariance[28] + (A * compression_covariance[29])) * A;
-    const double t67 = t65 + t66 + Q[0];
-    const double t68 = compression_covariance[28] + (compression_covariance[29] * A);
-    const double t69 = compression_covariance[29] + Q[1];
-    const double t70 = compression_covariance[30] + (A * compression_covariance[31]);
-    const double t71 = (compression_covariance[31] + (A * compression_covariance[32])) * A;
-    const double t72 = t70 + t71 + Q[0];
-    const double t73 = compression_covariance[31] + (compression_covariance[32] * A);
-    const double t74 = compression_covariance[32] + Q[1];
-    const double t75 = compression_covariance[33] + (A * compression_covariance[34]);
-    const double t76 = (compression_covariance[34] + (A * compression_covariance[35])) * A;
-    const double t77 = t75 + t76 + Q[0];
-    const double t78 = compression_covariance[34] + (compression_covariance[35] * A);
-    const double t79 = compression_covariance[35] + Q[1];
-    const double t80 = compression_covariance[36] + (A * compression_covariance[37]);
-    const double t81 = (compression_covariance[37] + (A * compression_covariance[38])) * A;
-    const double t82 = t80 + t81 + Q[0];
-    const double t83 = compression_covariance[37] + (compression_covariance[38] * A);
-    const double t84 = compression_covariance[38] + Q[1];
-    const double t85 = compression_covariance[39] + (A * compression_covariance[40]);
-    const double t86 = (compression_covariance[40] + (A * compression_covariance[41])) * A;
-    const double t87 = t85 + t86 + Q[0];
-    const double t88 = compression_covariance[40] + (compression_covariance[41] * A);
-    const double t89 = compression_covariance[41] + Q[1];
-    const double t90 = compression_covariance[42] + (A * compression_covariance[43]);
-    const double t91 = (compression_covariance[43] + (A * compression_covariance[44])) * A;
-    const double t92 = t90 + t91 + Q[0];
-    const double t93 = compression_covariance[43] + (compression_covariance[44] * A);
-    const double t94 = compression_covariance[44] + Q[1];
+    predicted_covariance[1] = filtered_covariance[1] + (filtered_covariance[2] * A);
+    const double t3 = filtered_covariance[2] + Q[1];
+    const double t4 = compression_deviation[0] + (A * compression_deviation[1]);
+    const double t5 = compression_deviation[2] + (A * compression_deviation[3]);
+    const double t6 = compression_deviation[4] + (A * compression_deviation[5]);
+    const double t7 = compression_deviation[6] + (A * compression_deviation[7]);
+    const double t8 = compression_deviation[8] + (A * compression_deviation[9]);
+    const double t9 = compression_deviation[10] + (A * compression_deviation[11]);
+    const double t10 = compression_deviation[12] + (A * compression_deviation[13]);
+    const double t11 = compression_deviation[14] + (A * compression_deviation[15]);
+    const double t12 = compression_deviation[16] + (A * compression_deviation[17]);
+    const double t13 = compression_deviation[18] + (A * compression_deviation[19]);
+    const double t14 = compression_deviation[20] + (A * compression_deviation[21]);
+    const double t15 = compression_deviation[22] + (A * compression_deviation[23]);
+    const double t16 = compression_deviation[24] + (A * compression_deviation[25]);
+    const double t17 = compression_deviation[26] + (A * compression_deviation[27]);
+    const double t18 = compression_deviation[28] + (A * compression_deviation[29]);
+    const double t19 = compression_covariance[0] + (A * compression_covariance[1]);
+    const double t20 = t19 + ((compression_covariance[1] + (A * compression_covariance[2])) * A);
+    const double t21 = t20 + Q[0];
+    const double t22 = compression_covariance[2] * A;
+    predicted_compression_covariance[1] = compression_covariance[1] + t22;
+    const double t23 = compression_covariance[2] + Q[1];
+    const double t24 = compression_covariance[3] + (A * compression_covariance[4]);
+    const double t25 = t24 + ((compression_covariance[4] + (A * compression_covariance[5])) * A);
+    const double t26 = t25 + Q[0];
+    const double t27 = compression_covariance[5] * A;
+    predicted_compression_covariance[4] = compression_covariance[4] + t27;
+    const double t28 = compression_covariance[5] + Q[1];
+    const double t29 = compression_covariance[6] + (A * compression_covariance[7]);
+    const double t30 = t29 + ((compression_covariance[7] + (A * compression_covariance[8])) * A);
+    const double t31 = t30 + Q[0];
+    const double t32 = compression_covariance[8] * A;
+    predicted_compression_covariance[7] = compression_covariance[7] + t32;
+    const double t33 = compression_covariance[8] + Q[1];
+    const double t34 = compression_covariance[9] + (A * compression_covariance[10]);
+    const double t35 = t34 + ((compression_covariance[10] + (A * compression_covariance[11])) * A);
+    const double t36 = t35 + Q[0];
+    const double t37 = compression_covariance[11] * A;
+    predicted_compression_covariance[10] = compression_covariance[10] + t37;
+    const double t38 = compression_covariance[11] + Q[1];
+    const double t39 = compression_covariance[12] + (A * compression_covariance[13]);
+    const double t40 = t39 + ((compression_covariance[13] + (A * compression_covariance[14])) * A);
+    const double t41 = t40 + Q[0];
+    const double t42 = compression_covariance[14] * A;
+    predicted_compression_covariance[13] = compression_covariance[13] + t42;
+    const double t43 = compression_covariance[14] + Q[1];
+    const double t44 = compression_covariance[15] + (A * compression_covariance[16]);
+    const double t45 = t44 + ((compression_covariance[16] + (A * compression_covariance[17])) * A);
+    const double t46 = t45 + Q[0];
+    const double t47 = compression_covariance[17] * A;
+    predicted_compression_covariance[16] = compression_covariance[16] + t47;
+    const double t48 = compression_covariance[17] + Q[1];
+    const double t49 = compression_covariance[18] + (A * compression_covariance[19]);
+    const double t50 = (compression_covariance[19] + (A * compression_covariance[20])) * A;
+    const double t51 = t49 + t50 + Q[0];
+    const double t52 = compression_covariance[20] * A;
+    predicted_compression_covariance[19] = compression_covariance[19] + t52;
+    const double t53 = compression_covariance[20] + Q[1];
+    const double t54 = compression_covariance[21] + (A * compression_covariance[22]);
+    const double t55 = (compression_covariance[22] + (A * compression_covariance[23])) * A;
+    const double t56 = t54 + t55 + Q[0];
+    const double t57 = compression_covariance[23] * A;
+    predicted_compression_covariance[22] = compression_covariance[22] + t57;
+    const double t58 = compression_covariance[23] + Q[1];
+    const double t59 = compression_covariance[24] + (A * compression_covariance[25]);
+    const double t60 = (compression_covariance[25] + (A * compression_covariance[26])) * A;
+    const double t61 = t59 + t60 + Q[0];
+    const double t62 = compression_covariance[26] * A;
+    predicted_compression_covariance[25] = compression_covariance[25] + t62;
+    const double t63 = compression_covariance[26] + Q[1];
+    const double t64 = compression_covariance[27] + (A * compression_covariance[28]);
+    const double t65 = (compression_covariance[28] + (A * compression_covariance[29])) * A;
+    const double t66 = t64 + t65 + Q[0];
+    const double t67 = compression_covariance[29] * A;
+    predicted_compression_covariance[28] = compression_covariance[28] + t67;
+    const double t68 = compression_covariance[29] + Q[1];
+    const double t69 = compression_covariance[30] + (A * compression_covariance[31]);
+    const double t70 = (compression_covariance[31] + (A * compression_covariance[32])) * A;
+    const double t71 = t69 + t70 + Q[0];
+    const double t72 = compression_covariance[32] * A;
+    predicted_compression_covariance[31] = compression_covariance[31] + t72;
+    const double t73 = compression_covariance[32] + Q[1];
+    const double t74 = compression_covariance[33] + (A * compression_covariance[34]);
+    const double t75 = (compression_covariance[34] + (A * compression_covariance[35])) * A;
+    const double t76 = t74 + t75 + Q[0];
+    const double t77 = compression_covariance[35] * A;
+    predicted_compression_covariance[34] = compression_covariance[34] + t77;
+    const double t78 = compression_covariance[35] + Q[1];
+    const double t79 = compression_covariance[36] + (A * compression_covariance[37]);
+    const double t80 = (compression_covariance[37] + (A * compression_covariance[38])) * A;
+    const double t81 = t79 + t80 + Q[0];
+    const double t82 = compression_covariance[38] * A;
+    predicted_compression_covariance[37] = compression_covariance[37] + t82;
+    const double t83 = compression_covariance[38] + Q[1];
+    const double t84 = compression_covariance[39] + (A * compression_covariance[40]);
+    const double t85 = (compression_covariance[40] + (A * compression_covariance[41])) * A;
+    const double t86 = t84 + t85 + Q[0];
+    const double t87 = compression_covariance[41] * A;
+    predicted_compression_covariance[40] = compression_covariance[40] + t87;
+    const double t88 = compression_covariance[41] + Q[1];
+    const double t89 = compression_covariance[42] + (A * compression_covariance[43]);
+    const double t90 = (compression_covariance[43] + (A * compression_covariance[44])) * A;
+    const double t91 = t89 + t90 + Q[0];
+    const double t92 = compression_covariance[44] * A;
+    predicted_compression_covariance[43] = compression_covariance[43] + t92;
+    const double t93 = compression_covariance[44] + Q[1];
     if (!wheel_drift_finite(((((((wheel_drift_defect(t0) + wheel_drift_defect(filtered_state[1])) +
-        wheel_drift_defect(t2)) + ((wheel_drift_defect(t4) + wheel_drift_defect(t5)) +
-        wheel_drift_defect(compression_deviation[1]))) + (((wheel_drift_defect(t22) +
-        wheel_drift_defect(t24)) + wheel_drift_defect(t6)) +
-        (wheel_drift_defect(compression_deviation[3]) + wheel_drift_defect(t27)))) +
-        ((((wheel_drift_defect(t29) + wheel_drift_defect(t7)) +
-        wheel_drift_defect(compression_deviation[5])) + (wheel_drift_defect(t32) +
-        wheel_drift_defect(t34))) + (((wheel_drift_defect(t8) +
-        wheel_drift_defect(compression_deviation[7])) + wheel_drift_defect(t37)) +
-        (wheel_drift_defect(t39) + wheel_drift_defect(t9))))) +
-        (((((wheel_drift_defect(compression_deviation[9]) + wheel_drift_defect(t42)) +
-        wheel_drift_defect(t44)) + (wheel_drift_defect(t10) +
-        wheel_drift_defect(compression_deviation[11]))) + (((wheel_drift_defect(t47) +
-        wheel_drift_defect(t49)) + wheel_drift_defect(t11)) +
-        (wheel_drift_defect(compression_deviation[13]) + wheel_drift_defect(t52)))) +
-        ((((wheel_drift_defect(t54) + wheel_drift_defect(t12)) +
-        wheel_drift_defect(compression_deviation[15])) + (wheel_drift_defect(t57) +
-        wheel_drift_defect(t59))) + (((wheel_drift_defect(t13) +
-        wheel_drift_defect(compression_deviation[17])) + wheel_drift_defect(t62)) +
-        (wheel_drift_defect(t64) + wheel_drift_defect(t14)))))) +
-        ((((((wheel_drift_defect(compression_deviation[19]) + wheel_drift_defect(t67)) +
-        wheel_drift_defect(t69)) + (wheel_drift_defect(t15) +
-        wheel_drift_defect(compression_deviation[21]))) + (((wheel_drift_defect(t72) +
-        wheel_drift_defect(t74)) + wheel_drift_defect(t16)) +
-        (wheel_drift_defect(compression_deviation[23]) + wheel_drift_defect(t77)))) +
-        ((((wheel_drift_defect(t79) + wheel_drift_defect(t17)) +
-        wheel_drift_defect(compression_deviation[25])) + (wheel_drift_defect(t82) +
-        wheel_drift_defect(t84))) + (((wheel_drift_defect(t18) +
-        wheel_drift_defect(compression_deviation[27])) + wheel_drift_defect(t87)) +
-        (wheel_drift_defect(t89) + wheel_drift_defect(t19))))) +
-        (((((wheel_drift_defect(compression_deviation[29]) + wheel_drift_defect(t92)) +
-        wheel_drift_defect(t94)) + (wheel_drift_defect(t3) + wheel_drift_defect(t23))) +
-        (((wheel_drift_defect(t28) + wheel_drift_defect(t33)) + wheel_drift_defect(t38)) +
-        (wheel_drift_defect(t43) + wheel_drift_defect(t48)))) + ((((wheel_drift_defect(t53) +
-        wheel_drift_defect(t58)) + wheel_drift_defect(t63)) + (wheel_drift_defect(t68) +
-        wheel_drift_defect(t73))) + (((wheel_drift_defect(t78) + wheel_drift_defect(t83)) +
-        wheel_drift_defect(t88)) + (wheel_drift_defect(t93) + wheel_drift_defect(left))))))))
+        wheel_drift_defect(t2)) + (wheel_drift_defect(t3) + wheel_drift_defect(t4))) +
+        ((wheel_drift_defect(compression_deviation[1]) + wheel_drift_defect(t21)) +
+        (wheel_drift_defect(t23) + wheel_drift_defect(t5)))) +
+        (((wheel_drift_defect(compression_deviation[3]) + wheel_drift_defect(t26)) +
+        (wheel_drift_defect(t28) + wheel_drift_defect(t6))) +
+        ((wheel_drift_defect(compression_deviation[5]) + wheel_drift_defect(t31)) +
+        (wheel_drift_defect(t33) + wheel_drift_defect(t7))))) +
+        ((((wheel_drift_defect(compression_deviation[7]) + wheel_drift_defect(t36)) +
+        (wheel_drift_defect(t38) + wheel_drift_defect(t8))) +
+        ((wheel_drift_defect(compression_deviation[9]) + wheel_drift_defect(t41)) +
+        (wheel_drift_defect(t43) + wheel_drift_defect(t9)))) +
+        (((wheel_drift_defect(compression_deviation[11]) + wheel_drift_defect(t46)) +
+        (wheel_drift_defect(t48) + wheel_drift_defect(t10))) +
+        ((wheel_drift_defect(compression_deviation[13]) + wheel_drift_defect(t51)) +
+        (wheel_drift_defect(t53) + wheel_drift_defect(t11)))))) +
+        (((((wheel_drift_defect(compression_deviation[15]) + wheel_drift_defect(t56)) +
+        (wheel_drift_defect(t58) + wheel_drift_defect(t12))) +
+        ((wheel_drift_defect(compression_deviation[17]) + wheel_drift_defect(t61)) +
+        (wheel_drift_defect(t63) + wheel_drift_defect(t13)))) +
+        (((wheel_drift_defect(compression_deviation[19]) + wheel_drift_defect(t66)) +
+        (wheel_drift_defect(t68) + wheel_drift_defect(t14))) +
+        ((wheel_drift_defect(compression_deviation[21]) + wheel_drift_defect(t71)) +
+        (wheel_drift_defect(t73) + wheel_drift_defect(t15))))) +
+        ((((wheel_drift_defect(compression_deviation[23]) + wheel_drift_defect(t76)) +
+        (wheel_drift_defect(t78) + wheel_drift_defect(t16))) +
+        ((wheel_drift_defect(compression_deviation[25]) + wheel_drift_defect(t81)) +
+        (wheel_drift_defect(t83) + wheel_drift_defect(t17)))) +
+        (((wheel_drift_defect(compression_deviation[27]) + wheel_drift_defect(t86)) +
+        (wheel_drift_defect(t88) + wheel_drift_defect(t18))) +
+        ((wheel_drift_defect(compression_deviation[29]) + wheel_drift_defect(t91)) +
+        (wheel_drift_defect(t93) + wheel_drift_defect(left))))))))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
     predicted_state[0] = t0;
     predicted_state[1] = filtered_state[1];
     predicted_covariance[0] = t2;
-    predicted_covariance[1] = t3;
-    predicted_covariance[2] = t4;
-    predicted_compression_deviation[0] = t5;
+    predicted_covariance[2] = t3;
+    predicted_compression_deviation[0] = t4;
     predicted_compression_deviation[1] = compression_deviation[1];
-    predicted_compression_deviation[2] = t6;
+    predicted_compression_deviation[2] = t5;
     predicted_compression_deviation[3] = compression_deviation[3];
-    predicted_compression_deviation[4] = t7;
+    predicted_compression_deviation[4] = t6;
     predicted_compression_deviation[5] = compression_deviation[5];
-    predicted_compression_deviation[6] = t8;
+    predicted_compression_deviation[6] = t7;
     predicted_compression_deviation[7] = compression_deviation[7];
-    predicted_compression_deviation[8] = t9;
+    predicted_compression_deviation[8] = t8;
     predicted_compression_deviation[9] = compression_deviation[9];
-    predicted_compression_deviation[10] = t10;
+    predicted_compression_deviation[10] = t9;
     predicted_compression_deviation[11] = compression_deviation[11];
-    predicted_compression_deviation[12] = t11;
+    predicted_compression_deviation[12] = t10;
     predicted_compression_deviation[13] = compression_deviation[13];
-    predicted_compression_deviation[14] = t12;
+    predicted_compression_deviation[14] = t11;
     predicted_compression_deviation[15] = compression_deviation[15];
-    predicted_compression_deviation[16] = t13;
+    predicted_compression_deviation[16] = t12;
     predicted_compression_deviation[17] = compression_deviation[17];
-    predicted_compression_deviation[18] = t14;
+    predicted_compression_deviation[18] = t13;
     predicted_compression_deviation[19] = compression_deviation[19];
-    predicted_compression_deviation[20] = t15;
+    predicted_compression_deviation[20] = t14;
     predicted_compression_deviation[21] = compression_deviation[21];
-    predicted_compression_deviation[22] = t16;
+    predicted_compression_deviation[22] = t15;
     predicted_compression_deviation[23] = compression_deviation[23];
-    predicted_compression_deviation[24] = t17;
+    predicted_compression_deviation[24] = t16;
     predicted_compression_deviation[25] = compression_deviation[25];
-    predicted_compression_deviation[26] = t18;
+    predicted_compression_deviation[26] = t17;
     predicted_compression_deviation[27] = compression_deviation[27];
-    predicted_compression_deviation[28] = t19;
+    predicted_compression_deviation[28] = t18;
     predicted_compression_deviation[29] = compression_deviation[29];
-    predicted_compression_covariance[0] = t22;
-    predicted_compression_covariance[1] = t23;
-    predicted_compression_covariance[2] = t24;
-    predicted_compression_covariance[3] = t27;
-    predicted_compression_covariance[4] = t28;
-    predicted_compression_covariance[5] = t29;
-    predicted_compression_covariance[6] = t32;
-    predicted_compression_covariance[7] = t33;
-    predicted_compression_covariance[8] = t34;
-    predicted_compression_covariance[9] = t37;
-    predicted_compression_covariance[10] = t38;
-    predicted_compression_covariance[11] = t39;
-    predicted_compression_covariance[12] = t42;
-    predicted_compression_covariance[13] = t43;
-    predicted_compression_covariance[14] = t44;
-    predicted_compression_covariance[15] = t47;
-    predicted_compression_covariance[16] = t48;
-    predicted_compression_covariance[17] = t49;
-    predicted_compression_covariance[18] = t52;
-    predicted_compression_covariance[19] = t53;
-    predicted_compression_covariance[20] = t54;
-    predicted_compression_covariance[21] = t57;
-    predicted_compression_covariance[22] = t58;
-    predicted_compression_covariance[23] = t59;
-    predicted_compression_covariance[24] = t62;
-    predicted_compression_covariance[25] = t63;
-    predicted_compression_covariance[26] = t64;
-    predicted_compression_covariance[27] = t67;
-    predicted_compression_covariance[28] = t68;
-    predicted_compression_covariance[29] = t69;
-    predicted_compression_covariance[30] = t72;
-    predicted_compression_covariance[31] = t73;
-    predicted_compression_covariance[32] = t74;
-    predicted_compression_covariance[33] = t77;
-    predicted_compression_covariance[34] = t78;
-    predicted_compression_covariance[35] = t79;
-    predicted_compression_covariance[36] = t82;
-    predicted_compression_covariance[37] = t83;
-    predicted_compression_covariance[38] = t84;
-    predicted_compression_covariance[39] = t87;
-    predicted_compression_covariance[40] = t88;
-    predicted_compression_covariance[41] = t89;
-    predicted_compression_covariance[42] = t92;
-    predicted_compression_covariance[43] = t93;
-    predicted_compression_covariance[44] = t94;
+    predicted_compression_covariance[0] = t21;
+    predicted_compression_covariance[2] = t23;
+    predicted_compression_covariance[3] = t26;
+    predicted_compression_covariance[5] = t28;
+    predicted_compression_covariance[6] = t31;
+    predicted_compression_covariance[8] = t33;
+    predicted_compression_covariance[9] = t36;
+    predicted_compression_covariance[11] = t38;
+    predicted_compression_covariance[12] = t41;
+    predicted_compression_covariance[14] = t43;
+    predicted_compression_covariance[15] = t46;
+    predicted_compression_covariance[17] = t48;
+    predicted_compression_covariance[18] = t51;
+    predicted_compression_covariance[20] = t53;
+    predicted_compression_covariance[21] = t56;
+    predicted_compression_covariance[23] = t58;
+    predicted_compression_covariance[24] = t61;
+    predicted_compression_covariance[26] = t63;
+    predicted_compression_covariance[27] = t66;
+    predicted_compression_covariance[29] = t68;
+    predicted_compression_covariance[30] = t71;
+    predicted_compression_covariance[32] = t73;
+    predicted_compression_covariance[33] = t76;
+    predicted_compression_covariance[35] = t78;
+    predicted_compression_covariance[36] = t81;
+    predicted_compression_covariance[38] = t83;
+    predicted_compression_covariance[39] = t86;
+    predicted_compression_covariance[41] = t88;
+    predicted_compression_covariance[42] = t91;
+    predicted_compression_covariance[44] = t93;
     predicted_window_left[0] = left;
     wheel_drift_copy(collecting, predicted_collecting, 4);
     return WHEEL_DRIFT_OK;
@@ -1570,86 +1569,65 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
 
     /* results of the update */
     const double t0 = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
-    const double t1 = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t2 = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
-    const double t3 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t4 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t5 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
-    const double t6 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t7 = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t8 = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t9 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
-    const double t10 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t11 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t12 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t13 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t14 = self->predicted_covariance[0] + 0.25;
-    const double t15 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t16 = 0.9921619208254787 * self->predicted_covariance[0];
-    const double t17 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t18 = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t19 = self->predicted_covariance[0] + 9.0;
-    const double t20 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
-    const double t21 = -0.5 * t20;
-    if (!wheel_drift_finite(((((((wheel_drift_defect(covariance_host[0]) +
-        wheel_drift_defect(covariance_host[1])) + wheel_drift_defect(covariance_host[2])) +
-        (wheel_drift_defect(covariance_compression[0]) +
-        wheel_drift_defect(covariance_compression[1]))) +
-        (((wheel_drift_defect(covariance_compression[2]) +
-        wheel_drift_defect(covariance_compression1[0])) +
-        wheel_drift_defect(covariance_compression1[1])) +
-        (wheel_drift_defect(covariance_compression1[2]) +
-        wheel_drift_defect(covariance_compression2[0])))) +
-        ((((wheel_drift_defect(covariance_compression2[1]) +
-        wheel_drift_defect(covariance_compression2[2])) +
+    next->innovation_covariance[1] = 0.9843852771361035 * self->predicted_covariance[0];
+    const double t1 = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
+    next->innovation_covariance[3] = 0.9826304058883615 * self->predicted_covariance[0];
+    next->innovation_covariance[4] = 0.9826304058883615 * self->predicted_covariance[0];
+    const double t2 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
+    next->innovation_covariance[6] = 0.9826304058883615 * self->predicted_covariance[0];
+    next->innovation_covariance[7] = 0.9826304058883615 * self->predicted_covariance[0];
+    next->innovation_covariance[8] = 0.9808786630631667 * self->predicted_covariance[0];
+    const double t3 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
+    next->innovation_covariance[10] = 0.9921619208254787 * self->predicted_covariance[0];
+    next->innovation_covariance[11] = 0.9921619208254787 * self->predicted_covariance[0];
+    next->innovation_covariance[12] = 0.9903931860948796 * self->predicted_covariance[0];
+    next->innovation_covariance[13] = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t4 = self->predicted_covariance[0] + 0.25;
+    next->innovation_covariance[15] = 0.9921619208254787 * self->predicted_covariance[0];
+    next->innovation_covariance[16] = 0.9921619208254787 * self->predicted_covariance[0];
+    next->innovation_covariance[17] = 0.9903931860948796 * self->predicted_covariance[0];
+    next->innovation_covariance[18] = 0.9903931860948796 * self->predicted_covariance[0];
+    const double t5 = self->predicted_covariance[0] + 9.0;
+    const double t6 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
+    const double t7 = -0.5 * t6;
+    if (!wheel_drift_finite((((((wheel_drift_defect(covariance_host[0]) +
+        wheel_drift_defect(covariance_host[2])) + (wheel_drift_defect(covariance_compression[0]) +
+        wheel_drift_defect(covariance_compression[2]))) +
+        ((wheel_drift_defect(covariance_compression1[0]) +
+        wheel_drift_defect(covariance_compression1[2])) +
+        wheel_drift_defect(covariance_compression2[0]))) +
+        (((wheel_drift_defect(covariance_compression2[2]) +
         wheel_drift_defect(covariance_compression3[0])) +
-        (wheel_drift_defect(covariance_compression3[1]) +
-        wheel_drift_defect(covariance_compression3[2]))) +
-        (((wheel_drift_defect(covariance_compression4[0]) +
-        wheel_drift_defect(covariance_compression4[1])) +
+        wheel_drift_defect(covariance_compression3[2])) +
+        ((wheel_drift_defect(covariance_compression4[0]) +
         wheel_drift_defect(covariance_compression4[2])) +
-        (wheel_drift_defect(covariance_compression5[0]) +
-        wheel_drift_defect(covariance_compression5[1]))))) +
-        (((((wheel_drift_defect(covariance_compression5[2]) +
+        wheel_drift_defect(covariance_compression5[0])))) +
+        ((((wheel_drift_defect(covariance_compression5[2]) +
         wheel_drift_defect(covariance_compression6[0])) +
-        wheel_drift_defect(covariance_compression6[1])) +
-        (wheel_drift_defect(covariance_compression6[2]) +
-        wheel_drift_defect(covariance_compression7[0]))) +
-        (((wheel_drift_defect(covariance_compression7[1]) +
+        wheel_drift_defect(covariance_compression6[2])) +
+        ((wheel_drift_defect(covariance_compression7[0]) +
         wheel_drift_defect(covariance_compression7[2])) +
-        wheel_drift_defect(covariance_compression8[0])) +
-        (wheel_drift_defect(covariance_compression8[1]) +
-        wheel_drift_defect(covariance_compression8[2])))) +
-        ((((wheel_drift_defect(covariance_compression9[0]) +
-        wheel_drift_defect(covariance_compression9[1])) +
+        wheel_drift_defect(covariance_compression8[0]))) +
+        (((wheel_drift_defect(covariance_compression8[2]) +
+        wheel_drift_defect(covariance_compression9[0])) +
         wheel_drift_defect(covariance_compression9[2])) +
-        (wheel_drift_defect(covariance_compression10[0]) +
-        wheel_drift_defect(covariance_compression10[1]))) +
-        (((wheel_drift_defect(covariance_compression10[2]) +
-        wheel_drift_defect(covariance_compression11[0])) +
-        wheel_drift_defect(covariance_compression11[1])) +
-        (wheel_drift_defect(covariance_compression11[2]) +
-        wheel_drift_defect(covariance_compression12[0])))))) +
-        ((((((wheel_drift_defect(covariance_compression12[1]) +
-        wheel_drift_defect(covariance_compression12[2])) +
-        wheel_drift_defect(covariance_compression13[0])) +
-        (wheel_drift_defect(covariance_compression13[1]) +
-        wheel_drift_defect(covariance_compression13[2]))) +
-        (((wheel_drift_defect(covariance_compression14[0]) +
-        wheel_drift_defect(covariance_compression14[1])) +
-        wheel_drift_defect(covariance_compression14[2])) + (wheel_drift_defect(innovation_0) +
-        wheel_drift_defect(innovation_1)))) + ((((wheel_drift_defect(innovation_2) +
-        wheel_drift_defect(innovation_3)) + wheel_drift_defect(innovation_4)) +
-        (wheel_drift_defect(innovation_5) + wheel_drift_defect(t0))) + (((wheel_drift_defect(t1) +
-        wheel_drift_defect(t2)) + wheel_drift_defect(t3)) + (wheel_drift_defect(t4) +
-        wheel_drift_defect(t5))))) + (((((wheel_drift_defect(t6) + wheel_drift_defect(t7)) +
-        wheel_drift_defect(t8)) + (wheel_drift_defect(t9) + wheel_drift_defect(t10))) +
-        (((wheel_drift_defect(t11) + wheel_drift_defect(t12)) + wheel_drift_defect(t13)) +
-        (wheel_drift_defect(t14) + wheel_drift_defect(t15)))) + ((((wheel_drift_defect(t16) +
-        wheel_drift_defect(t17)) + wheel_drift_defect(t18)) + (wheel_drift_defect(t19) +
-        wheel_drift_defect(quadratic_host))) + (((wheel_drift_defect(t21) +
-        wheel_drift_defect(collecting_0)) + wheel_drift_defect(collecting_1)) +
-        (wheel_drift_defect(collecting_2) + wheel_drift_defect(collecting_3))))))))
+        ((wheel_drift_defect(covariance_compression10[0]) +
+        wheel_drift_defect(covariance_compression10[2])) +
+        wheel_drift_defect(covariance_compression11[0]))))) +
+        (((((wheel_drift_defect(covariance_compression11[2]) +
+        wheel_drift_defect(covariance_compression12[0])) +
+        (wheel_drift_defect(covariance_compression12[2]) +
+        wheel_drift_defect(covariance_compression13[0]))) +
+        ((wheel_drift_defect(covariance_compression13[2]) +
+        wheel_drift_defect(covariance_compression14[0])) +
+        wheel_drift_defect(covariance_compression14[2]))) + (((wheel_drift_defect(innovation_0) +
+        wheel_drift_defect(innovation_1)) + wheel_drift_defect(innovation_2)) +
+        ((wheel_drift_defect(innovation_3) + wheel_drift_defect(innovation_4)) +
+        wheel_drift_defect(innovation_5)))) + ((((wheel_drift_defect(t0) + wheel_drift_defect(t1)) +
+        wheel_drift_defect(t2)) + ((wheel_drift_defect(t3) + wheel_drift_defect(t4)) +
+        wheel_drift_defect(t5))) + (((wheel_drift_defect(quadratic_host) + wheel_drift_defect(t7)) +
+        wheel_drift_defect(collecting_0)) + ((wheel_drift_defect(collecting_1) +
+        wheel_drift_defect(collecting_2)) + wheel_drift_defect(collecting_3)))))))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -1708,28 +1686,14 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     next->innovation[4] = innovation_4;
     next->innovation[5] = innovation_5;
     next->innovation_covariance[0] = t0;
-    next->innovation_covariance[1] = t1;
-    next->innovation_covariance[2] = t2;
-    next->innovation_covariance[3] = t3;
-    next->innovation_covariance[4] = t4;
-    next->innovation_covariance[5] = t5;
-    next->innovation_covariance[6] = t6;
-    next->innovation_covariance[7] = t7;
-    next->innovation_covariance[8] = t8;
-    next->innovation_covariance[9] = t9;
-    next->innovation_covariance[10] = t10;
-    next->innovation_covariance[11] = t11;
-    next->innovation_covariance[12] = t12;
-    next->innovation_covariance[13] = t13;
-    next->innovation_covariance[14] = t14;
-    next->innovation_covariance[15] = t15;
-    next->innovation_covariance[16] = t16;
-    next->innovation_covariance[17] = t17;
-    next->innovation_covariance[18] = t18;
+    next->innovation_covariance[2] = t1;
+    next->innovation_covariance[5] = t2;
+    next->innovation_covariance[9] = t3;
+    next->innovation_covariance[14] = t4;
     next->innovation_covariance[19] = self->predicted_covariance[0];
-    next->innovation_covariance[20] = t19;
+    next->innovation_covariance[20] = t5;
     next->nis = quadratic_host;
-    next->log_likelihood = t21;
+    next->log_likelihood = t7;
     next->window_left = self->predicted_window_left;
     next->collecting[0] = collecting_0;
     next->collecting[1] = collecting_1;
@@ -1782,15 +1746,14 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
         closed_covariance);
 
     /* results of the window */
-    if (!wheel_drift_finite(((((wheel_drift_defect(closed_state[0]) +
-        wheel_drift_defect(closed_state[1])) + wheel_drift_defect(closed_covariance[0])) +
-        (wheel_drift_defect(closed_covariance[2]) + wheel_drift_defect(closed_covariance[1]))) +
-        ((wheel_drift_defect(statistic_0) + wheel_drift_defect(statistic_1)) +
-        (wheel_drift_defect(statistic_2) + wheel_drift_defect(statistic_3)))) +
-        (((wheel_drift_defect(dof_0) + wheel_drift_defect(dof_1)) + (wheel_drift_defect(dof_2) +
-        wheel_drift_defect(dof_3))) + ((wheel_drift_defect(rejected_0) +
-        wheel_drift_defect(rejected_1)) + (wheel_drift_defect(rejected_2) +
-        wheel_drift_defect(rejected_3))))))
+    if (!wheel_drift_finite((((wheel_drift_defect(closed_state[0]) +
+        wheel_drift_defect(closed_state[1])) + (wheel_drift_defect(closed_covariance[0]) +
+        wheel_drift_defect(closed_covariance[2]))) + ((wheel_drift_defect(statistic_0) +
+        wheel_drift_defect(statistic_1)) + (wheel_drift_defect(statistic_2) +
+        wheel_drift_defect(statistic_3)))) + (((wheel_drift_defect(dof_0) +
+        wheel_drift_defect(dof_1)) + (wheel_drift_defect(dof_2) + wheel_drift_defect(dof_3))) +
+        ((wheel_drift_defect(rejected_0) + wheel_drift_defect(rejected_1)) +
+        (wheel_drift_defect(rejected_2) + wheel_drift_defect(rejected_3))))))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }

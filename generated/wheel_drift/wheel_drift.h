@@ -50,8 +50,9 @@
  *
  * Cost of one step with every row present: 2237 floating-point operations and 1 log; at the end of
  * a window 190 more.
- * An instance is 212 doubles; nothing else is kept. No heap, no globals that change, no I/O, no
- * libm.
+ * An instance is 212 doubles, 1696 bytes; nothing else is kept. Tables of constants: 544 bytes. No
+ * heap, no globals that change, no I/O, no libm.
+ * Stack of one call, interrupts left out: at most 30448 bytes at -O0, 4256 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import spread
@@ -91,6 +94,28 @@ def test_a_folder_with_the_same_shared_files_may_be_written_to(tmp_path):
 
 def test_a_folder_with_another_file_of_the_shared_name_is_left_alone(tmp_path):
     (tmp_path / "fkgen_elementary_double.c").write_text("/* mine */")
-    with pytest.raises(OutputError, match="other files"):
+    with pytest.raises(OutputError, match="a file that fkgen did not write"):
         source("mme", "double", "one").write(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["fkgen_elementary_double.c"]
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
+def test_filters_that_share_a_folder_and_a_copy_are_built_and_pass_together(tmp_path):
+    for name, prefix in (("kf_functions", "one"), ("mme", "two")):
+        source(name, "double", prefix).write(tmp_path / "src")
+    call("cmake", "-S", "src", "-B", "build", cwd=tmp_path)
+    call("cmake", "--build", "build", cwd=tmp_path)
+    tested = call("ctest", "--test-dir", "build", cwd=tmp_path).stdout
+    assert "0 tests failed out of 2" in tested
+
+
+def test_a_newer_shared_copy_serves_the_filter_before(tmp_path):
+    first, second = source("mme", "double", "one"), source("kf_functions", "double", "two")
+    first.write(tmp_path)
+    newer = {k: f"/* newer */ {v}" for k, v in shared_files(second.files).items()}
+    replace(second, files={**second.files, **newer}).write(tmp_path)
+    for each in (first, second):
+        each.write(tmp_path)
+    assert shared_files({p.name: p.read_text() for p in tmp_path.iterdir()}) == shared_files(
+        first.files
+    )

@@ -66,10 +66,8 @@ def test_the_test_is_a_function_of_its_own_that_is_called_at_window_ends_only():
     from plants import generated
 
     text = generated(soft(PAPER, window=150)).files["plant.c"]
-    calls = re.findall(
-        r"if \(!\(next\.window_left > 0\.0\)\)\n    \{\n        status = plant_close_window", text
-    )
-    assert len(calls) == 2  # update and step
+    ends = r"!\(next(\.|->)window_left > 0\.0\)\)\n    \{\n        status = plant_close_window"
+    assert len(re.findall(ends, text)) == text.count("status = plant_close_window") == 3
     assert "INLINE plant_status_t plant_close_window" not in text
 
 

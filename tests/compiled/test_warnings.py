@@ -122,12 +122,50 @@ def test_the_self_test_fails_when_a_constant_is_another(name, scalar, written):
     assert call(written / "selftest", cwd=written, check=False).returncode == 1
 
 
-@pytest.mark.parametrize("scalar", ["double"])
+#: <float.h> of a target whose double is its float, as on AVR, and of one whose float is neither.
+SHORT = "#include_next <float.h>\n#undef {0}_MANT_DIG\n#define {0}_MANT_DIG {1}\n"
+
+
+@pytest.mark.parametrize("scalar", ["double", "float"])
 @pytest.mark.parametrize("name", ["mkf_sensed"])
-def test_fast_math_is_refused_at_compile_time(name, scalar, written):
-    done = call(*ANY, "-c", "-ffast-math", "-O2", "plant.c", cwd=written, check=False)
-    assert done.returncode != 0
-    assert "-ffast-math removes" in done.stderr
+@pytest.mark.parametrize("unit", ["plant.c", "plant_selftest.c"])
+def test_arithmetic_without_nan_or_with_other_bits_is_refused_at_compile_time(
+    name, scalar, unit, written
+):
+    def refusal(*flags):
+        done = call(*ANY, "-c", "-O2", BITS, *flags, unit, cwd=written, check=False)
+        return "" if done.returncode == 0 else done.stderr
+
+    assert refusal() == ""
+    assert "-ffast-math removes" in refusal("-ffast-math")
+    assert "-ffinite-math-only removes" in refusal("-ffinite-math-only")
+    for kind, digits, refused in (("DBL", 24, "double"), ("FLT", 53, "float")):
+        (written / "float.h").write_text(SHORT.format(kind, digits))
+        found = refusal("-I.")
+        assert (f"{refused} has no" in found) == (scalar == refused) == bool(found)
+
+
+@pytest.mark.parametrize("scalar", ["double", "float"])
+@pytest.mark.parametrize("name", ["mkf_sensed", "kf_wide"])
+@pytest.mark.parametrize(
+    ("sound", "broken"),
+    [
+        ("if (plant_finite(plant_defect(y[i])))", "if (y[i] <= 1.0 || !(y[i] <= 1.0))"),
+        ("> {limit}) || (y[i] < -{limit})", "> {limit}) && (y[i] < -{limit})"),
+    ],
+    ids=["NaN is a number", "infinity is missing"],
+)
+def test_the_self_test_fails_where_a_row_that_is_no_number_is_used(
+    name, scalar, sound, broken, written
+):
+    limit = "DBL_MAX" if scalar == "double" else "FLT_MAX"
+    text = (written / "plant.c").read_text()
+    assert text.count(sound.format(limit=limit)) == 1
+    (written / "plant.c").write_text(
+        text.replace(*(s.format(limit=limit) for s in (sound, broken)))
+    )
+    call(*ANY, "-std=c99", BITS, *units(written), "-o", "selftest", cwd=written)
+    assert call(written / "selftest", cwd=written, check=False).returncode == 1
 
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
@@ -140,7 +178,7 @@ def test_the_object_exports_its_prefix_needs_nothing_and_keeps_nothing(
     call(*command, cwd=written)
     listed = call("nm", "plant.o", cwd=written).stdout.splitlines()
     found = [line.split()[-2:] for line in listed]
-    verbs = ["init", "update", "predict", "step"]
+    verbs = ["init", "start", "update", "predict", "step"]
     verbs += ["params_init"] if spread.specs()[name].parameters else []
     assert {symbol for kind, symbol in found if kind.isupper() and kind != "U"} == {
         f"plant_{verb}" for verb in verbs

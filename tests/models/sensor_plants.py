@@ -71,10 +71,10 @@ def inputs(rng, system):
 def with_modes(system, a_law, modes):
     """The plant as one sees it who is told the modes."""
     parts = [mode_plant(system, a_law, k, int(mode)) for k, mode in enumerate(modes)]
-    C, D, R = (np.array(matrices) for matrices in zip(*parts, strict=True))
+    C, D, R, d = (np.array(matrices) for matrices in zip(*parts, strict=True))
     return LinearSystem(
         A=system.A, B=system.B, C=C, D=D, Q=system.Q, R=R, x0=system.x0, P0=system.P0,
-        rate=system.rate, fault_covariance=system.fault_covariance,
+        rate=system.rate, fault_covariance=system.fault_covariance, c=system.c, d=d,
     )  # fmt: skip
 
 

@@ -153,7 +153,11 @@ def test_missing_rows_act_as_if_they_did_not_exist():
     y[:, 1] = np.nan
     kept = [0, 2]
     without = replace(
-        system, C=system.C[:, kept], D=system.D[:, kept], R=system.R[:, kept][:, :, kept]
+        system,
+        C=system.C[:, kept],
+        D=system.D[:, kept],
+        d=system.d[:, kept],
+        R=system.R[:, kept][:, :, kept],
     )
     gappy, short = batch_lmmse(system, y, u), batch_lmmse(without, y[:, kept], u)
     for port in (
@@ -240,6 +244,7 @@ def test_a_measurement_given_twice_counts_once():
         system,
         C=np.repeat(system.C, 2, axis=1),
         D=np.repeat(system.D, 2, axis=1),
+        d=np.repeat(system.d, 2, axis=1),
         R=np.repeat(np.repeat(system.R, 2, axis=1), 2, axis=2),
     )
     once, again = batch_lmmse(system, y, u), batch_lmmse(twice, np.repeat(y, 2, axis=1), u)

@@ -84,7 +84,8 @@ def patterns_of(plant) -> ModeChain:
             **{letter: getattr(model, letter) for letter in "ACQR"},
             B=Matrix.of(model.B.values() * pattern),
             D=Matrix.of(model.D.values() * pattern),
-            c=Matrix.zeros(model.nx, 1),
+            c=model.c,
+            d=model.d,
         )
         for pattern in patterns
     )

@@ -224,7 +224,7 @@ def test_a_singular_innovation_is_no_obstacle():
     rng = np.random.default_rng(14)
     system = without_mean(plant(rng, T=5, p=1, q=0))
     double = replace(system, C=np.repeat(system.C, 2, axis=1), D=np.ones((5, 2, 0)),
-                     R=np.zeros((5, 2, 2)))  # fmt: skip
+                     d=np.zeros((5, 2)), R=np.zeros((5, 2, 2)))  # fmt: skip
     y = np.repeat(rng.standard_normal((5, 1)), 2, axis=1)
     moments = lemma_2_moments("absorbing", 5, (0, 1))
     close(

@@ -32,13 +32,14 @@ TURN = np.eye(4)[[2, 0, 3, 1]]
 def test_a_fault_strikes_its_rows_and_no_other():
     system = plant(np.random.default_rng(1), T=3)
     a_law = law(np.eye(4), np.eye(4)[0], factor=4.0, rows=(1,))
-    C, D, R = mode_plant(system, a_law, 2, 3)
+    C, D, R, d = mode_plant(replace(system, d=system.d + 3.0), a_law, 2, 3)
     np.testing.assert_array_equal(C, [system.C[2, 0], [0.0, 0.0]])
     np.testing.assert_array_equal(D, [system.D[2, 0], [0.0]])
+    np.testing.assert_array_equal(d, [3.0, 0.0])
     # The deviation of row 1 doubles: its variance fourfold, its covariance with row 0 twofold.
     np.testing.assert_allclose(R, system.R[2] * [[1.0, 2.0], [2.0, 4.0]], rtol=1e-15)
     for mode, noise in enumerate([1.0, 4.0, 1.0, 4.0]):
-        C, _, R = mode_plant(system, a_law, 0, mode)
+        C, _, R, _ = mode_plant(system, a_law, 0, mode)
         assert (C[1] == 0.0).all() == (mode >= 2)
         assert R[1, 1] == pytest.approx(noise * system.R[0, 1, 1], rel=1e-15)
 
@@ -99,7 +100,7 @@ def test_simulated_measurements_have_the_moments_of_their_modes():
     y = np.array([simulate_sensor(system, a_law, u, rng)[0] for _ in range(8000)])
     x, P = system.x0, system.P0
     for k, mode in enumerate([1, 0]):
-        C, D, R = mode_plant(system, a_law, k, mode)
+        C, D, R, _ = mode_plant(system, a_law, k, mode)
         S = C @ P @ C.T + R
         error = y[:, k] - (C @ x + D @ u[k])
         deviation = np.sqrt(np.diag(S))

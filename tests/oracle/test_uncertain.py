@@ -199,9 +199,8 @@ def test_the_error_settles_at_the_printed_value(signal, error):
 def test_an_exact_measurement_given_twice_counts_once():
     rng = np.random.default_rng(8)
     one = replace(plant(rng, T=5, p=1), R=np.zeros((5, 1, 1)))
-    two = replace(
-        one, C=np.repeat(one.C, 2, axis=1), D=np.repeat(one.D, 2, axis=1), R=np.zeros((5, 2, 2))
-    )
+    twofold = {name: np.repeat(getattr(one, name), 2, axis=1) for name in "CDd"}
+    two = replace(one, **twofold, R=np.zeros((5, 2, 2)))
     u, y = inputs(rng, one), rng.standard_normal((5, 1))
     once, twice = (
         batch_uncertain(

@@ -32,7 +32,9 @@ class Measurement:
     rows: tuple[str, ...]
     at: tuple[int, ...]  # which rows of y these are
     rank_tolerance: float | None  # for a singular R: rows that bring nothing new are left out
+    shows_variance: bool  # S is shown, so it may as well give the innovations
     pivots_per_log: int  # so many may be multiplied before their logarithm
+    S: ca.SX | None = None  # (m, p), covariance of z with w, if it has any
 
     def only(self, rows: tuple[int, ...]) -> Measurement:
         """Some of the rows, as if there were no others."""
@@ -56,6 +58,7 @@ class Row:
     innovation: ca.SX  # with respect to the prior
     variance: ca.SX  # of its noise
     of_y: ca.SX  # (p, 1), the combination of the rows of y that it is
+    shared: ca.SX | None = None  # (m, 1), covariance of its noise with the state
 
 
 def correlated_rows(covariances: Sequence[ca.SX]) -> tuple[tuple[int, ...], ...]:
@@ -71,22 +74,45 @@ def correlated_rows(covariances: Sequence[ca.SX]) -> tuple[tuple[int, ...], ...]
     return tuple(distinct.values())
 
 
-def decorrelate(
-    builder: PhaseBuilder, measurement: Measurement, innovation: list[ca.SX], tag: str
-) -> list[Row]:
-    """Write the blocks of the elimination; a diagonal R passes through without any."""
-    p = measurement.C.shape[0]
-    C = [sparse(measurement.C[i, :].T) for i in range(p)]
-    of_y = [ca.SX.eye(p)[:, i] for i in range(p)]
-    e = list(innovation)
-    R = {(i, j): measurement.R[i, j] for i in range(p) for j in range(i + 1)}
-    tolerance = measurement.rank_tolerance
-    for j in range(p):
-        later = [i for i in range(j + 1, p) if not is_zero(R[i, j])]
+class Decorrelation:
+    """The rows as far as noise is eliminated; a diagonal R passes through without a block."""
+
+    def __init__(
+        self, builder: PhaseBuilder, measurement: Measurement, innovation: list[ca.SX], tag: str
+    ) -> None:
+        p = measurement.C.shape[0]
+        self.builder, self.measurement, self.tag = builder, measurement, tag
+        self.C = [sparse(measurement.C[i, :].T) for i in range(p)]
+        self.of_y = [ca.SX.eye(p)[:, i] for i in range(p)]
+        self.e = list(innovation)
+        S = measurement.S
+        self.shared = [] if S is None else [sparse(S[:, i]) for i in range(p)]
+        self.R = {(i, j): measurement.R[i, j] for i in range(p) for j in range(i + 1)}
+
+    def row(self, i: int) -> Row:
+        """Row i without the noise of the rows that were eliminated."""
+        variance = self.R[i, i]
+        if self.measurement.rank_tolerance is not None and not variance.is_constant():
+            variance = ca.fmax(variance, 0)
+        shared = self.shared[i] if self.shared else None
+        return Row(self.C[i], self.e[i], variance, self.of_y[i], shared)
+
+    def eliminate_all(self) -> None:
+        """Take the noise of every row out of those below."""
+        for j in range(len(self.C)):
+            self.eliminate(j)
+
+    def eliminate(self, j: int, kept: ca.SX | None = None) -> None:
+        """Take the noise of row j out of the rows below, where ``kept`` is positive."""
+        builder, measurement, R, tag = self.builder, self.measurement, self.R, self.tag
+        tolerance = measurement.rank_tolerance
+        later = [i for i in range(j + 1, len(self.C)) if not is_zero(R[i, j])]
         if not later or is_zero(R[j, j]):
-            continue
+            return
         pivot, coupling = R[j, j], {i: R[i, j] for i in later}
         positive = None if tolerance is None else pivot - tolerance * measurement.R[j, j]
+        if kept is not None:
+            positive = kept if positive is None else ca.fmin(kept, positive)
         revised = partial(_revised, builder, (measurement.at[j], positive))
         with builder.titled(f"noise of {measurement.rows[j]} out of the rows below"):
             if tolerance is None:
@@ -95,14 +121,13 @@ def decorrelate(
             for i in later:
                 name = f"{tag}_{j}_{i}"
                 share = builder.define(f"share{name}", coupling[i] / pivot)
-                C[i] = revised(f"sensed{name}", C[i], C[i] - share * C[j])
-                e[i] = revised(f"decorrelated{name}", e[i], e[i] - share * e[j])
-                of_y[i] = revised(f"combined{name}", of_y[i], of_y[i] - share * of_y[j])
+                columns = [(self.C, "sensed"), (self.e, "decorrelated"), (self.of_y, "combined")]
+                columns += [(self.shared, "shared_noise")] if self.shared else []
+                for values, what in columns:
+                    new = values[i] - share * values[j]
+                    values[i] = revised(f"{what}{name}", values[i], new)
                 for k in [k for k in later if k <= i]:
                     R[i, k] = revised(f"noise{name}_{k}", R[i, k], R[i, k] - share * coupling[k])
-    if tolerance is not None:
-        R = {key: v if v.is_constant() else ca.fmax(v, 0) for key, v in R.items()}
-    return [Row(C[i], e[i], R[i, i], of_y[i]) for i in range(p)]
 
 
 def _revised(

@@ -14,6 +14,7 @@ import numpy as np
 
 from fkgen.estimators.gaussian.actuation import Actuation
 from fkgen.estimators.gaussian.decorrelation import Measurement
+from fkgen.estimators.gaussian.gate import Gate
 from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
     RANK_TOLERANCE,
@@ -24,7 +25,7 @@ from fkgen.estimators.gaussian.sequential import (
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, unpack
+from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant
 from fkgen.symbolic.recursion import Guard
 
@@ -80,6 +81,7 @@ def correct(
     form: Form,
     tag: str = "",
     with_gain: bool = False,
+    gate: Gate | None = None,
 ) -> tuple[Conditioned, Posterior]:
     """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11)."""
     state, packed = prior
@@ -88,9 +90,23 @@ def correct(
         state = ca.vertcat(state, ca.SX.zeros(actuation.size))
         covariance = ca.diagcat(covariance, actuation.covariance)
         C = ca.horzcat(C, plant.D @ actuation.through)
-    measurement = measurement_of(plant, y=y, C=C, offset=plant.D @ actuation.mean, R=plant.R)
+    offset, S = plant.D @ actuation.mean + plant.d, None
+    if moved := moved_by_noise(plant):  # the noise of x that v tells of is estimated with x
+        state, C = (
+            ca.vertcat(state, ca.SX.zeros(len(moved))),
+            ca.horzcat(C, ca.SX(plant.ny, len(moved))),
+        )
+        covariance = ca.diagcat(covariance, plant.Q[moved, moved])
+        S = ca.vertcat(ca.SX(n, plant.ny), plant.S[moved, :])
+    measurement = replace(measurement_of(plant, y=y, C=C, offset=offset, R=plant.R), S=S)
     found = condition(
-        builder, (state, covariance), measurement, tag=tag, form=form, with_gain=with_gain
+        builder,
+        (state, covariance),
+        measurement,
+        tag=tag,
+        form=form,
+        with_gain=with_gain,
+        gate=gate,
     )
     P = unpack(found.covariance, state.numel())
     posterior = Posterior(
@@ -103,6 +119,11 @@ def correct(
     return found, posterior
 
 
+def moved_by_noise(plant: Plant) -> list[int]:
+    """The states whose noise is correlated with that of y."""
+    return sorted(set(plant.S.sparsity().get_triplet()[0]))
+
+
 def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX) -> Measurement:
     """Y = C z + offset + w as this plant measures it, with what rank and logarithms need."""
     return Measurement(
@@ -113,6 +134,7 @@ def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX)
         rows=plant.rows,
         at=tuple(range(plant.ny)),
         rank_tolerance=RANK_TOLERANCE[plant.scalar] if plant.noise_free else None,
+        shows_variance=plant.shows_variance,
         pivots_per_log=1 if plant.wide else PIVOTS_PER_LOG[plant.scalar],
     )
 
@@ -121,8 +143,10 @@ def propagate(
     plant: Plant, actuation: Actuation, posterior: Posterior
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Predicted state, packed covariance and the map [A, B u~]: Strandt et al., eqs. (4), (12)."""
-    n = plant.nx
-    B = plant.B @ actuation.through
+    n, moved = plant.nx, moved_by_noise(plant)
+    B, Q = plant.B @ actuation.through, ca.SX(plant.Q)
+    if moved:  # their noise is part of what was estimated
+        B, Q[moved, moved] = ca.SX.eye(n)[:, moved], 0
     state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
     P = unpack(posterior.covariance, n)
     if posterior.deviation.numel() == 0:
@@ -130,11 +154,11 @@ def propagate(
         if actuation.size:
             covariance += congruence(B, actuation.covariance)
         return state, covariance, plant.A
-    r = actuation.size
+    r = posterior.deviation.numel()
     cross = posterior.cross_covariance
     joint = ca.blockcat(P, cross.T, cross, unpack(posterior.deviation_covariance, r))
     through = ca.horzcat(plant.A, B)
-    return state + B @ posterior.deviation, congruence(through, joint) + pack(plant.Q), through
+    return state + B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q)), through
 
 
 def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
@@ -145,6 +169,8 @@ def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
 def bound_all(builder: PhaseBuilder, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
     """The same for several plants; a matrix that is the same object in some is named once."""
     named: dict[int, Any] = {}
+    if "A" in letters and plants[0].limits:
+        builder.demand(Kind.NONNEGATIVE, plants[0].limits, Status.PARAMETER_OUT_OF_RANGE)
     for letter in letters:
         own = {id(matrix): matrix for matrix in (getattr(plant, letter) for plant in plants)}
         named |= zip(own, builder.name_all(letter, [*own.values()]), strict=True)

@@ -8,12 +8,14 @@ well.
 from __future__ import annotations
 
 import math
-from dataclasses import InitVar, dataclass, field
+from collections.abc import Sequence
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Literal
 
 import casadi as ca
 
-from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI, Measurement, Row, decorrelate
+from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI, Decorrelation, Measurement, Row
+from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status, triangle
 from fkgen.symbolic.linalg import (
@@ -48,6 +50,7 @@ class Conditioned:
     nis: ca.SX
     log_likelihood: ca.SX
     gain: ca.SX | None  # (m, p), d mean / d y, columns of missing rows zero
+    rejected: Sequence[ca.SX] = ()  # 1 for each row that a gate leaves out; empty without one
 
 
 def condition(
@@ -59,18 +62,22 @@ def condition(
     form: Form,
     with_gain: bool = False,
     innovation: list[ca.SX] | None = None,
+    gate: Gate | None = None,
 ) -> Conditioned:
     """Write the blocks that condition ``prior``, mean and covariance, on ``measurement``.
 
     An ``innovation`` that is there already is zero where its row is missing.
     """
     (mean, covariance), (p, m) = prior, measurement.C.shape
-    if innovation is None:
-        innovation = innovations(builder, mean, measurement, tag)
+    innovation = innovation or innovations(builder, mean, measurement, tag)
     variance = _variance(builder, covariance, measurement, tag)
+    by_row = gate if gate is not None and not gate.together else None
+    noise = Decorrelation(builder, measurement, innovation, tag)
+    if by_row is None:
+        noise.eliminate_all()
     update = SequentialUpdate(
         builder=builder,
-        rows=decorrelate(builder, measurement, innovation, tag),
+        rows=[noise.row(i) for i in range(p)],
         at=measurement.at,
         tag=tag,
         form=form,
@@ -80,20 +87,48 @@ def condition(
         covariance=pack(covariance),
         gain=ca.SX(m, p) if with_gain else None,
         pivots_per_log=measurement.pivots_per_log,
+        gate=by_row,
     )
-    for i in range(p):
-        with builder.titled(f"row {measurement.at[i]} of y, {measurement.rows[i]}"):
-            update.update_row(i)
-    logarithms = [ca.log(product) for product in update.determinant]
-    return Conditioned(
+    _update_rows(builder, update, noise)
+    found = Conditioned(
         mean=update.mean,
         covariance=update.covariance,
         innovation=column(innovation),
         innovation_covariance=update.innovation_covariance() if variance is None else variance,
         nis=update.nis,
-        log_likelihood=-0.5 * (update.nis + total([update.log_constant, *logarithms])),
+        log_likelihood=-0.5
+        * (update.nis + total([update.log_constant, *map(ca.log, update.determinant)])),
         gain=update.gain,
+        rejected=update.rejected,
     )
+    return found if gate is None or by_row else _gated(builder, gate, found, prior)
+
+
+def _update_rows(builder: PhaseBuilder, update: SequentialUpdate, noise: Decorrelation) -> None:
+    """Take all rows in; with a gate their noise leaves the rows below once they have passed."""
+    for i, name in enumerate(noise.measurement.rows):
+        update.rows[i] = noise.row(i)
+        with builder.titled(f"row {noise.measurement.at[i]} of y, {name}"):
+            update.update_row(i)
+        if update.gate is not None:
+            noise.eliminate(i, HALF - update.rejected[i])
+
+
+def _gated(
+    builder: PhaseBuilder, gate: Gate, found: Conditioned, prior: tuple[ca.SX, ca.SX]
+) -> Conditioned:
+    """What all rows say together, or the prior where they do not fit it."""
+    values = {
+        "mean": (found.mean, prior[0]),
+        "covariance": (found.covariance, pack(prior[1])),
+        "nis": (found.nis, ca.SX(0)),
+        "log_likelihood": (found.log_likelihood, ca.SX(0)),
+    }
+    if found.gain is not None:
+        values["gain"] = found.gain, ca.SX.zeros(found.gain.shape)
+    with_rows, without = ({name: pair[at] for name, pair in values.items()} for at in (0, 1))
+    rejected, kept = gate.sample(builder, found.nis, with_rows, without)
+    return replace(found, rejected=rejected, **kept)
 
 
 def _variance(
@@ -101,13 +136,14 @@ def _variance(
 ) -> ca.SX | None:
     """S = C P C' + R, packed; None if it comes cheaper from the factors of the row updates.
 
-    With many rows and few states, products of rows with each other cost more than C P C'.
+    With many rows and few states, products of rows with each other cost more than C P C'. Where S
+    is not shown, C drops it, and innovations that are corrected through the mean cost least.
     """
     C, R = measurement.C, measurement.R
     p, S = C.shape[0], congruence(C, covariance) + pack(R)
     by_factors = p * (p - 1) * C.nnz() / p + 1.5 * p * (p - 1) + p**3 / 3
     decided = R.sparsity().is_diag() and measurement.rank_tolerance is None
-    if decided and by_factors <= operations(S):
+    if decided and measurement.shows_variance and by_factors <= operations(S):
         return None
     return builder.define(f"variance{tag}", S)
 
@@ -148,6 +184,7 @@ class SequentialUpdate:
     covariance: ca.SX
     gain: ca.SX | None
     pivots_per_log: InitVar[int]
+    gate: Gate | None = None
     mean: ca.SX = field(init=False)
     determinant: list[ca.SX] = field(init=False)
     nis: ca.SX = field(default_factory=lambda: ca.SX(0))
@@ -157,6 +194,7 @@ class SequentialUpdate:
     pivot: list[ca.SX] = field(default_factory=list)
     weight: list[ca.SX] = field(default_factory=list)
     symbols: dict[str, ca.SX] = field(default_factory=dict)
+    rejected: list[ca.SX] = field(default_factory=list)
 
     def __post_init__(self, pivots_per_log: int) -> None:
         self.mean = self.prior
@@ -169,6 +207,8 @@ class SequentialUpdate:
         """Take row i in: Anderson & Moore 1979, sec. 6.5 (sequential processing)."""
         row, builder, tag, significant = self.rows[i], self.builder, self.tag, None
         cross = unpack(self.covariance, self.mean.numel()) @ row.c
+        if row.shared is not None:
+            cross = cross + row.shared
         if not all(each.is_leaf() for each in ca.vertsplit(cross)):
             cross = builder.define(f"cross{tag}_{i}", cross)
         later = self.rows[i + 1 :] if self.variance is None else []
@@ -181,12 +221,18 @@ class SequentialUpdate:
         if is_zero(pivot):  # a row that is always zero, without noise
             self.weight.append(ca.SX(0))
             self.factor.append(ca.SX.zeros(coupling.numel()))
+            self.rejected += [ca.SX(0)] if self.gate else []
             return
         if self.rank_tolerance is not None and self.variance is not None:
             own = diagonal(self.variance, len(self.rows))[i]
             builder.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
             significant = pivot - self.rank_tolerance * own  # no combination of the rows before it
         row_of_y = self.at[i] if self.at else None
+        if self.gate is not None:
+            tested = builder.define(f"given_before{tag}_{i}", innovation), pivot
+            name = f"rejected{tag}_{i}"
+            flag, significant = self.gate.row(builder, name, self.at[i], tested, significant)
+            self.rejected.append(flag)
         with builder.if_present(row_of_y, significant, present=bool(self.at)):
             self._update(i, cross, innovation)
 
@@ -257,6 +303,8 @@ class SequentialUpdate:
         if self.form == "short":
             return short
         residual = row.variance * k - unpack(short, cross.numel()) @ row.c
+        if row.shared is not None:
+            residual = residual - row.shared
         reduced = short + outer_lower(residual, k)
         if self.rank_tolerance is None:
             return reduced

@@ -95,7 +95,7 @@ class AugmentedState:
                 modes = chain.times(faults.channel).modes
         lumping = chain.lumped(tuple((i,) for i in range(len(chain.modes))))
         if faults is None:  # modes of jump faults are the user's: each has its part
-            lumped = chain.lumped(chain.alike("ABCDQc"))
+            lumped = chain.lumped(chain.alike("ABCDQcd"))
             lumping = lumped if lumped.unequal_successors <= EQUAL else lumping
         self.groups = lumping.groups  # the modes that share a part
         self.kernel = np.array(lumping.transition)  # (N, N), of the groups
@@ -104,7 +104,7 @@ class AugmentedState:
         #: For names and sizes, which all modes share, and whether one may measure without noise
         self.base = replace(self.plants[0], noise_free=exact)
         #: Parts are (x, 1) 1{mode}: something known is added to the state, or to y
-        self.ones = bool(spec.model.nu) or any(plant.c.nnz() for plant in self.plants)
+        self.ones = bool(spec.model.nu) or any(p.c.nnz() or p.d.nnz() for p in self.plants)
         parameters = self.base.parameters
         if faults is not None and faults.rate is not None and self.rate != 1.0:
             self.rate = lift_expression(faults.rate, parameters)
@@ -228,7 +228,9 @@ def _stem(port: Port) -> str:
 def measured(z: AugmentedState, plants: Sequence[Plant], u: ca.SX) -> tuple[ca.SX, ca.SX]:
     """L and what is known: E[y | z] = L z + offset, without the rate."""
     own = [z.plant(plants, part) for part in range(z.parts)]
-    signals = ca.horzcat(*[ca.horzcat(each.C, each.D @ u)[:, : z.width] for each in own])
+    signals = ca.horzcat(
+        *[ca.horzcat(each.C, sensed_offset(each, u))[:, : z.width] for each in own]
+    )
     return sparse(signals @ z.E), signals @ z.e
 
 
@@ -278,6 +280,11 @@ def shared(matrices: list[ca.SX], weights: list[ca.SX]) -> ca.SX:
 def offset_of(plant: Plant, u: ca.SX) -> ca.SX:
     """What is known and added to the state: B u + c."""
     return plant.B @ u + plant.c
+
+
+def sensed_offset(plant: Plant, u: ca.SX) -> ca.SX:
+    """What is known and added to the signal: D u + d."""
+    return plant.D @ u + plant.d
 
 
 def step_of(z: AugmentedState, plant: Plant, u: ca.SX) -> ca.SX:
@@ -485,16 +492,16 @@ def mean_noise(
 
 def signal_moment(z: AugmentedState, plants: Sequence[Plant], now: Moments, u: ca.SX) -> ca.SX:
     """Packed E[s s'] of the signal s = C x + D u; modes that measure alike are added first."""
-    alike: dict[tuple[int, int], list[int]] = {}
+    alike: dict[tuple[int, ...], list[int]] = {}
     for i in range(z.modes):
         plant = z.plant(plants, i)
-        alike.setdefault((id(plant.C), id(plant.D)), []).append(i)
+        alike.setdefault((id(plant.C), id(plant.D), id(plant.d)), []).append(i)
     terms = []
     for modes in alike.values():
         plant = z.plant(plants, modes[0])
         signal, moment = plant.C, total([now.second[i] for i in modes])
-        if plant.D.nnz():
-            signal, moment = ca.horzcat(plant.C, plant.D @ u), now.joint(*modes)
+        if plant.D.nnz() or plant.d.nnz():
+            signal, moment = ca.horzcat(plant.C, sensed_offset(plant, u)), now.joint(*modes)
         terms.append(congruence(signal, moment))
     return total(terms)
 
@@ -503,7 +510,7 @@ def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, form: Form) -> Phas
     builder, u = PhaseBuilder(symbols), symbols["u"]
     prior = symbols["augmented_state"], symbols["augmented_covariance"]
     demand_positive(builder, prior[1], z.size)
-    plants = bound_all(builder, z.plants, "CDR")
+    plants = bound_all(builder, z.plants, "CDRd")
     now = moments_of(z, symbols, "predicted_")
     noise = mean_noise(builder, z, plants, z.law(symbols, "predicted_"))
     L, offset = measured(z, plants, u)

@@ -17,8 +17,16 @@ from fkgen.estimators.gaussian.estimate import (
     demand_finite,
     demand_positive,
     finite,
+    moved_by_noise,
     propagate,
     update_form,
+)
+from fkgen.estimators.gaussian.gate import (
+    Gate,
+    gate_notes,
+    gate_outcomes,
+    gate_ports,
+    gate_results,
 )
 from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.faults import SensorFaults
@@ -45,7 +53,9 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
         update=_update(spec, plant, symbols, form=form, with_gain=with_gain),
         predict=_predict(spec, plant, symbols, with_gain=with_gain),
         form=form,
-        repeats=None if size else correlated_rows((plant.R,)),
+        outcomes=gate_outcomes(spec),
+        notes=gate_notes(spec),
+        repeats=None if size or plant.S.nnz() else correlated_rows((plant.R,)),
     )
 
 
@@ -65,9 +75,23 @@ def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, 
         shown("filtered_gain", (n, p), f"Kf: d x(k|k) / d y[k]; {missing}", unit="x/y"),
         shown("actuation_gain", (r, p), f"d E[gamma[k] | y[0..k]] / d y[k]; {missing}"),
     )
-    shared = innovation_ports(spec)
-    ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()))
+    r = len(moved_by_noise(plant))
+    noises = (
+        carried("noise_mean", (r,), "E[w[k] | y[k]] of the states whose noise v[k] tells of"),
+        carried("noise_covariance", (r, r), "covariance of the same", symmetric=True),
+        carried("noise_cross_covariance", (r, n), "covariance of the same with the state"),
+    )
+    shared = (*noises, *innovation_ports(spec))
+    gated = gate_ports(spec)
+    ports = (*state_ports(spec), *inputs, *shared, *(gains if with_gain else ()), *gated)
     return tuple(port for port in ports if port.size)
+
+
+def _deviation_ports(plant: Plant) -> tuple[str, str, str]:
+    """Where mean, covariance and covariance with x of what y tells of beside x are kept."""
+    if plant.S.nnz():
+        return "noise_mean", "noise_covariance", "noise_cross_covariance"
+    return "actuation_deviation", "actuation_covariance", "actuation_cross_covariance"
 
 
 def _actuation(spec: Spec, plant: Plant, u: ca.SX) -> Actuation:
@@ -103,9 +127,10 @@ def _update(
     if spec.faults.sensor is not None:
         _demand_indicators(builder, plant, spec.faults.sensor)
         told = spec.faults.sensor.told(spec.model)
-        C, D, R = (lift(matrix, plant.parameters) for matrix in (told.C, told.D, told.R))
-        plant = replace(plant, C=C, D=D, R=R)
-    plant = bound(builder, plant, "CDR")
+        sensed = (told.C, told.D, told.R, told.d)
+        C, D, R, d = (lift(matrix, plant.parameters) for matrix in sensed)
+        plant = replace(plant, C=C, D=D, R=R, d=d)
+    plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
     found, posterior = correct(
         builder,
         plant,
@@ -114,15 +139,17 @@ def _update(
         y=symbols["y"],
         form=form,
         with_gain=with_gain,
+        gate=Gate.of(spec),
     )
     demand_finite(builder, posterior.state)
+    of_both = by_rows(posterior.cross_covariance)
+    deviation = posterior.deviation, posterior.deviation_covariance, of_both
     assign = {
         "filtered_state": posterior.state,
         "filtered_covariance": posterior.covariance,
-        "actuation_deviation": posterior.deviation,
-        "actuation_covariance": posterior.deviation_covariance,
-        "actuation_cross_covariance": by_rows(posterior.cross_covariance),
+        **dict(zip(_deviation_ports(plant), deviation, strict=True)),
         **innovation_results(found),
+        **gate_results(found.rejected),
     }
     if found.gain is not None:
         assign["filtered_gain"] = by_rows(found.gain[: plant.nx, :])
@@ -135,16 +162,17 @@ def _update(
 def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: bool) -> Phase:
     builder = PhaseBuilder(symbols)
     _demand_rates(builder, spec, plant)
-    plant = bound(builder, plant, "ABQ")
+    plant = bound(builder, plant, "ABQc")
     actuation = _actuation(spec, plant, symbols["u"])
     posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
-    if "actuation_deviation" in symbols:
-        r = symbols["actuation_deviation"].numel()
+    deviation, own, cross = _deviation_ports(plant)
+    if deviation in symbols:
+        r = symbols[deviation].numel()
         posterior = replace(
             posterior,
-            deviation=symbols["actuation_deviation"],
-            deviation_covariance=symbols["actuation_covariance"],
-            cross_covariance=from_rows(symbols["actuation_cross_covariance"], r),
+            deviation=symbols[deviation],
+            deviation_covariance=symbols[own],
+            cross_covariance=from_rows(symbols[cross], r),
         )
     state, covariance, through = propagate(plant, actuation, posterior)
     assign = {"predicted_state": state, "predicted_covariance": covariance}

@@ -199,6 +199,11 @@ def _law_ports(*, white: bool, stationary: bool) -> tuple[Port, ...]:
     )
 
 
+def has_mean(plant: Plant) -> bool:
+    """Whether the mean of the state is carried along: something known is added to it, or to y."""
+    return bool(plant.nu or plant.c.nnz() or plant.d.nnz())
+
+
 def _ports(plant: Plant) -> tuple[Port, ...]:
     """Gains and unconditional moments."""
     n, p = plant.nx, plant.ny
@@ -212,7 +217,7 @@ def _ports(plant: Plant) -> tuple[Port, ...]:
     for prefix, k in (("", "k"), ("predicted_", "k+1")):
         second, name = f"E[x[{k}] x[{k}]'], unconditional", f"{prefix}state_second_moment"
         ports.append(carried(name, (n, n), second, unit="xx", symmetric=True))
-        if plant.nu:
+        if has_mean(plant):
             mean = f"E[x[{k}]], unconditional"
             ports.append(carried(f"{prefix}state_mean", (n,), mean, unit="x"))
     return tuple(ports)
@@ -222,7 +227,7 @@ def _update(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
     demand_positive(builder, symbols["predicted_covariance"], n)
-    plant = bound(builder, design.plant, "CDR")
+    plant = bound(builder, design.plant, "CDRd")
     with builder.titled("moments of the measurement"):
         C, found, gain = _condition(builder, design, plant)
     demand_finite(builder, found.mean)
@@ -266,7 +271,7 @@ def _condition(
         plant,
         y=symbols["y"],
         C=C,
-        offset=ca.diag(pi) @ plant.D @ symbols["u"],
+        offset=ca.diag(pi) @ (plant.D @ symbols["u"] + plant.d),
         R=noise,
     )
     found = condition(builder, (state, covariance), measurement, form=design.form, with_gain=True)
@@ -291,9 +296,9 @@ def _noise(builder: PhaseBuilder, design: UncertainFilter, plant: Plant, signal:
 def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca.SX:
     """Second moment of C x + D u."""
     moment = unpack(congruence(plant.C, second), plant.ny)
-    if not plant.D.nnz():
+    if not (plant.D.nnz() or plant.d.nnz()):
         return moment
-    direct = plant.D @ symbols["u"]
+    direct = plant.D @ symbols["u"] + plant.d
     common = plant.C @ symbols["predicted_state_mean"] @ direct.T
     return moment + common + common.T + direct @ direct.T
 
@@ -301,7 +306,7 @@ def _signal_moment(plant: Plant, symbols: dict[str, ca.SX], second: ca.SX) -> ca
 def _predict(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
-    plant = bound(builder, design.plant, "ABQ")
+    plant = bound(builder, design.plant, "ABQc")
     inputs = certain(symbols["u"])
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, inputs, filtered)
@@ -313,8 +318,8 @@ def _predict(design: UncertainFilter) -> Phase:
         "transition": by_rows(plant.A),
         **design.advanced(),
     }
-    if plant.nu:
-        mean, forced = plant.A @ symbols["state_mean"], plant.B @ symbols["u"]
+    if has_mean(plant):
+        mean, forced = plant.A @ symbols["state_mean"], plant.B @ symbols["u"] + plant.c
         common = mean @ forced.T
         moved += pack(common + common.T + forced @ forced.T)
         assign["predicted_state_mean"] = mean + forced

@@ -91,12 +91,13 @@ def stationary_of(z: AugmentedState) -> Stationary:
     return Stationary(predicted=X, filtered=X - gain @ L @ X, innovation=S, noise=noise, gain=gain)
 
 
-def riccati(F: Array, L: Array, W: Array, R: Array) -> Array:
-    """Solve X = F X F' + W - F X L' (L X L' + R)^-1 L X F' for a stable F.
+def riccati(F: Array, L: Array, W: Array, R: Array, start: Array | None = None) -> Array:
+    """Solve X = F X F' + W - F X L' (L X L' + R)^-1 L X F' for a stable F, or from a start.
 
-    Newton's method from the gain zero, which descends to the solution (Kleinman 1968, Hewer 1971).
+    Newton's method from the gain zero, which descends to the solution (Kleinman 1968, Hewer 1971),
+    or from a start whose gain stabilises.
     """
-    X = _lyapunov(F, W)
+    X = _lyapunov(F, W) if start is None else start
     for _ in range(100):
         K = F @ X @ L.T @ _innovation(X, L, R)[1]
         following = _lyapunov(F - K @ L, W + K @ R @ K.T)
@@ -141,13 +142,13 @@ def stationary_filter(spec: Spec, source: str) -> Recursion:
 
 def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary) -> Phase:
     builder, prior = PhaseBuilder(symbols), symbols["augmented_state"]
-    L, _ = jump.measured(z, z.plants, symbols["u"])
+    L, known = jump.measured(z, z.plants, symbols["u"])
     nothing = (ca.SX(1, 1), ca.SX(1, 1))
     measurement = measurement_of(
         replace(z.base, noise_free=is_singular(at_rest.innovation)),
         y=symbols["y"],
         C=ca.SX(z.base.ny, 1),
-        offset=sparse(float(z.rate) * L) @ prior,
+        offset=sparse(z.rate * L) @ prior + z.rate * known,
         R=constant(at_rest.innovation),
     )
     found = condition(builder, nothing, measurement, form="short")

@@ -162,18 +162,22 @@ def _weight_ports(start: tuple[float, ...], *, floored: bool) -> tuple[Port, ...
     )
 
 
-def _update(bank: Bank) -> Phase:
-    builder, symbols, spec = PhaseBuilder(bank.symbols), bank.symbols, bank.spec
-    y = symbols["y"]
+def _held(builder: PhaseBuilder, symbols: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Probabilities before this sample and their logarithms: copies, as the ports change."""
     with builder.titled("probabilities before this sample"):
-        held = (
+        return (
             builder.define("held_probability", symbols["mode_probability"]),
             builder.define("held_logarithm", symbols["log_weight"]),
         )
+
+
+def _update(bank: Bank) -> Phase:
+    builder, symbols, spec = PhaseBuilder(bank.symbols), bank.symbols, bank.spec
+    y, held = symbols["y"], _held(builder, symbols)
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
         demand_positive(builder, packed, bank.plant.nx)
-    bank = replace(bank, plant=bound(builder, bank.plant, "CDR"))
+    bank = replace(bank, plant=bound(builder, bank.plant, "CDRd"))
     found, posteriors = [], []
     for i, prior in enumerate(priors):
         with builder.titled(f"hypothesis {i}"):
@@ -187,14 +191,13 @@ def _update(bank: Bank) -> Phase:
         logs = [_log_likelihood(builder, bank, i, priors[i], each) for i, each in enumerate(found)]
         weights = reweigh(builder, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
     with builder.titled("combination"):
-        C, D = bank.plant.C, bank.plant.D
+        C, D, d = bank.plant.C, bank.plant.D, bank.plant.d
         predicted = [
-            builder.define(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean)
+            builder.define(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean + d)
             for i, (mean, _) in enumerate(priors)
         ]
         results = combined_innovation(builder, held[0], predicted, found)
-        w = weights.probability
-        parts = [(each.state, each.covariance) for each in posteriors]
+        w, parts = weights.probability, [(each.state, each.covariance) for each in posteriors]
         state = weighted_sum(w, [mean for mean, _ in parts])
         rates = [ca.SX(list(rates)) for rates in spec.filter.options.hypotheses]
         results |= {
@@ -241,7 +244,7 @@ def _log_likelihood(
 
 def _predict(bank: Bank) -> Phase:
     builder = PhaseBuilder(bank.symbols)
-    plant = bound(builder, bank.plant, "ABQ")
+    plant = bound(builder, bank.plant, "ABQc")
     moved = [propagate(plant, bank.actuation(i), bank.filtered(i)) for i in range(len(bank.random))]
     with builder.titled("prediction of every hypothesis"):
         states = builder.define("moved_state", ca.vertcat(*(state for state, _, _ in moved)))

@@ -52,7 +52,14 @@ from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.linalg import column, split_estimates, split_packed, total, weighted_sum
+from fkgen.symbolic.linalg import (
+    column,
+    pack,
+    split_estimates,
+    split_packed,
+    unpack,
+    weighted_sum,
+)
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,
@@ -255,7 +262,7 @@ class Switching:
         builder, symbols = PhaseBuilder(self.symbols), self.symbols
         for packed in {id(packed): packed for _, packed in priors}.values():
             demand_positive(builder, packed, self.spec.model.nx)
-        modes = self.bound(builder, "CDR")
+        modes = self.bound(builder, "CDRd")
         each = [self.corrected(builder, modes, j, prior) for j, prior in enumerate(priors)]
         with builder.titled("probabilities of the modes"):
             held, logs = self.held(builder, modes), [one.log_likelihood for one in each]
@@ -264,7 +271,7 @@ class Switching:
             predicted = []
             for j, (prior, variants) in enumerate(zip(priors, modes.variants, strict=True)):
                 plant = variants[0].plant
-                y = plant.C @ prior[0] + plant.D @ symbols["u"]
+                y = plant.C @ prior[0] + plant.D @ symbols["u"] + plant.d
                 predicted.append(builder.define(f"predicted_y_m{j}", y))
             results = combined_innovation(builder, held[0], predicted, each)
         with builder.titled("combination"):
@@ -371,7 +378,7 @@ def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
 
 def _one_prediction(filtering: Switching, beside: int) -> Phase:
     builder, symbols, spec = PhaseBuilder(filtering.symbols), filtering.symbols, filtering.spec
-    plant = bound(builder, filtering.plants[0], "ABQ")
+    plant = bound(builder, filtering.plants[0], "ABQc")
     now = (symbols["mode_probability"], symbols["log_weight"])
     with builder.titled("law of the next mode"):
         law = filtering.modes.advanced(builder, now, spec.code.scalar, mixing=False)
@@ -418,6 +425,9 @@ def interacting_models(spec: Spec) -> Recursion:
 
     symbols = filtering.symbols
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], spec.model.nx)
+    if spec.faults.jump is not None:
+        pairs = zip(priors, spec.faults.jump.modes, strict=True)
+        priors = [_of_states(prior, mode.kept) for prior, mode in pairs]
     phases = filtering.update(priors, combined), _predictions(filtering)
     source, notes = "Sigalov & Oshman, sec. IV, eqs. (8), (15)-(18)", [filtering.modes.note]
     if spec.faults.jump is not None:
@@ -426,6 +436,17 @@ def interacting_models(spec: Spec) -> Recursion:
     lumped = any(len(variants) > 1 for variants in filtering.modes.variants)
     repeats = None if lumped else correlated_rows([plant.R for plant in filtering.plants])
     return filtering.recursion(source, phases, *notes, repeats=repeats)
+
+
+def _of_states(prior: Gaussian, kept: tuple[int, ...] | None) -> Gaussian:
+    """A prediction with 0, known, in place of the states that its mode does not have."""
+    if kept is None:
+        return prior
+    which, n = list(kept), prior[0].numel()
+    state, covariance = ca.SX(n, 1), ca.SX(n, n)
+    state[which] = prior[0][which]
+    covariance[which, which] = unpack(prior[1], n)[which, which]
+    return ca.densify(state), pack(covariance)
 
 
 def _predictions(filtering: Switching) -> Phase:
@@ -448,8 +469,7 @@ def _predictions(filtering: Switching) -> Phase:
                 "predicted_state": combined[0],
                 "predicted_covariance": combined[1],
                 **filtering.anew(),
-            },
-            [finite(total(x for x, _ in moved), total(P for _, P in moved))],
+            }
         )
     return builder.phase()
 

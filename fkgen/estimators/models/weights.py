@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 
 import casadi as ca
@@ -44,7 +44,7 @@ class Weights:
     probability: ca.SX
     logarithm: ca.SX
     log_likelihood: ca.SX
-    unfloored: ca.SX  # The logarithm as Bayes' rule gives it
+    unfloored: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # As Bayes' rule gives it
 
     def ports(self) -> dict[str, ca.SX]:
         """What is shown of them."""

@@ -193,7 +193,7 @@ def _test(design: window.Design, builder: PhaseBuilder, group: int) -> Quadratic
 def _predict(design: window.Design) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
-    plant = bound(builder, design.plant, "ABQ")
+    plant = bound(builder, design.plant, "ABQc")
     filtered = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
     state, covariance, _ = propagate(plant, certain(symbols["u"]), filtered)
     filters = _filters(design)

@@ -349,13 +349,13 @@ def _taken_over(builder: PhaseBuilder, given: PartialDesign) -> tuple[Sequential
 
 def _predict(given: PartialDesign) -> Phase:
     builder, symbols = PhaseBuilder(given.symbols), given.symbols
-    plant, n, m = bound(builder, given.plant, "ABQ"), given.plant.nx, len(given.rows)
+    plant, n, m = bound(builder, given.plant, "ABQc"), given.plant.nx, len(given.rows)
     carried, partial, T1 = given.compressed(), given.partial, given.partial.T1
     # Of (e, V): V+ = F11 V - F12 e^2 - G1 w, eq. (D2).
     moved, noise = T1 @ plant.A, T1 @ plant.Q
     step = [[plant.A, ca.SX(n, m)], [-(moved @ partial.rest), moved @ partial.first]]
     Q = ca.blockcat([[plant.Q, -noise.T], [-noise, noise @ T1.T]])
-    state = plant.A @ symbols["filtered_state"] + plant.B @ symbols["u"]
+    state = plant.A @ symbols["filtered_state"] + plant.B @ symbols["u"] + plant.c
     joint = carried.joint(symbols["filtered_covariance"])
     later = congruence(sparse(ca.blockcat(step)), joint) + pack(Q)
     covariance, cross, noise = parts(later, n, m)

@@ -115,8 +115,8 @@ def window_ports(spec: Spec) -> tuple[Port, ...]:
 
 def observed(builder: PhaseBuilder, design: Design) -> tuple[Plant, Measurement, list[ca.SX]]:
     """The plant with named entries, y as it measures it, and the innovation of the host."""
-    plant, symbols = bound(builder, design.plant, "CDR"), design.symbols
-    offset = plant.D @ symbols["u"]
+    plant, symbols = bound(builder, design.plant, "CDRd"), design.symbols
+    offset = plant.D @ symbols["u"] + plant.d
     y = measurement_of(plant, y=symbols["y"], C=plant.C, offset=offset, R=plant.R)
     return plant, y, innovations(builder, symbols["predicted_state"], y, "")
 

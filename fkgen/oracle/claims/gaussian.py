@@ -9,10 +9,15 @@ import numpy as np
 from fkgen.faults.chain import Mode
 from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record, ports
 from fkgen.oracle.exact.batch import batch_lmmse
+from fkgen.oracle.exact.gate import batch_gated
 from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.sampled import informed
-from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_prediction
+from fkgen.oracle.textbook.riccati import (
+    constant_gain,
+    constant_input_noise,
+    stationary_prediction,
+)
 from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
 
@@ -70,9 +75,29 @@ def _growth(spec: Spec) -> float:
     return float(max(1.0, *(np.abs(np.linalg.eigvals(A)).max() for A in dynamics)))
 
 
-def _batch(spec: Spec, record: Record) -> Ports:
-    result = batch_lmmse(system_of(spec, record), record.y, record.u)
+def _batch(spec: Spec, record: Record) -> Ports | None:
+    return None if _is_constant(spec) else _estimates(spec, record)
+
+
+def _is_constant(spec: Spec) -> bool:
+    """Whether the gain is that of the steady state."""
+    return bool(spec.filter.option("gain", None) == "stationary")
+
+
+def _estimates(spec: Spec, record: Record) -> Ports:
+    system, gate = system_of(spec, record), spec.filter.option("gate", None)
+    result = batch_lmmse(system, record.y, record.u)
+    if gate is not None:
+        together = spec.filter.options.gate_by == "sample"
+        result = batch_gated(system, record.y, record.u, gate, together=together)
     return ports(result, *undecided(spec))
+
+
+def used(spec: Spec, record: Record) -> Array:
+    """The measurements of a record that a gate lets pass, the others NaN."""
+    if spec.filter.option("gate", None) is None:
+        return record.y
+    return np.where(_estimates(spec, record)["rejected"] > 0.0, np.nan, record.y)
 
 
 def _stationary(spec: Spec, record: Record) -> dict[str, Array]:
@@ -86,7 +111,16 @@ def _stationary(spec: Spec, record: Record) -> dict[str, Array]:
     return {"predicted_covariance": P, "innovation_covariance": C @ P @ C.T + R}
 
 
+def _constant_gain(spec: Spec, record: Record) -> Ports | None:
+    if not _is_constant(spec) or spec.filter.option("gate", None) is not None:
+        return None
+    system = system_of(spec, record)
+    return constant_gain(system, record.y, system.inputs(record.u))
+
+
 def _fixed_point(spec: Spec, record: Record) -> Ports | None:
+    if spec.filter.option("gate", None) is not None:
+        return None  # the covariance does not rest where rows are left out
     repeated = (len(record.y), 1, 1)
     return {name: np.tile(P, repeated) for name, P in _stationary(spec, record).items()} or None
 
@@ -104,11 +138,11 @@ def _riccati_tolerance(spec: Spec, record: Record) -> float:
 
 def _optimal_gain(spec: Spec, record: Record) -> Ports | None:
     """Solve (11), K Om = A P C' + B N D', with P from the batch estimate of the past."""
-    system = system_of(spec, record)
-    batch = batch_lmmse(system, record.y, record.u)
+    system, measured = system_of(spec, record), used(spec, record)
+    batch = batch_lmmse(system, measured, record.u)
     P = np.concatenate([record.P0[np.newaxis], batch.predicted_covariance[:-1]])
     gains = np.zeros((len(record.y), system.nx, system.ny))
-    for k, y in enumerate(record.y):
+    for k, y in enumerate(measured):
         rows = np.flatnonzero(~np.isnan(y))
         _, R, S = constant_input_noise(system, record.u[k], k)
         C = system.C[k][rows]
@@ -171,6 +205,12 @@ RICCATI = ClosedForm(
     expected=_fixed_point,
     start=_at_the_fixed_point,
     steady=True,
+)
+CONSTANT_GAIN = ClosedForm(
+    claim="the estimate is that of an observer with the gain of the steady state",
+    source="Anderson & Moore 1979, sec. 4.4, in matrices",
+    tolerance=_riccati_tolerance,
+    expected=_constant_gain,
 )
 OPTIMAL_GAIN = ClosedForm(
     claim="the gain is K = (A P C' + B N D') Om^-1, which minimises the error covariance",

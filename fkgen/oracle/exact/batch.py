@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,18 +70,22 @@ def joint_distribution(system: LinearSystem, u: Array | None) -> Joint:
     fault_root, state_noise, measurement_noise = map(
         square_root, (system.fault_covariance, system.Q, system.R)
     )
+    roots = system.noise_root() if system.S.any() else None
     state_mean[0], state_root[0, :, :n] = system.x0, square_root(system.P0)
     for k in range(T):
         start = n + k * (q + n + p)
         applied = np.zeros((q, size))  # (gamma - rate) u: the same in both lines of eq. (1)
         applied[:, start : start + q] = u[k][:, None] * fault_root[k]
         expected = system.rate[k] * u[k]
-        measurement_mean[k] = system.C[k] @ state_mean[k] + system.D[k] @ expected
+        measurement_mean[k] = system.C[k] @ state_mean[k] + system.D[k] @ expected + system.d[k]
         measurement_root[k] = system.C[k] @ state_root[k] + system.D[k] @ applied
-        measurement_root[k, :, start + q + n : start + q + n + p] += measurement_noise[k]
-        state_mean[k + 1] = system.A[k] @ state_mean[k] + system.B[k] @ expected
+        noise = slice(start + q, start + q + n + p)
+        measurement_root[k, :, start + q + n : noise.stop] += measurement_noise[k]
+        state_mean[k + 1] = system.A[k] @ state_mean[k] + system.B[k] @ expected + system.c[k]
         state_root[k + 1] = system.A[k] @ state_root[k] + system.B[k] @ applied
         state_root[k + 1, :, start + q : start + q + n] += state_noise[k]
+        if roots is not None:  # one root for both, since they are correlated
+            measurement_root[k, :, noise], state_root[k + 1, :, noise] = roots[k, n:], roots[k, :n]
     return Joint(
         state_mean=state_mean,
         state_root=state_root,
@@ -98,13 +102,15 @@ def batch_lmmse(system: LinearSystem, y: Array, u: Array | None) -> BatchResult:
     return BatchResult.of(project(joint_distribution(system, u), y))
 
 
-Judge: TypeAlias = Callable[[int, Array, Array], tuple[dict[str, ArrayLike], slice]]
+#: Ports of one sample, and an index of the entries of the record that are not used any longer.
+Judged: TypeAlias = tuple[dict[str, ArrayLike], Any]
+Judge: TypeAlias = Callable[[int, Array, Array], Judged]
 
 
 def project(joint: Joint, y: Array, judge: Judge | None = None) -> list[dict[str, ArrayLike]]:
     """Ports of each sample: the state projected on the finite measurements up to its time.
 
-    `judge(k, innovation, covariance)` adds ports, and says which samples are not used any longer.
+    `judge(k, innovation, covariance)` adds ports, and says what is not used any longer.
     """
     used, rows = y.copy(), []
     past, z = _past(joint, y[:0])

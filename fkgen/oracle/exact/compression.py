@@ -111,7 +111,7 @@ class _Window:
             for s in ((), *self.subsets)
         )
         before = np.vstack([part.x0, host.predicted_state[:-1]])
-        predicted = part.C @ before[..., None] + part.D @ self.u[..., None]
+        predicted = part.C @ before[..., None] + part.D @ self.u[..., None] + part.d[..., None]
         deviations = [each.filtered_state - host.filtered_state for each in found]
         untested = np.zeros((len(self.y), len(soft.groups)))
         return {
@@ -138,7 +138,7 @@ class _Window:
         rejections = 0 if accepted else rejections + rejected
         if policy.reacquire is not None and rejections >= policy.reacquire:
             P += np.outer(d, d)
-        ports["predicted_state"][-1] = part.A[-1] @ x + part.B[-1] @ self.u[-1]
+        ports["predicted_state"][-1] = part.A[-1] @ x + part.B[-1] @ self.u[-1] + part.c[-1]
         ports["predicted_covariance"][-1] = part.A[-1] @ P @ part.A[-1].T + part.Q[-1]
         ports["compression_deviation"][-1] = 0.0
         ports["compression_covariance"][-1] = P

@@ -80,7 +80,7 @@ def enumerate_jumps(system: JumpSystem, y: Array, u: Array) -> EnumerationResult
     if len(mode) * N ** (T - 1) > MOST_HISTORIES:
         longest = next(t for t in range(T, 0, -1) if len(mode) * N ** (t - 1) <= MOST_HISTORIES)
         raise DataError("y", given=f"{T} samples", expected=f"at most {longest}")
-    prior = [np.repeat(each[None], len(mode), axis=0) for each in (system.x0, system.P0)]
+    prior = [each[mode] for each in system.priors]
     histories, rows = _Histories(mode, np.log(system.initial[mode]), *prior), []
     for k in range(T):
         histories, row = _update(system, k, histories, y[k], u[k])
@@ -98,9 +98,9 @@ def _update(
     """Update all Kalman filters with the finite rows of y; the ports of the measurement."""
     from scipy.special import log_softmax, logsumexp, softmax  # noqa: PLC0415 - slow to import
 
-    C, D, R = (each[k][prior.mode] for each in (system.C, system.D, system.R))
+    C, D, R, d = (each[k][prior.mode] for each in (system.C, system.D, system.R, system.d))
     x, P = prior.state, prior.covariance
-    expected = (C @ x[..., None])[..., 0] + D @ u
+    expected = (C @ x[..., None])[..., 0] + D @ u + d
     S = C @ P @ C.transpose(0, 2, 1) + R
     mean, covariance = mixture(softmax(prior.log_weight), expected, S)
     finite = np.isfinite(y)

@@ -64,13 +64,16 @@ def partial_compression(
         system,  # for the state T x, (39)
         A=T @ system.A @ back,
         B=T @ system.B,
+        c=system.c @ T.T,
         C=system.C @ back,
         Q=T @ system.Q @ T.T,
         x0=T @ system.x0,
         P0=T @ system.P0 @ T.T,
     )
     run = _Run(transformed, design)
-    rows = [run.step(k, y[k] - system.D[k] @ inputs[k], inputs[k]) for k in range(len(y))]
+    rows = [
+        run.step(k, y[k] - system.D[k] @ inputs[k] - system.d[k], inputs[k]) for k in range(len(y))
+    ]
     result = PartialCompressionResult.of(rows)
     ports = {"compressed_cross_covariance": result.compressed_cross_covariance @ back.T}
     for when in ("filtered", "predicted"):
@@ -199,7 +202,7 @@ class _Run:
     def _propagate(self, k: int, u: Array) -> None:
         """(28), (43); the noise of the process enters the error of the host alone."""
         A, n, m, at = self.system.A[k], self.system.nx, self.Z.size, self.slot(k)
-        self.x = A @ self.x + self.system.B[k] @ u
+        self.x = A @ self.x + self.system.B[k] @ u + self.system.c[k]
         self.e = A @ self.e
         self.e[:, at : at + n] += square_root(self.system.Q[k])
         self.Z, self.coefficients = A[:m, :m] @ self.Z, A[:m, :m] @ self.coefficients

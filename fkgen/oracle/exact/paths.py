@@ -10,9 +10,8 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fkgen.oracle.exact.batch import BatchResult, Joint, project
+from fkgen.oracle.exact.batch import BatchResult, Joint, Judged, project
 from fkgen.oracle.exact.gaussian import Array, square_root
 from fkgen.oracle.plants.jump import JumpSystem
 from fkgen.oracle.textbook.loss_tests import LossTest, verdict
@@ -36,7 +35,7 @@ def enumerate_paths(
     """Project every state on all measurements up to its sample; y, u (T, p), (T, q)."""
     joint, law, R = _joint(system, u)
 
-    def judge(k: int, residual: Array, S: Array) -> tuple[dict[str, ArrayLike], slice]:
+    def judge(k: int, residual: Array, S: Array) -> Judged:
         verdicts, restart = verdict(test, y[k], residual, S, R[k])
         lost = slice(k + 1 - int(verdicts["fault_declared"]), k + 1)
         return {"mode_law": law[k], **verdicts}, slice(k + 1) if restart else lost

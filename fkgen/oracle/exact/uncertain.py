@@ -28,7 +28,9 @@ def joint_moments(
     mean, covariance = np.zeros(split + T * p), np.zeros((split + T * p,) * 2)
     mean[:split] = state_mean.ravel()
     covariance[:split, :split] = state.transpose(0, 2, 1, 3).reshape(split, split)
-    signal = np.array([system.C[k] @ state_mean[k] + system.D[k] @ u[k] for k in range(T)])
+    signal = np.array(
+        [system.C[k] @ state_mean[k] + system.D[k] @ u[k] + system.d[k] for k in range(T)]
+    )
     gain, noise, faulty = moments.gains(p), moments.noise(system.R), moments.faulty(p)
     mean[split:] = (gain * signal).ravel()
     for k in range(T):
@@ -52,7 +54,7 @@ def _states(system: LinearSystem, u: Array) -> tuple[Array, Array]:
     mean[0], covariance[0, 0] = system.x0, system.P0
     for k in range(T):
         A = system.A[k]
-        mean[k + 1] = A @ mean[k] + system.B[k] @ u[k]
+        mean[k + 1] = A @ mean[k] + system.B[k] @ u[k] + system.c[k]
         for i in range(k + 1):
             covariance[k + 1, i] = A @ covariance[k, i]
             covariance[i, k + 1] = covariance[k + 1, i].T

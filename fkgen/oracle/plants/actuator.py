@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import ClassVar, Self
 
@@ -20,7 +20,7 @@ class Plant:
     """Matrices of T samples, (T, ...) or (T, N, ...) where there are N modes."""
 
     #: What has one value for each sample
-    VARYING: ClassVar[tuple[str, ...]] = ("A", "B", "C", "D", "Q", "R")
+    VARYING: ClassVar[tuple[str, ...]] = ("A", "B", "C", "D", "Q", "R", "c", "d")
 
     A: Array  # A, B, C, D: (..., n, n), (..., n, q), (..., p, n), (..., p, q); q may be 0
     B: Array
@@ -30,6 +30,15 @@ class Plant:
     R: Array
     x0: Array  # x0, P0: (n,), (n, n): Mean and covariance of x[0], eq. (2)
     P0: Array
+    #: c, d: (..., n), (..., p): Known offsets; zeros if left out
+    c: Array = field(default_factory=lambda: np.zeros(0))
+    d: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Put zeros in place of offsets that are left out."""
+        for name, like in (("c", self.A), ("d", self.C)):
+            if not getattr(self, name).size:
+                object.__setattr__(self, name, np.zeros(like.shape[:-1]))
 
     @property
     def length(self) -> int:
@@ -58,22 +67,28 @@ class Plant:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinearSystem(Plant):
-    """x[k+1] = A x + B g u + v,  y[k] = C x + D g u + w with one g = diag(gamma) for both.
+    """x[k+1] = A x + B g u + c + v,  y[k] = C x + D g u + d + w with one g = diag(gamma) for both.
 
     Strandt, Schneider, Yaz, State Estimation in the Presence of Intermittent Actuator Faults, (1).
     """
 
-    VARYING = (*Plant.VARYING, "rate", "fault_covariance")
+    VARYING = (*Plant.VARYING, "rate", "fault_covariance", "S")
 
+    #: (T, n, p): Covariance of the noise of x[k+1] with that of y[k]; zeros if left out
+    S: Array = field(default_factory=lambda: np.zeros(0))
     rate: Array  # (T, q): Mean of gamma; ones where nothing fails
     fault_covariance: Array  # (T, q, q): Covariance of gamma; zeros where nothing fails
 
     def __post_init__(self) -> None:
         """Refuse shapes that do not fit, which NumPy would broadcast in silence."""
+        super().__post_init__()
+        if not self.S.any():
+            object.__setattr__(self, "S", np.zeros((self.length, self.nx, self.ny)))
         T, n, p, q = self.length, self.nx, self.ny, self.nu
         for name, expected in {
             "A": (T, n, n), "B": (T, n, q), "C": (T, p, n), "D": (T, p, q),
             "Q": (T, n, n), "R": (T, p, p), "x0": (n,), "P0": (n, n),
+            "c": (T, n), "d": (T, p), "S": (T, n, p),
             "rate": (T, q), "fault_covariance": (T, q, q),
         }.items():  # fmt: skip
             actual = getattr(self, name).shape
@@ -81,6 +96,12 @@ class LinearSystem(Plant):
                 raise DataError(
                     f"{name} of a LinearSystem", given=f"shape {actual}", expected=f"{expected}"
                 )
+
+    def noise_root(self) -> Array:
+        """Square roots of the joint covariance of both noises, (T, n + p, n + p)."""
+        above = np.concatenate([self.Q, self.S], axis=2)
+        below = np.concatenate([self.S.transpose(0, 2, 1), self.R], axis=2)
+        return square_root(np.concatenate([above, below], axis=1))
 
     def inputs(self, u: Array | None) -> Array:
         """Inputs of a record as checked, (T, q); supplied for a plant that has none."""
@@ -103,8 +124,9 @@ class LinearSystem(Plant):
         model = spec.model
         plant = {
             name: np.array([getattr(model, name).values(sample) for sample in samples])[which]
-            for name in Plant.VARYING
+            for name in (*Plant.VARYING, "S")
         }
+        plant |= {name: plant[name][..., 0] for name in ("c", "d")}
         faults = [
             _fault_moments(spec.faults.actuator, model.nu, sample, rates) for sample in samples
         ]
@@ -160,11 +182,14 @@ def simulate(
     effective = draw_gamma(system, rng) * system.inputs(u)
     v = np.einsum("kij,kj->ki", square_root(system.Q), rng.standard_normal((T, n)))
     w = np.einsum("kij,kj->ki", square_root(system.R), rng.standard_normal((T, p)))
+    if system.S.any():
+        both = np.einsum("kij,kj->ki", system.noise_root(), rng.standard_normal((T, n + p)))
+        v, w = both[:, :n], both[:, n:]
     x = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
     y = np.empty((T, p))
     for k in range(T):
-        y[k] = system.C[k] @ x + system.D[k] @ effective[k] + w[k]
-        x = system.A[k] @ x + system.B[k] @ effective[k] + v[k]
+        y[k] = system.C[k] @ x + system.D[k] @ effective[k] + system.d[k] + w[k]
+        x = system.A[k] @ x + system.B[k] @ effective[k] + system.c[k] + v[k]
     y[rng.random(y.shape) < missing] = np.nan
     return y
 

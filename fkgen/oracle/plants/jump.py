@@ -17,11 +17,10 @@ from fkgen.problem import Matrix, Spec, evaluate
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JumpSystem(Plant):
-    """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u) + v, with i = mode[k]."""
+    """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u + d_i) + v, i = mode[k]."""
 
-    VARYING = (*Plant.VARYING, "c", "transitions")
+    VARYING = (*Plant.VARYING, "transitions")
 
-    c: Array  # (T, N, n): Known offsets
     #: transitions, initial: (T, N, N), (N,): Pr(j at k+1 | i at k), and the law of mode[0]
     transitions: Array
     initial: Array
@@ -32,6 +31,7 @@ class JumpSystem(Plant):
     #: (T, N): Pr(j at k+1) as sample k has it, where sample k+1 has its own; None elsewhere
     announced: Array | None = None
     arrival_rates: Array | None = None  # (T,): Pr(gamma = 1) where it depends on the sample
+    kept: Array | None = None  # (N, n): 1 for the states that a mode has; None for all
 
     @property
     def count(self) -> int:
@@ -61,9 +61,15 @@ class JumpSystem(Plant):
         return replace(super().over(piece), announced=told, arrival_rates=rates)
 
     def offsets(self, u: Array) -> tuple[Array, Array]:
-        """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u, (T, N, p)."""
+        """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u + d_i, (T, N, p)."""
         added, sensed = (np.einsum("kiab,kb->kia", each, u) for each in (self.B, self.D))
-        return added + self.c, sensed
+        return added + self.c, sensed + self.d
+
+    @property
+    def priors(self) -> tuple[Array, Array]:
+        """Mean and covariance of x[0] in each mode, (N, n) and (N, n, n)."""
+        kept = np.ones((self.count, self.nx)) if self.kept is None else self.kept
+        return kept * self.x0, kept[:, :, None] * self.P0 * kept[:, None, :]
 
     def mode_law(self) -> Array:
         """Law of mode[k], (T, N)."""
@@ -94,18 +100,21 @@ class JumpSystem(Plant):
             name: np.array(
                 [[getattr(mode, name).values(at) for mode in faults.modes] for at in samples]
             )[which]
-            for name in (*Plant.VARYING, "c")
+            for name in Plant.VARYING
         }
-        plant["c"] = plant["c"][..., 0]
         chain = Matrix.of(faults.transition) if faults.law is None else faults.law
+        plant |= {name: plant[name][..., 0] for name in ("c", "d")}
         rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
         rates = None
         if faults.rate is not None:
             rates = np.array([evaluate(faults.rate, at) for at in samples])[which]
         arrival = np.array(faults.arrival_chain or [[1.0 - rate, rate]] * 2)
         start = lasting_law(arrival) if faults.arrival_chain else arrival[0]
+        every = tuple(range(spec.model.nx))
+        has = [every if mode.kept is None else mode.kept for mode in faults.modes]
         return cls(
             **plant,
+            kept=np.array([[float(i in states) for i in every] for states in has]),
             x0=spec.model.x0.values()[:, 0],
             P0=spec.model.P0.values(),
             transitions=np.array([chain.values(at) for at in samples])[which],
@@ -145,6 +154,7 @@ def simulate_jumps(system: JumpSystem, u: Array, rng: np.random.Generator) -> Ju
     x, y = np.empty((T + 1, n)), np.empty((T, p))
     x[0] = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
     at = (np.arange(T), mode)
+    x[0] *= 1.0 if system.kept is None else system.kept[mode[0]]
     roots = {name: square_root(getattr(system, name)[at]) for name in ("Q", "R")}
     for k, i in enumerate(mode):
         noise = roots["R"][k] @ rng.standard_normal(p)

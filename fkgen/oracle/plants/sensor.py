@@ -98,12 +98,13 @@ def factors_of(spec: Spec, T: int, params: Mapping[str, Array | float] | None) -
 
 def mode_plant(
     system: LinearSystem, law: SensorLaw, k: int, mode: int
-) -> tuple[Array, Array, Array]:
-    """The measurement of one mode: y = G C x + G D u + v with Cov v = T R T, eq. (2)."""
+) -> tuple[Array, Array, Array, Array]:
+    """The measurement of one mode: y = G C x + G D u + G d + v with Cov v = T R T, eq. (2)."""
     gamma, delta = gamma_delta(law, np.array([mode]), slice(k, k + 1))
     signal, noise = np.ones((2, system.ny, 1))
     signal[list(law.rows)], noise[list(law.rows)] = gamma, np.sqrt(delta)
-    return signal * system.C[k], signal * system.D[k], noise * system.R[k] * noise.T
+    R = noise * system.R[k] * noise.T
+    return signal * system.C[k], signal * system.D[k], R, signal[:, 0] * system.d[k]
 
 
 def sensed_modes(system: LinearSystem, law: SensorLaw) -> JumpSystem:
@@ -113,10 +114,9 @@ def sensed_modes(system: LinearSystem, law: SensorLaw) -> JumpSystem:
     return JumpSystem(
         **{
             name: np.array([[each[at] for each in row] for row in plants])
-            for at, name in enumerate("CDR")
+            for at, name in enumerate("CDRd")
         },
-        **{name: np.repeat(getattr(system, name)[:, np.newaxis], 4, axis=1) for name in "ABQ"},
-        c=np.zeros((T, 4, system.nx)),
+        **{name: np.repeat(getattr(system, name)[:, np.newaxis], 4, axis=1) for name in "ABQc"},
         x0=system.x0,
         P0=system.P0,
         transitions=law.steps(T),
@@ -150,10 +150,10 @@ def simulate_sensor(
     x = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
     y = np.empty((T, p))
     for k in range(T):
-        C, D, R = mode_plant(system, law, k, int(modes[k]))
-        y[k] = C @ x + D @ u[k] + square_root(R) @ rng.standard_normal(p)
+        C, D, R, d = mode_plant(system, law, k, int(modes[k]))
+        y[k] = C @ x + D @ u[k] + d + square_root(R) @ rng.standard_normal(p)
         noise = square_root(system.Q[k]) @ rng.standard_normal(n)
-        x = system.A[k] @ x + system.B[k] @ u[k] + noise
+        x = system.A[k] @ x + system.B[k] @ u[k] + system.c[k] + noise
     return y, modes
 
 

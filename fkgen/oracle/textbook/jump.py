@@ -20,10 +20,10 @@ from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
 
 
 def composite(system: JumpSystem) -> JumpSystem:
-    """The plant with modes (mode, gamma), first all that arrive, then all lost: C = 0 and D = 0."""
+    """The plant with modes (mode, gamma), first all that arrive, then all lost: C, D, d = 0."""
     twice = {
-        name: np.concatenate([each, 0.0 * each if name in "CD" else each], axis=1)
-        for name, each in ((name, getattr(system, name)) for name in (*Plant.VARYING, "c"))
+        name: np.concatenate([each, 0.0 * each if name in "CDd" else each], axis=1)
+        for name, each in ((name, getattr(system, name)) for name in Plant.VARYING)
     }
     lost, arrived = system.arrival_initial
     return replace(
@@ -232,5 +232,9 @@ def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | Non
 def _radius(system: JumpSystem, loop: Array) -> float:
     """Spectral radius of the error; that of the indicators counts only if something is added."""
     m = system.nx + 1
-    kept = np.ones(len(loop), bool) if system.c.any() else np.arange(len(loop)) % m < system.nx
+    kept = (
+        np.ones(len(loop), bool)
+        if system.c.any() or system.d.any()
+        else np.arange(len(loop)) % m < system.nx
+    )
     return float(np.abs(np.linalg.eigvals(loop[np.ix_(kept, kept)])).max())

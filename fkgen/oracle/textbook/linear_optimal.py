@@ -53,7 +53,7 @@ def linear_optimal(
     X[:n, :n] += system.P0
     before, rows = np.eye(n + 1), []  # no time update in front of sample 0
     for k in range(system.length):
-        h = np.column_stack([system.C[k], system.D[k] @ u[k]])
+        h = np.column_stack([system.C[k], system.D[k] @ u[k] + system.d[k]])
         row, F1, V = _update((h, gain[k], Pi[k], pair[k], noise[k]), estimate, (X, V), y[k])
         estimate = F1 @ estimate
         estimate[:n] += row["measurement_gain"] @ np.where(np.isfinite(y[k]), y[k], 0.0)
@@ -61,7 +61,7 @@ def linear_optimal(
         row |= {"state_gain": gains[:n, :n], "offset": gains[:n, n]}
         row |= {"state_second_moment": X[:n, :n], "estimate_second_moment": V[:n, :n]}
         row |= {"filtered_state": estimate[:n], "filtered_covariance": (X - V)[:n, :n]}
-        onward[:n, :n], onward[:n, n] = system.A[k], system.B[k] @ u[k]
+        onward[:n, :n], onward[:n, n] = system.A[k], system.B[k] @ u[k] + system.c[k]
         estimate, X, V = onward @ estimate, onward @ X @ onward.T, onward @ V @ onward.T
         X[:n, :n] += system.Q[k]
         row |= {"predicted_state": estimate[:n], "predicted_covariance": (X - V)[:n, :n]}
@@ -99,7 +99,8 @@ def _update(
 def _require_zero_mean(system: LinearSystem, moments: FaultMoments, u: Array) -> None:
     """Refuse a constant part in y that Lemma 2 does not cover."""
     constant = np.abs(moments.persistence - moments.gamma).max(initial=0.0) <= SAME_PROBABILITY
-    driven = (system.B @ u[:, :, None]).any() or (system.D @ u[:, :, None]).any()
+    parts = (system.B, system.c), (system.D, system.d)
+    driven = any(((M @ u[:, :, None])[..., 0] + known).any() for M, known in parts)
     if not constant and (driven or system.x0.any()):
         raise DataError(
             "x0 and u", given="values that are not zero", expected="zero unless p11 = E[gamma]"
@@ -128,12 +129,13 @@ def true_covariance(
     update, onward, covariance = np.eye(2 * n + 1), np.eye(2 * n + 1), np.empty((T, n, n))
     for k in range(T):
         for mode in range(4):
-            C, D, R = mode_plant(system, law, k, mode)
-            update[n:-1] = np.column_stack([F2[k] @ C, F1[k], F2[k] @ D @ u[k] + shift[k]])
+            C, D, R, d = mode_plant(system, law, k, mode)
+            known = F2[k] @ (D @ u[k] + d) + shift[k]
+            update[n:-1] = np.column_stack([F2[k] @ C, F1[k], known])
             by_mode[mode] = update @ by_mode[mode] @ update.T
             by_mode[mode, n:-1, n:-1] += by_mode[mode, -1, -1] * (F2[k] @ R @ F2[k].T)
         covariance[k] = error @ by_mode.sum(axis=0) @ error.T
-        onward[:n, :n], onward[:n, -1] = system.A[k], system.B[k] @ u[k]
+        onward[:n, :n], onward[:n, -1] = system.A[k], system.B[k] @ u[k] + system.c[k]
         by_mode = onward @ np.einsum("ij,iab->jab", law.kernel, by_mode) @ onward.T
         by_mode[:, :n, :n] += by_mode[:, -1:, -1:] * system.Q[k]
     return covariance

@@ -36,7 +36,7 @@ def textbook_step(
     A, B, C, D = system.A[k], system.B[k], system.C[k], system.D[k]
     N = np.diag(u) @ system.fault_covariance[k] @ np.diag(u)
     worked = system.rate[k] * u
-    expected = C @ x + D @ worked
+    expected = C @ x + D @ worked + system.d[k]
     covariance = C @ P @ C.T + D @ N @ D.T + system.R[k]
     finite = np.isfinite(y)
     Cf, Df, Rf = C[finite], D[finite], system.R[k][np.ix_(finite, finite)]
@@ -48,7 +48,7 @@ def textbook_step(
     return {
         "filtered_state": x + Kf @ innovation,
         "filtered_covariance": E @ P @ E.T + Kf @ (Df @ N @ Df.T + Rf) @ Kf.T,
-        "predicted_state": A @ x + B @ worked + K @ innovation,
+        "predicted_state": A @ x + B @ worked + system.c[k] + K @ innovation,
         "predicted_covariance": F @ P @ F.T + G @ N @ G.T + system.Q[k] + K @ Rf @ K.T,
         "expected_measurement": expected,
         "innovation_covariance": covariance,
@@ -70,14 +70,13 @@ def log_likelihood(
     x, P = prediction
     finite = np.isfinite(y)
     C, D, rate = system.C[k][finite], system.D[k][finite], system.rate[k]
+    residual = y[finite] - system.d[k][finite] - C @ x
     noise = C @ P @ C.T + system.R[k][np.ix_(finite, finite)]
     patterns = _patterns(rate, system.fault_covariance[k]) if mixture else None
     if patterns is None:
         N = np.diag(u) @ system.fault_covariance[k] @ np.diag(u)
-        return _log_normal((y[finite] - C @ x - D @ (rate * u)), noise + D @ N @ D.T)
-    densities = [
-        _log_normal(y[finite] - C @ x - D @ (pattern * u), noise) for pattern in patterns[0]
-    ]
+        return _log_normal(residual - D @ (rate * u), noise + D @ N @ D.T)
+    densities = [_log_normal(residual - D @ (pattern * u), noise) for pattern in patterns[0]]
     return float(logsumexp(densities, b=patterns[1]))
 
 

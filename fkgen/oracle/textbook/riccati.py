@@ -66,8 +66,32 @@ def _accepted(
     return (P, radius) if solved and radius < 1.0 - STABILITY_MARGIN else None
 
 
+def constant_gain(system: LinearSystem, y: Array, u: Array) -> dict[str, Array]:
+    """States of an observer with the stationary gain; a missing row adds nothing; {} without one.
+
+    Shapes: y (T, p), u (T, q).
+    """
+    found = stationary_prediction(*(getattr(system, letter)[0] for letter in "ACQRS"))
+    if found is None:
+        return {}
+    P, C, rows = found[0], system.C[0], []
+    S = C @ P @ C.T + system.R[0]
+    inverse = np.linalg.pinv(S, hermitian=True)
+    K, N, x = P @ C.T @ inverse, system.S[0] @ inverse, system.x0
+    for k, now in enumerate(y):
+        error = now - (system.C[k] @ x + system.D[k] @ u[k] + system.d[k])
+        seen = np.where(np.isnan(error), 0.0, error)
+        filtered = x + K @ seen
+        x = system.A[k] @ filtered + system.B[k] @ u[k] + system.c[k] + N @ seen
+        rows.append((error, filtered, x, S, P, P - K @ S @ K.T))
+    names = ("innovation", "filtered_state", "predicted_state")
+    covariances = (f"{name}_covariance" for name in ("innovation", "predicted", "filtered"))
+    columns = zip(*rows, strict=True)
+    return dict(zip((*names, *covariances), map(np.array, columns), strict=True))
+
+
 def constant_input_noise(system: LinearSystem, u: Array, k: int = 0) -> tuple[Array, Array, Array]:
     """Q, R and S at a constant input (q,): failing actuators shake x and y together, (12), (22)."""
     N = np.outer(u, u) * system.fault_covariance[k]
     B, D = system.B[k], system.D[k]
-    return system.Q[k] + B @ N @ B.T, system.R[k] + D @ N @ D.T, B @ N @ D.T
+    return system.Q[k] + B @ N @ B.T, system.R[k] + D @ N @ D.T, system.S[k] + B @ N @ D.T

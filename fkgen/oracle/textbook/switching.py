@@ -52,14 +52,14 @@ def textbook_one_step(
     (x, P), log_held, rows = _repeated((system.x0, system.P0), 4), _log(law.initial), []
     for k, now in enumerate(y):
         C, R = modes.C[k], modes.R[k]
-        filtered, expected, logs = _update((x, P), (C, modes.D[k], R), now, u[k])
+        filtered, expected, logs = _update((x, P), (C, R, modes.D[k] @ u[k] + modes.d[k]), now)
         log_posterior, row = _bayes(log_held, logs, expected, now)
         weights = np.exp(log_posterior)
         estimate = mixture(weights, *filtered)
         if covariance != "moment_matched":
             estimate = estimate[0], np.einsum("i,iab->ab", weights, filtered[1])
         A, Q = system.A[k], system.Q[k]
-        ahead = A @ estimate[0] + system.B[k] @ u[k], A @ estimate[1] @ A.T + Q
+        ahead = A @ estimate[0] + system.B[k] @ u[k] + system.c[k], A @ estimate[1] @ A.T + Q
         before, (x, P) = P, _repeated(ahead, 4)
         if covariance.startswith("paper"):  # (7) to the letter: as if delta were the only fault
             delta = [0, 0, 0, 0] if covariance == "paper_nominal" else [0, 1, 0, 1]
@@ -95,10 +95,13 @@ def interacting(
     own = of == np.arange(M)[:, None]
     log_share = _log(np.where(own, lumping.shares[of, condition], 0.0))
     moving = (lumping.shares != 0.0).argmax(axis=1)
-    held, log_held, rows = _repeated((system.x0, system.P0), M), _log(lumping.initial), []
+    of_mode = [int(np.flatnonzero(each)[0]) for each in lumping.shares]
+    held = tuple(each[of_mode] for each in system.priors)
+    log_held, rows = _log(lumping.initial), []
     for k, now in enumerate(y):
-        C, D, R = (each[k, condition] for each in (system.C, system.D, system.R))
-        filtered, expected, logs = _update((held[0][of], held[1][of]), (C, D, R), now, u[k])
+        C, D, R, d = (each[k, condition] for each in (system.C, system.D, system.R, system.d))
+        plant = C, R, D @ u[k] + d
+        filtered, expected, logs = _update((held[0][of], held[1][of]), plant, now)
         # The update of a mode merges its conditions, in given shares.
         joint, expected = log_share + logs, mixture(np.exp(log_share), *expected)
         filtered = mixture(np.exp(_normalised(joint)), *filtered)
@@ -150,14 +153,14 @@ def _gain(C: Array, R: Array, P: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _update(
-    prior: Gaussian, plant: tuple[Array, Array, Array], y: Array, u: Array
+    prior: Gaussian, plant: tuple[Array, Array, Array], y: Array
 ) -> tuple[Gaussian, Gaussian, Array]:
     """Update N modes as if each were known, (5), (6), (9).
 
     Returns x(k|k), what was expected of y, and the log densities of its finite rows.
     """
-    (x, P), (C, D, R), finite = prior, plant, np.isfinite(y)
-    expected, S = (C @ x[..., None])[..., 0] + D @ u, C @ P @ C.transpose(0, 2, 1) + R
+    (x, P), (C, R, known), finite = prior, plant, np.isfinite(y)
+    expected, S = (C @ x[..., None])[..., 0] + known, C @ P @ C.transpose(0, 2, 1) + R
     residual, Sf = np.where(finite, y - expected, 0.0), S[:, finite][:, :, finite]
     F2, E = _gain(C, R, P, y)
     after = E @ P @ E.transpose(0, 2, 1) + F2 @ R @ F2.transpose(0, 2, 1)

@@ -127,10 +127,10 @@ class Section:
         matrix = self.matrix(key, (size, size), because)
         return checked_covariance(matrix, self.place.entry(key), self.defaults)
 
-    def column(self, key: str, count: int, entries: str) -> Matrix:
-        """Return a vector over the state, (n, 1), that must be there."""
+    def column(self, key: str, count: int, entries: str, of: str = "state") -> Matrix:
+        """Return a vector over the state or the measurement, (count, 1), that must be there."""
         place = self.place.entry(key)
-        expected = f"a list of {count} {entries}: the state has {count} components"
+        expected = f"a list of {count} {entries}: the {of} has {count} components"
         rows = []
         for i, entry in enumerate(as_list(self.require(key, expected), place, expected, count)):
             plain = plain_list(entry, place.item(i))

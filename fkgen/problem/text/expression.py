@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, pairwise
+from typing import Any, Protocol
 
 from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.text.lookup import Table
@@ -65,7 +66,33 @@ class Operation:
     table: Table | None = None  # What ``interp`` looks up, its second argument in the text
 
 
-Expression = Number | Name | Operation
+class Whole(Protocol):
+    """Matrices that are computed as a whole, by letter."""
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The parameters they depend on."""
+
+    def at(self, values: tuple[tuple[str, float], ...]) -> Mapping[str, Any]:
+        """Their values as arrays."""
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """One entry of a matrix that is computed as a whole."""
+
+    whole: Whole
+    letter: str
+    row: int
+    column: int
+
+    def value(self, values: Mapping[str, float]) -> float:
+        """The entry for given parameters."""
+        own = tuple((name, float(values[name])) for name in sorted(self.whole.names))
+        return float(self.whole.at(own)[self.letter][self.row, self.column])
+
+
+Expression = Number | Name | Operation | Computed
 
 ZERO = Number(0.0)
 ONE = Number(1.0)
@@ -151,6 +178,8 @@ def evaluate(expression: Expression, values: Mapping[str, float]) -> float:
             return evaluate(first if evaluate(condition, values) else second, values)
         case Operation("interp", (argument,), Table() as table):
             return table.value(evaluate(argument, values))
+        case Computed():
+            return expression.value(values)
         case Operation(operator, arguments):
             return _compute(operator, [evaluate(argument, values) for argument in arguments])
 
@@ -201,6 +230,8 @@ def names(expression: Expression) -> frozenset[str]:
     """Return the parameters an expression depends on."""
     if isinstance(expression, Operation):
         return frozenset().union(*map(names, expression.arguments))
+    if isinstance(expression, Computed):
+        return expression.whole.names
     return frozenset({expression.identifier} if isinstance(expression, Name) else ())
 
 
@@ -393,6 +424,8 @@ def to_text(expression: Expression) -> str:
             return repr(value)
         case Name(identifier):
             return identifier
+        case Computed(_, letter, row, column):
+            return f"{letter}[{row}][{column}]"
         case Operation("neg", (operand,)):
             return f"-{_within(operand, _STRENGTH['**'])}"
         case Operation(operator, (left, right)) if operator in _STRENGTH:

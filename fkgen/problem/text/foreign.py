@@ -223,18 +223,22 @@ def _casadi_result(kind: str, arguments: list[Expression], place: Place) -> Expr
     return result
 
 
-def state_space(system: object, place: Place) -> tuple[dict[str, object], float | None]:
-    """Take a discrete-time python-control ``StateSpace`` apart."""
+def state_space(
+    system: object, place: Place, *, continuous: bool = False
+) -> tuple[dict[str, object], float | None]:
+    """Take a python-control ``StateSpace`` apart."""
     known = library(system) == "control"
     if not known or not all(hasattr(system, key) for key in ("A", "B", "C", "D")):
         hint = "; convert it with control.ss" if known else ""
         raise place.error(describe(system), f"a control.StateSpace{hint}")
     dt: object = getattr(system, "dt", None)
+    matrices = {key: getattr(system, key) for key in ("A", "B", "C", "D")}
+    if continuous and isinstance(dt, Real) and float(dt) == 0.0:
+        return matrices, None
     if dt is not True and not (isinstance(dt, Real) and float(dt) > 0):
         kind = "a model without a time base" if dt is None else "a continuous-time model"
         raise place.error(
             f"{kind} (dt = {show(dt)})",
-            "a discrete-time model; discretise it with control.sample_system, or state its dt",
+            "a discrete-time model; state its dt, or model.time = 'continuous' and sample_time",
         )
-    matrices = {key: getattr(system, key) for key in ("A", "B", "C", "D")}
     return matrices, None if dt is True else float(dt)

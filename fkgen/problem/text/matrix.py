@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.text.expression import (
     ZERO,
+    Computed,
     Expression,
     Name,
     Number,
@@ -60,6 +61,11 @@ class Matrix:
         """Whether it depends on no parameter."""
         return all(isinstance(entry, Number) for row in self.rows for entry in row)
 
+    @property
+    def is_zero(self) -> bool:
+        """Whether every entry is the constant zero."""
+        return all(entry == ZERO for row in self.rows for entry in row)
+
     def mapped(self, change: Callable[[int, int, Expression], Expression]) -> Matrix:
         """Return the matrix of ``change(i, j, entry)``."""
         return Matrix(
@@ -77,6 +83,10 @@ class Matrix:
     def plain(self) -> Any:
         """Return the entries as a spec file writes them: numbers, and texts for expressions."""
         return plain(self.rows)
+
+    def plain_column(self) -> Any:
+        """Return the entries of a column as a list."""
+        return [plain(row[0]) for row in self.rows]
 
 
 def plain(value: object) -> object:
@@ -101,10 +111,15 @@ def plain_fields(value: Any) -> dict[str, object]:
 
 
 def expressions(value: object) -> Iterator[Expression]:
-    """Yield every expression in matrices, tuples and dataclasses, however deep."""
+    """Yield every expression in matrices, tuples and dataclasses, however deep.
+
+    What is computed as a whole stands for the matrices that it is computed from.
+    """
     match value:
         case Number() | Name() | Operation():
             yield value
+        case Computed():
+            return
         case tuple():
             for entry in value:
                 yield from expressions(entry)

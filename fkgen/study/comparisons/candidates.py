@@ -156,14 +156,15 @@ def filter_inputs(simulation: Simulation, spec: Spec, *, genie: bool) -> FilterI
 def _mode_aided(truth: Spec, faults: JumpFaults) -> Spec:
     """The spec of a Kalman filter that is told the mode.
 
-    What a mode adds to the state is the coefficient of one more input, which is 1.
+    What a mode adds to the state and to y is the coefficient of one more input, which is 1.
     """
     table: dict[str, Any] = truth.to_dict()
     told = faults.told()
     added = {
         "B": [[*row, *extra] for row, extra in zip(told.B.plain(), told.c.plain(), strict=True)],
-        "D": [[*row, 0.0] for row in told.D.plain()],
+        "D": [[*row, *extra] for row, extra in zip(told.D.plain(), told.d.plain(), strict=True)],
     }
+    table["model"] |= {"c": [0.0] * truth.model.nx, "d": [0.0] * truth.model.ny}
     kept = {letter: getattr(told, letter).plain() for letter in ("A", "C", "Q", "R")}
     table["model"] |= kept | added
     table["model"].pop("inputs", None)

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import progressing
-from fkgen.errors import DataError
+from fkgen.errors import DataError, names_of, of_type
 from fkgen.families import family
 from fkgen.pipeline import build
 from fkgen.problem import Signal, Spec
+from fkgen.problem.spec import as_spec
 from fkgen.runtime.record import probability
 from fkgen.study.comparisons.candidates import (
     GENIE,
@@ -31,6 +32,7 @@ from fkgen.study.comparisons.ranking import Comparison, Entry, ranked
 from fkgen.study.comparisons.scores import Scores, score
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.filtering import csv_text
+from fkgen.study.records.reading import Reading
 from fkgen.study.records.table import constants_or_record, profile_of
 from fkgen.trials.simulation import Simulation, counted, simulate
 
@@ -81,7 +83,12 @@ def compare(
     SpecError, DataError
         If a family does not fit the faults, a number is out of range, or the plant overflows.
     """
-    given = (specs,) if isinstance(specs, Spec) else tuple(specs)
+    several = specs if isinstance(specs, list | tuple) else (specs,)
+    given = tuple(as_spec(each, "specs").whole for each in several)
+    if families is not None:
+        families = names_of("families", families, "names of families, such as 'kf'")
+    if params is not None:
+        of_type("params", params, Mapping, "a mapping of names to numbers or (T,) arrays")
     ready = counted("steps", steps) // 4 if skip is None else counted("skip", skip, least=0)
     size = {"runs": runs, "steps": steps, "skip": ready, "seed": seed}
     signals = {"u": u, "params": params, "sensor": sensor, "input": input, "present": present}
@@ -179,7 +186,7 @@ def _circumstances(
     spec: Spec,
     *,
     steps: int | None,
-    record: Path | None,
+    record: Reading | None,
     inputs: str,
     profile: Path | None,
     **sizes: Any,
@@ -193,7 +200,7 @@ def _circumstances(
     constants, table = constants_or_record(spec, inputs, record)
     params = {} if table is None else table.params
     if table is not None and record is not None:
-        lengths[len(table.lines)] = record
+        lengths[table.samples] = record.path
         signals |= {"present": np.isfinite(table.y), "u": table.u if spec.model.nu else None}
     elif spec.model.nu and constants is None:
         names = ", ".join(signal.name for signal in spec.model.inputs)

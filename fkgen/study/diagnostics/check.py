@@ -12,8 +12,9 @@ from fkgen.backend.lower import lower
 from fkgen.families import family
 from fkgen.problem import Spec
 from fkgen.problem.finding import Finding, Severity
+from fkgen.problem.spec import as_spec
 from fkgen.runtime.compiler import LARGE
-from fkgen.study.diagnostics import digits, dynamics, faults, jumps, visibility
+from fkgen.study.diagnostics import digits, dynamics, faults, jumps, start, visibility
 from fkgen.study.diagnostics.subject import Subject, listed
 from fkgen.study.reports.jsonable import json_text
 
@@ -77,13 +78,13 @@ _DIAGNOSTICS = (
     *(dynamics.steady_state, dynamics.error_decay),
     *(visibility.states, visibility.sensors, visibility.inputs),
     *(digits.innovation, digits.conditioning, digits.rounding, digits.number_range),
-    *(digits.float_suitability, faults.known_rate, faults.hypotheses, _caveats),
+    *(digits.float_suitability, start.start, faults.known_rate, faults.hypotheses, _caveats),
     *(faults.noise_factor, faults.distribution, faults.lost_signal, faults.compression_loss),
     *(_parameters, _cost),
 )
 
 #: Where every mode has matrices of its own, those of the model say little.
-_OF_JUMPS = (jumps.diagnose, _caveats, _parameters, _cost)
+_OF_JUMPS = (jumps.diagnose, start.start, _caveats, _parameters, _cost)
 
 
 def check(spec: Spec) -> Report:
@@ -106,7 +107,7 @@ def check(spec: Spec) -> Report:
     Schneider & Yaz, eqs. (12), (15) and (22), for faults. Song & Hu 2019 for their effect, with the
     conditions of docs/fault-effects.md. Higham 2002, sec. 3.3: running error analysis.
     """
-    model = Subject(spec)
+    model = Subject(as_spec(spec))
     for diagnose in _DIAGNOSTICS if spec.faults.jump is None else _OF_JUMPS:
         diagnose(model)
     worst_first = sorted(model.findings, key=lambda finding: _ORDER.index(finding.severity))

@@ -51,7 +51,7 @@ def excitation(model: Subject) -> None:
 
 def steady_state(model: Subject) -> None:
     """The steady state of the filter, and how fast it gets there."""
-    steady, period, seconds = model.steady, model.spec.model.sample_time, ""
+    steady, period, seconds = model.steady, model.spec.period, ""
     if steady is None:
         model.add("no_stationary_filter")
         return
@@ -81,7 +81,7 @@ def silence(model: Subject) -> None:
     shown = "CD" if model.has_faults else "C"
     for code, letters, names in (
         ("silent_output", shown, model.outputs),
-        ("idle_state", "ABQ", model.states),
+        ("idle_state", "ABQc", model.states),
     ):
         matrices = [getattr(model.spec.model, letter) for letter in letters]
         for i, name in enumerate(names):

@@ -67,6 +67,17 @@ error float_range: {letter} holds {value:.3g}, which float cannot
 note float_suitable: {bound}
 note float_rounding: {bound}
     -> for float: states of a smaller range, such as offsets from a reference
+note start: from the prior on, float stays within {value:.2g} sd of double over {samples} samples;
+    {name} is the worst, at sample {at}
+warning start.off: from the prior on, float is {value:.2g} sd off double in {name} at sample {at} of
+    {samples} -> scalar = "double", or a smaller P0
+error start.lost: from the prior on, float is {value:.3g} sd off double in {name} at sample {at} of
+    {samples}: it is another estimate -> scalar = "double", or a smaller P0
+error start.negative: from the prior on, {value} of {samples} samples in float have a variance below
+    zero, the first is sample {first} -> scalar = "double", or a smaller P0
+error start.refused: from the prior on, float refuses {value} of {samples} samples that double
+    takes, the first is sample {first}: a covariance lost its positivity
+    -> scalar = "double", or a smaller P0
 warning float_rounding.used: {bound}
     -> scalar = "double", or states of a smaller range, such as offsets from a reference
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fkgen.faults.chain import LETTERS
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.textbook.riccati import constant_input_noise, stationary_prediction
 from fkgen.problem import Spec, names
@@ -61,9 +62,8 @@ class Subject:
     @cached_property
     def used(self) -> frozenset[str]:
         """Names of the parameters on which the filter depends."""
-        actuator, jump, plants = self.spec.faults.actuator, self.spec.faults.jump, self.spec.plants
-        matrices = [getattr(plant, letter) for plant in plants for letter in "ABCDQR"]
-        matrices += [] if jump is None else [mode.c for mode in jump.modes]
+        actuator, plants = self.spec.faults.actuator, self.spec.plants
+        matrices = [getattr(plant, letter) for plant in plants for letter in LETTERS]
         used: frozenset[str] = frozenset().union(*(matrix.names for matrix in matrices))
         if actuator is not None and self.spec.first_rates is None:
             used = used.union(*(names(rate) for rate in actuator.success_rate))

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.errors import DataError
 from fkgen.families import NAMES, family
 from fkgen.problem import Matrix, Signal, Spec
+from fkgen.problem.spec import as_spec
 from fkgen.runtime.record import choice, numbers, probability, whole
 from fkgen.study.diagnostics.subject import Subject
 from fkgen.study.effects.effect import required_noncentrality
@@ -101,7 +102,7 @@ def detectability(
     DataError
         If an argument does not fit, or the filter is not linear or does not come to rest.
     """
-    d = _direction(spec, direction)
+    d = _direction(as_spec(spec), direction)
     w = whole("window", window, least=1, expected="a number of samples, at least 1")
     rates = probability("false_alarm", false_alarm), probability("power", power)
     information, plateau = _information(spec, step(w, 0, d), u)

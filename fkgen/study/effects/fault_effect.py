@@ -23,13 +23,14 @@ from itertools import chain
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.errors import DataError
+from fkgen.errors import DataError, of_type
 from fkgen.faults import Faults
 from fkgen.oracle.exact.gaussian import square_root
 from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.oracle.sampled import draw_record
 from fkgen.pipeline import build
 from fkgen.problem import Filter, Matrix, Name, Parameter, Signal, Spec
+from fkgen.problem.spec import as_spec
 from fkgen.problem.text.expression import ZERO
 from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.record import choice, numbers, signal, whole
@@ -123,9 +124,9 @@ def fault_effect(
     DataError
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
     """
-    scenario = _checked(spec, (sensor, input, u, y), params or {}, mode, steps)
+    scenario = _checked(as_spec(spec), (sensor, input, u, y), params, mode, steps)
     traits = spec.filter.traits
-    if traits.linear:
+    if traits.linear and spec.model.S.is_zero:
         return _linear_response(scenario)
     if traits.moments and spec.faults.sensor is not None and not scenario.anomaly.any():
         return _differenced_response(scenario)
@@ -133,10 +134,15 @@ def fault_effect(
 
 
 def _checked(
-    spec: Spec, records: _Records, params: Mapping[str, ArrayLike], mode: str, steps: int | None
+    spec: Spec,
+    records: _Records,
+    params: Mapping[str, ArrayLike] | None,
+    mode: str,
+    steps: int | None,
 ) -> _Scenario:
     model, faults = spec.model, spec.faults
     sensor, anomaly, u, y = records
+    of_type("mode", mode, str, "both, plant or filter")
     if mode not in _SIGN:
         raise DataError("mode", given=repr(mode), expected=choice(str(mode), list(_SIGN)))
     if sensor is None and anomaly is None:
@@ -151,25 +157,26 @@ def _checked(
         raise DataError("the fault", given=given, expected="a matrix, one row per sample") from None
     if not T:
         raise DataError("the fault", given="a profile without samples", expected="at least one")
-    if steps is not None and steps != T:
-        raise DataError("steps", given=repr(steps), expected=f"{T}, the length of the profile")
+    if steps is not None:
+        whole("steps", steps, least=T, most=T, expected=f"{T}, the length of the profile")
     if u is None and model.nu and any((faults.actuator, faults.jump, faults.soft)):
         names, family = ", ".join(each.name for each in model.inputs), spec.filter.family
         expected = f"shape ({T}, {model.nu}): {names}; the gain of {family} depends on u"
         raise DataError("u", given="nothing", expected=expected)
     return _Scenario(
-        spec=replace(spec, code=replace(spec.code, scalar="double")),
+        spec=replace(spec.whole, code=replace(spec.whole.code, scalar="double")),
         sensor=_record("sensor", sensor, model.outputs, T),
         anomaly=_record("input", anomaly, model.inputs, T),
         mode=mode,
         u=_record("u", u, model.inputs, T),
-        params=_parameters(spec, params, T),
+        params=_parameters(spec, {} if params is None else params, T),
         missing=np.isnan(_record("y", y, model.outputs, T)),
     )
 
 
 def _parameters(spec: Spec, params: Mapping[str, ArrayLike], samples: int) -> dict[str, Array]:
     """All parameters by name, (T,) each; stated as a number or one per sample."""
+    of_type("params", params, Mapping, "a mapping of names to numbers or (T,) arrays")
     result = {name: np.full(samples, default) for name, default in spec.defaults.items()}
     for name, value in params.items():
         where = f"params.{name}"
@@ -285,6 +292,8 @@ def _with_lost_commands(spec: Spec, roots: Array) -> tuple[Spec, dict[str, Array
         B=_blocks((model.B,), (Matrix.zeros(r, model.nu),)),
         C=_blocks((model.C, into_y)),
         Q=_blocks((model.Q, above), (below, noise)),
+        S=Matrix.zeros(n + r, model.ny),
+        c=_blocks((model.c,), (Matrix.zeros(r, 1),)),
         P0=_blocks((model.P0, above), (below, noise)),
         x0=Matrix.zeros(n + r, 1),
         states=(*model.states, *(Signal(f"{prefix}_{j}") for j in range(r))),
@@ -326,8 +335,9 @@ def _paired_response(scenario: _Scenario, runs: int, seed: int) -> FaultEffect:
 
 def _silent(system: LinearSystem) -> LinearSystem:
     """The plant from rest, without noise, measuring every state; the same commands are lost."""
-    zeros = {name: np.zeros_like(getattr(system, name)) for name in ("Q", "x0", "P0")}
-    zeros |= {"D": np.zeros_like(system.B), "R": np.zeros_like(system.A)}
+    zeros = {name: np.zeros_like(getattr(system, name)) for name in ("Q", "c", "x0", "P0")}
+    rows = (("d", system.c), ("D", system.B), ("R", system.A))
+    zeros |= {name: np.zeros_like(like) for name, like in rows}
     return replace(system, C=np.broadcast_to(np.eye(system.nx), system.A.shape), **zeros)
 
 

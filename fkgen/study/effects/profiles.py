@@ -13,13 +13,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fkgen.errors import DataError
+from fkgen.errors import DataError, names_of, of_type
 from fkgen.runtime.record import whole
 from fkgen.study.records.table import read_columns
 
 Array = NDArray[np.float64]
 
-_SAMPLES = "a number of samples, at least 1"
+_SAMPLES, _MOST = "a number of samples, at least 1", 2**31
+
+_NAMES = "names of columns, one per row of y or per input"
 
 
 def pulse(steps: int, start: int, amplitude: ArrayLike) -> Array:
@@ -27,7 +29,8 @@ def pulse(steps: int, start: int, amplitude: ArrayLike) -> Array:
 
     Shapes: amplitude (width,).
     """
-    return step(steps, start, amplitude, stop=start + 1)
+    first = whole("start", start, least=0, expected="a sample of the record")
+    return step(steps, first, amplitude, stop=first + 1)
 
 
 def step(steps: int, start: int, amplitude: ArrayLike, *, stop: int | None = None) -> Array:
@@ -50,7 +53,7 @@ def ramp(
 
     Sample ``start`` has amplitude / length, sample start + length - 1 the whole of it.
     """
-    whole("length", length, least=1, expected=_SAMPLES)
+    whole("length", length, least=1, most=_MOST, expected=_SAMPLES)
     rise = np.minimum(np.arange(1, _count(steps) + 1) / length, 1.0)
     return _shaped(rise, start, amplitude, stop)
 
@@ -65,11 +68,15 @@ def drift(steps: int, start: int, rate: ArrayLike, *, stop: int | None = None) -
 
 def from_csv(path: str | os.PathLike[str], columns: Sequence[str]) -> Array:
     """A profile from a CSV file with a header; a column that the file lacks is zero."""
-    return np.stack(list(read_columns(path, columns).values()), axis=1)
+    of_type("path", path, (str, os.PathLike), "the path of a CSV file")
+    names = names_of("columns", columns, _NAMES)
+    if not names:
+        raise DataError("columns", given="none", expected=_NAMES)
+    return np.stack(list(read_columns(path, names).values()), axis=1)
 
 
 def _count(steps: int) -> int:
-    return whole("steps", steps, least=1, expected=_SAMPLES)
+    return whole("steps", steps, least=1, most=_MOST, expected=_SAMPLES)
 
 
 def _shaped(shape: Array, start: int, amplitude: ArrayLike, stop: int | None) -> Array:
@@ -81,7 +88,7 @@ def _shaped(shape: Array, start: int, amplitude: ArrayLike, stop: int | None) ->
     last = steps if stop is None else whole("stop", stop, least=first + 1, expected=later)
     try:
         size = np.atleast_1d(np.asarray(amplitude, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         size = np.full((0, 0), np.nan)
     if size.ndim != 1 or not size.size or not np.isfinite(size).all():
         expected = "finite numbers, one per row of y or per input"

@@ -20,6 +20,7 @@ from fkgen.study.effects.effect import FaultEffect
 from fkgen.study.effects.fault_effect import fault_effect
 from fkgen.study.effects.profiles import drift, pulse, ramp, step
 from fkgen.study.records.files import refuse_targets
+from fkgen.study.records.reading import Reading
 from fkgen.study.records.table import constants_or_record, profile_of
 from fkgen.study.reports import plots
 from fkgen.study.reports.jsonable import Answer
@@ -51,7 +52,7 @@ class Options:
     length: int
     steps: int
     profile: Path | None
-    record: Path | None
+    record: Reading | None
     inputs: str
     mode: str
     fraction: float

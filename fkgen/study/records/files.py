@@ -5,7 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from fkgen.errors import OutputError
 
@@ -42,7 +45,14 @@ def refuse_format(path: Path) -> None:
 
 
 def write_whole(path: Path, data: bytes, *, force: bool = False) -> None:
-    """Write ``data`` under a name of its own and move it into place in one step.
+    """Write ``data`` as `written_whole` does."""
+    with written_whole(path, force=force) as file:
+        file.write(data)
+
+
+@contextmanager
+def written_whole(path: Path, *, force: bool = False) -> Iterator[IO[bytes]]:
+    """A file with a name of its own that is moved into place in one step when all is written.
 
     Whatever fails (no permission, disk full) is an `OutputError`, and nothing is left behind. What
     is no regular file (a pipe, a terminal) is written directly.
@@ -52,9 +62,13 @@ def write_whole(path: Path, data: bytes, *, force: bool = False) -> None:
     partial = target.with_name(f".fkgen-{secrets.token_hex(6)}.partial")
     try:
         if path.exists() and not path.is_file():
-            path.write_bytes(data)
+            with path.open("wb") as file:
+                yield file
             return
-        _fill(partial, data)
+        with partial.open("xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())  # a full disk shows here at the latest
         _settle(partial, target, force=force)
     except OSError as error:
         given = (error.strerror or str(error)).lower()
@@ -63,13 +77,6 @@ def write_whole(path: Path, data: bytes, *, force: bool = False) -> None:
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
-
-
-def _fill(partial: Path, data: bytes) -> None:
-    with partial.open("xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())  # a full disk shows here at the latest
 
 
 def _settle(partial: Path, target: Path, *, force: bool) -> None:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
-import math
+import shutil
+import sys
+import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +24,11 @@ from fkgen.runtime.compiled import CompiledFilter
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.record import choice
 from fkgen.runtime.results import Run
-from fkgen.study.records.files import refuse_targets, write_whole
-from fkgen.study.records.table import Table, read_table
+from fkgen.study.records.files import refuse_targets, write_whole, written_whole
+from fkgen.study.records.reading import Reading
+from fkgen.study.records.record import Record, Table
+from fkgen.study.records.summary import Summary
+from fkgen.study.records.table import joined
 from fkgen.symbolic.interface import Port, Status
 
 Array = NDArray[np.floating]
@@ -106,16 +113,40 @@ def _labels(layout: Layout, port: Port) -> list[Sequence[str]]:
     return names
 
 
-def to_csv(layout: Layout, table: Table, run: Run, selection: Selection) -> bytes:
-    """The whole output file: times as they were given, the selected columns, the status.
+def to_csv(
+    layout: Layout, table: Table, run: Run, selection: Selection, *, header: bool = True
+) -> bytes:
+    """Lines of the output file: times as they were given, the selected columns, the status.
 
     Numbers have the digits that give the same number back; a missing one is an empty field.
     """
-    columns: list[tuple[str, Sequence[object]]] = [(table.time_name, table.time_text)]
-    columns += [(name, _texts(values)) for name, values in columns_of(layout, run, selection)]
-    columns.append((_STATUS, run.status.tolist()))
-    header, texts = zip(*columns[0 if table.time_name else 1 :], strict=True)
-    return csv_text(header, texts).encode("utf-8")
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    from pyarrow import csv as arrow  # noqa: PLC0415
+
+    columns: list[tuple[str, Any]] = []
+    quoted = False
+    if table.time_name:
+        texts = pa.array(table.time_text, pa.string())
+        quoted = any(set(text) & set(',"\n') for text in _some(texts))
+        columns.append((table.time_name, texts))
+    columns += [(n, pa.array(v, from_pandas=True)) for n, v in columns_of(layout, run, selection)]
+    columns.append((_STATUS, pa.array(run.status)))
+    names, arrays = zip(*columns, strict=True)
+    out = io.BytesIO(csv_text(names, []).encode() if header else b"")
+    out.seek(0, io.SEEK_END)
+    batch = pa.RecordBatch.from_arrays(list(arrays), [str(i) for i in range(len(names))])
+    style = "needed" if quoted else "none"
+    options = arrow.WriteOptions(include_header=False, quoting_style=style)
+    arrow.write_csv(batch, out, options)
+    return out.getvalue()
+
+
+def _some(texts: Any) -> list[str]:
+    """Texts among which is one with a comma or a quote, if there is any."""
+    from pyarrow import compute  # noqa: PLC0415 - slow to import
+
+    found = compute.match_substring_regex(texts, '[,"\n]')
+    return [str(text) for text in texts.filter(found)[:1]]
 
 
 def csv_text(header: Sequence[str], columns: Sequence[Sequence[object]]) -> str:
@@ -127,52 +158,98 @@ def csv_text(header: Sequence[str], columns: Sequence[Sequence[object]]) -> str:
     return out.getvalue()
 
 
-def _texts(values: Array) -> Sequence[object]:
-    """Digits that give the same number back: nine for a float."""
-    shown = "{:.9g}".format if values.dtype == np.float32 else float
-    return ["" if math.isnan(value) else shown(value) for value in values.tolist()]
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What to say of a run that is done."""
+
+    notes: list[str]
+    warnings: list[str]
+    refused: list[str]
+    summary: str
 
 
 def run(
-    spec: Spec, record: Path, *, output: Path | None, plot: Path | None, keep: str, force: bool
-) -> tuple[str, list[str], list[str]]:
+    spec: Spec, reading: Reading, *, output: Path | None, plot: Path | None, keep: str, force: bool
+) -> Told:
     """Read, build, filter, write the columns ``keep`` and a picture; all of it or nothing.
 
-    What to say afterwards: the CSV text if no file was asked for; notes on what was ignored, taken
-    for granted or written; samples that were refused.
+    A record passes through in pieces; only a picture needs all of it. Without ``output`` the
+    columns go to the standard output, after the last of them is known.
     """
     refuse_targets(output, plot, force=force)
-    table = read_table(record, spec)
+    record = Record(reading, spec)
     built = build(spec)
-    names = [name.strip() for name in keep.split(",") if name.strip()]
-    selection = select(built.layout, names)
+    selection = select(built.layout, [name.strip() for name in keep.split(",") if name.strip()])
     drawn = () if plot is None else select(built.layout).ports
-    stored = tuple(dict.fromkeys((*selection.ports, *drawn)))
-    result = run_table(built, table, Selection(selection.shown, stored))
+    summary, refusals = Summary(spec, built), _Refusals(built.name)
+    stored = tuple(dict.fromkeys((*selection.ports, *drawn, *summary.ports)))
+    filtered, done = built.pieces(stored), list[tuple[Table, Run]]()
     picture = b""
-    if plot is not None:
-        from fkgen.study.reports.plots import draw, rendered  # noqa: PLC0415 - slow to import
+    with _target(output, force=force) as file:
+        for at, table in enumerate(record.pieces()):
+            found = filtered(table.y, table.u if built.layout.inputs else None, table.params)
+            file.write(to_csv(built.layout, table, found, selection, header=at == 0))
+            summary.add(table, found)
+            refusals.add(table, found)
+            if plot is not None:
+                done.append((table, found))
+        if plot is not None:
+            from fkgen.study.reports.plots import draw, rendered  # noqa: PLC0415 - slow to import
 
-        picture = rendered(draw(spec, table, result), plot)
-    data = to_csv(built.layout, table, result, selection)
-    notes = list(table.notes)
-    for path, content in ((output, data), (plot, picture)):
-        if path is not None:
-            write_whole(path, content, force=force)
-            notes.append(f"{path}: written, {len(table.lines)} samples")
-    text = "" if output is not None else data.decode("utf-8")
-    return text, notes, _refusals(built, table, result)
+            whole, runs = joined([each for each, _ in done]), Run.joined([r for _, r in done])
+            picture = rendered(draw(spec, whole, runs), plot)
+            write_whole(plot, picture, force=force)
+    samples = f"written, {summary.samples} samples"
+    written = [f"{path}: {samples}" for path in (output, plot) if path is not None]
+    told = Told([*record.notes, *written], list(record.warnings), [], summary.text(table.file))
+    told.refused.extend(refusals.sentences(table))
+    return told
 
 
-def _refusals(built: CompiledFilter, table: Table, result: Run) -> list[str]:
-    """One sentence per reason for which samples were refused: how often, where first, why."""
-    sentences = []
-    for value in np.unique(result.status[result.refused]).tolist():
-        status, where = Status(value), np.flatnonzero(result.status == value)
-        several = f"{where.size} samples refused, the first in"
-        sentences.append(
-            f"{table.file}: {'1 sample refused, in' if where.size == 1 else several} line "
-            f"{table.lines[where[0]]}: {f'{built.name}_{status.name}'.upper()}: {status.meaning}; "
-            "the filter went on unchanged"
-        )
-    return sentences
+@contextmanager
+def _target(output: Path | None, *, force: bool) -> Iterator[IO[bytes]]:
+    """A file that is there in full when all went well; without a name the standard output."""
+    if output is not None:
+        with written_whole(output, force=force) as file:
+            yield file
+        return
+    with tempfile.TemporaryFile() as file:
+        yield file
+        file.seek(0)
+        sys.stdout.flush()
+        shutil.copyfileobj(file, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
+
+
+class _Refusals:
+    """Samples that were refused: per reason how often, and where first."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._done = name, 0
+        self._found: dict[int, tuple[int, int, int]] = {}
+
+    def add(self, table: Table, run: Run) -> None:
+        """Count a piece."""
+        for value in np.unique(run.status[run.refused]).tolist():
+            where = np.flatnonzero(run.status == value)
+            held = int(run.held[where].sum())
+            count, before, first = self._found.get(value, (0, 0, self._done + int(where[0])))
+            self._found[value] = count + where.size, before + held, first
+        self._done += table.samples
+
+    def sentences(self, table: Table) -> Iterator[str]:
+        """One sentence per reason."""
+        for value, (count, held, first) in sorted(self._found.items()):
+            status, several = Status(value), f"{count} samples refused, the first in"
+            yield (
+                f"{table.file}: {'1 sample refused, in' if count == 1 else several} "
+                f"{table.where(first)}: {f'{self._name}_{status.name}'.upper()}: {status.meaning}; "
+                f"{_course(count, held)}"
+            )
+
+
+def _course(count: int, held: int) -> str:
+    """What became of samples that were refused."""
+    if held == count:
+        return "held: no time passed there"
+    return "taken for missing" + (f", but for {held} that were held" if held else "")

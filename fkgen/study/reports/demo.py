@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from timeit import repeat
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,8 @@ from fkgen.problem import Spec, load
 from fkgen.runtime.compiler import find_compiler
 from fkgen.runtime.results import Run
 from fkgen.study.records.filtering import Selection, run_table
-from fkgen.study.records.table import Table, read_table
+from fkgen.study.records.record import Table
+from fkgen.study.records.table import read_table
 from fkgen.study.reports.plots import draw, save
 from fkgen.study.reports.starters import resource
 
@@ -72,8 +72,7 @@ def _motor_record(spec: Spec) -> Table:
     system = LinearSystem.from_spec(spec, _SAMPLES, None, (_RATE,))
     u, k = np.ones((_SAMPLES, spec.model.nu)), np.arange(_SAMPLES)
     y = simulate(system, u, np.random.default_rng(7), missing=0.1)
-    texts: dict[str, Any] = {"file": "simulation", "time_name": "", "time_text": (), "notes": ()}
-    return Table(**texts, lines=tuple(k), time=k.astype(float), y=y, u=u, params={})
+    return Table(file="simulation", time=k.astype(float), y=y, u=u)
 
 
 def _motor_rate(spec: Spec, table: Table, run: Run) -> str:

@@ -19,7 +19,7 @@ from fkgen.faults import SoftFaults
 from fkgen.problem import Signal, Spec
 from fkgen.runtime.results import Run
 from fkgen.study.records.files import refuse_format, write_whole
-from fkgen.study.records.table import Table
+from fkgen.study.records.record import Table
 from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]
@@ -28,6 +28,7 @@ BLUE, ORANGE, GREY, BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
 _SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
 LARGEST = 12  # panels of states; more would be a page nobody reads
 HEIGHT = 1.9  # of a panel, in inches
+_GAP, _SHADE = 2.0, 0.13  # times the usual pause is a gap; how dark it is
 _CONFIDENCE, _LOWEST = 0.95, 1e-3  # smaller ratios of a test to its threshold are drawn there
 _MANY = {"ncols": 8, "markerscale": 3, "handlelength": 1.2}
 #: A legend in one line above the panel, where it hides nothing.
@@ -52,40 +53,75 @@ class _Sheet:
     spec: Spec
     run: Run
     time: Array
-    present: Array  # (T, p), of bool
+    present: NDArray[np.bool_]  # (T, p)
+
+    @property
+    def rejected(self) -> NDArray[np.bool_]:
+        """(T, p): rows that are there and that a gate or a test left out."""
+        if "rejected" in self.run.ports:
+            left_out = np.asarray(self.run["rejected"]).reshape(self.present.shape) > 0
+        else:
+            verdict = np.isin(self.run.status, [status.value for status in VERDICTS])
+            left_out = np.broadcast_to(verdict[:, np.newaxis], self.present.shape)
+        return np.asarray(left_out & self.present)
+
+
+def gaps_of(time: Array, silent: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Begin and length of the gaps: times without a row of y for longer than usual.
+
+    Where a sensor reports now and then its pauses are usual; a gap is above twice their median.
+    """
+    heard = np.concatenate([time[:1], time[~silent], time[-1:]])
+    pauses = np.diff(heard)
+    usual = float(np.median(pauses[1:-1])) if len(pauses) > 2 else 0.0
+    steps = np.diff(time)
+    usual = max(usual, float(np.median(steps)) if steps.size else 0.0)
+    long = pauses > _GAP * usual
+    return list(zip(heard[:-1][long].tolist(), pauses[long].tolist(), strict=True))
 
 
 @styled
 def draw(spec: Spec, table: Table, run: Run) -> Figure:
     """Draw a run: a panel per state, then innovations, NIS, and probabilities or verdicts.
 
-    It needs ``filtered_state``, ``filtered_covariance``, ``innovation`` and ``nis``;
+    It needs ``filtered_state``. ``filtered_covariance``, ``innovation``, ``nis``,
     ``mode_probability``, and ``test_statistic``, ``test_dof`` and ``fault_declared`` are drawn if
     they are there.
     """
     states, outputs, soft = spec.model.states[:LARGEST], spec.model.outputs, spec.faults.soft
     units = {one.unit: [i for i, s in enumerate(outputs) if s.unit == one.unit] for one in outputs}
-    time, label = np.asarray(table.time, dtype=float), table.time_name or "sample"
-    if not table.time_name and spec.model.sample_time is not None:
-        time, label = time * spec.model.sample_time, "t_s"
+    time, label = np.asarray(table.time, dtype=float), table.time_label or "sample"
+    if not table.time_name and spec.period is not None:
+        time, label = time * spec.period, "time (s)"
     sheet = _Sheet(spec, run, time, np.isfinite(table.y))
     draws = [partial(_draw_state, sheet=sheet, i=i) for i in range(len(states))]
-    draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
-    draws.append(partial(_draw_nis, sheet=sheet))
+    if "innovation" in run.ports:
+        draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
+    if "nis" in run.ports:
+        draws.append(partial(_draw_nis, sheet=sheet))
     if "mode_probability" in run.ports:
         draws.append(partial(_draw_modes, sheet=sheet))
     if soft is not None and "test_statistic" in run.ports:
         draws.append(partial(_draw_verdicts, sheet=sheet, soft=soft))
     heights = [2.1] * len(states) + [HEIGHT] * (len(draws) - len(states))
-    return panels(heights, draws, "time (s)" if label == "t_s" else label)
+    gaps = gaps_of(time, np.asarray(~sheet.present.any(axis=1)))
+    return panels(heights, draws, label, gaps)
 
 
-def panels(heights: Sequence[float], draws: Sequence[Callable[[Axes], None]], time: str) -> Figure:
-    """Draw panels above each other, time below the last one."""
+def panels(
+    heights: Sequence[float],
+    draws: Sequence[Callable[[Axes], None]],
+    time: str,
+    gaps: Sequence[tuple[float, float]] = (),
+) -> Figure:
+    """Draw panels above each other, time below the last one, gaps as grey bars through all."""
     figure = Figure(figsize=(9.0, sum(heights)), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     for axis, draw_panel in zip(axes, draws, strict=True):
         axis.margins(x=0.0)
+        if gaps:
+            across = axis.get_xaxis_transform()
+            axis.broken_barh(gaps, (0.0, 1.0), transform=across, color=GREY, alpha=_SHADE, lw=0)
         axis.tick_params(labelsize=8)
         draw_panel(axis)
     axes[-1].set_xlabel(time)
@@ -118,9 +154,11 @@ def label_of(signal: Signal) -> str:
 def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
     """One filtered state within three of its standard deviations."""
     mean = sheet.run["filtered_state"][:, i]
-    band = 3.0 * np.sqrt(np.maximum(sheet.run["filtered_covariance"][:, i, i], 0.0))
-    area = (sheet.time, mean - band, mean + band)
-    axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
+    band = np.zeros_like(mean)
+    if "filtered_covariance" in sheet.run.ports:
+        band = 3.0 * np.sqrt(np.maximum(sheet.run["filtered_covariance"][:, i, i], 0.0))
+        area = (sheet.time, mean - band, mean + band)
+        axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
     axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
     axis.set_ylabel(label_of(sheet.spec.model.states[i]))
     # room for the state and its usual band: a vague start does not set the scale
@@ -138,8 +176,9 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
 
 def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> None:
     """Innovations of the rows of one unit; rejected samples are left out, a start sets no scale."""
-    values = sheet.run["innovation"].copy()
-    values[np.isin(sheet.run.status, [status.value for status in VERDICTS])] = np.nan
+    values, rejected = sheet.run["innovation"].copy(), sheet.rejected
+    left_out = np.where(np.isfinite(values), values, np.inf)
+    values[rejected] = np.nan
     for i, colour in zip(rows, cycle(_SHADES)):
         shown, name = np.isfinite(values[:, i]), sheet.spec.model.outputs[i].name.replace("_", " ")
         axis.plot(sheet.time[shown], values[shown, i], ".", ms=2.5, color=colour, label=name)
@@ -149,6 +188,13 @@ def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> N
     if size.size:
         reach = 1.3 * float(np.quantile(size, 0.995)) or 1.0
         axis.set_ylim(-reach, reach)
+    if rejected[:, rows].any():
+        low, high = axis.get_ylim()
+        for i, colour in zip(rows, cycle(_SHADES)):
+            at = rejected[:, i]
+            shown = np.clip(left_out[at, i], 0.95 * low, 0.95 * high)
+            axis.plot(sheet.time[at], shown, "x", ms=5, color=colour)
+        axis.plot([], [], "x", ms=2, color="black", label="rejected")
     axis.legend(**_ABOVE)
 
 

@@ -8,6 +8,23 @@ from fkgen.errors import DataError, InternalError
 from fkgen.families import ALIASES, NAMES
 from fkgen.families import family as find
 from fkgen.runtime.record import choice
+from fkgen.study.records.reading import Reading
+
+
+def begun(family: str | None, record: Reading | None, inputs: str, output: str) -> tuple[str, str]:
+    """The text of a spec to begin with, and the command to go on with."""
+    if record is None:
+        if family is None:
+            expected = f"the name of a family ({', '.join(NAMES)}), or --from RECORD"
+            raise DataError("FAMILY", given="nothing", expected=expected)
+        return starter(family), f"fkgen check {output}"
+    from fkgen.study.reports.first_spec import first_spec  # noqa: PLC0415 - slow to import
+
+    text = first_spec(record, inputs)
+    if family is not None and f'family = "{family}"' not in text:
+        expected = "none: the spec from a record is a Kalman filter to begin with"
+        raise DataError("FAMILY", given=f"{family!r} beside --from", expected=expected)
+    return text, f"fkgen run {output} {record.path}"
 
 
 def starter(family: str) -> str:

@@ -14,6 +14,7 @@ from fkgen.backend.ir import (
     Assign,
     Call,
     Expression,
+    Heading,
     Literal,
     Operate,
     Operator,
@@ -154,3 +155,24 @@ def test_what_is_required_with_one_status_is_asked_at_once():
     first, last = body_of(*required)
     assert first == replace(required[0], values=(required[0].values + required[1].values))
     assert last == required[2]
+
+
+def test_a_block_in_which_every_cut_is_crossed_by_many_values_is_cut_all_the_same():
+    made = [Operate(Temp(i), Operator.MUL, (Literal(2.0), ELEMENT)) for i in range(400)]
+    read = [Assign(replace(ELEMENT, name="b", index=i), Temp(i)) for i in range(400)]
+    phase = Phase((), (*made, *read), reads_input=False, reads_parameters=False, chunks=((0, ""),))
+    program = replace(program_of(motor("kf")), update=phase)
+    outlined = outline(program)
+    assert all(lines_of(body) < 400 for body in outlined.bodies)
+
+
+def test_a_heading_between_two_blocks_that_do_the_same_does_not_hide_it():
+    steps = [Operate(Temp(i), Operator.MUL, (Literal(2.0 + i), ELEMENT)) for i in range(20)]
+    there = [replace(ELEMENT, name="b", index=i) for i in range(40)]
+    one = (*steps, *(Assign(to, Temp(i)) for i, to in enumerate(there[:20])))
+    two = (*steps, *(Assign(to, Temp(i)) for i, to in enumerate(there[20:])))
+    body = (*one, Heading("again"), *two)
+    starts = ((0, ""), (len(one) + 1, ""))  # the heading stands at the end of the first block
+    phase = Phase((), body, reads_input=False, reads_parameters=False, chunks=starts)
+    outlined = outline(replace(program_of(motor("kf")), update=phase))
+    assert len(calls_of(outlined.phases[0].body)) == 2

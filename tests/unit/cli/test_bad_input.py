@@ -119,10 +119,12 @@ def test_a_picture_in_an_unknown_format(refused):
     assert "given the ending '.bmp'" in line
 
 
-def test_a_folder_with_other_files_is_not_written_into(refused, folder):
+def test_a_file_of_others_in_the_place_of_a_generated_one_is_kept(refused, folder):
     (folder / "mine").mkdir()
-    (folder / "mine" / "notes.txt").write_text("precious", encoding="utf-8")
-    assert "other files (notes.txt)" in refused("generate", "motor.toml", "-o", "mine")
+    (folder / "mine" / "my_filter.c").write_text("precious", encoding="utf-8")
+    line = refused("generate", "motor.toml", "-o", "mine")
+    assert "given a file that fkgen did not write" in line
+    assert [path.name for path in (folder / "mine").iterdir()] == ["my_filter.c"]
 
 
 def test_generated_files_that_were_edited_are_kept(refused, folder):

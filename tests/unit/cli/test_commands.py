@@ -125,6 +125,18 @@ def test_generate_writes_into_a_folder_named_after_the_filter(invoke, tmp_path, 
     assert "floating-point operations" in text
 
 
+def test_generate_into_the_sources_of_others_says_what_stays_theirs(invoke, tmp_path, motor):
+    (tmp_path / "src").mkdir()
+    for name in ("main.c", "CMakeLists.txt"):
+        (tmp_path / "src" / name).write_text("mine", encoding="utf-8")
+    told = invoke("generate", motor, "-o", "src")
+    assert "my_filter.h" in told.stdout
+    assert "CMakeLists.txt" not in told.stdout
+    assert "CMakeLists.txt is yours and stays; add my_filter.c to it" in told.stderr
+    for name in ("main.c", "CMakeLists.txt"):
+        assert (tmp_path / "src" / name).read_text(encoding="utf-8") == "mine"
+
+
 def test_generate_again_gives_the_same_files(invoke, tmp_path, motor):
     invoke("generate", motor, "-o", "a")
     first = {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir()}

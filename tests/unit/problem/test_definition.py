@@ -68,6 +68,13 @@ SPECS = {
         weight_floor=0,
     ),
     "code": Spec.from_dict({**KF, "code": {"scalar": "float", "update": "joseph"}}),
+    "clock": Spec.from_dict(
+        {
+            **KF,
+            "model": {**MODEL, "sample_time": "tau"},
+            "record": {"columns": {"tau": "Abtastzeit [s]"}, "time": "Zeit"},
+        }
+    ),
     "named": Spec.from_dict(
         {
             **KF,

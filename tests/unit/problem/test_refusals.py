@@ -41,6 +41,18 @@ KEYS: list[Case] = [
     (KF, {"modell": {}}, "modell", "an unknown key", "did you mean 'model'?"),
     (KF, {"model.a": [[1]]}, "model.a", "an unknown key", "did you mean 'A'?"),
     (KF, {"model.sampletime": 1}, "model.sampletime", "unknown", "did you mean 'sample_time'?"),
+    (KF, {"model.sample_time": "tu"}, "model.sample_time", "'tu'", "did you mean 'tau'?"),
+    (KF, {"model.sample_time": -1}, "model.sample_time", "-1", "or the name of a parameter"),
+    (
+        KF,
+        {"model.sample_time": "tau", "parameters.tau": 0.0},
+        "model.sample_time",
+        "'tau', whose default is 0.0",
+        "a parameter with a positive default",
+    ),
+    (KF, {"record": {"columns": {"y1": "b"}}}, "record.columns.y1", "an unknown name", "y0, tau"),
+    (KF, {"record": {"columns": {"tau": 1}}}, "record.columns.tau", "the int 1", "heading"),
+    (KF, {"record": {"time": 1}}, "record.time", "the int 1", "heading"),
     (KF, {"model.zzzz": 1}, "model.zzzz", "an unknown key", "one of A, B, C, D, Q, R"),
     (KF, {"faults.actuators": {}}, "faults.actuators", "unknown", "did you mean 'actuator'?"),
     (
@@ -219,7 +231,7 @@ MATRICES: list[Case] = [
     (KF, {"model.sample_time": -1}, "model.sample_time", "-1.0", "a positive number of seconds"),
     (KF, {"model.sample_time": NAN}, "model.sample_time", "nan", "a positive number of seconds"),
     (KF, {"model.sample_time": True}, "model.sample_time", "the boolean True", "a positive number"),
-    (KF, {"model.sample_time": "1"}, "model.sample_time", "the text '1'", "a positive number"),
+    (KF, {"model.sample_time": "1"}, "model.sample_time", "'1'", "a positive number"),
     (KF, {"model.system": 3}, "model.A", "A beside system", "either system or A"),
 ]
 

@@ -28,11 +28,11 @@ Y, U = np.zeros((5, 2)), np.ones((5, 1))
         (Y, np.ones((4, 1)), "u: given 4 samples; expected 5, as many as y has"),
         (Y, np.ones((5, 2)), r"u: given shape \(5, 2\)"),
         (Y, 1.0, "u: given 1 samples"),
-        ([["a", "b"]] * 5, U, "y: given text; expected real numbers"),
+        ([["a", "b"]] * 5, U, r"y\.y0\[0\]: given text 'a'; expected a real number"),
         (Y + 1j, U, "y: given type complex128"),
         (Y > 0.0, U, "y: given type bool"),
-        ([[None, {}]] * 5, U, "y: given type object"),
-        (Y, [["one"]] * 5, "u: given text"),
+        ([[None, {}]] * 5, U, r"y\.y1\[0\]: given \{\} of type dict; expected a real number"),
+        (Y, [["one"]] * 5, r"u\.u0\[0\]: given text 'one'"),
     ],
 )
 def test_records_of_another_shape_or_type_are_refused(y, u, message):

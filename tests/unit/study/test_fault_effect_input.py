@@ -71,7 +71,7 @@ GOOD = step(20, 3, [1.0, 0.0])
         (lambda: fkgen.fault_effect(A, GOOD * np.nan), r"sensor\[0\], y0: given nan"),
         (lambda: fkgen.fault_effect(A, GOOD, params={"tau": 1.0}), "params.tau"),
         (lambda: fkgen.fault_effect(A, GOOD, y=np.zeros((19, 2))), "y: given 19 samples"),
-        (lambda: fkgen.fault_effect(A, [["a", "b"]]), "sensor: given text"),
+        (lambda: fkgen.fault_effect(A, [["a", "b"]]), r"sensor\[0, 0\]: given text 'a'"),
         (lambda: fkgen.fault_effect(motor(), step(20, 3, [1.0])), "the gain of mkf depends on u"),
         (
             lambda: fkgen.fault_effect(spec(random_model(1, 2, 1)), input=np.zeros((9, 1))),

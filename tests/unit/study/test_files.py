@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from fkgen.errors import OutputError
-from fkgen.study.records import files
 from fkgen.study.records.files import refuse_format, write_whole
 
 
@@ -47,11 +46,10 @@ def test_force_through_a_link_replaces_the_file_it_points_to(tmp_path):
 
 
 def test_a_file_that_came_into_being_meanwhile_is_kept(tmp_path, monkeypatch):
-    def rival(partial, data):
-        partial.write_bytes(data)
+    def rival(_descriptor):
         (tmp_path / "a").write_bytes(b"rival")
 
-    monkeypatch.setattr(files, "_fill", rival)
+    monkeypatch.setattr(os, "fsync", rival)
     with pytest.raises(OutputError, match="exists"):
         write_whole(tmp_path / "a", b"mine")
     assert (tmp_path / "a").read_bytes() == b"rival"

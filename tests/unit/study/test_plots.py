@@ -7,8 +7,8 @@ import pytest
 
 import fkgen
 from fkgen.study.records.filtering import Selection, run_table
-from fkgen.study.records.table import Table
-from fkgen.study.reports.plots import draw, rendered
+from fkgen.study.records.record import Table
+from fkgen.study.reports.plots import draw, gaps_of, rendered
 from fkgen.study.reports.starters import starter
 
 PORTS = ("filtered_state", "filtered_covariance", "innovation", "nis")
@@ -18,14 +18,11 @@ def table_of(spec, y, time_name=""):
     samples = len(y)
     return Table(
         file="r",
-        lines=tuple(range(samples)),
         time_name=time_name,
-        time_text=(),
+        time_label={"t_s": "time (s)"}.get(time_name, time_name),
         time=np.arange(samples, dtype=float),
         y=y,
         u=np.ones((samples, spec.model.nu)),
-        params={},
-        notes=(),
     )
 
 
@@ -116,6 +113,45 @@ def test_the_time_axis_says_what_it_is(drawn, family, time_name, label):
 @pytest.mark.parametrize("scalar", ["double", "float"])
 def test_records_without_information_are_drawn_too(drawn, tmp_path, y, scalar):
     assert rendered(drawn("kf", y, scalar=scalar), tmp_path / "a.png")
+
+
+def test_gaps_are_what_is_longer_than_usual():
+    time, silent = np.arange(12.0), np.zeros(12, bool)
+    assert gaps_of(time, silent) == []
+    silent[[4, 5, 6, 7]] = True
+    assert gaps_of(time, silent) == [(3.0, 5.0)]
+    now_and_then = np.arange(12) % 3 > 0
+    assert gaps_of(time, now_and_then) == []
+    time[6:] += 20.0
+    assert gaps_of(time, np.zeros(12, bool)) == [(5.0, 21.0)]
+    assert gaps_of(time, np.ones(12, bool)) == [(0.0, 31.0)]
+
+
+def test_gaps_are_bars_through_all_panels(drawn):
+    y = noise(60, 2)
+    y[20:31] = np.nan
+    for axis in drawn("kf", y).axes:
+        (bar,) = (each for each in axis.collections if each.get_label().startswith("_"))
+        assert bar.get_paths()[0].get_extents().intervalx.tolist() == [19.0, 31.0]
+    assert not any(len(axis.collections) > 1 for axis in drawn("kf", noise(60, 2)).axes)
+
+
+def test_rows_that_were_rejected_are_crosses_within_the_panel(drawn):
+    y = noise(301, 3)
+    y[:, 1] += np.linspace(0.0, 60.0, 301)
+    figure, rejected = drawn("dfcf", y), 0
+    for axis in figure.axes:
+        if axis.get_ylabel().startswith("innovation"):
+            low, high = axis.get_ylim()
+            crosses = [
+                line for line in axis.lines if line.get_marker() == "x" and len(line.get_xdata())
+            ]
+            rejected += len(crosses)
+            for line in crosses:
+                assert np.all((line.get_ydata() > low) & (line.get_ydata() < high))
+            names = [text.get_text() for text in axis.get_legend().get_texts()]
+            assert ("rejected" in names) == bool(crosses)
+    assert rejected
 
 
 @pytest.mark.parametrize("ending", ["png", "pdf"])

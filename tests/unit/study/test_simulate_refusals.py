@@ -30,7 +30,7 @@ def plant():
         ({"u": np.nan}, "u: given NaN or an infinity"),
         ({"sensor": np.ones((10, 2))}, "sensor: given shape (10, 2); expected shape (10, 1)"),
         ({"sensor": np.full((10, 1), np.nan)}, "expected finite numbers; 0 is no fault"),
-        ({"input": "pulse"}, "input: given text; expected real numbers"),
+        ({"input": "pulse"}, "input: given text 'pulse'; expected a real number"),
         ({"params": {"tau": 1.0}}, "params.tau: given an unknown name"),
     ],
 )

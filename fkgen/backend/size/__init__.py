@@ -1,0 +1,1 @@
+"""What decides how large the generated C becomes."""

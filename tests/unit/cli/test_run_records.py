@@ -1,0 +1,143 @@
+"""``fkgen run`` over what a logger wrote: the same numbers, a summary, nothing lost."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import fkgen
+from fkgen.cli import main
+from fkgen.study.records import csv_files
+
+SPEC = """
+name = "walk"
+[parameters]
+dt = 0.1
+[model]
+states = [{name = "p"}, {name = "v"}]
+outputs = [{name = "gps", unit = "m"}, {name = "speed", unit = "m/s"}]
+sample_time = "dt"
+A = [[1.0, "dt"], [0.0, 1.0]]
+C = [[1.0, 0.0], [0.0, 1.0]]
+Q = [[1e-4, 0.0], [0.0, 1e-2]]
+R = [[1.0, 0.0], [0.0, 0.04]]
+x0 = [0.0, 0.0]
+P0 = [[100.0, 0.0], [0.0, 25.0]]
+[filter]
+family = "kf"
+"""
+NAN = np.nan
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "walk.toml").write_text(SPEC, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*options, status=0):
+    result = CliRunner().invoke(main, ["run", "walk.toml", *options], prog_name="fkgen")
+    assert result.exit_code == status, result.output
+    return result
+
+
+def drawn(samples=900):
+    rng = np.random.default_rng(5)
+    t = 1_714_564_800_000 + np.cumsum(rng.integers(10, 200, samples))
+    y = rng.normal(size=(samples, 2)).round(3)
+    y[rng.random(y.shape) < 0.4] = NAN
+    return t, y
+
+
+def text_of(t, y, separator=";"):
+    rows = (["" if np.isnan(value) else repr(value) for value in row] for row in y.tolist())
+    lines = [separator.join([str(time), *row]) for time, row in zip(t.tolist(), rows, strict=True)]
+    return "\n".join([separator.join(["Time [ms]", "Speed (m/s)", "GPS height [m]"]), *lines])
+
+
+def gaps_of(silent):
+    """Stretches of samples without a row, one by one."""
+    lengths = [0]
+    for each in silent:
+        lengths.append(lengths[-1] + 1 if each else 0)
+    ends = [a for a, b in zip(lengths, [*lengths[1:], 0], strict=True) if a and not b]
+    return len(ends), max(ends, default=0)
+
+
+@pytest.mark.parametrize("block", [300, 1 << 22])
+def test_a_record_in_pieces_is_filtered_as_the_whole(folder, monkeypatch, block):
+    monkeypatch.setattr(csv_files, "BLOCK", block)
+    t, y = drawn()
+    (folder / "log.csv").write_text(text_of(t, y[:, ::-1]), encoding="utf-8")
+    result = run("log.csv", "--column", "gps=gps height")
+    table = list(csv.DictReader(io.StringIO(result.stdout)))
+    step = np.diff(t, append=2 * t[-1] - t[-2]) / 1000
+    expected = fkgen.build(fkgen.load("walk.toml")).run(y, params={"dt": step})
+    for name, values in (
+        ("p", expected.filtered_state[:, 0]),
+        ("v", expected.filtered_state[:, 1]),
+    ):
+        np.testing.assert_allclose(
+            [float(row[f"filtered_state.{name}"]) for row in table], values, rtol=1e-13
+        )
+    assert [int(row["Time [ms]"]) for row in table] == t.tolist()
+    there = np.isfinite(y)
+    count, longest = gaps_of(~there.any(axis=1))
+    rms = np.sqrt(expected.nis[there.any(axis=1)].sum() / there.sum())
+    assert result.stderr.splitlines()[-1] == (
+        f"summary: log.csv: 900 samples, {there.sum()} of 1800 rows used, {count} gaps (the "
+        f"longest of {longest} samples), 0 refused, 0 rejected, rms of normalised "
+        f"innovations {rms:.3g} (1 where the model is right)"
+    )
+
+
+def test_what_was_refused_is_counted_and_named_by_its_line(folder):
+    (folder / "log.csv").write_text(
+        "gps,speed,dt\n1,2,0.1\n\n1,2,1e200\n1,2,1e200\n,,0.1\n", "utf-8"
+    )
+    result = run("log.csv", "-o", "out.csv", status=1)
+    assert result.stdout == ""
+    (warning,) = (line for line in result.stderr.splitlines() if line.startswith("warning"))
+    assert warning.startswith("warning: log.csv: 2 samples refused, the first in line 4: WALK_")
+    assert warning.endswith("held: no time passed there")
+    assert (
+        "summary: log.csv: 4 samples, 2 of 8 rows used, 1 gap (the longest of 1 sample), 2 ref"
+        in (result.stderr)
+    )
+    assert len((folder / "out.csv").read_text("utf-8").splitlines()) == 5
+
+
+def test_an_error_in_the_last_piece_leaves_nothing(folder, monkeypatch):
+    monkeypatch.setattr(csv_files, "BLOCK", 300)
+    t, y = drawn()
+    text = text_of(t, y).replace("GPS height [m]", "gps") + "\n1;2;3\n"
+    (folder / "log.csv").write_text(text, encoding="utf-8")
+    for options in ((), ("-o", "out.csv"), ("-o", "out.csv", "--plot", "out.png")):
+        result = run("log.csv", *options, status=2)
+        assert result.stdout == ""
+        assert "error: log.csv, line 902, column Time [ms]: given 1 after" in result.stderr
+        assert sorted(p.name for p in folder.iterdir()) == ["log.csv", "walk.toml"]
+
+
+def test_times_with_commas_and_quotes_come_out_as_they_were(folder):
+    times = ["2024-05-01T12:00:00,5", "2024-05-01T12:00:01,0"]
+    rows = "\n".join(f'"{time}",1,2' for time in times)
+    (folder / "log.csv").write_text(f"time,gps,speed\n{rows}\n", "utf-8")
+    table = list(csv.DictReader(io.StringIO(run("log.csv").stdout)))
+    assert [row["time"] for row in table] == times
+
+
+def test_other_commands_read_records_with_the_same_options(folder):
+    t, y = drawn(60)
+    (folder / "log.csv").write_text(text_of(t, y).replace("GPS height", "gps"), encoding="utf-8")
+    options = ["--record", "log.csv", "--delimiter", ";", "--column", "gps=gps"]
+    result = CliRunner().invoke(main, ["simulate", "walk.toml", *options], prog_name="fkgen")
+    assert result.exit_code == 0, result.output
+    table = list(csv.DictReader(io.StringIO(result.stdout)))
+    np.testing.assert_allclose([float(r["dt"]) for r in table[:-1]], np.diff(t) / 1000, rtol=1e-12)
+    np.testing.assert_array_equal([r["gps"] == "" for r in table], np.isnan(y[:, 1]))
