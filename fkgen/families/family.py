@@ -103,6 +103,10 @@ class Family:
         """Names of the options."""
         return tuple(each.name for each in fields(self.options))
 
+    def remarks(self, spec: Spec) -> tuple[Finding, ...]:
+        """What is worth knowing of a spec before anything is computed."""
+        return (*self.caveats(spec), *spec.model.remarks)
+
     def check_model(self, model: Model, place: Place) -> None:
         """Refuse equations, where the family needs matrices."""
         if model.equations is not None and not self.traits.nonlinear:

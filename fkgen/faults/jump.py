@@ -13,6 +13,7 @@ from fkgen.faults.chain import LETTERS, Channel, Mode, ModeChain
 from fkgen.problem.equations import ABSENCE
 from fkgen.problem.functions import affine, modes
 from fkgen.problem.functions.named import Named
+from fkgen.problem.functions.start import check_start
 from fkgen.problem.model import Model, discretised, offset
 from fkgen.problem.probability import (
     Distribution,
@@ -279,6 +280,7 @@ def _with_equations(section: Section, model: Model, kept: tuple[int, ...] | None
     found: dict[str, Any] = {"Q": model.Q, "R": model.R}
     _state_own(section, found)
     equations = modes.mode_equations(section, named, base)
+    check_start(equations, named, model.x0.values().ravel(), section.place)
     linear = None if model.equations is not None else affine.matrices(equations)
     if linear is not None:
         return Mode(**(found | linear))

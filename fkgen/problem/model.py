@@ -21,6 +21,7 @@ from fkgen.problem.functions.reading import (
     read_equations,
     read_timing,
 )
+from fkgen.problem.functions.start import check_start
 from fkgen.problem.signals import Signal, read_signals
 from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.table.section import Section, check_finite
@@ -182,6 +183,7 @@ def _with_equations(section: Section) -> Model:
     R = _noise(section, ("R", "G", "W"), p, "measurement")
     x0 = _constant(section, "x0", section.column("x0", n, "numbers"))
     x0, remarks = read_start(section, named, x0)
+    check_start(equations, named, x0.values().ravel(), section.place)
     found = matrices(equations) if not named.wraps else None
     letters = ABSENCE if found is None else found
     return Model(

@@ -88,6 +88,7 @@ def test_vectors_and_rotations_are_those_of_textbooks():
     q = Rotation.from_rotvec([0.3, -0.2, 0.5])
     scalar = np.roll(q.as_quat(), 1)
     model = {**ATTITUDE, "outputs": [{"name": f"y{i}"} for i in range(9)], "R": np.eye(9).tolist()}
+    model["x0"] = [1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]
     model["let"] = {
         "g": "[bx, by, bz]",
         "a": "rotate(q, 2*g - [gx, gy, gz]/4)",
