@@ -350,3 +350,16 @@ def test_the_conditions_of_a_mode_are_one_estimate():
         np.testing.assert_allclose(found[port], expected[port], rtol=1e-11, err_msg=port)
     merged = expected["mode_probability"] @ (shares > 0.0).T
     np.testing.assert_allclose(found["mode_probability"], merged, rtol=1e-11)
+
+
+@pytest.mark.parametrize("run", [textbook_interacting, textbook_gpb1])
+def test_modes_that_expect_both_sides_of_the_end_of_a_turn_expect_its_end(run):
+    bearing = dict.fromkeys(("R", "P0"), np.array([[0.01]])) | {"x0": np.zeros(1)}
+    wraps = np.array([True])
+    sides = [
+        system(lambda x, *_: x, h, ("line",), 1, wraps=wraps, **bearing)
+        for h in (lambda x, *_: [x[0] + np.pi - 0.1], lambda x, *_: [x[0] - np.pi + 0.1])
+    ]
+    found = run(Modes.of(sides, np.full((1, 2, 2), 0.5), np.full(2, 0.5)), *np.zeros((2, 1, 1)))
+    np.testing.assert_allclose(np.abs(found["innovation"]), [[np.pi]])
+    np.testing.assert_allclose(found["innovation_covariance"], [[[0.02 + 0.1**2]]])
