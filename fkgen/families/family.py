@@ -11,6 +11,7 @@ from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
+from fkgen.problem.functions.affine import why_not_linear
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
@@ -77,6 +78,7 @@ class Family:
     #: Sections of ``faults`` that it is about, of which a spec has one, and how each is read
     accepts: Mapping[str, FaultReader] = field(default_factory=dict)
     optional_faults: bool = False  # the first section may be missing
+    instead: str = ""  # the families that take plants that are not linear, with these faults
     check: Callable[[Spec], None] = lambda _: None  # raises SpecError where it is not defined
     #: Where the filter of a spec is less than its name says
     caveats: Callable[[Spec], tuple[Finding, ...]] = lambda _: ()
@@ -99,6 +101,25 @@ class Family:
     def keys(self) -> tuple[str, ...]:
         """Names of the options."""
         return tuple(each.name for each in fields(self.options))
+
+    def check_model(self, model: Model, place: Place) -> None:
+        """Refuse equations, where the family needs matrices."""
+        if model.equations is not None and not self.traits.nonlinear:
+            key, given = why_not_linear(model)
+            instead = f"take {self.instead}" if self.instead else "take ekf, iekf or ukf"
+            where = place.entry("model").entry(key)
+            raise where.error(given, f"{self._demand}; {instead}")
+
+    @property
+    def _demand(self) -> str:
+        """What the family needs of a plant that is not linear and is not there."""
+        if self.traits.moments:
+            what = "E[x x'] of every sample, which follows from A alone"
+        elif self.traits.windows != "none":
+            what = "products of A over a window"
+        else:
+            return f"equations that are linear in states and inputs for the family {self.name}"
+        return f"a linear plant for the family {self.name}: it needs {what}"
 
     def check_spec(self, spec: Spec) -> None:
         """Refuse a spec for which the family is not defined."""

@@ -154,6 +154,7 @@ FAMILY = Family(
         "sensor", "LEMMA_2_FORM", "LINEAR_BATCH", theorems="linear_optimal:LINEAR_IDENTITIES"
     ),
     traits=Traits(moments=True),
+    instead="one_step, imm or genie",
     options=LinearOptions,
     accepts={"sensor": partial(read_sensor_faults, law="moments")},
     check=check,

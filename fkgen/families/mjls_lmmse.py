@@ -154,6 +154,7 @@ FAMILY = Family(
     ),
     proof=proved_by("jump", "PATHS", "TEXTBOOK"),
     traits=Traits(moments=True),
+    instead="imm or mme",
     options=LossOptions,
     accepts={"jump": partial(read_jump_faults, arrivals=True)},
     check=check,

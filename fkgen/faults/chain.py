@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fkgen.problem.equations import Equations
 from fkgen.problem.model import plain_source
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
 from fkgen.problem.text.discretise import Continuous
@@ -44,6 +45,7 @@ class Mode:
     title: str = field(default="", compare=False)
     kept: tuple[int, ...] | None = None  # States that the mode has, if not all; the others are 0
     source: Continuous | None = None  # What A, B, c and Q were computed from, if time is continuous
+    equations: Equations | None = None  # What is there in place of A, B, C, D, c and d
 
     @property
     def is_constant(self) -> bool:
@@ -64,7 +66,7 @@ class Mode:
         if self.kept is not None:
             table |= {key: _cut(table[key], key, self.kept) for key in "ABCQc"}
             table["states"] = list(self.kept)
-        absent = ["title", "source", "kept", *([] if self.B.shape[1] else ["B", "D"])]
+        absent = ["title", "source", "kept", "equations", *([] if self.B.shape[1] else ["B", "D"])]
         return {key: entry for key, entry in table.items() if key not in absent}
 
 

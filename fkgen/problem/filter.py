@@ -22,6 +22,7 @@ class Parameter:
     #: low, high: What it may be at run time
     low: float = -math.inf
     high: float = math.inf
+    of: str = ""  # The vector parameter that it is an entry of
 
     @property
     def numbers(self) -> tuple[float, ...]:
@@ -54,6 +55,7 @@ class Traits:
     moments: bool = False  # Gains follow from unconditional second moments, P0 among them
     #: "none"; rows of y wait for the end of a window as an estimate of the whole state
     #: ("full"), or of the part that they measure ("partial")
+    nonlinear: bool = False  # It linearises where it is, so it takes equations
     windows: Literal["none", "full", "partial"] = "none"
     #: What it is told of the faults of every sample, as run-time parameters
     told: tuple[Parameter, ...] = ()

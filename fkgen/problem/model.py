@@ -1,19 +1,30 @@
-"""The plant: a linear time-invariant model in discrete time."""
+"""The plant: matrices, or equations in their place, in discrete time."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fkgen.errors import SpecError
 from fkgen.problem.covariance import checked_covariance
+from fkgen.problem.equations import ABSENT, Equations
+from fkgen.problem.finding import Finding
+from fkgen.problem.functions.affine import matrices
+from fkgen.problem.functions.named import read_named, read_start
+from fkgen.problem.functions.reading import (
+    KEYS,
+    has_equations,
+    plain_equations,
+    read_equations,
+    read_timing,
+)
 from fkgen.problem.signals import Signal, read_signals
 from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.table.section import Section, check_finite
-from fkgen.problem.text.discretise import OF_TIME, Continuous
+from fkgen.problem.text.discretise import OF_TIME, Continuous, as_time
 from fkgen.problem.text.expression import is_large
 from fkgen.problem.text.foreign import state_space
 from fkgen.problem.text.matrix import Matrix, congruence, plain_fields
@@ -52,25 +63,36 @@ class Model:
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     source: Continuous | None = None  # What A, B, c and Q were computed from, if the time was
+    equations: Equations | None = None  # What is there in place of A, B, C, D, c and d
+    #: What a user should know of how it was read
+    remarks: tuple[Finding, ...] = field(default=(), compare=False)
 
     @property
     def nx(self) -> int:
-        """Number of states, n."""
-        return self.A.shape[0]
+        """Count of numbers in x, n."""
+        return len(self.x0.rows)
+
+    @property
+    def ne(self) -> int:
+        """Count of rows of covariances of x: n, less one for every attitude."""
+        return len(self.P0.rows)
 
     @property
     def nu(self) -> int:
         """Number of inputs, q."""
-        return self.B.shape[1]
+        return len(self.inputs)
 
     @property
     def ny(self) -> int:
         """Number of outputs, p."""
-        return self.C.shape[0]
+        return len(self.outputs)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
-        absent = [key for key in ("c", "d", "S") if getattr(self, key).is_zero]
+        if self.equations is not None:
+            return self._plain_equations(self.equations)
+        absent = ["equations", "remarks"]
+        absent += [key for key in ("c", "d", "S") if getattr(self, key).is_zero]
         absent += [] if self.nu else ["B", "D"]
         columns = {key: getattr(self, key).plain_column() for key in ("x0", "c", "d")}
         table = plain_fields(self) | columns
@@ -80,10 +102,21 @@ class Model:
             absent += ["c"] if self.source.c.is_zero else []
         return {key: entry for key, entry in table.items() if key not in absent}
 
+    def _plain_equations(self, equations: Equations) -> dict[str, object]:
+        table: dict[str, object] = {key: getattr(self, key).plain() for key in ("Q", "R", "P0")}
+        table |= {} if self.S.is_zero else {"S": self.S.plain()}
+        table |= {"x0": self.x0.plain_column()}
+        for key in ("states", "inputs", "outputs"):
+            table[key] = [signal.plain() for signal in getattr(self, key)]
+        table |= {} if self.sample_time is None else {"sample_time": self.sample_time}
+        return table | plain_equations(equations, self.states, self.outputs)
+
 
 def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Model:
     """Return the model that a table describes; its matrices fix its dimensions one by one."""
-    section = Section(table, place, known=_KEYS, defaults=defaults)
+    section = Section(table, place, known=(*_KEYS, *KEYS), defaults=defaults)
+    if has_equations(section):
+        return _with_equations(section)
     sample_time = _expand_system(section)
     A = section.matrix("A", (None, None), "A maps the state to itself")
     n = A.shape[0]
@@ -126,6 +159,42 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
         states=read_signals(section, "states", "x", n),
         inputs=read_signals(section, "inputs", "u", q),
         outputs=read_signals(section, "outputs", "y", p),
+    )
+
+
+def _with_equations(section: Section) -> Model:
+    """The model whose motion or measurement is stated by equations."""
+    sample_time = _expand_system(section)
+    named = read_named(section)
+    n, p = len(named.coordinates), len(named.outputs)
+    ne = n - len(named.attitudes)
+    period = None
+    if named.continuous:
+        if sample_time is None:
+            raise _no_sample_time(section)
+        period = as_time(sample_time)
+    equations = read_equations(section, named, read_timing(section, period))
+    zero = "Q" not in section and "F" not in section and bool(named.noises)
+    because = "P0 is the covariance of the error of x0 (3 rows for an attitude)"
+    Q = Matrix.zeros(ne, ne) if zero else _noise(section, ("Q", "F", "V"), ne, "state")
+    R = _noise(section, ("R", "G", "W"), p, "measurement")
+    x0 = _constant(section, "x0", section.column("x0", n, "numbers"))
+    x0, remarks = read_start(section, named, x0)
+    found = matrices(equations) if not named.wraps else None
+    letters = dict.fromkeys("ABCDcd", ABSENT) if found is None else found
+    return Model(
+        **letters,
+        Q=Q,
+        R=R,
+        S=_cross_covariance(section, Q, R),
+        x0=x0,
+        P0=_constant(section, "P0", section.covariance("P0", ne, because)),
+        sample_time=sample_time,
+        states=named.states,
+        inputs=named.inputs,
+        outputs=named.outputs,
+        equations=equations if found is None else None,
+        remarks=remarks,
     )
 
 
@@ -210,10 +279,14 @@ def _continuous(
 ) -> Continuous:
     """What a continuous plant is discretised from."""
     if sample_time is None:
-        given = 'nothing (the key is missing) beside time = "continuous"'
-        expected = "the seconds from sample to sample, or the name of a parameter"
-        raise section.error("sample_time", given, expected)
+        raise _no_sample_time(section)
     return Continuous(*stated, sample_time)
+
+
+def _no_sample_time(section: Section) -> Exception:
+    given = 'nothing (the key is missing) beside time = "continuous"'
+    expected = "the seconds from sample to sample, or the name of a parameter"
+    return section.error("sample_time", given, expected)
 
 
 def discretised(

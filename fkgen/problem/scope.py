@@ -11,12 +11,15 @@ from fkgen.problem.filter import Parameter
 from fkgen.problem.signals import check_distinct, parameter_words, read_name
 from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_list, as_number, as_table
+from fkgen.problem.text.foreign import plain_list
 from fkgen.problem.text.lookup import Kind, Table
 
 _DEFAULT = "a finite number, the default"
 _POINTS = "a list of at least 2 finite numbers"
 #: Most points of a table: each interval is some lines of C.
 MOST_POINTS = 200
+#: Most entries of a parameter that is a vector.
+MOST_ENTRIES = 16
 
 
 def read_parameters(
@@ -26,9 +29,11 @@ def read_parameters(
     entries = as_table(table, place, "a table of default values, such as tau = 0.05")
     words = parameter_words(name, entries)
     parameters = tuple(
-        _parameter(read_name(key, place.entry(key), words), value, place.entry(key))
+        each
         for key, value in entries.items()
+        for each in _stated(read_name(key, place.entry(key), words), value, place.entry(key))
     )
+    check_distinct((*entries, *(each.name for each in parameters if each.of)), place, "parameters")
     for own in told:
         if own.name in entries:
             raise place.entry(own.name).error(
@@ -37,6 +42,40 @@ def read_parameters(
             )
     check_distinct((each.name for each in (*parameters, *told)), place, "parameters")
     return (*parameters, *told)
+
+
+def vectors(parameters: tuple[Parameter, ...]) -> dict[str, tuple[str, ...]]:
+    """The parameters that are entries of vectors, by vector."""
+    found: dict[str, tuple[str, ...]] = {}
+    for each in parameters:
+        if each.of:
+            found[each.of] = (*found.get(each.of, ()), each.name)
+    return found
+
+
+def plain_parameters(parameters: tuple[Parameter, ...]) -> dict[str, object]:
+    """The table that a spec file would hold."""
+    found: dict[str, Any] = {}
+    for each in parameters:
+        if each.of:
+            found.setdefault(each.of, []).append(each.default)
+        else:
+            found[each.name] = each.plain()
+    return found
+
+
+def _stated(name: str, value: object, place: Place) -> tuple[Parameter, ...]:
+    """One parameter, or those of a vector: of m they are m_0, m_1, ..."""
+    plain = plain_list(value, place)
+    if not isinstance(plain, list) or len(plain) < 2:
+        return (_parameter(name, value, place),)
+    if len(plain) > MOST_ENTRIES:
+        expected = f"a number, or a vector of 2 to {MOST_ENTRIES} numbers"
+        raise place.error(f"a list of {len(plain)}", expected)
+    return tuple(
+        Parameter(read_name(f"{name}_{i}", place.item(i)), as_number(each, place.item(i)), of=name)
+        for i, each in enumerate(plain)
+    )
 
 
 def _parameter(name: str, value: object, place: Place) -> Parameter:

@@ -6,6 +6,7 @@ import keyword
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from fkgen.problem.table.place import Place, describe, show, suggestion
 from fkgen.problem.table.section import Section, as_list, as_number
@@ -113,32 +114,62 @@ def check_distinct(names: Iterable[str], place: Place, what: str) -> None:
 
 MAX_UNIT = 40
 
+Manifold = Literal["", "SO3"]
+
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One component of x, u or y."""
+    """One component of x, u or y; an attitude is one state of four numbers."""
 
     name: str  # A C identifier
     unit: str = ""  # Such as "rad/s"; empty if not stated
+    wrap: bool = False  # An angle in radians, whose differences lie in (-pi, pi]
+    manifold: Manifold = ""  # "SO3": a unit quaternion (w, x, y, z), body to world
+
+    def plain(self) -> dict[str, object]:
+        """Return the table a spec file would hold."""
+        table: dict[str, object] = {"name": self.name, "unit": self.unit}
+        table |= {"wrap": True} if self.wrap else {}
+        return table | ({"manifold": self.manifold} if self.manifold else {})
 
 
-def read_signals(section: Section, key: str, letter: str, count: int) -> tuple[Signal, ...]:
-    """Return the signals under ``key``, or ``x0, x1, ...`` without units."""
+#: What a signal may state besides its name and unit.
+_ABOUT: dict[str, tuple[str, ...]] = {"states": ("wrap", "manifold"), "outputs": ("wrap",)}
+
+
+def read_signals(section: Section, key: str, letter: str, count: int | None) -> tuple[Signal, ...]:
+    """Return the signals under ``key``, or ``x0, x1, ...`` without units.
+
+    Without a count there are as many as are stated.
+    """
     if key not in section:
-        return tuple(Signal(f"{letter}{index}") for index in range(count))
+        return tuple(Signal(f"{letter}{index}") for index in range(count or 0))
     place = section.place.entry(key)
-    expected = f"a list of {count} tables, such as {{name = 'speed', unit = 'rad/s'}}"
+    shown = "" if count is None else f"{count} "
+    expected = f"a list of {shown}tables, such as {{name = 'speed', unit = 'rad/s'}}"
     entries = as_list(section.table[key], place, expected)
-    if len(entries) != count:
+    if count not in {None, len(entries)}:
         raise place.error(f"{len(entries)} entries", f"{count}: the model has {count} {key}")
-    signals = tuple(_signal(entry, place.item(index)) for index, entry in enumerate(entries))
+    about = ("name", "unit", *_ABOUT.get(key, ()))
+    signals = tuple(_signal(each, place.item(index), about) for index, each in enumerate(entries))
     check_distinct((signal.name for signal in signals), place, key)
     return signals
 
 
-def _signal(entry: object, place: Place) -> Signal:
-    section = Section(entry, place, known=("name", "unit"))
+def _signal(entry: object, place: Place, about: tuple[str, ...]) -> Signal:
+    section = Section(entry, place, known=about)
     name = read_name(section.require("name", "a C identifier"), place.entry("name"))
+    unit, wrap = read_unit(section), section.flag("wrap", default=False)
+    manifold: Manifold = (
+        section.choice("manifold", ("SO3",), "SO3") if "manifold" in section else ""
+    )
+    if wrap and manifold:
+        raise section.error("wrap", "wrap beside manifold = 'SO3'", "one of the two")
+    return Signal(name, unit, wrap, manifold)
+
+
+def read_unit(section: Section) -> str:
+    """Return a unit, which may stand in a comment of C; none if nothing is stated."""
     unit = section.table.get("unit", "")
     if not isinstance(unit, str):
         raise section.error("unit", describe(unit), "a text, such as 'rad/s'")
@@ -146,7 +177,7 @@ def _signal(entry: object, place: Place) -> Signal:
     if forbidden or len(unit) > MAX_UNIT or not unit.isprintable():
         expected = f"at most {MAX_UNIT} printable characters that can stand in a C comment"
         raise section.error("unit", show(unit), expected)
-    return Signal(name, str(unit))
+    return str(unit)
 
 
 def read_rows(

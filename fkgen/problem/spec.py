@@ -14,11 +14,18 @@ import numpy as np
 
 from fkgen.errors import of_type
 from fkgen.problem.code import Code, read_code
+from fkgen.problem.equations import ABSENT, Equations
 from fkgen.problem.filter import Filter, Parameter, registry
 from fkgen.problem.model import Model, read_model
-from fkgen.problem.record import Columns, read_record
-from fkgen.problem.scope import check_float, read_parameters, read_tables
+from fkgen.problem.scope import (
+    check_float,
+    plain_parameters,
+    read_parameters,
+    read_tables,
+    vectors,
+)
 from fkgen.problem.signals import PREFIX, read_name
+from fkgen.problem.table.columns import Columns, read_record
 from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_table
 from fkgen.problem.text.expression import Expression, Scope
@@ -99,10 +106,10 @@ class Spec:
         given_filter = whole.require("filter", "a table with the family of the filter")
         families = registry()
         family, options = families.section_of(given_filter, place.entry("filter"))
-        parameters, tables = _read_scope(whole, place, name, family)
-        defaults = Scope({each.name: each.default for each in parameters}, tables)
+        parameters, defaults = _read_scope(whole, place, name, family)
         given_model = whole.require("model", "a table with the plant")
         model = read_model(given_model, place.entry("model"), defaults)
+        family.check_model(model, place)
         given_faults, where = whole.table.get("faults", {}), place.entry("faults")
         faults = families.read_faults(family, given_faults, where, defaults, model)
         spec = cls(
@@ -112,7 +119,7 @@ class Spec:
             faults=faults,
             filter=Filter(options.table["family"], family.options.read(options, faults, model)),
             code=read_code(whole.table.get("code", {}), place.entry("code")),
-            tables=tables,
+            tables=tuple(defaults.tables.values()),
             record=read_record(
                 whole.table.get("record", {}),
                 place.entry("record"),
@@ -131,8 +138,19 @@ class Spec:
 
     @property
     def expressions(self) -> Iterator[Expression]:
-        """Every entry of the plants and of what is said about faults."""
-        return expressions((self.plants, self.faults))
+        """Every entry of the plants and of what is said about faults, in terms of parameters."""
+        found = (self.plants, self.faults, tuple(each.noises for each in self.equations))
+        return expressions(found)
+
+    @property
+    def equations(self) -> tuple[Equations, ...]:
+        """What plants have in place of matrices."""
+        return tuple(each.equations for each in self.plants if each.equations is not None)
+
+    @property
+    def trees(self) -> Iterator[Expression]:
+        """Every tree of equations, in terms of states, inputs, noises and parameters."""
+        return (tree for each in self.equations for tree in each.trees)
 
     @property
     def period(self) -> float | None:
@@ -175,7 +193,7 @@ class Spec:
         table: dict[str, object] = {
             "name": self.name,
             "model": self.model.plain(),
-            "parameters": {item.name: item.plain() for item in self.stated_parameters},
+            "parameters": plain_parameters(self.stated_parameters),
             "faults": self.faults.plain(),
             "filter": self.filter.plain(),
             "code": self.code.plain(),
@@ -186,8 +204,10 @@ class Spec:
 
     def canonical(self) -> str:
         """Return a JSON text that is equal for equal specs and different for different ones."""
-        table = self.to_dict()
-        table["parameters"] = [[item.name, item.plain()] for item in self.stated_parameters]
+        table: Any = self.to_dict()
+        table["parameters"] = [list(pair) for pair in table["parameters"].items()]
+        if found := [[list(pair) for pair in each.plain_let] for each in self.equations]:
+            table["let"] = found
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
@@ -217,7 +237,8 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
     scalar = spec.code.scalar
     smallest, largest = LIMITS[scalar]
     for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c", "d", "S"):
-        values = getattr(plant, name).values(spec.defaults) if hasattr(plant, name) else ()
+        found = getattr(plant, name, ABSENT)
+        values = () if found is ABSENT else found.values(spec.defaults)
         for at, value in np.ndenumerate(values):
             expected = ""
             if abs(value) > largest:
@@ -232,11 +253,13 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
 
 def _read_scope(
     whole: Section, place: Place, name: str, family: Any
-) -> tuple[tuple[Parameter, ...], tuple[Table, ...]]:
-    """The parameters and tables that expressions may name."""
+) -> tuple[tuple[Parameter, ...], Scope]:
+    """The parameters, and what expressions may name."""
     given, told = whole.table.get("parameters", {}), family.traits.told
     parameters = read_parameters(given, place.entry("parameters"), name, told, family.name)
-    return parameters, read_tables(whole.table.get("tables", {}), place.entry("tables"))
+    tables = read_tables(whole.table.get("tables", {}), place.entry("tables"))
+    defaults = {each.name: each.default for each in parameters}
+    return parameters, Scope(defaults, tables, vectors(parameters))
 
 
 def load(path: str | os.PathLike[str]) -> Spec:

@@ -57,8 +57,7 @@ class Continuous:
     @property
     def T(self) -> Expression:
         """The sample time."""
-        stated = self.sample_time
-        return Name(stated) if isinstance(stated, str) else Number(stated)
+        return as_time(self.sample_time)
 
     @property
     def discrete(self) -> dict[str, Matrix]:
@@ -132,6 +131,11 @@ class Continuous:
             "c": _times(grown, self.c),
             "Q": mirrored(_sum(terms)),
         }
+
+
+def as_time(stated: float | str) -> Expression:
+    """The seconds from sample to sample, a number or a parameter."""
+    return Name(stated) if isinstance(stated, str) else Number(stated)
 
 
 @lru_cache(maxsize=256)

@@ -14,9 +14,8 @@ import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from itertools import accumulate, pairwise
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.text.lookup import Table
@@ -33,6 +32,8 @@ WORDS = frozenset((*FUNCTIONS, *CONSTANTS))
 COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
 #: What decides on the values of its arguments, so that a NaN in them would be lost.
 _DECIDING = frozenset((*COMPARISONS, "sign", "min", "max", "interp"))
+
+Result = TypeVar("Result")
 
 MAX_DEPTH = 100
 MAX_NODES = 2000
@@ -121,9 +122,15 @@ _COMPUTE: dict[str, Callable[..., float]] = {
 class Scope(dict[str, float]):
     """What expressions may name: the parameters, with their defaults, and tables."""
 
-    def __init__(self, defaults: Mapping[str, float], tables: Sequence[Table] = ()) -> None:
+    def __init__(
+        self,
+        defaults: Mapping[str, float],
+        tables: Sequence[Table] = (),
+        vectors: Mapping[str, tuple[str, ...]] | None = None,
+    ) -> None:
         super().__init__(defaults)
         self.tables = {table.name: table for table in tables}
+        self.vectors = dict(vectors or {})  # Names of parameters that are the parts of a vector
 
 
 def operation(operator: str, *arguments: Expression, table: Table | None = None) -> Expression:
@@ -259,7 +266,7 @@ _IF = re.compile(r"\bif(?= ?\()"), "if\N{MIDDLE DOT}"
 _COMPARED: dict[type[ast.cmpop], str] = dict(
     zip((ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq), COMPARISONS, strict=True)
 )
-_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
 _LANGUAGE = f"numbers, parameters, + - * / ** ( ) {' '.join((*COMPARISONS, *FUNCTIONS))} and pi"
 _WORDS: dict[type[ast.AST], str] = {
     ast.Attribute: "an attribute access",
@@ -289,24 +296,31 @@ def parse(
 ) -> Expression:
     """Parse an expression; a `Scope` of parameters has the tables that it may look up."""
     where = Place("<text>", "expression") if place is None else place
+    return placed(lambda: Reader(parameters).scalar(syntax(text), 1), text, where)
+
+
+def placed(read: Callable[[], Result], text: str, place: Place) -> Result:
+    """What is read from a text, or the error that names the place and the text."""
     try:
-        return _converted(_tree(text), 1, parameters)
+        return read()
     except Unfit as fault:
         expected = str(fault)
     except ArithmeticError as fault:
         expected = f"a finite real value, but {fault}"
-    raise where.error(show(text), expected)
+    raise place.error(show(text), expected)
 
 
-def _tree(text: str) -> ast.expr:
+def syntax(text: str, allowed: re.Pattern[str] = _ALLOWED) -> ast.expr:
+    """The tree that Python makes of a text, which has no other characters than the allowed."""
     line = " ".join(text.split())
     if len(text) > MAX_TEXT:
         raise Unfit(f"at most {MAX_TEXT} characters, not {len(text)}")
     if not line:
         raise Unfit("an expression, not an empty text")
-    if strange := _ALLOWED.sub("", line):
+    if strange := allowed.sub("", line):
         raise Unfit(f"an expression of {_LANGUAGE}, without {strange[0]!r}")
-    if max(accumulate((each == "(") - (each == ")") for each in line)) > MAX_DEPTH:
+    opened = ((each in "([") - (each in ")]") for each in line)
+    if max(accumulate(opened)) > MAX_DEPTH:
         raise Unfit(_NOT_SO_DEEP)
     try:
         with warnings.catch_warnings():
@@ -318,53 +332,56 @@ def _tree(text: str) -> ast.expr:
         raise Unfit(_NOT_SO_DEEP) from None
 
 
-def _converted(  # noqa: PLR0911 - one per node
-    node: ast.expr, level: int, parameters: Collection[str] | None
-) -> Expression:
-    if level > MAX_DEPTH:
-        raise Unfit(_NOT_SO_DEEP)
-    convert = partial(_converted, level=level + 1, parameters=parameters)
-    match node:
-        case ast.Constant(value):
-            return _constant(value)
-        case ast.Name(identifier):
-            return _name(identifier, parameters)
-        case ast.UnaryOp(ast.UAdd(), operand):
-            return convert(operand)
-        case ast.UnaryOp(ast.USub(), operand):
-            return operation("neg", convert(operand))
-        case ast.BinOp(left, kind, right) if type(kind) in _BINARY:
-            return operation(_BINARY[type(kind)], convert(left), convert(right))
-        case ast.Compare(left, kinds, others) if all(type(kind) in _COMPARED for kind in kinds):
-            pairs = pairwise([convert(side) for side in (left, *others)])
-            compared = zip(kinds, pairs, strict=True)
-            return product([operation(_COMPARED[type(kind)], *pair) for kind, pair in compared])
-        case ast.Call(ast.Name(function), arguments, []):
-            name = "if" if function == _IF[1] else function
-            _check_call(name, len(arguments))
-            return _called(name, arguments, convert, parameters)
-    culprit: ast.AST = node.op if isinstance(node, ast.BinOp | ast.UnaryOp) else node
-    if isinstance(node, ast.Call) and node.keywords:
-        culprit = node.keywords[0]
-    word = _WORDS.get(type(culprit), f"Python's {type(culprit).__name__}")
-    raise Unfit(f"an expression of {_LANGUAGE}, without {word}")
+class Reader:
+    """Takes over what Python's syntax has in common with expressions, node by node."""
 
+    def __init__(self, parameters: Collection[str] | None) -> None:
+        self.parameters = parameters
 
-def _called(
-    function: str,
-    arguments: list[ast.expr],
-    convert: Callable[[ast.expr], Expression],
-    parameters: Collection[str] | None,
-) -> Expression:
-    """Return a call; of an ``if`` that is decided the other branch may have no value."""
-    first = convert(arguments[0])
-    if function == "interp":
-        return operation("interp", first, table=_table(arguments[1], parameters))
-    if function == "if" and isinstance(first, Number):
-        with suppress(ArithmeticError):
-            convert(arguments[2 if first.value else 1])
-        return convert(arguments[1 if first.value else 2])
-    return operation(function, first, *map(convert, arguments[1:]))
+    def scalar(self, node: ast.expr, level: int) -> Expression:  # noqa: PLR0911 - one per node
+        """The number that a node stands for."""
+        if level > MAX_DEPTH:
+            raise Unfit(_NOT_SO_DEEP)
+        match node:
+            case ast.Constant(value):
+                return _constant(value)
+            case ast.Name(identifier):
+                return self.name(identifier)
+            case ast.UnaryOp(ast.UAdd(), operand):
+                return self.scalar(operand, level + 1)
+            case ast.UnaryOp(ast.USub(), operand):
+                return operation("neg", self.scalar(operand, level + 1))
+            case ast.BinOp(left, kind, right) if type(kind) in BINARY:
+                sides = self.scalar(left, level + 1), self.scalar(right, level + 1)
+                return operation(BINARY[type(kind)], *sides)
+            case ast.Compare(left, kinds, others) if all(type(kind) in _COMPARED for kind in kinds):
+                pairs = pairwise([self.scalar(side, level + 1) for side in (left, *others)])
+                compared = zip(kinds, pairs, strict=True)
+                return product([operation(_COMPARED[type(kind)], *pair) for kind, pair in compared])
+            case ast.Call(ast.Name(function), arguments, []):
+                name = "if" if function == _IF[1] else function
+                _check_call(name, len(arguments))
+                return self.called(name, arguments, level + 1)
+        culprit: ast.AST = node.op if isinstance(node, ast.BinOp | ast.UnaryOp) else node
+        if isinstance(node, ast.Call) and node.keywords:
+            culprit = node.keywords[0]
+        word = _WORDS.get(type(culprit), f"Python's {type(culprit).__name__}")
+        raise Unfit(f"an expression of {_LANGUAGE}, without {word}")
+
+    def name(self, identifier: str) -> Expression:
+        """What a name stands for."""
+        return _name(identifier, self.parameters)
+
+    def called(self, function: str, arguments: list[ast.expr], level: int) -> Expression:
+        """Return a call; of an ``if`` that is decided the other branch may have no value."""
+        first = self.scalar(arguments[0], level)
+        if function == "interp":
+            return operation("interp", first, table=_table(arguments[1], self.parameters))
+        if function == "if" and isinstance(first, Number):
+            with suppress(ArithmeticError):
+                self.scalar(arguments[2 if first.value else 1], level)
+            return self.scalar(arguments[1 if first.value else 2], level)
+        return operation(function, first, *(self.scalar(each, level) for each in arguments[1:]))
 
 
 def _table(node: ast.expr, parameters: Collection[str] | None) -> Table:

@@ -123,7 +123,7 @@ def expressions(value: object) -> Iterator[Expression]:
         case tuple():
             for entry in value:
                 yield from expressions(entry)
-        case _ if is_dataclass(value):
+        case _ if is_dataclass(value) and not getattr(value, "apart", False):
             for each in fields(value):
                 yield from expressions(getattr(value, each.name))
 

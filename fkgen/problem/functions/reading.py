@@ -1,0 +1,320 @@
+"""The tables let, f, h and noises of a model, or of a mode of it, as equations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+from fkgen.problem.equations import Equations, Increment, Integrator, Motion, needed
+from fkgen.problem.functions.affine import rows
+from fkgen.problem.functions.named import REFUSED, Named
+from fkgen.problem.functions.vectors import HIDDEN, PART, EquationReader, Known, Value
+from fkgen.problem.signals import Signal, read_name
+from fkgen.problem.table.place import Place, show, suggestion
+from fkgen.problem.table.section import Section, as_entry, as_list, as_table
+from fkgen.problem.text.expression import (
+    MAX_NODES,
+    Expression,
+    Name,
+    Number,
+    Operation,
+    is_large,
+    names,
+    placed,
+    to_text,
+    total,
+)
+from fkgen.problem.text.foreign import plain_entry
+from fkgen.problem.text.matrix import plain
+
+#: What only a model with equations has.
+KEYS = ("f", "h", "let", "noises", "integrator", "substeps")
+
+#: Matrices that state what f or h states.
+_LETTERS = {"f": ("A", "B", "c"), "h": ("C", "D", "d")}
+
+
+def has_equations(section: Section) -> bool:
+    """Whether matrices are not all that a model is made of."""
+    if any(key in section for key in KEYS):
+        return True
+    for key in ("states", "outputs"):
+        given = section.table.get(key)
+        for entry in given if isinstance(given, list | tuple) else ():
+            if isinstance(entry, Mapping) and (entry.get("wrap") or "manifold" in entry):
+                return True
+    return False
+
+
+def read_equations(section: Section, named: Named, timing: dict[str, Any]) -> Equations:
+    """The equations that a section states; in place of f or h there may be matrices."""
+    known = named.known()
+    read_let(section, known)
+    f: Sequence[Motion] | None = _by_matrices(section, named, "f")
+    f = _motion(section, named, known) if f is None else f
+    h = _by_matrices(section, named, "h")
+    h = _measurement(section, named, known) if h is None else h
+    trees = [tree for each in f for tree in (each.by if isinstance(each, Increment) else (each,))]
+    found = Equations(
+        states=named.coordinates,
+        inputs=tuple(each.name for each in named.inputs),
+        noises=named.noises,
+        let=needed(known.let, [*trees, *h]),
+        f=tuple(f),
+        h=tuple(h),
+        attitudes=tuple(named.attitudes.values()),
+        **timing,
+    )
+    check_noise_free(found, section.place, [each.name for each in named.outputs])
+    return found
+
+
+def _by_matrices(section: Section, named: Named, key: str) -> list[Expression] | None:
+    """The rows of f or of h that matrices state, if they do."""
+    first, second, offset = _LETTERS[key]
+    if key in section or first not in section:
+        for letter in (first, second, offset):
+            if letter in section:
+                beside = f"beside {key}" if key in section else f"without {first}"
+                raise section.error(letter, f"{letter} {beside}", f"either {first} or {key}")
+        return None
+    if key == "f" and named.attitudes:
+        raise section.error(first, "A for a model with an attitude", "f: an attitude is not linear")
+    count = len(named.coordinates if key == "f" else named.outputs)
+    sizes = ((first, named.coordinates), (second, tuple(each.name for each in named.inputs)))
+    terms: list[list[Expression]] = [[] for _ in range(count)]
+    for letter, columns in sizes:
+        if letter in section:
+            matrix = section.matrix(letter, (count, len(columns)), "as many as there are signals")
+            terms = [a + b for a, b in zip(terms, rows(matrix, columns), strict=True)]
+    if offset in section:
+        added = section.column(offset, count, "numbers or expressions").rows
+        terms = [a + list(b) for a, b in zip(terms, added, strict=True)]
+    return [total(each) for each in terms]
+
+
+def read_timing(section: Section, period: Expression | None) -> dict[str, Any]:
+    """Integrator and its steps where time is continuous; ``period``: from sample to sample."""
+    if period is None:
+        for key in ("integrator", "substeps"):
+            if key in section:
+                expected = 'none, or time = "continuous": it moves a model of dx/dt over a sample'
+                raise section.error(key, f"{key} for a model in discrete time", expected)
+        return {}
+    integrator: Integrator = section.choice("integrator", get_args(Integrator), "rk4")
+    steps = section.count("substeps", 1, 100, "substeps")
+    return {"continuous": True, "integrator": integrator, "substeps": steps, "period": period}
+
+
+def read_let(section: Section, known: Known) -> None:
+    """Read the definitions in their order."""
+    place = section.place.entry("let")
+    expected = 'a table of definitions in order, such as c = "cos(heading)"'
+    table = as_table(section.table.get("let", {}), place, expected)
+    for key in table:
+        _check_new(key, known, place.entry(key))
+        known.later[_base(key)] = (
+            f"only what stands before it: '{_base(key)}' is defined by itself or further below"
+            " (a definition may use those above it; a cycle has no order)"
+        )
+    for key, entry in table.items():
+        where = place.entry(key)
+        reader = EquationReader(known, f"let.{_base(key)}")
+        value = read_value(entry, where, reader)
+        known.later.pop(_base(key), None)
+        _define(key, value, known)
+
+
+def _base(key: str) -> str:
+    found = PART.fullmatch(key)
+    return found[1] if found else key
+
+
+def _check_new(key: str, known: Known, place: Place) -> None:
+    """Refuse a definition whose name is taken, or is none."""
+    if HIDDEN.fullmatch(key):
+        return
+    name = read_name(_base(key), place, REFUSED)
+    if name in known.scalars or name in known.vectors:
+        what = known.scalars.get(name, "a vector")
+        raise place.error(f"a definition of '{name}', which is {what}", "a name that is not taken")
+
+
+def _define(key: str, value: Value, known: Known) -> None:
+    if not isinstance(value, tuple):
+        known.define(key, value)
+        if found := PART.fullmatch(key):
+            known.vectors[found[1]] = (*known.vectors.get(found[1], ()), Name(key))
+        return
+    known.vectors[key] = tuple(
+        each if isinstance(each, Name | Number) else known.define(f"{key}[{i}]", each)
+        for i, each in enumerate(value)
+    )
+
+
+def read_value(entry: object, place: Place, reader: EquationReader) -> Value:
+    """A number or vector out of a text, a list, or an object of another library."""
+    plain = plain_entry(entry, place)
+    if isinstance(plain, str):
+        value = placed(lambda: reader.read(plain), plain, place)
+    elif isinstance(plain, list | tuple):
+        parts = [read_value(each, place.item(i), reader) for i, each in enumerate(plain)]
+        for i, each in enumerate(parts):
+            if isinstance(each, tuple):
+                raise place.item(i).error("a vector in a vector", "numbers or expressions")
+        value = tuple(each for each in parts if not isinstance(each, tuple))
+    elif isinstance(plain, Number | Name | Operation):
+        value = _checked(plain, place, reader)
+    else:
+        expected = "a finite number, or an expression of states, inputs and parameters"
+        value = as_entry(plain, place, reader.known.scope, expected)
+    for each in value if isinstance(value, tuple) else (value,):
+        if is_large(each):
+            raise place.error("a very large expression", f"at most {MAX_NODES} operations; use let")
+    return value
+
+
+def _checked(tree: Expression, place: Place, reader: EquationReader) -> Expression:
+    """A tree of another library, whose names have to be known."""
+    words = reader.known.words
+    for name in sorted(names(tree)):
+        if name not in reader.known.scalars:
+            expected = f"symbols out of {', '.join(words)}"
+            raise place.error(f"the symbol '{name}'", expected + suggestion(name, words))
+    return tree
+
+
+def _entries(
+    section: Section, key: str, signals: Sequence[Signal], what: str
+) -> dict[str, tuple[object, Place]]:
+    """What is stated for signals, with its place."""
+    place, given = section.place.entry(key), section.table.get(key, {})
+    words = [each.name for each in signals]
+    if isinstance(given, Mapping):
+        for name in as_table(given, place, f"a table of expressions by {what}"):
+            if name not in words:
+                expected = f"names of {what}s: {', '.join(words)}{suggestion(name, words)}"
+                raise place.entry(name).error(f"an equation for no {what}", expected)
+        return {name: (entry, place.entry(name)) for name, entry in given.items()}
+    expected = f"a table of expressions by {what}, or a list of {len(words)} in order"
+    entries = as_list(given, place, expected, len(words), "expressions")
+    return {
+        name: (entry, place.item(i))
+        for i, (name, entry) in enumerate(zip(words, entries, strict=True))
+    }
+
+
+def _motion(section: Section, named: Named, known: Known) -> list[Motion]:
+    """F by component; what is left out stays as it is."""
+    entries = _entries(section, "f", named.states, "state")
+    found: list[Motion] = []
+    for signal in named.states:
+        if signal.name not in entries:
+            found += _still(signal, named)
+            continue
+        entry, place = entries[signal.name]
+        reader = EquationReader(known, f"f.{signal.name}")
+        if signal.manifold:
+            found += _turning(entry, place, reader, (signal, named.continuous))
+        else:
+            found.append(_number(read_value(entry, place, reader), place))
+    return found
+
+
+def _still(signal: Signal, named: Named) -> list[Motion]:
+    zero = Number(0.0)
+    if signal.manifold:
+        return [Increment(named.attitudes[signal.name], (zero, zero, zero))]
+    return [zero if named.continuous else Name(signal.name)]
+
+
+def _turning(
+    entry: object, place: Place, reader: EquationReader, of: tuple[Signal, bool]
+) -> list[Motion]:
+    """How an attitude moves: by an increment, by four numbers, or by a body rate."""
+    signal, continuous = of
+    at = reader.known.attitudes[signal.name]
+    if isinstance(entry, str) and not continuous:
+        value: Value | Increment = placed(lambda: reader.motion(entry), entry, place)
+    else:
+        value = read_value(entry, place, reader)
+    if isinstance(value, Increment):
+        if value.at == at:
+            return [value]
+        value = read_value(entry, place, reader)
+    size = len(value) if isinstance(value, tuple) else 1
+    if continuous and isinstance(value, tuple) and size == 3:
+        return [Increment(at, (value[0], value[1], value[2]))]
+    if not continuous and isinstance(value, tuple) and size == 4:
+        return list(value)
+    expected = (
+        f"the body rate of {signal.name}, a vector of 3"
+        if continuous
+        else f"{signal.name} * [a, b, c], or four numbers"
+    )
+    raise place.error("a number" if size == 1 else f"a vector of {size}", expected)
+
+
+def _number(value: Value, place: Place) -> Expression:
+    if isinstance(value, tuple):
+        raise place.error(f"a vector of {len(value)}", "a number (take an entry: [..][0])")
+    return value
+
+
+def _measurement(section: Section, named: Named, known: Known) -> list[Expression]:
+    """H by output; every one of them has an equation."""
+    entries = _entries(section, "h", named.outputs, "output")
+    found = []
+    for signal in named.outputs:
+        place = section.place.entry("h").entry(signal.name)
+        if signal.name not in entries:
+            raise place.error("nothing (the key is missing)", "an expression of states and inputs")
+        entry, place = entries[signal.name]
+        reader = EquationReader(known, f"h.{signal.name}")
+        found.append(_number(read_value(entry, place, reader), place))
+    return found
+
+
+def check_noise_free(found: Equations, place: Place, outputs: Sequence[str]) -> None:
+    """Refuse noises in h: R is the noise of y."""
+    noisy = {each.name for each in found.noises}
+    for name, tree in found.let:
+        if names(tree) & noisy:
+            noisy.add(name)
+    for output, tree in zip(outputs, found.h, strict=True):
+        if culprit := sorted(names(tree) & noisy):
+            expected = "states, inputs and parameters: noises enter through f, that of y is R"
+            where = place.entry("h").entry(output)
+            raise where.error(f"{show(to_text(tree))} with the noise '{culprit[0]}'", expected)
+
+
+def plain_equations(
+    equations: Equations, states: Sequence[Signal], outputs: Sequence[Signal]
+) -> dict[str, object]:
+    """The keys of a spec file that say the same."""
+    table: dict[str, object] = {}
+    if equations.noises:
+        table["noises"] = [plain(noise) for noise in equations.noises]
+    if equations.let:
+        table["let"] = dict(equations.plain_let)
+    f: dict[str, object] = {}
+    left = list(equations.f)
+    for signal in states:
+        if not signal.manifold or isinstance(left[0], Increment):
+            f[signal.name] = _plain_motion(left.pop(0), signal, continuous=equations.continuous)
+        else:
+            f[signal.name] = [plain(left.pop(0)) for _ in range(4)]
+    h = {each.name: plain(tree) for each, tree in zip(outputs, equations.h, strict=True)}
+    table |= {"f": f, "h": h}
+    if equations.continuous:
+        table |= {"time": "continuous", "integrator": equations.integrator}
+        table |= {"substeps": equations.substeps}
+    return table
+
+
+def _plain_motion(motion: Motion, signal: Signal, *, continuous: bool) -> object:
+    if not isinstance(motion, Increment):
+        return plain(motion)
+    if continuous:
+        return [plain(each) for each in motion.by]
+    return f"{signal.name} * [{', '.join(map(to_text, motion.by))}]"

@@ -1,0 +1,171 @@
+"""Equations in place of matrices: what is read, its numbers, and back to a spec file."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from equations import ATTITUDE, ROBOT, read, table
+from scipy.spatial.transform import Rotation
+
+import fkgen
+from fkgen.errors import SpecError
+
+SCALAR = {
+    "states": [{"name": "p"}, {"name": "v"}],
+    "outputs": [{"name": "y"}],
+    "Q": np.eye(2).tolist(),
+    "R": [[1.0]],
+    "x0": [0.0, 0.0],
+    "P0": np.eye(2).tolist(),
+}
+
+
+def numbers(found):
+    return np.array(found, float)
+
+
+def test_the_values_are_those_of_the_formulas_for_numbers_and_arrays_alike():
+    equations = read(ROBOT).model.equations
+    rng = np.random.default_rng(1)
+    x, u, w = rng.normal(size=(3, 7)), rng.normal(size=(2, 7)), rng.normal(size=(1, 7))
+    f, h = equations.evaluate(x, u, w, {"dt": 0.2})
+    expected = [
+        x[0] + u[0] * np.cos(x[2]) * 0.2,
+        x[1] + u[0] * np.sin(x[2]) * 0.2,
+        x[2] + (u[1] + w[0]) * 0.2,
+    ]
+    np.testing.assert_allclose(f, expected, rtol=1e-14)
+    np.testing.assert_allclose(h, [np.hypot(x[0], x[1]), np.arctan2(x[1], x[0]) - x[2]], rtol=1e-14)
+    one = equations.evaluate(x[:, 3], u[:, 3], w[:, 3], {"dt": 0.2})
+    np.testing.assert_array_equal(one[0], numbers(f)[:, 3])
+    np.testing.assert_array_equal(one[1], numbers(h)[:, 3])
+
+
+@pytest.mark.parametrize("model", [ROBOT, ATTITUDE])
+def test_a_spec_of_equations_comes_back_from_its_own_table(model):
+    spec = read(model)
+    again = fkgen.Spec.from_dict(spec.to_dict())
+    assert again == spec
+    assert again.canonical() == spec.canonical()
+
+
+def test_the_order_of_definitions_tells_specs_apart():
+    two = SCALAR | {"h": ["a*b"]}
+    first = read(two | {"let": {"a": "sin(p)", "b": "cos(p)"}})
+    second = read(two | {"let": {"b": "cos(p)", "a": "sin(p)"}})
+    assert first.canonical() != second.canonical()
+
+
+def test_lists_are_in_the_order_of_the_signals_and_what_is_left_out_stays():
+    spec = read(SCALAR | {"f": ["p + sin(v)*dt", "v"], "h": ["exp(p)"]})
+    same = read(SCALAR | {"f": {"p": "p + sin(v)*dt"}, "h": {"y": "exp(p)"}})
+    assert spec == same
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "euler"])
+def test_time_that_is_continuous_is_integrated_over_a_sample(integrator):
+    given = {"time": "continuous", "sample_time": "dt", "integrator": integrator, "substeps": 3}
+    model = SCALAR | given | {"f": {"p": "v", "v": "-sin(p)"}, "h": ["p"]}
+    equations = read(model).model.equations
+
+    def rate(x):
+        return np.array([x[1], -math.sin(x[0])])
+
+    x, step = np.array([1.0, 0.3]), 0.2 / 3
+    for _ in range(3):
+        k1 = rate(x)
+        k2, k = rate(x + step / 2 * k1), k1
+        if integrator == "rk4":
+            k3 = rate(x + step / 2 * k2)
+            k = (k1 + 2 * k2 + 2 * k3 + rate(x + step * k3)) / 6
+        x = x + step * k
+    np.testing.assert_allclose(equations.moved([1.0, 0.3], [], [], {"dt": 0.2}), x, rtol=1e-14)
+
+
+def test_vectors_and_rotations_are_those_of_textbooks():
+    q = Rotation.from_rotvec([0.3, -0.2, 0.5])
+    scalar = np.roll(q.as_quat(), 1)
+    model = {**ATTITUDE, "outputs": [{"name": f"y{i}"} for i in range(9)], "R": np.eye(9).tolist()}
+    model["let"] = {
+        "g": "[bx, by, bz]",
+        "a": "rotate(q, 2*g - [gx, gy, gz]/4)",
+        "b": "rotate_back(q*g, cross(g, [gx, gy, gz]))",
+        "s": "norm(g) + dot(g, [1, 2, 3])",
+    }
+    model["h"] = ["a[0]", "a[1]", "a[2]", "b[0]", "b[1]", "b[2]", "s", "q[2]", "(-g)[1]"]
+    model["f"] = {"q": "q * [gx, 2*gy, g[2]]", "bx": "s"}
+    equations = read(model).model.equations
+    g, u = np.array([0.2, 0.4, -1.1]), np.array([1.0, -0.5, 0.25])
+    f, h = equations.evaluate([*scalar, *g], u, [], {"dt": 0.1})
+    norm = np.linalg.norm(g) + g @ [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(
+        h,
+        [
+            *q.apply(2 * g - u / 4),
+            *(q * Rotation.from_rotvec(g)).inv().apply(np.cross(g, u)),
+            norm,
+            scalar[2],
+            -g[1],
+        ],
+        rtol=1e-13,
+    )
+    turned = (q * Rotation.from_rotvec([u[0], 2 * u[1], g[2]])).as_quat()
+    turned = np.roll(turned, 1)
+    np.testing.assert_allclose(f[:4], turned * np.sign(turned[0]), rtol=1e-13)
+    assert f[4] == pytest.approx(norm, rel=1e-14)
+
+
+def test_equations_that_are_linear_are_the_matrices():
+    model = SCALAR | {"inputs": [{"name": "force"}]}
+    stated = model | {
+        "let": {"gain": "exp(-dt)", "moved": "dt*v"},
+        "f": ["p + moved + 0.5*dt**2*force - 0.25", "gain*v + force*dt"],
+        "h": ["(2*p - v)/4 + force - dt"],
+    }
+    by_matrices = model | {
+        "A": [[1.0, "dt"], [0.0, "exp(-dt)"]],
+        "B": [["0.5*dt**2"], ["dt"]],
+        "c": [-0.25, 0.0],
+        "C": [[0.5, -0.25]],
+        "D": [[1.0]],
+        "d": ["-dt"],
+    }
+    assert read(stated, family="kf") == read(by_matrices, family="kf")
+
+
+def test_matrices_state_what_the_other_equations_do_not():
+    mixed = SCALAR | {"A": [[1.0, "dt"], [0.0, 1.0]], "h": ["atan2(p, 2.0)"]}
+    equations = read(mixed).model.equations
+    assert numbers(equations.moved([1.0, 3.0], [], [], {"dt": 0.5})).tolist() == [2.5, 3.0]
+    wrapped = SCALAR | {"A": [[1.0, 0.1], [0.0, 1.0]], "C": [[1.0, 0.0]]}
+    wrapped["outputs"] = [{"name": "y", "unit": "rad", "wrap": True}]
+    assert read(wrapped).model.equations.evaluate([1.0, 2.0], [], [], {}) == ((1.2, 2.0), (1.0,))
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "given"),
+    [
+        ({"h": ["sin(p)"]}, "model.h.y", "'sin(p)'"),
+        ({"f": {"v": "v*p"}, "h": ["p"]}, "model.f.v", "'v * p'"),
+        ({"outputs": [{"name": "y", "wrap": True}], "h": ["p"]}, "model.outputs[0].wrap", "angle"),
+        ({"noises": [{"name": "w", "variance": 1.0}], "h": ["p"]}, "model.noises", "noises"),
+    ],
+)
+def test_a_linear_family_names_the_row_and_the_family_to_take(change, key, given):
+    for family in ("kf", "linear_optimal", "dfcf"):
+        with pytest.raises(SpecError) as caught:
+            fkgen.Spec.from_dict(table(SCALAR | change, family=family))
+        assert caught.value.key == key
+        assert given in caught.value.given
+        assert "take " in caught.value.expected
+
+
+def test_a_matrix_of_equations_is_refused_where_it_is_used():
+    model = read(ROBOT).model
+    assert (model.nx, model.ne, model.nu, model.ny) == (3, 3, 2, 2)
+    with pytest.raises(SpecError, match=r"model\.f"):
+        model.A.values()
+    attitude = read(ATTITUDE).model
+    assert (attitude.nx, attitude.ne) == (7, 6)
