@@ -103,6 +103,19 @@ def test_random_inputs_that_y_tells_of_reach_the_prediction():
     agree(found, batch_lmmse(system, y, u), 1e-10)
 
 
+def test_noise_of_the_state_that_y_tells_of_reaches_the_prediction():
+    system, y, u = case(12)
+    S = np.random.default_rng(13).standard_normal((T, 3, 2))
+    S *= 0.5 * np.sqrt(
+        np.linalg.eigvalsh(system.Q)[:, :1, None] * np.linalg.eigvalsh(system.R)[:, :1, None]
+    )
+    system = replace(system, S=S / np.linalg.norm(S, axis=(1, 2), keepdims=True).max())
+    found = Extended(system=by_functions(system)).run(y, u)
+    agree(found, batch_lmmse(system, y, u), 1e-10)
+    without = Extended(system=by_functions(replace(system, S=np.zeros(0)))).run(y, u)
+    assert np.abs(found["predicted_state"] - without["predicted_state"]).max() > 1e-3
+
+
 @pytest.mark.parametrize("likelihood", ["mixture", "gaussian"])
 def test_the_bank_is_the_textbook_bank(likelihood):
     system, y, u = case(6)

@@ -76,9 +76,13 @@ class NonlinearSystem:
     flow: Flow | None = None  # None where f is a step by itself
     #: (T, p): 0 where a row has no signal, and y is its noise
     signal: Array = field(default_factory=lambda: np.zeros(0))
+    #: (T, ne, p): Covariance of what is added to x[k+1] with the noise of y[k]
+    S: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        """Every row has a signal where nothing is said."""
+        """Every row has a signal, and no noise tells of another, where nothing is said."""
+        if not self.S.size:
+            object.__setattr__(self, "S", np.zeros((self.length, self.space.ne, self.ny)))
         if not self.signal.size:
             object.__setattr__(self, "signal", np.ones(self.R.shape[:2]))
 
@@ -102,7 +106,7 @@ class NonlinearSystem:
         flow = self.flow
         if flow is not None:
             flow = replace(flow, periods=flow.periods[piece])
-        varying = ("parameters", "Q", "R", "W", "signal")
+        varying = ("parameters", "Q", "R", "W", "signal", "S")
         return replace(self, flow=flow, **{name: getattr(self, name)[piece] for name in varying})
 
     def noises(self, k: int) -> tuple[Array, Array]:
@@ -170,12 +174,13 @@ def simulate_nonlinear(
     x = space.moved(system.x0, square_root(system.P0) @ rng.standard_normal(space.ne))
     for k in range(T):
         states[k] = x
-        noise = square_root(system.R[k]) @ rng.standard_normal(system.ny)
-        y[k] = system.residual(system.measured(k, x, u[k]) + noise, np.zeros(system.ny))
         W, Q = system.noises(k)
+        root = square_root(np.block([[Q, system.S[k]], [system.S[k].T, system.R[k]]]))
+        noise = root @ rng.standard_normal(len(root))
+        measured = system.measured(k, x, u[k]) + noise[space.ne :]
+        y[k] = system.residual(measured, np.zeros(system.ny))
         w = np.sqrt(W) * rng.standard_normal(system.nw)
-        moved = values_of(system.step(k, list(x), list(u[k]), list(w)))
-        x = space.moved(moved, square_root(Q) @ rng.standard_normal(space.ne))
+        x = space.moved(values_of(system.step(k, x, u[k], w)), noise[: space.ne])
     return y, states
 
 
@@ -197,6 +202,7 @@ def by_functions(plant: Plant) -> NonlinearSystem:
         return added(product(plant.C[k], x), product(plant.D[k], u), plant.d[k])
 
     return NonlinearSystem(
+        S=getattr(plant, "S", np.zeros(0)),
         f=f,
         h=h,
         space=Space(tuple(repeat("line", plant.nx))),

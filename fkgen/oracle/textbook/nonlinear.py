@@ -30,7 +30,7 @@ UNDECIDED = 1e-12
 class Corrected:
     """One sample taken in: what was expected, and the estimate in errors about the prediction.
 
-    Errors are those of the state, then of the inputs where they are random.
+    Errors are those of the state, then of the inputs and of the noise that is added to the state.
     """
 
     expected: Array  # (p,)
@@ -89,21 +89,26 @@ class Extended:
 
     def update(self, k: int, prior: Gaussian, y: Array, u: Array) -> Corrected:
         """Correct with h linearised at x(k|k-1)."""
-        worked, N = self.actuation(k, u)
-        seen = self.system.seen(k, prior[0], worked)
-        H, joint = np.hstack([seen.H, seen.D]), _joint(prior[1], N)
-        S = H @ joint @ H.T + self.system.R[k]
-        innovation = self.system.residual(y, seen.y)
+        system, (worked, N) = self.system, self.actuation(k, u)
+        seen = system.seen(k, prior[0], worked)
+        H = np.hstack([seen.H, seen.D, np.zeros(system.S[k].T.shape)])
+        joint = _joint(prior[1], N, system.noises(k)[1], system.R[k])
+        errors, ne = len(joint) - system.ny, system.space.ne
+        joint[errors - ne : errors, errors:] = system.S[k]
+        joint[errors:, errors - ne : errors] = system.S[k].T
+        through = np.hstack([H, np.eye(system.ny)])
+        S = through @ joint @ through.T
+        innovation = system.residual(y, seen.y)
         used, others = self.judge(innovation, S)
-        K = gain(joint @ H[used].T, S[np.ix_(used, used)])
-        R = self.system.R[k][np.ix_(used, used)]
+        K = gain((joint @ through[used].T)[:errors], S[np.ix_(used, used)])
+        left = np.eye(errors, len(joint)) - K @ through[used]
         return Corrected(
             expected=seen.y,
             S=S,
             innovation=innovation,
             used=used,
             d=K @ innovation[used],
-            P=_stabilised(K, H[used], joint, R),
+            P=left @ joint @ left.T,
             others=others,
         )
 
@@ -123,19 +128,19 @@ class Extended:
         return self.system.space.moved(prior[0], found.d[:ne]), T @ found.P[:ne, :ne] @ T.T
 
     def predict(self, k: int, prior: Gaussian, found: Corrected, u: Array) -> Gaussian:
-        """Move on with f linearised at x(k|k); what y says of the inputs goes through B."""
+        """Move on with f linearised at x(k|k); what y says of inputs and noise moves the state."""
         space = self.system.space
-        ne = space.ne
-        x, _ = self.filtered(prior, found)
-        turned = np.eye(len(found.d))
-        turned[:ne, :ne] = space.turned(found.d[:ne])
-        moved = self.system.moved(k, x, self.actuation(k, u)[0])
-        A = np.hstack([moved.F, moved.B])[:, : len(found.d)] @ turned
-        shift = moved.B[:, : len(found.d) - ne] @ found.d[ne:]
-        W, Q = self.system.noises(k)
+        ne, system = space.ne, self.system
+        x, P = self.filtered(prior, found)
+        moved = system.moved(k, x, self.actuation(k, u)[0])
+        W, Q = system.noises(k)
+        spread = moved.G @ np.diag(W) @ moved.G.T
+        if len(found.d) == ne:  # y tells of the state alone
+            return moved.x, moved.F @ P @ moved.F.T + spread + Q
+        A = np.hstack([moved.F @ space.turned(found.d[:ne]), moved.B, np.eye(ne)])
+        shift = A[:, ne:] @ found.d[ne:]
         T = space.turned(shift)
-        P = T @ (A @ found.P @ A.T + moved.G @ np.diag(W) @ moved.G.T) @ T.T
-        return space.moved(moved.x, shift), P + Q
+        return space.moved(moved.x, shift), T @ (A @ found.P @ A.T + spread) @ T.T
 
 
 def innovation_ports(found: Corrected) -> dict[str, ArrayLike]:
@@ -161,10 +166,13 @@ def _stabilised(K: Array, H: Array, P: Array, R: Array) -> Array:
     return np.asarray(E @ P @ E.T + K @ R @ K.T)
 
 
-def _joint(P: Array, N: Array) -> Array:
-    """The covariance of state and inputs, uncorrelated."""
-    ne, joint = len(P), np.zeros((len(P) + len(N),) * 2)
-    joint[:ne, :ne], joint[ne:, ne:] = P, N
+def _joint(*covariances: Array) -> Array:
+    """The covariance of vectors that are not correlated."""
+    size, at = sum(map(len, covariances)), 0
+    joint = np.zeros((size, size))
+    for each in covariances:
+        joint[at : at + len(each), at : at + len(each)] = each
+        at += len(each)
     return joint
 
 
@@ -172,8 +180,8 @@ def _joint(P: Array, N: Array) -> Array:
 class Iterated(Extended):
     """The filter iekf: Gauss and Newton's steps down the cost of the maximum a posteriori.
 
-    Beside its ports there is `doubt`: how far, in deviations, the last step goes of which rounding
-    may say the other thing; 0 where nothing is in doubt.
+    Beside its ports there are `decided`, 0 where rounding says whether the last step lowers the
+    cost, and `doubt`: how far, in deviations, that step goes; 0 if it is decided.
     """
 
     iterations: int = 3
@@ -183,7 +191,7 @@ class Iterated(Extended):
         found = super().update(k, prior, y, u)
         used, (x, P) = found.used, prior
         R = self.system.R[k][np.ix_(used, used)]
-        a, ports = np.zeros(len(P)), {"stayed": 0.0, "doubt": 0.0}
+        a, ports = np.zeros(len(P)), {"stayed": 0.0, "doubt": 0.0, "decided": 1.0}
         seen, r = self._about(k, x, P @ a, (y, u))
         for _ in range(self.iterations):
             H = seen.H[used]
@@ -193,6 +201,7 @@ class Iterated(Extended):
             seen_there, r_there = self._about(k, x, P @ beyond, (y, u))
             now, then = _cost(a, P, r[used], R), _cost(beyond, P, r_there[used], R)
             if abs(now - then) <= UNDECIDED * now:
+                ports["decided"] = 0.0
                 ports["doubt"] = float(np.abs(P @ (beyond - a) / units(P)).max(initial=0.0))
             if not then < now:
                 ports["stayed"] = 1.0
