@@ -17,7 +17,6 @@ from fkgen.oracle.textbook.nonlinear_modes import (
     Modes,
     textbook_gpb1,
     textbook_interacting,
-    told,
 )
 from fkgen.oracle.textbook.switching import Lumping
 
@@ -292,11 +291,11 @@ def test_a_certain_mode_is_the_filter_that_is_told(run):
     plant, T = attitude(8), 8
     y, u, _ = record(plant)
     gamma = np.array([1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0])
-    systems = [told(plant, (0, 4), np.full(T, g), np.full(T, d)) for g in (1, 0) for d in (1, 9)]
+    systems = [plant.told((0, 4), np.full(T, g), np.full(T, d)) for g in (1, 0) for d in (1, 9)]
     kernels = np.zeros((T, 4, 4))
     kernels[np.arange(T), :, (2 * (1 - np.append(gamma[1:], 1.0))).astype(int)] = 1.0
     found = run(Modes.of(systems, kernels, np.eye(4)[0]), y, u)
-    expected = Extended(system=told(plant, (0, 4), gamma, np.ones(T))).run(y, u)
+    expected = Extended(system=plant.told((0, 4), gamma, np.ones(T))).run(y, u)
     for port, value in expected.items():
         np.testing.assert_allclose(found[port], value, rtol=1e-9, atol=1e-11, err_msg=port)
 
@@ -309,9 +308,7 @@ def test_turning_the_world_turns_a_mixture(run):
     law = rng.dirichlet(np.ones(4), size=(T, 4)), rng.dirichlet(np.ones(4))
 
     def modes(plant):
-        each = [
-            told(plant, (3, 4, 5), np.full(T, g), np.full(T, d)) for g in (1, 0) for d in (1, 9)
-        ]
+        each = [plant.told((3, 4, 5), np.full(T, g), np.full(T, d)) for g in (1, 0) for d in (1, 9)]
         return Modes.of(each, *law)
 
     other, _ = turned_world(plant, by)
@@ -325,7 +322,7 @@ def test_turning_the_world_turns_a_mixture(run):
 def test_a_row_without_signal_is_noise_that_wraps():
     """Expected is 0, and y is compared with it over the end of a turn."""
     plant = robot(2)
-    failing = told(plant, (0, 1), np.zeros(2), np.ones(2))
+    failing = plant.told((0, 1), np.zeros(2), np.ones(2))
     y, u = np.array([[0.2, 2.0 * np.pi - 0.1], [np.nan, -7.0]]), np.ones((2, 2))
     found = Extended(system=failing).run(y, u)
     np.testing.assert_allclose(found["innovation"][0], [0.2, -0.1], atol=1e-12)
@@ -339,7 +336,7 @@ def test_the_conditions_of_a_mode_are_one_estimate():
     plant, T = robot(1), 1
     y, u, _ = record(plant, missing=0.0)
     one = np.ones(T)
-    systems = tuple(told(plant, (0,), g * one, d * one) for g, d in ((1, 1), (0, 1), (0, 30)))
+    systems = tuple(plant.told((0,), g * one, d * one) for g, d in ((1, 1), (0, 1), (0, 30)))
     shares, initial = np.array([[1.0, 0.0, 0.0], [0.0, 0.3, 0.7]]), np.array([0.6, 0.4])
     lumped = Modes(
         systems=systems,

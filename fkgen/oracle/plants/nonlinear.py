@@ -8,7 +8,7 @@ that may be `Dual`: derivatives come from there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from typing import Any, Literal, Self, TypeAlias
@@ -109,6 +109,12 @@ class NonlinearSystem:
         varying = ("parameters", "Q", "R", "W", "signal", "S")
         return replace(self, flow=flow, **{name: getattr(self, name)[piece] for name in varying})
 
+    def told(self, rows: Sequence[int], gamma: Array, delta: Array) -> Self:
+        """The plant of one who knows gamma and delta of every sample, (T,), of some rows."""
+        signal, noise = self.signal.copy(), np.ones(self.signal.shape)
+        signal[:, rows], noise[:, rows] = gamma[:, None], np.sqrt(delta)[:, None]
+        return replace(self, signal=signal, R=noise[:, :, None] * self.R * noise[:, None, :])
+
     def noises(self, k: int) -> tuple[Array, Array]:
         """Variances of w over a sample, (r,), and the covariance of what is added to x."""
         if self.flow is None:
@@ -166,13 +172,18 @@ class NonlinearSystem:
 
 
 def simulate_nonlinear(
-    system: NonlinearSystem, u: Array, rng: np.random.Generator
+    system: NonlinearSystem | Sequence[NonlinearSystem], u: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Draw measurements (T, p) and the states behind them (T, nx); u (T, q)."""
-    space, T = system.space, system.length
+    """Draw measurements (T, p) and the states behind them (T, nx); u (T, q).
+
+    Of several systems each holds at one sample.
+    """
+    systems = [system] * len(u) if isinstance(system, NonlinearSystem) else system
+    system, T = systems[0], len(u)
+    space = system.space
     states, y = np.zeros((T, space.nx)), np.zeros((T, system.ny))
     x = space.moved(system.x0, square_root(system.P0) @ rng.standard_normal(space.ne))
-    for k in range(T):
+    for k, system in enumerate(systems):
         states[k] = x
         W, Q = system.noises(k)
         root = square_root(np.block([[Q, system.S[k]], [system.S[k].T, system.R[k]]]))

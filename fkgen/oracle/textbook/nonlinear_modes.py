@@ -7,7 +7,7 @@ logarithms. Mixtures are computed about their first component (`Space.mixture`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -51,21 +51,10 @@ class Modes:
         return log_held if self.announced is None else log_of(self.announced[k])
 
 
-def told(
-    system: NonlinearSystem, rows: Sequence[int], gamma: Array, delta: Array
-) -> NonlinearSystem:
-    """The plant of one who knows gamma and delta of every sample, (T,), of some rows."""
-    signal, noise = system.signal.copy(), np.ones(system.signal.shape)
-    signal[:, rows], noise[:, rows] = gamma[:, None], np.sqrt(delta)[:, None]
-    return replace(system, signal=signal, R=noise[:, :, None] * system.R * noise[:, None, :])
-
-
 def sensor_modes(system: NonlinearSystem, law: SensorLaw, *, modes: Literal[4, 3] = 4) -> Modes:
     """The conditions of a sensor; as three modes those without signal are one."""
     T = system.length
-    systems = tuple(
-        told(system, law.rows, *gamma_delta(law, np.full(T, mode))) for mode in range(4)
-    )
+    systems = tuple(system.told(law.rows, *gamma_delta(law, np.full(T, mode))) for mode in range(4))
     if modes == 3:
         return Modes(systems=systems, lumping=silent_lumped(law, T))
     return Modes.of(systems, law.steps(T), law.initial, law.announced)
