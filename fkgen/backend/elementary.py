@@ -159,6 +159,7 @@ class Elementary:
         return y * self._power_of_two(first) * self._power_of_two(k - first)
 
     def floor(self, x: Number) -> Number:
+        """Largest whole number that is not above x."""
         whole = self.real(2.0**self.format.mantissa)
         if not -whole < x < whole:
             return x

@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Matrix, Model, Spec
@@ -115,6 +116,17 @@ def _derivatives(lifted: Lifted | None) -> dict[str, Any]:
         | {"c": ca.SX(lifted.moved.numel(), 1), "d": ca.SX(lifted.seen.numel(), 1)}
         | {"lifted": lifted}
     )
+
+
+def sensed_at_prior(spec: Spec, plant: Model | Mode) -> NDArray[np.float64]:
+    """C of a plant, or the derivative of its h at x0 and u = 0, with parameters at their defaults."""
+    if plant.equations is None:
+        return plant.C.values(spec.defaults)
+    parameters = {p.name: ca.SX.sym(p.name) for p in spec.parameters}
+    lifted = lift_equations(plant.equations, parameters, (spec.model.states, spec.model.outputs))
+    symbols = [lifted.x, lifted.u, *parameters.values()]
+    values = [spec.model.x0.values(), np.zeros(lifted.u.numel()), *spec.defaults.values()]
+    return np.array(ca.Function("C", symbols, [lifted.C])(*values))
 
 
 def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:

@@ -28,7 +28,7 @@ from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.lifting.equations import box_plus, normalised, places
 from fkgen.symbolic.lifting.rotations import right_jacobian
 from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, sparse, unpack
-from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.plant import Plant, sensed_at_prior
 from fkgen.symbolic.recursion import Guard
 
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
@@ -61,10 +61,10 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
 
 def prior_to_noise(spec: Spec) -> float:
     """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
-    plants = (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
     P0, ratios = spec.model.P0.values(), [0.0]
-    for plant in plants:
-        C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "CQR")
+    for plant in spec.plants:
+        Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "QR")
+        C = sensed_at_prior(spec, plant)
         for prior, noise in zip(np.diag(C @ (P0 + Q) @ C.T), np.diag(R), strict=True):
             if noise > 0.0:
                 ratios.append(float(prior / noise))
