@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
+from fkgen.problem.equations import Equations
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
 from fkgen.problem.functions.affine import why_not_linear
@@ -102,13 +103,19 @@ class Family:
         """Names of the options."""
         return tuple(each.name for each in fields(self.options))
 
+    def remarks(self, spec: Spec) -> tuple[Finding, ...]:
+        """What is worth knowing of a spec before anything is computed."""
+        return (*self.caveats(spec), *spec.model.remarks)
+
     def check_model(self, model: Model, place: Place) -> None:
         """Refuse equations, where the family needs matrices."""
         if model.equations is not None and not self.traits.nonlinear:
-            key, given = why_not_linear(model)
-            instead = f"take {self.instead}" if self.instead else "take ekf, iekf or ukf"
-            where = place.entry("model").entry(key)
-            raise where.error(given, f"{self._demand}; {instead}")
+            raise self._no_matrices(model, model.equations, place.entry("model"))
+
+    def _no_matrices(self, model: Model, equations: Equations, place: Place) -> Exception:
+        key, given = why_not_linear(equations, model)
+        instead = f"take {self.instead}" if self.instead else "take ekf, iekf or ukf"
+        return place.entry(key).error(given, f"{self._demand}; {instead}")
 
     @property
     def _demand(self) -> str:
@@ -123,6 +130,9 @@ class Family:
 
     def check_spec(self, spec: Spec) -> None:
         """Refuse a spec for which the family is not defined."""
+        for plant, place in spec.placed_plants:
+            if plant.equations is not None and not self.traits.nonlinear:
+                raise self._no_matrices(spec.model, plant.equations, place)
         demand_noise(spec, f"the family {self.name}" if self.traits.densities else "")
         if not (spec.model.S.is_zero or self.traits.correlated):
             raise (

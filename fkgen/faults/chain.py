@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.equations import Equations
+from fkgen.problem.functions.reading import plain_mode
 from fkgen.problem.model import plain_source
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
 from fkgen.problem.text.discretise import Continuous
@@ -50,16 +51,24 @@ class Mode:
     @property
     def is_constant(self) -> bool:
         """Whether no entry depends on a parameter."""
+        if self.equations is not None:
+            return not (self.equations.names or self.Q.names or self.R.names)
         return all(getattr(self, letter).is_constant for letter in LETTERS)
 
     @property
     def silent(self) -> Mode:
         """The mode of a lost sample: y is noise alone."""
+        if self.equations is not None:
+            lost = replace(self.equations, h=(ZERO,) * len(self.equations.h))
+            return replace(self, equations=lost, title=f"{self.title}, lost")
         C, D, d = (Matrix.zeros(*each.shape) for each in (self.C, self.D, self.d))
         return replace(self, C=C, D=D, d=d, title=f"{self.title}, lost")
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
+        if self.equations is not None:
+            own = {"Q": self.Q.plain(), "R": self.R.plain()}
+            return own | plain_mode(self.equations)
         table = plain_fields(self) | {key: getattr(self, key).plain_column() for key in "cd"}
         if self.source is not None:
             table |= plain_source(self.source)
@@ -147,9 +156,12 @@ class ModeChain:
 
     def alike(self, letters: str) -> Groups:
         """The modes, those with the same matrices together."""
-        groups: dict[tuple[Matrix, ...], list[int]] = {}
+        groups: dict[tuple[object, ...], list[int]] = {}
         for i, mode in enumerate(self.modes):
-            groups.setdefault(tuple(getattr(mode, each) for each in letters), []).append(i)
+            key: list[object] = [getattr(mode, each) for each in letters]
+            if mode.equations is not None:
+                key += [mode.equations.said(f) for f, letter in ("fA", "hC") if letter in letters]
+            groups.setdefault(tuple(key), []).append(i)
         return tuple(map(tuple, groups.values()))
 
     def lumped(self, groups: Groups) -> Lumping:

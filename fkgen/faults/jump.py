@@ -10,6 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 from fkgen.faults.chain import LETTERS, Channel, Mode, ModeChain
+from fkgen.problem.equations import ABSENCE
+from fkgen.problem.functions import affine, modes
+from fkgen.problem.functions.named import Named
+from fkgen.problem.functions.start import check_start
 from fkgen.problem.model import Model, discretised, offset
 from fkgen.problem.probability import (
     Distribution,
@@ -29,6 +33,7 @@ from fkgen.problem.text.expression import (
     Expression,
     Name,
     Number,
+    Scope,
     evaluate,
     operation,
     total,
@@ -104,6 +109,15 @@ class JumpFaults:
 
             return matrices[0].mapped(entry)
 
+        several = [mode.equations for mode in self.modes if mode.equations is not None]
+        if several:
+            return replace(
+                self.modes[0],
+                title="",
+                Q=chosen("Q"),
+                R=chosen("R"),
+                equations=modes.chosen(several, indicators),
+            )
         told: dict[str, Any] = {letter: chosen(letter) for letter in LETTERS}
         return replace(self.modes[0], title="", source=None, **told)
 
@@ -123,6 +137,10 @@ class JumpFaults:
 def _title(mode: Mode, model: Model) -> str:
     """What tells a mode from the model."""
     own = [letter for letter in LETTERS if getattr(mode, letter) != getattr(model, letter)]
+    if mode.equations is not None:
+        own = [letter for letter in own if letter in "QR"]
+        base = model.equations
+        own = [k for k in "fh" if base is None or mode.equations.said(k) != base.said(k)] + own
     return "with its own " + ", ".join(own) if own else "the model"
 
 
@@ -141,26 +159,31 @@ def read_jump_faults(
                 "no key about arrivals: they are for mjls_lmmse; write the loss of samples as"
                 " modes with C = 0",
             )
-    modes = _modes(section, model, "" if sizes else family)
-    section.require("transition", f"a {len(modes)} x {len(modes)} matrix, one row per mode")
-    law = read_transition(section, "transition", "as the modes are", len(modes))
+    found = _read_modes(section, model, "" if sizes else family)
+    section.require("transition", f"a {len(found)} x {len(found)} matrix, one row per mode")
+    law = read_transition(section, "transition", "as the modes are", len(found))
     transition = at_defaults(law, section)
-    initial = read_initial(section, law, stationary_law(transition), len(modes), "one per mode")
+    initial = read_initial(section, law, stationary_law(transition), len(found), "one per mode")
     varying = None if law.is_constant else law
     arrival, rate, chain = _channel(section)
     known = None if rate is None else evaluate(rate, section.defaults)
     moving = None if rate is None or isinstance(rate, Number) else rate
-    return JumpFaults(transition, initial, modes, arrival, known, chain, varying, moving)
+    return JumpFaults(transition, initial, found, arrival, known, chain, varying, moving)
 
 
-def _modes(section: Section, model: Model, refuses: str) -> tuple[Mode, ...]:
+def _read_modes(section: Section, model: Model, refuses: str) -> tuple[Mode, ...]:
     place = section.place.entry("modes")
     expected = "a list of modes, each a table of the matrices in which it differs from the model"
     entries = as_list(section.require("modes", expected), place, expected)
     if not entries:
         raise place.error("an empty list", expected)
     sections = (
-        Section(entry, place.item(i), known=(*LETTERS, "states"), defaults=section.defaults)
+        Section(
+            entry,
+            place.item(i),
+            known=(*LETTERS, "states", *modes.OF_MODES),
+            defaults=section.defaults,
+        )
         for i, entry in enumerate(entries)
     )
     return tuple(_mode(each, model, _kept(each, model, refuses)) for each in sections)
@@ -210,6 +233,8 @@ def _narrowed(matrix: Matrix, letter: str, kept: tuple[int, ...]) -> Matrix:
 
 def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
     """The mode whose matrices are those of the model, but for those that are stated."""
+    if model.equations is not None or any(key in section for key in modes.OF_MODES):
+        return _with_equations(section, model, kept)
     for key in ("B", "D"):
         if key in section and not model.nu:
             expected = "model.B first (zeros will do): it says how many inputs there are"
@@ -232,6 +257,34 @@ def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
         if kept is not None:  # what is left out does not stay: it is 0
             found["A"] = _widened(_narrowed(found["A"], "A", kept), "A", kept, model.nx)
     return Mode(**found, kept=kept, source=source)
+
+
+def _with_equations(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
+    """The mode with equations of its own; matrices where they and those of the model are linear."""
+    for key in ("A", "B", "C", "D", "c", "d"):
+        if key in section:
+            raise section.error(key, f"{key} for a plant of equations", "f or h of the mode")
+    if kept is not None:
+        given = "states for a plant of equations"
+        raise section.error("states", given, "none: equations have all states of the model")
+    if model.source is not None:
+        key = next(key for key in modes.OF_MODES if key in section)
+        expected = "matrices as the model has, or f in the model: its time is continuous"
+        raise section.error(key, f"{key} beside matrices of dx/dt", expected)
+    scope = section.defaults if isinstance(section.defaults, Scope) else Scope(section.defaults)
+    own = model.equations or model.stated
+    noises, moving = (own.noises, own.continuous) if own else ((), False)
+    named = Named(model.states, model.inputs, model.outputs, noises, scope, moving)
+    matrices = {} if own else {each: getattr(model, each) for each in LETTERS}
+    base = own or modes.of_matrices(named, matrices)
+    found: dict[str, Any] = {"Q": model.Q, "R": model.R}
+    _state_own(section, found)
+    equations = modes.mode_equations(section, named, base)
+    check_start(equations, named, model.x0.values().ravel(), section.place)
+    linear = None if model.equations is not None else affine.matrices(equations)
+    if linear is not None:
+        return Mode(**(found | linear))
+    return Mode(**ABSENCE, **found, equations=equations)
 
 
 def _state_own(section: Section, found: dict[str, Matrix]) -> None:

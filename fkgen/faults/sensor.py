@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from fkgen.faults.chain import Lumping, Mode, ModeChain, lump
+from fkgen.problem.equations import ABSENCE
 from fkgen.problem.model import Model
 from fkgen.problem.probability import (
     Array,
@@ -135,11 +136,18 @@ class SensorFaults:
         """
         scale = (ONE, operation("sqrt", delta), delta)
         fails = [i in self.rows for i in range(model.ny)]
+        R = model.R.mapped(lambda i, j, entry: operation("*", entry, scale[fails[i] + fails[j]]))
+        if model.equations is not None:
+            heard = (
+                operation("*", gamma, tree) if fails[i] else tree
+                for i, tree in enumerate(model.equations.h)
+            )
+            equations = replace(model.equations, h=tuple(heard))
+            return Mode(**ABSENCE, Q=model.Q, R=R, equations=equations)
         C, D, d = (
             matrix.mapped(lambda i, _, entry: operation("*", gamma if fails[i] else ONE, entry))
             for matrix in (model.C, model.D, model.d)
         )
-        R = model.R.mapped(lambda i, j, entry: operation("*", entry, scale[fails[i] + fails[j]]))
         return Mode(A=model.A, B=model.B, C=C, D=D, Q=model.Q, R=R, c=model.c, d=d)
 
     def entangles(self, R: Matrix) -> bool:

@@ -112,6 +112,10 @@ class Equations:
         """The definitions that h needs."""
         return needed(self.let, self.h)
 
+    def said(self, key: str) -> tuple[object, ...]:
+        """All that is said about "f" or about "h"; equal where it is the same."""
+        return (self.for_f, self.f) if key == "f" else (self.for_h, self.h)
+
     def evaluate(
         self,
         x: Sequence[Any],
@@ -354,3 +358,5 @@ class Absent(Matrix):
 
 
 ABSENT = Absent()
+#: The fields of a plant with equations that hold nothing.
+ABSENCE: dict[str, Any] = dict.fromkeys(("A", "B", "C", "D", "c", "d"), ABSENT)

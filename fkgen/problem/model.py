@@ -10,7 +10,7 @@ import numpy as np
 
 from fkgen.errors import SpecError
 from fkgen.problem.covariance import checked_covariance
-from fkgen.problem.equations import ABSENT, Equations
+from fkgen.problem.equations import ABSENCE, Equations
 from fkgen.problem.finding import Finding
 from fkgen.problem.functions.affine import matrices
 from fkgen.problem.functions.named import read_named, read_start
@@ -21,6 +21,7 @@ from fkgen.problem.functions.reading import (
     read_equations,
     read_timing,
 )
+from fkgen.problem.functions.start import check_start
 from fkgen.problem.signals import Signal, read_signals
 from fkgen.problem.table.place import Place, show, suggestion
 from fkgen.problem.table.section import Section, check_finite
@@ -64,6 +65,8 @@ class Model:
     outputs: tuple[Signal, ...]
     source: Continuous | None = None  # What A, B, c and Q were computed from, if the time was
     equations: Equations | None = None  # What is there in place of A, B, C, D, c and d
+    #: The equations that the matrices were read from, if they were
+    stated: Equations | None = field(default=None, compare=False)
     #: What a user should know of how it was read
     remarks: tuple[Finding, ...] = field(default=(), compare=False)
 
@@ -91,7 +94,7 @@ class Model:
         """Return the table a spec file would hold."""
         if self.equations is not None:
             return self._plain_equations(self.equations)
-        absent = ["equations", "remarks"]
+        absent = ["equations", "stated", "remarks"]
         absent += [key for key in ("c", "d", "S") if getattr(self, key).is_zero]
         absent += [] if self.nu else ["B", "D"]
         columns = {key: getattr(self, key).plain_column() for key in ("x0", "c", "d")}
@@ -180,8 +183,9 @@ def _with_equations(section: Section) -> Model:
     R = _noise(section, ("R", "G", "W"), p, "measurement")
     x0 = _constant(section, "x0", section.column("x0", n, "numbers"))
     x0, remarks = read_start(section, named, x0)
+    check_start(equations, named, x0.values().ravel(), section.place)
     found = matrices(equations) if not named.wraps else None
-    letters = dict.fromkeys("ABCDcd", ABSENT) if found is None else found
+    letters = ABSENCE if found is None else found
     return Model(
         **letters,
         Q=Q,
@@ -194,6 +198,7 @@ def _with_equations(section: Section) -> Model:
         inputs=named.inputs,
         outputs=named.outputs,
         equations=equations if found is None else None,
+        stated=equations,
         remarks=remarks,
     )
 

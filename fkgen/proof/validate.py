@@ -43,7 +43,7 @@ _COVARIANCE = {
 def validate(spec: Spec) -> Validated:
     """Build the recursion of a spec and run every closed form of its family; all have to hold."""
     found = family(spec.filter.family)
-    caveats = found.caveats(spec)
+    caveats = found.remarks(spec)
     recursion = found.build(spec)
     warned = (each.message for each in caveats)
     design = confront(found, replace(recursion, notes=(*recursion.notes, *warned)))

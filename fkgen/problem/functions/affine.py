@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from fkgen.errors import InternalError
 from fkgen.problem.equations import Equations, Increment
 from fkgen.problem.table.place import show
 from fkgen.problem.text.expression import (
@@ -105,11 +104,8 @@ def matrices(equations: Equations) -> dict[str, Matrix] | None:
     return {letter: matrix(*where) for letter, where in letters.items()}
 
 
-def why_not_linear(model: Model) -> tuple[str, str]:
-    """Which key of a model with equations says that it is not linear, and what stands there."""
-    equations = model.equations
-    if equations is None:
-        raise InternalError("a model of matrices is linear")
+def why_not_linear(equations: Equations, model: Model) -> tuple[str, str]:
+    """Which key of a model, or of a mode of it, says that it is not linear, and what it says."""
     for i, each in enumerate(model.states):
         if each.manifold:
             return f"states[{i}]", f"the attitude {each.name}"

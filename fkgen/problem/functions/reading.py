@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, get_args
 
-from fkgen.problem.equations import Equations, Increment, Integrator, Motion, needed
+from fkgen.errors import InternalError
+from fkgen.problem.equations import Definition, Equations, Increment, Integrator, Motion, needed
 from fkgen.problem.functions.affine import rows
 from fkgen.problem.functions.named import REFUSED, Named
 from fkgen.problem.functions.vectors import HIDDEN, PART, EquationReader, Known, Value
@@ -49,17 +51,17 @@ def has_equations(section: Section) -> bool:
 def read_equations(section: Section, named: Named, timing: dict[str, Any]) -> Equations:
     """The equations that a section states; in place of f or h there may be matrices."""
     known = named.known()
-    read_let(section, known)
+    for define in read_definitions(section, known).values():
+        define()
     f: Sequence[Motion] | None = _by_matrices(section, named, "f")
-    f = _motion(section, named, known) if f is None else f
+    f = read_motion(section, named, known) if f is None else f
     h = _by_matrices(section, named, "h")
-    h = _measurement(section, named, known) if h is None else h
-    trees = [tree for each in f for tree in (each.by if isinstance(each, Increment) else (each,))]
+    h = read_measurement(section, named, known) if h is None else h
     found = Equations(
         states=named.coordinates,
         inputs=tuple(each.name for each in named.inputs),
         noises=named.noises,
-        let=needed(known.let, [*trees, *h]),
+        let=kept(known, [*trees_of(f), *h]),
         f=tuple(f),
         h=tuple(h),
         attitudes=tuple(named.attitudes.values()),
@@ -106,26 +108,37 @@ def read_timing(section: Section, period: Expression | None) -> dict[str, Any]:
     return {"continuous": True, "integrator": integrator, "substeps": steps, "period": period}
 
 
-def read_let(section: Section, known: Known) -> None:
-    """Read the definitions in their order."""
+def read_definitions(section: Section, known: Known) -> dict[str, Callable[[], None]]:
+    """What defines each of the names in let, to be called in order."""
     place = section.place.entry("let")
     expected = 'a table of definitions in order, such as c = "cos(heading)"'
     table = as_table(section.table.get("let", {}), place, expected)
+    parts: dict[str, list[str]] = {}
     for key in table:
         _check_new(key, known, place.entry(key))
-        known.later[_base(key)] = (
-            f"only what stands before it: '{_base(key)}' is defined by itself or further below"
+        parts.setdefault(part_of(key), []).append(key)
+        known.later[part_of(key)] = (
+            f"only what stands before it: '{part_of(key)}' is defined by itself or further below"
             " (a definition may use those above it; a cycle has no order)"
         )
-    for key, entry in table.items():
-        where = place.entry(key)
-        reader = EquationReader(known, f"let.{_base(key)}")
-        value = read_value(entry, where, reader)
-        known.later.pop(_base(key), None)
-        _define(key, value, known)
+
+    def define(name: str) -> None:
+        for key in parts[name]:
+            reader = EquationReader(known, f"let.{name}")
+            value = read_value(table[key], place.entry(key), reader)
+            known.later.pop(name, None)
+            known.given.add(name)
+            if isinstance(value, tuple):
+                for i, each in enumerate(value):
+                    known.adopt(f"{key}[{i}]", each)
+            else:
+                known.adopt(key, value)
+
+    return {name: partial(define, name) for name in parts}
 
 
-def _base(key: str) -> str:
+def part_of(key: str) -> str:
+    """The vector that a definition is a part of, or its own name."""
     found = PART.fullmatch(key)
     return found[1] if found else key
 
@@ -134,22 +147,10 @@ def _check_new(key: str, known: Known, place: Place) -> None:
     """Refuse a definition whose name is taken, or is none."""
     if HIDDEN.fullmatch(key):
         return
-    name = read_name(_base(key), place, REFUSED)
+    name = read_name(part_of(key), place, REFUSED)
     if name in known.scalars or name in known.vectors:
         what = known.scalars.get(name, "a vector")
         raise place.error(f"a definition of '{name}', which is {what}", "a name that is not taken")
-
-
-def _define(key: str, value: Value, known: Known) -> None:
-    if not isinstance(value, tuple):
-        known.define(key, value)
-        if found := PART.fullmatch(key):
-            known.vectors[found[1]] = (*known.vectors.get(found[1], ()), Name(key))
-        return
-    known.vectors[key] = tuple(
-        each if isinstance(each, Name | Number) else known.define(f"{key}[{i}]", each)
-        for i, each in enumerate(value)
-    )
 
 
 def read_value(entry: object, place: Place, reader: EquationReader) -> Value:
@@ -204,13 +205,30 @@ def _entries(
     }
 
 
-def _motion(section: Section, named: Named, known: Known) -> list[Motion]:
-    """F by component; what is left out stays as it is."""
+def kept(known: Known, trees: Sequence[Expression]) -> tuple[Definition, ...]:
+    """All definitions but hidden ones that nobody needs."""
+    own = [tree for name, tree in known.let if not HIDDEN.fullmatch(name)]
+    found = {name for name, _ in needed(known.let, [*trees, *own])}
+    return tuple(each for each in known.let if each[0] in found or not HIDDEN.fullmatch(each[0]))
+
+
+def trees_of(f: Sequence[Motion]) -> list[Expression]:
+    """The trees in f."""
+    return [tree for each in f for tree in (each.by if isinstance(each, Increment) else (each,))]
+
+
+def read_motion(
+    section: Section, named: Named, known: Known, base: Sequence[Motion] = ()
+) -> list[Motion]:
+    """F by component; what is left out stays as it is, or as it is in the base."""
     entries = _entries(section, "f", named.states, "state")
     found: list[Motion] = []
+    left = list(base)
     for signal in named.states:
+        count = 4 if signal.manifold and left and not isinstance(left[0], Increment) else 1
+        before, left = left[:count], left[count:]
         if signal.name not in entries:
-            found += _still(signal, named)
+            found += before or _still(signal, named)
             continue
         entry, place = entries[signal.name]
         reader = EquationReader(known, f"f.{signal.name}")
@@ -261,12 +279,17 @@ def _number(value: Value, place: Place) -> Expression:
     return value
 
 
-def _measurement(section: Section, named: Named, known: Known) -> list[Expression]:
-    """H by output; every one of them has an equation."""
+def read_measurement(
+    section: Section, named: Named, known: Known, base: Sequence[Expression] = ()
+) -> list[Expression]:
+    """H by output; every one of them has an equation, if not in the base."""
     entries = _entries(section, "h", named.outputs, "output")
     found = []
-    for signal in named.outputs:
+    for i, signal in enumerate(named.outputs):
         place = section.place.entry("h").entry(signal.name)
+        if signal.name not in entries and base:
+            found.append(base[i])
+            continue
         if signal.name not in entries:
             raise place.error("nothing (the key is missing)", "an expression of states and inputs")
         entry, place = entries[signal.name]
@@ -288,33 +311,45 @@ def check_noise_free(found: Equations, place: Place, outputs: Sequence[str]) -> 
             raise where.error(f"{show(to_text(tree))} with the noise '{culprit[0]}'", expected)
 
 
+def plain_mode(equations: Equations) -> dict[str, object]:
+    """The keys of a mode that say the same."""
+    table: dict[str, object] = {"let": dict(equations.plain_let)} if equations.let else {}
+    f: list[object] = []
+    left, at = list(equations.f), 0
+    while left:
+        if at not in equations.attitudes:
+            f.append(plain(left.pop(0)))
+            at += 1
+            continue
+        first = left[0]
+        if isinstance(first, Increment):
+            f.append(_plain_increment(left.pop(0), equations))
+        else:
+            f.append([plain(left.pop(0)) for _ in range(4)])
+        at += 4
+    return table | {"f": f, "h": [plain(tree) for tree in equations.h]}
+
+
 def plain_equations(
     equations: Equations, states: Sequence[Signal], outputs: Sequence[Signal]
 ) -> dict[str, object]:
-    """The keys of a spec file that say the same."""
-    table: dict[str, object] = {}
+    """The keys of a model that say the same."""
+    table: dict[str, Any] = plain_mode(equations)
+    for key, signals in (("f", states), ("h", outputs)):
+        names_ = [each.name for each in signals]
+        table[key] = dict(zip(names_, table[key], strict=True))
     if equations.noises:
         table["noises"] = [plain(noise) for noise in equations.noises]
-    if equations.let:
-        table["let"] = dict(equations.plain_let)
-    f: dict[str, object] = {}
-    left = list(equations.f)
-    for signal in states:
-        if not signal.manifold or isinstance(left[0], Increment):
-            f[signal.name] = _plain_motion(left.pop(0), signal, continuous=equations.continuous)
-        else:
-            f[signal.name] = [plain(left.pop(0)) for _ in range(4)]
-    h = {each.name: plain(tree) for each, tree in zip(outputs, equations.h, strict=True)}
-    table |= {"f": f, "h": h}
     if equations.continuous:
         table |= {"time": "continuous", "integrator": equations.integrator}
         table |= {"substeps": equations.substeps}
     return table
 
 
-def _plain_motion(motion: Motion, signal: Signal, *, continuous: bool) -> object:
+def _plain_increment(motion: Motion, equations: Equations) -> object:
     if not isinstance(motion, Increment):
-        return plain(motion)
-    if continuous:
+        raise InternalError("an increment is no tree")
+    if equations.continuous:
         return [plain(each) for each in motion.by]
-    return f"{signal.name} * [{', '.join(map(to_text, motion.by))}]"
+    q = part_of(equations.states[motion.at])
+    return f"{q} * [{', '.join(map(to_text, motion.by))}]"

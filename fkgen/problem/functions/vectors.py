@@ -56,12 +56,21 @@ class Known:
     #: Definitions that are still to come, with the reason why they are none yet
     later: dict[str, str] = field(default_factory=dict)
     shared: dict[Expression, Name] = field(default_factory=dict)
+    given: set[str] = field(default_factory=set)  # Definitions that the table itself states
 
     def define(self, name: str, tree: Expression) -> Name:
         """Put a definition behind the others."""
         self.let.append((name, tree))
         self.scalars[name] = "a definition"
         return Name(name)
+
+    def adopt(self, name: str, tree: Expression) -> None:
+        """Take over a definition of another table."""
+        if name in self.scalars:  # a rotation matrix that a definition before it needed
+            return
+        defined = self.define(name, tree)
+        if found := PART.fullmatch(name):
+            self.vectors[found[1]] = (*self.vectors.get(found[1], ()), defined)
 
     @property
     def words(self) -> list[str]:

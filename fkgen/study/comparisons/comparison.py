@@ -138,7 +138,7 @@ def _compared(
     caveats = (
         f"{label}: {finding.message}"
         for label, spec in candidates.items()
-        for finding in family(spec.filter.family).caveats(spec)
+        for finding in family(spec.filter.family).remarks(spec)
     )
     return replace(found, notes=(*found.notes, *caveats, *left_out))
 

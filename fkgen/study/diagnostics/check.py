@@ -50,7 +50,7 @@ class Report:
 
 def _caveats(model: Subject) -> None:
     """Where the filter is less than its name says: what its family knows about that."""
-    model.findings.extend(family(model.spec.filter.family).caveats(model.spec))
+    model.findings.extend(family(model.spec.filter.family).remarks(model.spec))
 
 
 def _parameters(model: Subject) -> None:

@@ -88,6 +88,7 @@ def test_vectors_and_rotations_are_those_of_textbooks():
     q = Rotation.from_rotvec([0.3, -0.2, 0.5])
     scalar = np.roll(q.as_quat(), 1)
     model = {**ATTITUDE, "outputs": [{"name": f"y{i}"} for i in range(9)], "R": np.eye(9).tolist()}
+    model["x0"] = [1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]
     model["let"] = {
         "g": "[bx, by, bz]",
         "a": "rotate(q, 2*g - [gx, gy, gz]/4)",
@@ -169,3 +170,84 @@ def test_a_matrix_of_equations_is_refused_where_it_is_used():
         model.A.values()
     attitude = read(ATTITUDE).model
     assert (attitude.nx, attitude.ne) == (7, 6)
+
+
+def jumping(*modes, family="equations:FAMILY"):
+    rows = [[1.0 / len(modes)] * len(modes)] * len(modes)
+    faults = {"jump": {"transition": rows, "modes": list(modes)}}
+    return lambda model: fkgen.Spec.from_dict(table(model, family=family, faults=faults))
+
+
+def test_modes_state_single_equations_and_the_rest_is_the_model():
+    own = {
+        "f": {"heading": "heading - turn*k*dt"},
+        "h": {"range": "x*c"},
+        "let": {"k": "sin(x)"},
+        "R": np.eye(2).tolist(),
+    }
+    changed = {"let": {"c": "2*cos(heading)"}}
+    spec = jumping({}, own, changed)(ROBOT)
+    plain, second, third = (mode.equations for mode in spec.faults.jump.modes)
+    assert plain == spec.model.equations
+    x, u, w, p = [1.0, 2.0, 0.3], [2.0, 0.5], [0.1], {"dt": 0.1}
+    f, h = plain.evaluate(x, u, w, p)
+    own_f, own_h = second.evaluate(x, u, w, p)
+    assert own_f[:2] == f[:2]
+    assert own_f[2] == pytest.approx(0.3 - 0.5 * math.sin(1.0) * 0.1, rel=1e-14)
+    assert own_h[1] == h[1]
+    assert own_h[0] == pytest.approx(math.cos(0.3), rel=1e-14)
+    assert third.moved(x, u, w, p)[0] == pytest.approx(1.0 + 2.0 * 2 * math.cos(0.3) * 0.1)
+    assert third.moved(x, u, w, p)[1] == f[1]
+    assert fkgen.Spec.from_dict(spec.to_dict()) == spec
+    assert fkgen.Spec.from_dict(spec.to_dict()).canonical() == spec.canonical()
+    titles = [mode.title for mode in spec.faults.jump.chain(spec.model).modes]
+    assert titles == ["the model", "with its own f, h, R", "with its own f"]
+    assert spec.faults.jump.chain(spec.model).alike("ABQc") == ((0,), (1,), (2,))
+    assert spec.faults.jump.chain(spec.model).alike("C") == ((0, 2), (1,))
+
+
+def test_modes_of_an_attitude_turn_on_their_own():
+    spec = jumping({}, {"f": {"q": "q * [0, gx, rate[2]]"}})(ATTITUDE)
+    assert fkgen.Spec.from_dict(spec.to_dict()) == spec
+    own = spec.faults.jump.modes[1].equations
+    q = np.roll(Rotation.from_rotvec([0.0, 1.0, 0.3]).as_quat(), 1)
+    moved = own.moved([1.0, 0, 0, 0, 0, 0, 0], [1.0, 0.0, 3.0], [], {"dt": 0.1})
+    np.testing.assert_allclose(moved[:4], q, rtol=1e-14)
+
+
+def test_one_who_is_told_the_mode_has_its_equations():
+    modes = {}, {"f": {"x": "x + c*heading"}, "let": {"c": "x*y"}}, {"h": {"range": "x"}}
+    spec = jumping(*modes)(ROBOT)
+    told = spec.faults.jump.told().equations
+    x, u, w = [1.0, 2.0, 0.3], [2.0, 0.5], [0.1]
+    for i, mode in enumerate(spec.faults.jump.modes):
+        p = {"dt": 0.1} | {f"in_mode_{j}": float(i == j) for j in range(3)}
+        np.testing.assert_allclose(
+            np.concatenate(told.evaluate(x, u, w, p)),
+            np.concatenate(mode.equations.evaluate(x, u, w, p)),
+            rtol=1e-14,
+        )
+
+
+def test_modes_with_linear_equations_are_matrices_for_linear_families():
+    model = SCALAR | {"f": ["p + dt*v", "v"], "h": ["p"]}
+    stated = jumping({}, {"f": {"v": "0.5*v"}}, family="mjls_lmmse")(model)
+    matrices = jumping({}, {"A": [[1.0, "dt"], [0.0, 0.5]]}, family="mjls_lmmse")(model)
+    assert stated == matrices
+    with pytest.raises(SpecError, match="imm or mme") as caught:
+        jumping({}, {"h": ["p*v"]}, family="mjls_lmmse")(model)
+    assert caught.value.key == "faults.jump.modes[1].h.y"
+
+
+def test_a_sensor_that_fails_has_no_h():
+    faults = {"sensor": {"rows": ["range"], "noise_factor": 4.0}}
+    faults["sensor"] |= {"problem": 1, "gamma_rate": 0.9, "delta_nominal_rate": 0.8}
+    spec = read(ROBOT, faults=faults)
+    modes = spec.faults.chain(spec.model).modes
+    x, u = [1.0, 2.0, 0.3], [2.0, 0.5]
+    seen = [mode.equations.seen(x, u, {"dt": 0.1}) for mode in modes]
+    full = spec.model.equations.seen(x, u, {"dt": 0.1})
+    assert seen == [full, full, (0.0, full[1]), (0.0, full[1])]
+    assert [mode.R.rows[0][0].value for mode in modes] == [0.01, 0.04, 0.01, 0.04]
+    told = spec.faults.sensor.told(spec.model).equations
+    assert told.seen(x, u, {"dt": 0.1, "gamma": 0.0, "delta": 1.0})[0] == 0.0
