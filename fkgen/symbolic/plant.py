@@ -14,7 +14,8 @@ from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Matrix, Model, Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.symbolic.lifting.equations import Lifted, lift_equations
-from fkgen.symbolic.lifting.expressions import Wholes, lift
+from fkgen.symbolic.lifting.expressions import Wholes, lift, lift_expression
+from fkgen.symbolic.linalg import sparse
 
 #: Variances of which four may be multiplied, with some room for those that follow from them.
 TAME = 1e-60, 1e60
@@ -86,6 +87,7 @@ def plant_of(spec: Spec) -> Plant:
     lifted = _lifted(spec, model, parameters)
     stated = [x for x in (*LETTERS, "S") if lifted is None or x in {"Q", "R", "S"}]
     matrices = {letter: lift(getattr(model, letter), parameters, wholes) for letter in stated}
+    matrices["Q"] = _over_a_sample(model, matrices["Q"], parameters)
     own: dict[str, Any] = matrices | _derivatives(lifted)
     return Plant(
         parameters=parameters,
@@ -106,6 +108,13 @@ def _lifted(spec: Spec, plant: Model | Mode, parameters: Mapping[str, ca.SX]) ->
     return lift_equations(plant.equations, parameters, (spec.model.states, spec.model.outputs))
 
 
+def _over_a_sample(plant: Model | Mode, Q: ca.SX, parameters: Mapping[str, ca.SX]) -> ca.SX:
+    """The covariance of what is added to x, where Q is a density of equations in time."""
+    if plant.equations is None or plant.equations.period is None:
+        return Q
+    return sparse(Q * lift_expression(plant.equations.period, parameters))
+
+
 def _derivatives(lifted: Lifted | None) -> dict[str, Any]:
     """What stands in place of matrices where a plant has f and h."""
     if lifted is None:
@@ -119,7 +128,7 @@ def _derivatives(lifted: Lifted | None) -> dict[str, Any]:
 
 
 def sensed_at_prior(spec: Spec, plant: Model | Mode) -> NDArray[np.float64]:
-    """C of a plant, or the derivative of its h at x0 and u = 0, with parameters at their defaults."""
+    """C of a plant, or the derivative of its h at x0 and u = 0, parameters at their defaults."""
     if plant.equations is None:
         return plant.C.values(spec.defaults)
     parameters = {p.name: ca.SX.sym(p.name) for p in spec.parameters}
@@ -142,7 +151,10 @@ def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
         for letter in LETTERS if mode.equations is None else ("Q", "R"):
             key = letter, getattr(mode, letter)
             if key not in known:
-                known[key] = lift(key[1], base.parameters, wholes)
+                matrix = lift(key[1], base.parameters, wholes)
+                if letter == "Q":
+                    matrix = _over_a_sample(mode, matrix, base.parameters)
+                known[key] = matrix
             lifted[letter] = known[key]
         wide = base.wide or _is_wide(mode.R)
         plants.append(replace(base, noise_free=_is_noise_free(mode.R), wide=wide, **lifted))

@@ -135,16 +135,22 @@ def _turned(
     n, m = plant.ne, found.mean.numel()
     errors = builder.define(f"correction{tag}", found.mean[:n])
     state = normalised(box_plus(prior, errors, plant.attitudes), plant.attitudes)
-    turn = ca.SX.eye(m)
-    for _, at, turns in places(plant.nx, plant.attitudes):
-        if turns:
-            turn[at : at + 3, at : at + 3] = right_jacobian(errors[at : at + 3])
+    turn = ca.diagcat(turned_by(plant, errors), ca.SX.eye(m - n))
     (turn,) = builder.name_all(f"turn{tag}", (turn,))
     mean = ca.vertcat(builder.define(f"corrected{tag}", state), found.mean[n:])
     gain = None if found.gain is None else turn @ found.gain
     return replace(
         found, mean=mean, covariance=congruence(turn, unpack(found.covariance, m)), gain=gain
     )
+
+
+def turned_by(plant: Plant, errors: ca.SX) -> ca.SX:
+    """By what small errors turn when a state moves by errors that are not small, (ne, ne)."""
+    turn = ca.SX.eye(plant.ne)
+    for _, at, turns in places(plant.nx, plant.attitudes):
+        if turns:
+            turn[at : at + 3, at : at + 3] = right_jacobian(errors[at : at + 3])
+    return turn
 
 
 def moved_by_noise(plant: Plant) -> list[int]:
@@ -190,7 +196,12 @@ def propagate(
     cross = posterior.cross_covariance
     joint = ca.blockcat(P, cross.T, cross, unpack(posterior.deviation_covariance, r))
     through = ca.horzcat(plant.A, B)
-    return state + B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q)), through
+    shift, covariance = B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q))
+    if not plant.attitudes:
+        return state + shift, covariance, through
+    turn = turned_by(plant, shift)
+    state = normalised(box_plus(state, shift, plant.attitudes), plant.attitudes)
+    return state, congruence(turn, unpack(covariance, n)), turn @ through
 
 
 def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:

@@ -115,6 +115,9 @@ class _Lifting:
         moved, seen, A, B, G, C, D = (self._without_noise(each) for each in found)
         parts = places(self.x.numel(), equations.attitudes)
         variances = [lift_expression(noise.variance, self.values) for noise in equations.noises]
+        if equations.period is not None:  # noises are held over a sample, and stated as densities
+            period = lift_expression(equations.period, self.values)
+            variances = [each / period for each in variances]
         return Lifted(
             x=self.x,
             u=self.u,
