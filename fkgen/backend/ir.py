@@ -46,6 +46,7 @@ class Operator(Enum):
     EXP = "exp"
     LOG = "log"
     SQRT = "sqrt"
+    FLOOR = "floor"
     SIN = "sin"
     COS = "cos"
     TAN = "tan"
@@ -64,7 +65,7 @@ class Operator(Enum):
 
 
 #: Operators that are functions in C.
-FUNCTIONS = {"exp", "log", "sqrt", "sin", "cos", "tan", "atan2"}
+FUNCTIONS = {"exp", "log", "sqrt", "floor", "sin", "cos", "tan", "atan2"}
 FUNCTIONS |= {"asin", "acos", "sinh", "cosh", "tanh", "hypot"}
 
 

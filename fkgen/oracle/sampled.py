@@ -9,9 +9,17 @@ import numpy as np
 
 from fkgen.faults import SensorFaults
 from fkgen.oracle.exact.gaussian import Array
-from fkgen.oracle.plants.actuator import LinearSystem, simulate
-from fkgen.oracle.plants.jump import JumpSystem, simulate_jumps
-from fkgen.oracle.plants.sensor import SensorLaw, factors_of, gamma_delta, simulate_sensor
+from fkgen.oracle.plants.actuator import LinearSystem, actuation_of, draw_patterns, simulate
+from fkgen.oracle.plants.equations import is_nonlinear, system_of
+from fkgen.oracle.plants.jump import JumpSystem, chain_of, draw_chain, simulate_jumps
+from fkgen.oracle.plants.nonlinear import simulate_nonlinear
+from fkgen.oracle.plants.sensor import (
+    SensorLaw,
+    draw_modes,
+    factors_of,
+    gamma_delta,
+    simulate_sensor,
+)
 from fkgen.problem import Spec
 
 #: All four modes equally often: for a genie-aided filter, which is told them and states no law.
@@ -22,6 +30,8 @@ def draw_record(
     spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
 ) -> tuple[Array, dict[str, Array]]:
     """Draw y, NaN for a filter that knows what was lost, and parameters, (T,); u (T, q)."""
+    if is_nonlinear(spec):
+        return _draw_nonlinear(spec, parameters, u, rng)
     T, faults, jump = len(u), spec.faults.sensor, spec.faults.jump
     if jump is not None:
         record = simulate_jumps(JumpSystem.from_spec(spec, T, parameters), u, rng)
@@ -36,6 +46,28 @@ def draw_record(
     gamma, delta = gamma_delta(law, modes)
     told = {"gamma": gamma, "delta": delta} if spec.filter.traits.told else {}
     return y, {**parameters, **told}
+
+
+def _draw_nonlinear(
+    spec: Spec, parameters: Mapping[str, Array], u: Array, rng: np.random.Generator
+) -> tuple[Array, dict[str, Array]]:
+    """The same of a plant by equations: its mode, or what works of it, at every sample."""
+    T, faults, jump = len(u), spec.faults.sensor, spec.faults.jump
+    if jump is not None:
+        chain = chain_of(spec, T, parameters)
+        path = draw_chain(chain["transitions"], chain["initial"], T, rng)
+        modes = [system_of(spec, T, parameters, mode) for mode in jump.modes]
+        return simulate_nonlinear([modes[i] for i in path], u, rng)[0], {**parameters}
+    system = system_of(spec, T, parameters)
+    if faults is not None:
+        law = _law(spec, faults, T, parameters)
+        gamma, delta = gamma_delta(law, draw_modes(law, T, rng))
+        sensed = system.told(faults.rows, gamma, delta)
+        told = {"gamma": gamma, "delta": delta} if spec.filter.traits.told else {}
+        return simulate_nonlinear(sensed, u, rng)[0], {**parameters, **told}
+    rate, covariance = actuation_of(spec, T, parameters, spec.first_rates)
+    effective = draw_patterns(rate, covariance, rng) * u
+    return simulate_nonlinear(system, effective, rng)[0], {**parameters}
 
 
 def informed(

@@ -81,6 +81,11 @@ class Model:
         return len(self.P0.rows)
 
     @property
+    def attitudes(self) -> tuple[int, ...]:
+        """Where the four numbers of an attitude begin in x."""
+        return () if self.equations is None else self.equations.attitudes
+
+    @property
     def nu(self) -> int:
         """Number of inputs, q."""
         return len(self.inputs)

@@ -137,7 +137,7 @@ def _distance(run: Run, found: Mapping[str, Array], port: Port) -> float:
         np.asarray(run[port.name], dtype=float),
         expected[port.name],
         symmetric=port.symmetric,
-        deviation=natural_deviation(port.name, expected),
+        deviation=natural_deviation(port.name, expected, spec.model.attitudes),
     )
 
 

@@ -25,8 +25,10 @@ from fkgen.estimators.gaussian.sequential import (
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.lifting.equations import box_plus, normalised, places
+from fkgen.symbolic.lifting.rotations import right_jacobian
 from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, sparse, unpack
-from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.plant import Plant, sensed_at_prior
 from fkgen.symbolic.recursion import Guard
 
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
@@ -59,10 +61,10 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
 
 def prior_to_noise(spec: Spec) -> float:
     """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
-    plants = (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
     P0, ratios = spec.model.P0.values(), [0.0]
-    for plant in plants:
-        C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "CQR")
+    for plant in spec.plants:
+        Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "QR")
+        C = sensed_at_prior(spec, plant)
         for prior, noise in zip(np.diag(C @ (P0 + Q) @ C.T), np.diag(R), strict=True):
             if noise > 0.0:
                 ratios.append(float(prior / noise))
@@ -83,9 +85,13 @@ def correct(
     with_gain: bool = False,
     gate: Gate | None = None,
 ) -> tuple[Conditioned, Posterior]:
-    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11)."""
-    state, packed = prior
-    n, covariance, C = plant.nx, unpack(packed, plant.nx), plant.C
+    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11).
+
+    A plant with f and h is linearised there.
+    """
+    whole, packed = prior
+    n, covariance, C = plant.ne, unpack(packed, plant.ne), plant.C
+    state = ca.SX.zeros(n) if plant.attitudes else whole
     if actuation.size and plant.D.nnz():  # y depends on the random part of the input
         state = ca.vertcat(state, ca.SX.zeros(actuation.size))
         covariance = ca.diagcat(covariance, actuation.covariance)
@@ -108,15 +114,43 @@ def correct(
         with_gain=with_gain,
         gate=gate,
     )
+    found = _turned(builder, plant, whole, found, tag)
     P = unpack(found.covariance, state.numel())
     posterior = Posterior(
-        state=found.mean[:n, 0],
+        state=found.mean[: plant.nx, 0],
         covariance=pack(P[:n, :n]),
-        deviation=found.mean[n:, 0],
+        deviation=found.mean[plant.nx :, 0],
         deviation_covariance=pack(P[n:, n:]),
         cross_covariance=P[n:, :n],
     )
     return found, posterior
+
+
+def _turned(
+    builder: PhaseBuilder, plant: Plant, prior: ca.SX, found: Conditioned, tag: str
+) -> Conditioned:
+    """An estimate of errors as one of the state; attitudes take the axes of errors with them."""
+    if not plant.attitudes:
+        return found
+    n, m = plant.ne, found.mean.numel()
+    errors = builder.define(f"correction{tag}", found.mean[:n])
+    state = normalised(box_plus(prior, errors, plant.attitudes), plant.attitudes)
+    turn = ca.diagcat(turned_by(plant, errors), ca.SX.eye(m - n))
+    (turn,) = builder.name_all(f"turn{tag}", (turn,))
+    mean = ca.vertcat(builder.define(f"corrected{tag}", state), found.mean[n:])
+    gain = None if found.gain is None else turn @ found.gain
+    return replace(
+        found, mean=mean, covariance=congruence(turn, unpack(found.covariance, m)), gain=gain
+    )
+
+
+def turned_by(plant: Plant, errors: ca.SX) -> ca.SX:
+    """By what small errors turn when a state moves by errors that are not small, (ne, ne)."""
+    turn = ca.SX.eye(plant.ne)
+    for _, at, turns in places(plant.nx, plant.attitudes):
+        if turns:
+            turn[at : at + 3, at : at + 3] = right_jacobian(errors[at : at + 3])
+    return turn
 
 
 def moved_by_noise(plant: Plant) -> list[int]:
@@ -133,6 +167,8 @@ def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX)
         y=y,
         rows=plant.rows,
         at=tuple(range(plant.ny)),
+        predicted=plant.seen,
+        wraps=plant.wraps,
         rank_tolerance=RANK_TOLERANCE[plant.scalar] if plant.noise_free else None,
         shows_variance=plant.shows_variance,
         pivots_per_log=1 if plant.wide else PIVOTS_PER_LOG[plant.scalar],
@@ -143,11 +179,13 @@ def propagate(
     plant: Plant, actuation: Actuation, posterior: Posterior
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Predicted state, packed covariance and the map [A, B u~]: Strandt et al., eqs. (4), (12)."""
-    n, moved = plant.nx, moved_by_noise(plant)
+    n, moved = plant.ne, moved_by_noise(plant)
     B, Q = plant.B @ actuation.through, ca.SX(plant.Q)
     if moved:  # their noise is part of what was estimated
         B, Q[moved, moved] = ca.SX.eye(n)[:, moved], 0
-    state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
+    state = plant.moved
+    if state is None:
+        state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
     P = unpack(posterior.covariance, n)
     if posterior.deviation.numel() == 0:
         covariance = congruence(plant.A, P) + pack(plant.Q)
@@ -158,7 +196,12 @@ def propagate(
     cross = posterior.cross_covariance
     joint = ca.blockcat(P, cross.T, cross, unpack(posterior.deviation_covariance, r))
     through = ca.horzcat(plant.A, B)
-    return state + B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q)), through
+    shift, covariance = B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q))
+    if not plant.attitudes:
+        return state + shift, covariance, through
+    turn = turned_by(plant, shift)
+    state = normalised(box_plus(state, shift, plant.attitudes), plant.attitudes)
+    return state, congruence(turn, unpack(covariance, n)), turn @ through
 
 
 def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
@@ -169,6 +212,8 @@ def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
 def bound_all(builder: PhaseBuilder, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
     """The same for several plants; a matrix that is the same object in some is named once."""
     named: dict[int, Any] = {}
+    if plants[0].lifted is not None:  # what depends on the state is named where it is linearised
+        letters = "".join(letter for letter in letters if letter not in "ABCDcd")
     if "A" in letters and plants[0].limits:
         builder.demand(Kind.NONNEGATIVE, plants[0].limits, Status.PARAMETER_OUT_OF_RANGE)
     for letter in letters:
@@ -186,7 +231,7 @@ def bound_all(builder: PhaseBuilder, plants: Sequence[Plant], letters: str) -> t
 
 def finite(state: ca.SX, packed: ca.SX) -> Guard:
     """Refuse the sample unless the state and the variances are finite."""
-    values = ca.vertcat(state, *diagonal(packed, state.numel()))
+    values = ca.vertcat(state, *diagonal(packed))
     return Guard(ca.densify(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
 
 
@@ -199,6 +244,6 @@ def demand_finite(builder: PhaseBuilder, state: ca.SX) -> None:
     builder.demand(Kind.FINITE, ca.vertsplit(state), Status.RESULT_NOT_FINITE)
 
 
-def demand_positive(builder: PhaseBuilder, packed: ca.SX, n: int) -> None:
+def demand_positive(builder: PhaseBuilder, packed: ca.SX) -> None:
     """Refuse to go on from a covariance with a negative variance."""
-    builder.demand(Kind.NONNEGATIVE, diagonal(packed, n), Status.NOT_POSITIVE_DEFINITE)
+    builder.demand(Kind.NONNEGATIVE, diagonal(packed), Status.NOT_POSITIVE_DEFINITE)

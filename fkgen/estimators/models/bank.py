@@ -176,7 +176,7 @@ def _update(bank: Bank) -> Phase:
     y, held = symbols["y"], _held(builder, symbols)
     priors = split_estimates(symbols["mode_state"], symbols["mode_covariance"], bank.plant.nx)
     for _, packed in priors:
-        demand_positive(builder, packed, bank.plant.nx)
+        demand_positive(builder, packed)
     bank = replace(bank, plant=bound(builder, bank.plant, "CDRd"))
     found, posteriors = [], []
     for i, prior in enumerate(priors):

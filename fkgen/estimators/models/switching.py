@@ -261,7 +261,7 @@ class Switching:
         """A correction of its prior under each mode, then Bayes' rule (8)."""
         builder, symbols = PhaseBuilder(self.symbols), self.symbols
         for packed in {id(packed): packed for _, packed in priors}.values():
-            demand_positive(builder, packed, self.spec.model.nx)
+            demand_positive(builder, packed)
         modes = self.bound(builder, "CDRd")
         each = [self.corrected(builder, modes, j, prior) for j, prior in enumerate(priors)]
         with builder.titled("probabilities of the modes"):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fkgen.faults.chain import Mode
-from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record, ports
+from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record, of_matrices, ports
 from fkgen.oracle.exact.batch import batch_lmmse
 from fkgen.oracle.exact.gate import batch_gated
 from fkgen.oracle.exact.hypotheses import batch_posterior, textbook_mme
@@ -196,13 +196,13 @@ BATCH = ClosedForm(
     claim="estimates, innovations and likelihoods are those of the joint distribution",
     source="linear minimum mean square error estimate from second moments",
     tolerance=digits_at_stake,
-    expected=_batch,
+    expected=of_matrices(_batch),
 )
 RICCATI = ClosedForm(
     claim="the stabilising solution of the Riccati equation is where the covariance comes to rest",
     source="Anderson & Moore 1979, sec. 4.4; (12) and (22) in the limit",
     tolerance=_riccati_tolerance,
-    expected=_fixed_point,
+    expected=of_matrices(_fixed_point),
     start=_at_the_fixed_point,
     steady=True,
 )
@@ -216,17 +216,17 @@ OPTIMAL_GAIN = ClosedForm(
     claim="the gain is K = (A P C' + B N D') Om^-1, which minimises the error covariance",
     source=f"{PAPER}, eqs. (9)-(11)",
     tolerance=digits_at_stake,
-    expected=_optimal_gain,
+    expected=of_matrices(_optimal_gain),
 )
 MME_TEXTBOOK = ClosedForm(
     claim="estimates and weights are those of matrix filters with plain probabilities",
     source=f"{PAPER}, eqs. (4), (9)-(18)",
     tolerance=likelihood_tolerance,
-    expected=_bank,
+    expected=of_matrices(_bank),
 )
 MME_BATCH = ClosedForm(
     claim="weights are the posterior from the joint density of all samples",
     source=f"{PAPER}, eqs. (14)-(16), without recursion",
     tolerance=likelihood_tolerance,
-    expected=_posterior,
+    expected=of_matrices(_posterior),
 )

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fkgen.faults.sensor import is_white
-from fkgen.oracle.claims.claim import ClosedForm, Ports, Record, ports
+from fkgen.oracle.claims.claim import ClosedForm, Ports, Record, of_matrices, ports
 from fkgen.oracle.claims.gaussian import digits_at_stake, likelihood_tolerance, system_of, undecided
 from fkgen.oracle.exact.enumeration import enumerate_jumps
 from fkgen.oracle.exact.moments import FaultMoments, satisfies_lemma_2
@@ -123,20 +123,20 @@ ONE_STEP = ClosedForm(
     claim="estimates and probabilities are those of matrix filters, one for each sensor condition",
     source=f"{PAPER}, eqs. (3)-(14) with the covariance spelled out",
     tolerance=likelihood_tolerance,
-    expected=_one_step,
+    expected=of_matrices(_one_step),
 )
 IMM = ClosedForm(
     claim="estimates and probabilities are those of interacting matrix filters",
     source=f"Blom & Bar-Shalom 1988; {PAPER}, sec. IV, eqs. (15)-(18)",
     tolerance=likelihood_tolerance,
-    expected=_imm,
+    expected=of_matrices(_imm),
 )
 ENUMERATION = ClosedForm(
     claim="exact Bayes as long as nothing is approximated: at sample 0, one more if the first mode"
     " is known",
     source="enumeration of all histories of modes",
     tolerance=likelihood_tolerance,
-    expected=_enumerated,
+    expected=of_matrices(_enumerated),
 )
 LEMMA_2_FORM = ClosedForm(
     claim="gains and estimates are those of (23), the covariance is C - V",

@@ -36,8 +36,7 @@ def batch_gated(
     """
 
     def judge(k: int, innovation: Array, S: Array) -> Judged:
-        decide = _whole if together else _rows
-        rejected = decide(innovation, S, probability)
+        rejected = outliers(innovation, S, probability, together=together)
         kept = np.flatnonzero(np.isfinite(innovation) & ~rejected)
         values: dict[str, ArrayLike] = {
             "rejected": rejected * 1.0,
@@ -47,6 +46,11 @@ def batch_gated(
         return values, (k, rejected)
 
     return GatedResult.of(project(joint_distribution(system, u), y, judge))
+
+
+def outliers(innovation: Array, S: Array, probability: float, *, together: bool) -> Flags:
+    """Which rows of an innovation of covariance S lie outside a probability, (p,)."""
+    return (_whole if together else _rows)(innovation, S, probability)
 
 
 def _distance(innovation: Array, S: Array, rows: Rows) -> float:

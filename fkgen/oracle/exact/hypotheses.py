@@ -85,7 +85,7 @@ def textbook_mme(
             "nis": residual @ scaled_pseudo_inverse(S[np.ix_(finite, finite)]) @ residual,
             "log_likelihood": logsumexp(logs, b=weights) if finite.any() else 0.0,
         }
-        weights = _reweigh(weights, logs, now, weight_floor)
+        weights = reweigh(weights, logs, now, weight_floor)
         rate = weights @ np.array([s.rate[k] for s in systems])
         row |= {
             "mode_probability": weights,
@@ -100,7 +100,7 @@ def textbook_mme(
     return MultipleModelResult.of(rows)
 
 
-def _reweigh(weights: Array, logs: Array, y: Array, floor: float) -> Array:
+def reweigh(weights: Array, logs: Array, y: Array, floor: float) -> Array:
     """Eq. (14) and the floor; a sample that is missing or impossible everywhere says nothing."""
     # A hypothesis that is dead may fit so much better that its density overflows.
     logs = np.where(weights > 0.0, logs, -np.inf)

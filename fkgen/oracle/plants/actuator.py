@@ -127,16 +127,27 @@ class LinearSystem(Plant):
             for name in (*Plant.VARYING, "S")
         }
         plant |= {name: plant[name][..., 0] for name in ("c", "d")}
-        faults = [
-            _fault_moments(spec.faults.actuator, model.nu, sample, rates) for sample in samples
-        ]
+        rate, covariance = actuation_of(spec, T, params, rates)
         return cls(
             **plant,
             x0=model.x0.values()[:, 0],
             P0=model.P0.values(),
-            rate=np.array([rate for rate, _ in faults])[which],
-            fault_covariance=np.array([covariance for _, covariance in faults])[which],
+            rate=rate,
+            fault_covariance=covariance,
         )
+
+
+def actuation_of(
+    spec: Spec,
+    T: int,
+    params: Mapping[str, Array | float] | None = None,
+    rates: tuple[float, ...] | None = None,
+) -> tuple[Array, Array]:
+    """Mean (T, q) and covariance (T, q, q) of gamma: ones and zeros where nothing fails."""
+    samples, which = parameter_samples(spec, T, params)
+    found = [_fault_moments(spec.faults.actuator, spec.model.nu, each, rates) for each in samples]
+    means, covariances = ([each[i] for each in found] for i in (0, 1))
+    return np.array(means)[which], np.array(covariances)[which]
 
 
 def parameter_samples(
@@ -195,13 +206,18 @@ def simulate(
 
 
 def draw_gamma(system: LinearSystem, rng: np.random.Generator) -> Array:
-    """Draw which actuators work in each sample, (T, q).
+    """Draw which actuators work in each sample, (T, q)."""
+    return draw_patterns(system.rate, system.fault_covariance, rng)
+
+
+def draw_patterns(rate: Array, covariance: Array, rng: np.random.Generator) -> Array:
+    """Draw gamma of mean (T, q) and covariance (T, q, q).
 
     For more than two correlated inputs mean and covariance do not determine the binary
     distribution: a Gaussian of the same moments takes its place, alike for a linear filter.
     """
-    T, q = system.rate.shape
-    moments = np.hstack([system.rate, system.fault_covariance.reshape(T, q * q)])
+    T, q = rate.shape
+    moments = np.hstack([rate, covariance.reshape(T, q * q)])
     distinct, group = np.unique(moments, axis=0, return_inverse=True)
     gamma = np.empty((T, q))
     for index, row in enumerate(distinct):

@@ -102,7 +102,6 @@ class JumpSystem(Plant):
             )[which]
             for name in Plant.VARYING
         }
-        chain = Matrix.of(faults.transition) if faults.law is None else faults.law
         plant |= {name: plant[name][..., 0] for name in ("c", "d")}
         rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
         rates = None
@@ -117,12 +116,24 @@ class JumpSystem(Plant):
             kept=np.array([[float(i in states) for i in every] for states in has]),
             x0=spec.model.x0.values()[:, 0],
             P0=spec.model.P0.values(),
-            transitions=np.array([chain.values(at) for at in samples])[which],
-            initial=np.array(faults.initial),
+            **chain_of(spec, T, params),
             arrival=arrival,
             arrival_initial=start if rates is None else np.array([1.0 - rates[0], rates[0]]),
             arrival_rates=rates,
         )
+
+
+def chain_of(
+    spec: Spec, T: int, params: Mapping[str, Array | float] | None = None
+) -> dict[str, Array]:
+    """The chain of the modes of a spec: transitions (T, N, N) and initial (N,)."""
+    faults = spec.faults.jump
+    if faults is None:
+        raise DataError("faults.jump", given="nothing", expected="modes and their chain")
+    chain = Matrix.of(faults.transition) if faults.law is None else faults.law
+    samples, which = parameter_samples(spec, T, params)
+    transitions = np.array([chain.values(at) for at in samples])[which]
+    return {"transitions": transitions, "initial": np.array(faults.initial)}
 
 
 def lasting_law(transition: Array) -> Array:

@@ -72,7 +72,7 @@ def log_likelihood(
     C, D, rate = system.C[k][finite], system.D[k][finite], system.rate[k]
     residual = y[finite] - system.d[k][finite] - C @ x
     noise = C @ P @ C.T + system.R[k][np.ix_(finite, finite)]
-    patterns = _patterns(rate, system.fault_covariance[k]) if mixture else None
+    patterns = patterns_of(rate, system.fault_covariance[k]) if mixture else None
     if patterns is None:
         N = np.diag(u) @ system.fault_covariance[k] @ np.diag(u)
         return _log_normal(residual - D @ (rate * u), noise + D @ N @ D.T)
@@ -80,7 +80,7 @@ def log_likelihood(
     return float(logsumexp(densities, b=patterns[1]))
 
 
-def _patterns(rate: Array, covariance: Array) -> tuple[Array, Array] | None:
+def patterns_of(rate: Array, covariance: Array) -> tuple[Array, Array] | None:
     """States of the actuators and their probabilities; None where they are not enumerated."""
     if rate.size == 0:
         return None

@@ -49,7 +49,7 @@ def textbook_one_step(
 ) -> OneStepResult:
     """Run the one-step near-optimal filter, (3)-(10), x(k|k-1) and P(k|k-1) in (9); y (T, p)."""
     u, modes = system.inputs(u), sensed_modes(system, law)
-    (x, P), log_held, rows = _repeated((system.x0, system.P0), 4), _log(law.initial), []
+    (x, P), log_held, rows = _repeated((system.x0, system.P0), 4), log_of(law.initial), []
     for k, now in enumerate(y):
         C, R = modes.C[k], modes.R[k]
         filtered, expected, logs = _update((x, P), (C, R, modes.D[k] @ u[k] + modes.d[k]), now)
@@ -65,7 +65,7 @@ def textbook_one_step(
             delta = [0, 0, 0, 0] if covariance == "paper_nominal" else [0, 1, 0, 1]
             _, E = _gain(C[delta], R[delta], before[delta], now)
             P = A @ E @ before[delta] @ A.T + Q
-        log_held = _step_law(log_posterior, modes.transitions[k])
+        log_held = step_law(log_posterior, modes.transitions[k])
         rows.append(
             {**row, **_estimates(estimate, ahead, log_posterior, _said(modes, k, log_held))}
         )
@@ -93,24 +93,24 @@ def interacting(
         lumping = Lumping(shares=np.eye(N), kernels=system.transitions, initial=system.initial)
     M, (of, condition) = len(lumping.initial), np.nonzero(lumping.shares)
     own = of == np.arange(M)[:, None]
-    log_share = _log(np.where(own, lumping.shares[of, condition], 0.0))
+    log_share = log_of(np.where(own, lumping.shares[of, condition], 0.0))
     moving = (lumping.shares != 0.0).argmax(axis=1)
     of_mode = [int(np.flatnonzero(each)[0]) for each in lumping.shares]
     held = tuple(each[of_mode] for each in system.priors)
-    log_held, rows = _log(lumping.initial), []
+    log_held, rows = log_of(lumping.initial), []
     for k, now in enumerate(y):
         C, D, R, d = (each[k, condition] for each in (system.C, system.D, system.R, system.d))
         plant = C, R, D @ u[k] + d
         filtered, expected, logs = _update((held[0][of], held[1][of]), plant, now)
         # The update of a mode merges its conditions, in given shares.
         joint, expected = log_share + logs, mixture(np.exp(log_share), *expected)
-        filtered = mixture(np.exp(_normalised(joint)), *filtered)
+        filtered = mixture(np.exp(normalised(joint)), *filtered)
         log_posterior, row = _bayes(log_held, np.logaddexp.reduce(joint, axis=1), expected, now)
-        log_held = _step_law(log_posterior, lumping.kernels[k])
+        log_held = step_law(log_posterior, lumping.kernels[k])
         # Eq. (17). A mode that cannot come next has weight 0; any mixture will do for it.
-        mixing = log_posterior + _log(lumping.kernels[k].T)
+        mixing = log_posterior + log_of(lumping.kernels[k].T)
         mixing[np.isneginf(log_held)] = log_posterior
-        x, P = mixture(np.exp(_normalised(mixing)), *filtered)
+        x, P = mixture(np.exp(normalised(mixing)), *filtered)
         A, B, c, Q = (each[k, moving] for each in (system.A, system.B, system.c, system.Q))
         held = (A @ x[..., None])[..., 0] + B @ u[k] + c, A @ P @ A.transpose(0, 2, 1) + Q
         estimate = mixture(np.exp(log_posterior), *filtered)
@@ -181,17 +181,17 @@ def _bayes(log_held: Array, logs: Array, expected: Gaussian, y: Array) -> tuple[
         "nis": residual @ np.linalg.solve(S[np.ix_(finite, finite)], residual),
         "log_likelihood": np.logaddexp.reduce(joint) if finite.any() else np.zeros(()),
     }
-    return _normalised(joint), ports
+    return normalised(joint), ports
 
 
-def _step_law(log_posterior: Array, kernel: Array) -> Array:
+def step_law(log_posterior: Array, kernel: Array) -> Array:
     """Eq. (10): logs of the law of the next mode."""
-    return np.asarray(np.logaddexp.reduce(log_posterior[:, None] + _log(kernel), axis=0))
+    return np.asarray(np.logaddexp.reduce(log_posterior[:, None] + log_of(kernel), axis=0))
 
 
 def _said(system: JumpSystem, k: int, log_held: Array) -> Array:
     """Logs of the law of the next mode as sample k has it, which knows its own parameters only."""
-    return log_held if system.announced is None else _log(system.announced[k])
+    return log_held if system.announced is None else log_of(system.announced[k])
 
 
 def _estimates(estimate: Gaussian, ahead: Gaussian, log_posterior: Array, log_held: Array) -> Ports:
@@ -206,13 +206,13 @@ def _estimates(estimate: Gaussian, ahead: Gaussian, log_posterior: Array, log_he
     }
 
 
-def _log(probability: Array) -> Array:
+def log_of(probability: Array) -> Array:
     """Logarithm with log 0 = -inf."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(probability))
 
 
-def _normalised(logs: Array) -> Array:
+def normalised(logs: Array) -> Array:
     """Logs of weights (..., N) that add up to one, without adding them first: they may be huge."""
     relative = logs - logs.max(axis=-1, keepdims=True)
     return np.asarray(relative - np.logaddexp.reduce(relative, axis=-1, keepdims=True))

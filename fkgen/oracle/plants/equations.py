@@ -1,0 +1,119 @@
+"""What a spec says of a plant as functions over a record, of equations as of matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from fkgen.faults.chain import Mode
+from fkgen.oracle.exact.gaussian import Array
+from fkgen.oracle.plants.actuator import Plant, parameter_samples
+from fkgen.oracle.plants.dual import Dual, Number, value_of
+from fkgen.oracle.plants.manifold import Kind, Space
+from fkgen.oracle.plants.nonlinear import Flow, NonlinearSystem, by_functions
+from fkgen.problem import Matrix, Model, Signal, Spec, evaluate
+from fkgen.problem.equations import Equations, Increment
+
+#: Functions of the expression language that NumPy has by another name.
+_RENAMED = {"asin": "arcsin", "acos": "arccos", "atan2": "arctan2", "min": "minimum"}
+_RENAMED |= {"max": "maximum", "abs": "absolute", "+": "add", "-": "subtract", "*": "multiply"}
+_RENAMED |= {"/": "divide", "**": "power", "neg": "negative", "<": "less", "<=": "less_equal"}
+_RENAMED |= {">": "greater", ">=": "greater_equal", "==": "equal", "!=": "not_equal"}
+_SAME = ("exp", "log", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sign", "hypot")
+
+
+def chosen(condition: Number, first: Number, second: Number) -> Number:
+    """One of two numbers; the other may have no value."""
+    return first if value_of(condition) else second
+
+
+def looked_up(table: Any, at: Number) -> Number:
+    """The value of a table by SciPy, with its slope; held at the ends, with slope 0."""
+    from scipy.interpolate import PchipInterpolator, PPoly  # noqa: PLC0415 - slow to import
+
+    place, x, y = float(value_of(at)), np.array(table.x), np.array(table.y)
+    if place < x[0] or place >= x[-1]:
+        return y[0] if place < x[0] else y[-1]
+    if table.kind == "pchip" and len(x) > 2:
+        curve: Any = PchipInterpolator(x, y)
+    else:
+        curve = PPoly(np.array([np.diff(y) / np.diff(x), y[:-1]]), x)
+    value, slope = float(curve(place)), float(curve(place, 1))
+    return Dual(value, slope * at.slopes) if isinstance(at, Dual) else value
+
+
+#: The expression language on floats and duals.
+ARITHMETIC: dict[str, Callable[..., Any]] = {
+    **{name: getattr(np, name) for name in _SAME},
+    **{name: getattr(np, renamed) for name, renamed in _RENAMED.items()},
+    "if": chosen,
+    "interp": looked_up,
+}
+
+
+def is_nonlinear(spec: Spec) -> bool:
+    """Whether the plant, or one of its modes, is stated by equations that are not linear."""
+    return any(plant.equations is not None for plant in (spec.model, *spec.plants))
+
+
+def space_of(states: tuple[Signal, ...]) -> Space:
+    """What the states are."""
+    kinds: dict[bool, Kind] = {True: "circle", False: "line"}
+    return Space(tuple("SO3" if each.manifold else kinds[each.wrap] for each in states))
+
+
+def system_of(
+    spec: Spec, T: int, params: Mapping[str, Array | float], plant: Model | Mode | None = None
+) -> NonlinearSystem:
+    """The plant of a spec over T samples, or one of its modes; params (T,)."""
+    model = spec.model
+    plant = model if plant is None else plant
+    samples, which = parameter_samples(spec, T, params)
+
+    def over(matrix: Matrix) -> Array:
+        return np.array([matrix.values(each) for each in samples])[which]
+
+    space, ny = space_of(model.states), model.ny
+    given = {"x0": model.x0.values()[:, 0], "P0": model.P0.values(), "S": over(model.S)}
+    given |= {"Q": over(plant.Q), "R": over(plant.R)}
+    wraps = np.array([each.wrap for each in model.outputs], bool)
+    if plant.equations is None:
+        matrices = {name: over(getattr(plant, name)) for name in "ABCDcd"}
+        columns = {name: matrices.pop(name)[..., 0] for name in "cd"}
+        S = given.pop("S")
+        linear = by_functions(Plant(**matrices, **columns, **given))
+        return replace(linear, S=S, space=space, wraps=wraps)
+    equations, parameters = plant.equations, tuple(samples[i] for i in which)
+    variances = [[evaluate(each.variance, p) for each in equations.noises] for p in parameters]
+    return NonlinearSystem(
+        f=partial(equations.stated, arithmetic=ARITHMETIC),
+        h=partial(equations.seen, arithmetic=ARITHMETIC),
+        space=space,
+        wraps=wraps.reshape(ny),
+        parameters=parameters,
+        W=np.array(variances, float).reshape(T, len(equations.noises)),
+        nu=model.nu,
+        increments=_increments(equations, space),
+        flow=_flow(equations, parameters),
+        **given,
+    )
+
+
+def _increments(equations: Equations, space: Space) -> frozenset[int]:
+    """The attitudes that f turns by a rotation vector."""
+    starts = {each.at for each in equations.f if isinstance(each, Increment)}
+    pieces = enumerate(space.pieces())
+    return frozenset(signal for signal, (_, at, _) in pieces if at.start in starts)
+
+
+def _flow(equations: Equations, parameters: tuple[Mapping[str, Any], ...]) -> Flow | None:
+    period = equations.period
+    if period is None:
+        return None
+    periods = np.array([evaluate(period, each) for each in parameters])
+    integrator: Literal["rk4", "euler"] = equations.integrator
+    return Flow(periods, integrator, equations.substeps)
