@@ -153,12 +153,12 @@ def _mapping(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
     if given is None:
         return {}
     if isinstance(given, Mapping):
-        given = _scalars(given, known)
-        for name in given:
+        values = _scalars(given, known)
+        for name in values:
             if name not in known:
                 expected = choice(name, known)
                 raise DataError(f"params.{name}", given="an unknown name", expected=expected)
-        return given
+        return values
     columns = headings(given)
     if columns is None:
         kind = f"a value of type {type(given).__name__}"
