@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -335,6 +336,11 @@ class CProgram:
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
     shares_functions: bool = False
+
+    @property
+    def errors(self) -> int:
+        """Rows of the covariance of x: fewer than there are numbers where x holds attitudes."""
+        return (math.isqrt(8 * len(self.prior[1]) + 1) - 1) // 2
 
     @property
     def statuses(self) -> tuple[Status, ...]:
