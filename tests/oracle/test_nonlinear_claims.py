@@ -9,7 +9,7 @@ import imm_plants
 import numpy as np
 import pytest
 from nonlinear_plants import robot_f, robot_h, system
-from plants import SENSED, independent, motor
+from plants import SENSED, independent, motor, random_model
 from sensor_specs import PROBLEMS, SWITCHING, VARYING, sensed, shaken
 
 from fkgen.families.one_step import OneStepOptions
@@ -53,21 +53,28 @@ def linear(name):
     return {
         "mkf": (
             motor(model=model, actuator=independent([0.7, 0.4])),
-            gaussian.BATCH, nonlinear.EXTENDED,
+            gaussian.BATCH, nonlinear.LINEARISED,
         ),
-        "gated": (motor(gate=0.8), gaussian.BATCH, nonlinear.EXTENDED),
+        "gated": (motor(gate=0.8), gaussian.BATCH, nonlinear.LINEARISED),
         "genie": (
             sensed(VARYING, {"noise_factor": 7.0, "rows": [1]}, family="genie",
                    parameters={"dt": 0.1, "angle": 0.7}),
-            gaussian.BATCH, nonlinear.EXTENDED,
+            gaussian.BATCH, nonlinear.LINEARISED,
         ),
         "mme": (motor("mme"), gaussian.MME_TEXTBOOK, nonlinear.LINEARISED_BANK),
         "mme2": (motor("mme", model, **rates), gaussian.MME_TEXTBOOK, nonlinear.LINEARISED_BANK),
+        "unequal": (
+            imm_plants.jumping(random_model(3, 2, 2, 1, direct=True), [{}, {"states": ["x1"]}],
+                               transition=[[0.7, 0.3], [0.4, 0.6]], initial=[0.5, 0.5]),
+            sensor.IMM, nonlinear.LINEARISED_IMM,
+        ),
         "modes": (imm_plants.plant("everything"), sensor.IMM, nonlinear.LINEARISED_IMM),
     }[name]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [*SWITCHING, "mkf", "gated", "genie", "mme", "mme2", "modes"])
+@pytest.mark.parametrize(
+    "name", [*SWITCHING, "mkf", "gated", "genie", "mme", "mme2", "modes", "unequal"]
+)
 def test_of_a_linear_plant_the_claims_are_those_of_its_family(name, monkeypatch):
     spec, form, other = linear(name)
     params = shaken(T) if "angle" in spec.defaults else None
