@@ -358,6 +358,10 @@ class Absent(Matrix):
         """One for all."""
         return hash(Absent)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Be one in another process too."""
+        return Absent, ()
+
     def __repr__(self) -> str:
         """Show what it is."""
         return "Absent()"

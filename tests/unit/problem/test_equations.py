@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -49,6 +50,7 @@ def test_a_spec_of_equations_comes_back_from_its_own_table(model):
     again = fkgen.Spec.from_dict(spec.to_dict())
     assert again == spec
     assert again.canonical() == spec.canonical()
+    assert pickle.loads(pickle.dumps(spec)) == spec  # noqa: S301 - our own
 
 
 def test_the_order_of_definitions_tells_specs_apart():
