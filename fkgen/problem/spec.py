@@ -265,7 +265,7 @@ def _read_scope(
     parameters = read_parameters(given, place.entry("parameters"), name, told, family.name)
     tables = read_tables(whole.table.get("tables", {}), place.entry("tables"))
     defaults = {each.name: each.default for each in parameters}
-    return parameters, Scope(defaults, tables, vectors(parameters))
+    return parameters, Scope(defaults, tables, vectors(parameters), [each.name for each in told])
 
 
 def load(path: str | os.PathLike[str]) -> Spec:
