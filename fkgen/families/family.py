@@ -52,10 +52,14 @@ def by_option(key: str, **builders: Callable[[Spec], Recursion]) -> Callable[[Sp
 
 
 def proved_by(claims: str, *names: str, theorems: str = "") -> Callable[[], Proof]:
-    """Closed forms of a module of claims, and theorems "module:NAME", imported when asked for."""
+    """Closed forms of a module of claims, and theorems "module:NAME", imported when asked for.
+
+    The name of a closed form of another module begins with it, "module:NAME".
+    """
 
     def proof() -> Proof:
-        closed_forms = tuple(_found(f"oracle.claims.{claims}:{name}") for name in names)
+        where = (name if ":" in name else f"{claims}:{name}" for name in names)
+        closed_forms = tuple(_found(f"oracle.claims.{each}") for each in where)
         return Proof(closed_forms, _found(f"oracle.theorems.{theorems}") if theorems else ())
 
     return proof
