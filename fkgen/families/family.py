@@ -149,7 +149,7 @@ class Family:
                 .entry("S")
                 .error(
                     f"a covariance of w with v for the family {self.name}",
-                    "none: only the family kf takes noises that are correlated",
+                    "none: only the family kf, and ekf, take noises that are correlated",
                 )
             )
         self.check(spec)
