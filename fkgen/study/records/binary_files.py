@@ -24,6 +24,7 @@ class BinaryFile:
     """Columns with names and types; samples are counted from 1 as rows."""
 
     notes: tuple[str, ...] = ()
+    stamps: tuple[int, ...] = ()  # columns that are typed as timestamps
     decimal = "."
 
     def __init__(self, reading: Reading, headings: Sequence[str]) -> None:
@@ -76,7 +77,9 @@ class ParquetFile(BinaryFile):
             self._parquet = parquet.ParquetFile(reading.path)
         except (pa.ArrowException, OSError) as error:
             raise _unreadable(reading, error) from None
-        super().__init__(reading, self._parquet.schema_arrow.names)
+        schema = self._parquet.schema_arrow
+        super().__init__(reading, schema.names)
+        self.stamps = tuple(i for i, t in enumerate(schema.types) if pa.types.is_timestamp(t))
 
     def pieces(self, columns: Sequence[int], texts: Collection[int]) -> Iterator[Piece]:
         """Pieces of a row group or of less."""

@@ -36,6 +36,8 @@ Piece = dict[int, Any]  # columns by number: arrays of numbers, or Arrow arrays 
 class CsvFile:
     """A CSV file whose dialect is known."""
 
+    stamps: tuple[int, ...] = ()  # its times are texts
+
     def __init__(self, reading: Reading, names: Collection[str]) -> None:
         self.file, self._path, self._reading = str(reading.path), reading.path, reading
         self.dialect = self._sniffed(names)

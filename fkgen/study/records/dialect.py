@@ -11,6 +11,7 @@ from fkgen.study.records.headings import counted, positions
 from fkgen.study.records.reading import MARKS, SPACES, Reading
 
 CANDIDATES = (",", ";", "\t", "|", SPACES)
+_OTHERS = ";\t|"  # in a field they say that another delimiter is meant
 HEAD = 1 << 18  # bytes that are looked at
 _ROWS, _AFTER, _LOOKED_AT = 100, 20, 200  # rows that may be the header, after it, for decimals
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
@@ -86,13 +87,13 @@ def sniff(text: str, encoding: str, reading: Reading, names: Collection[str]) ->
         except csv.Error:
             continue
         for at in range(min(len(rows), _ROWS)):
-            found, words, same, *width = _score(rows, at, names)
-            score = found, words, same, int(delimiter != SPACES), *width
+            found, words, same, pure, *width = _score(rows, at, names)
+            score = found, words, same, pure, int(delimiter != SPACES), *width
             if best is None or score > best[0]:
                 best = score, delimiter, at, rows
     if best is None:
         return None
-    header = best[0][0] > 0 or not all(map(is_value, best[3][0][1]))
+    header = best[0][0] > 0 or not all(map(is_value, best[3][best[2]][1]))
     return _dialect(best[1:], encoding, reading, names, header=header)
 
 
@@ -108,7 +109,7 @@ def _dialect(
     line, fields = rows[at]
     headings, rest = _headings(fields), rows[at + 1 :]
     if not header:
-        headings, rest, line = [str(i + 1) for i in range(len(rows[0][1]))], rows, 0
+        headings, rest, line = [str(i + 1) for i in range(len(fields))], rows[at:], 0
     before = line or rest[0][0] - 1
     units = 0
     if line and len(rest) > 1 and _are_units(rest[0][1], rest[1][1]):
@@ -140,10 +141,18 @@ def is_value(text: str) -> bool:
 def _score(rows: Sequence[Row], at: int, names: Collection[str]) -> tuple[int, ...]:
     fields = _headings(rows[at][1])
     following = [row for _, row in rows[at + 1 : at + 1 + _AFTER]]
-    same = sum(abs(len(row) - len(fields)) <= 1 for row in following) if len(fields) > 1 else 0
+    if len(fields) > 1:
+        same = sum(abs(len(row) - len(fields)) <= 1 for row in following)
+    else:
+        same = sum(len(row) == 1 and is_value(row[0]) for row in following)
     found = 0 if all(map(is_value, fields)) else counted(fields, names)
-    words = not any(map(is_value, filter(None, fields))) and (len(fields) > 1 or found > 0)
-    return found, int(words), min(same, 1), len(fields), same
+    words = not any(map(is_value, filter(None, fields))) and (
+        len(fields) > 1 or found > 0 or same > 0
+    )
+    pure = not any(
+        mark in field for row in (fields, *following) for field in row for mark in _OTHERS
+    )
+    return found, int(words), min(same, 1), int(pure), len(fields), same
 
 
 def _headings(fields: Sequence[str]) -> list[str]:

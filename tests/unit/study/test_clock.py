@@ -188,6 +188,16 @@ def test_times_that_are_none_name_their_line(write, times, message):
         read_table(write("t", times), spec())
 
 
+def test_times_that_are_not_those_of_a_fixed_sample_time_are_told_once(write):
+    fixed = spec(0.5)
+    assert not read_table(write("t", ["0", "0.6", "0.9", "1.4"]), fixed).warnings
+    path = write("t", ["0", "0.5", "1.0", "1.9", "9"])
+    (warning,) = read_table(path, fixed).warnings
+    assert warning.startswith(f"{path}, line 4, column t: 0.9 s to the next sample; model.sample_")
+    assert "is 0.5 s" in warning
+    assert not read_table(path, spec()).warnings
+
+
 def test_a_piece_and_the_next_of_another_form_are_apart_by_what_they_say():
     first, second = (read_times(pa.array([text]), None) for text in ("12.5", "13.12345678912"))
     assert first.interval_to(second) == pytest.approx(0.62345678912, abs=1e-12)

@@ -229,3 +229,17 @@ def test_a_unit_that_is_another_is_said(write):
 def test_options_that_mean_nothing_are_refused(write, options, message):
     with pytest.raises(DataError, match=message):
         read_table(checked(Path(write(PLAIN)), **options), SPEC)
+
+
+@pytest.mark.parametrize(("header", "first"), [("x\n", ""), ("x\n", "0;"), ("", "0;")])
+def test_a_decimal_comma_is_none_between_columns(tmp_path, header, first):
+    numbers = ["5432109,87", "5432109", "-0,25"]
+    rows = [f"{first}{number}" for number in numbers]
+    path = tmp_path / "a.csv"
+    path.write_text(f"{first and header and 'n;'}{header}" + "\n".join(rows), encoding="utf-8")
+    renamed = () if header else ("x=2",)
+    one = [[1.0]]
+    model = {"A": one, "C": one, "Q": one, "R": one, "x0": [0.0], "P0": one}
+    table = {"name": "a", "model": model | {"outputs": [{"name": "x"}]}, "filter": {"family": "kf"}}
+    read = read_table(checked(path, columns=renamed), fkgen.Spec.from_dict(table))
+    assert read.y[:, 0].tolist() == [5432109.87, 5432109.0, -0.25]
