@@ -12,7 +12,7 @@ from pyarrow import compute as arrow
 
 from fkgen.errors import DataError
 from fkgen.study.records.csv_files import Piece
-from fkgen.study.records.reading import Reading
+from fkgen.study.records.reading import Reading, as_numpy
 
 _ROWS = 1 << 16  # of a piece
 _PARQUET, _ZIP, _HDF = b"PAR1", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
@@ -64,7 +64,7 @@ class BinaryFile:
             raise DataError(
                 self.place(column), given=f"type {kind}", expected="a column of numbers"
             )
-        return arrow.cast(values, pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+        return as_numpy(arrow.cast(values, pa.float64(), safe=False))
 
 
 class ParquetFile(BinaryFile):

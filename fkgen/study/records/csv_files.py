@@ -23,7 +23,7 @@ from pyarrow import csv as arrow_csv
 from fkgen.errors import DataError
 from fkgen.study.records.dialect import HEAD, Dialect, encoding_of, rows_of, sniff
 from fkgen.study.records.headings import counted
-from fkgen.study.records.reading import MARKS, SPACES, Reading
+from fkgen.study.records.reading import MARKS, SPACES, Reading, as_numpy
 
 BLOCK = 1 << 20  # bytes that Arrow reads at a time
 _ROWS = 50_000  # of a piece that is read row by row
@@ -216,4 +216,4 @@ class _Bytes(io.RawIOBase):
 def _column(column: pa.Array, is_text: bool) -> Any:  # noqa: FBT001 - the kind of a column
     if is_text:
         return arrow.utf8_trim_whitespace(column)
-    return column.to_numpy(zero_copy_only=False)
+    return as_numpy(column)

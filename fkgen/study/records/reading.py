@@ -7,6 +7,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 
@@ -44,6 +48,26 @@ class Reading:
 def reading_of(path: str | os.PathLike[str] | Reading) -> Reading:
     """A path is read without any options."""
     return path if isinstance(path, Reading) else Reading(path=Path(path))
+
+
+def as_numpy(column: Any) -> NDArray[Any]:
+    """The numbers of an Arrow array; of doubles a null is NaN. Its own way would import pandas."""
+    filled = column.fill_null(np.nan) if column.null_count else column
+    return np.from_dlpack(filled)
+
+
+def as_arrow(values: NDArray[Any]) -> Any:
+    """Numbers as an Arrow array, NaN as null. Its own way would import pandas."""
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+    from pyarrow import compute  # noqa: PLC0415
+
+    if values.dtype == np.bool_:
+        return as_arrow(values.view(np.uint8)).cast(pa.bool_())
+    kind, whole = pa.from_numpy_dtype(values.dtype), np.ascontiguousarray(values)
+    found = pa.Array.from_buffers(kind, len(whole), [None, pa.py_buffer(whole)])
+    if not np.isnan(whole).any():
+        return found
+    return compute.if_else(compute.is_nan(found), pa.scalar(None, kind), found)
 
 
 def checked(
