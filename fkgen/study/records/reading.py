@@ -52,22 +52,28 @@ def reading_of(path: str | os.PathLike[str] | Reading) -> Reading:
 
 def as_numpy(column: Any) -> NDArray[Any]:
     """The numbers of an Arrow array; of doubles a null is NaN. Its own way would import pandas."""
-    filled = column.fill_null(np.nan) if column.null_count else column
+    filled = column.fill_null(_arrow(np.array([np.nan]))[0]) if column.null_count else column
     return np.from_dlpack(filled)
 
 
 def as_arrow(values: NDArray[Any]) -> Any:
     """Numbers as an Arrow array, NaN as null. Its own way would import pandas."""
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-    from pyarrow import compute  # noqa: PLC0415
+    from pyarrow import compute, nulls  # noqa: PLC0415 - slow to import
 
     if values.dtype == np.bool_:
-        return as_arrow(values.view(np.uint8)).cast(pa.bool_())
-    kind, whole = pa.from_numpy_dtype(values.dtype), np.ascontiguousarray(values)
-    found = pa.Array.from_buffers(kind, len(whole), [None, pa.py_buffer(whole)])
-    if not np.isnan(whole).any():
+        return _arrow(values.view(np.uint8)).cast("bool")
+    found = _arrow(values)
+    if not np.isnan(values).any():
         return found
-    return compute.if_else(compute.is_nan(found), pa.scalar(None, kind), found)
+    return compute.if_else(compute.is_nan(found), nulls(1, found.type)[0], found)
+
+
+def _arrow(values: NDArray[Any]) -> Any:
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    whole = np.ascontiguousarray(values)
+    kind = pa.from_numpy_dtype(whole.dtype)
+    return pa.Array.from_buffers(kind, len(whole), [None, pa.py_buffer(whole)])
 
 
 def checked(

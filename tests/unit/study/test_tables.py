@@ -250,7 +250,8 @@ def test_pandas_is_not_loaded_for_a_csv_file(tmp_path):
     work = (
         "import sys; from pathlib import Path; from fkgen.study.records.reading import *\n"
         "from fkgen.study.records.record import opened\n"
-        "(piece,) = opened(checked(Path('r.csv')), ('y',)).pieces((0, 1), (0,)); as_arrow(piece[1])\n"
+        "(piece,) = opened(checked(Path('r.csv')), ('y',)).pieces((0, 1), (0,))\n"
+        "as_arrow(piece[1])\n"
         "assert 'pandas' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", work], cwd=tmp_path, check=True)
