@@ -93,7 +93,8 @@ def read_times(column: Any, unit: Fraction | None, decimal: str = ".") -> Times:
 
 
 def _of_texts(texts: Any, unit: Fraction | None, decimal: str) -> Times:
-    plain = texts if decimal == "." else arrow.replace_substring(texts, decimal, ".")
+    comma = decimal == "," or _has_commas(texts)
+    plain = arrow.replace_substring(texts, ",", ".") if comma else texts
     with suppress(pa.ArrowInvalid):
         return _counted(as_numpy(plain.cast(pa.int64())), 1, texts, unit)
     with suppress(pa.ArrowInvalid):
@@ -105,6 +106,15 @@ def _of_texts(texts: Any, unit: Fraction | None, decimal: str) -> Times:
         return _counted(_finite(numbers, texts), 1, texts, unit)
     ticks = _dated(texts)
     return Times(ticks, _first(ticks) / _NANO, Fraction(_NANO), texts, "ISO 8601")
+
+
+def _has_commas(texts: Any) -> bool:
+    """Whether times have a decimal comma of their own; 1,234 may be a thousand."""
+    if arrow.any(arrow.match_substring(texts, ".")).as_py():
+        return False
+    with_comma = texts.filter(arrow.match_substring(texts, ","))
+    thousands = arrow.match_substring_regex(with_comma, r"^[+-]?[1-9]\d{0,2}(,\d{3})+$")
+    return len(with_comma) > 0 and not arrow.all(thousands).as_py()
 
 
 def _counted(
@@ -141,7 +151,7 @@ def _finite(numbers: Array, texts: Any) -> Array:
 
 def _dated(texts: Any) -> NDArray[np.int64]:
     """Nanoseconds of ISO 8601, all with a zone or all without; or of hours, minutes, seconds."""
-    plain = arrow.replace_substring(texts, ",", ".")
+    plain = arrow.replace_substring_regex(texts, r"(:\d+),(\d+)", r"\1.\2")
     for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
         for prefix in ("", "1970-01-01T"):
             whole = arrow.binary_join_element_wise(prefix, plain, "") if prefix else plain
@@ -151,7 +161,7 @@ def _dated(texts: Any) -> NDArray[np.int64]:
                 continue
     listed = plain.to_pylist()
     if _is_number(listed[0]):  # then the first that is none is what is wrong
-        index = next(i for i, text in enumerate(listed) if not _is_number(text))
+        index = next((i for i, text in enumerate(listed) if not _is_number(text)), 0)
         raise Unreadable(index, repr(listed[index][:40]))
     return np.array([_date(i, text) for i, text in enumerate(listed)], np.int64)
 

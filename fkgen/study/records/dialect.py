@@ -117,11 +117,12 @@ def _dialect(
         rest = rest[1:]
     if rest and all(len(f) == len(headings) + 1 and not f[-1] for _, f in rest[:_AFTER]):
         headings = [*headings, ""]
-    looked_at = {i for name in names for i in positions(headings, name)} or range(len(headings))
+    named = {i for name in names for i in positions(headings, name)}
+    decimal = _decimal(rest, delimiter, named) or _decimal(rest, delimiter, range(len(headings)))
     return Dialect(
         encoding=encoding,
         delimiter=delimiter,
-        decimal=reading.decimal or _decimal(rest, delimiter, looked_at),
+        decimal=reading.decimal or decimal or ".",
         headings=tuple(headings),
         before=before,
         header=line,
@@ -174,11 +175,16 @@ def _is_number(text: str) -> bool:
 
 
 def _decimal(rows: Sequence[Row], delimiter: str, columns: Collection[int]) -> str:
-    """A comma where numbers have one and none has a point; 1,234 in quotes may be a thousand."""
+    """A comma where numbers have one and none has a point; 1,234 in quotes may be a thousand.
+
+    Nothing where no number has either.
+    """
     fields = [f for _, row in rows[:_LOOKED_AT] for i, f in enumerate(row) if i in columns]
     commas = [field for field in fields if _COMMA.fullmatch(field)]
-    if not commas or any(map(_POINT.fullmatch, fields)):
+    if any(map(_POINT.fullmatch, fields)):
         return "."
+    if not commas:
+        return ""
     thousands = delimiter == "," and all(map(_THOUSANDS.fullmatch, commas))
     return "." if thousands else ","
 

@@ -132,12 +132,78 @@ def test_times_with_commas_and_quotes_come_out_as_they_were(folder):
     assert [row["time"] for row in table] == times
 
 
-def test_other_commands_read_records_with_the_same_options(folder):
-    t, y = drawn(60)
-    (folder / "log.csv").write_text(text_of(t, y).replace("GPS height", "gps"), encoding="utf-8")
-    options = ["--record", "log.csv", "--delimiter", ";", "--column", "gps=gps"]
-    result = CliRunner().invoke(main, ["simulate", "walk.toml", *options], prog_name="fkgen")
+OTHERS = {
+    "run": ["run", "walk.toml", "log.csv"],
+    "simulate": ["simulate", "walk.toml", "--record", "log.csv"],
+    "compare": [
+        "compare",
+        "walk.toml",
+        *("--families", "kf", "--runs", "2", "--record", "log.csv"),
+    ],
+    "fault-effect": ["fault-effect", "walk.toml", "--sensor", "gps", "--record", "log.csv"],
+}
+
+
+def command(name, *options):
+    return CliRunner().invoke(main, [*OTHERS[name], *options], prog_name="fkgen")
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_every_command_tells_of_a_record_what_run_tells(folder, name):
+    text = "Stamp;Speed;gps [m];dt\n0,00;1;2;0\n0,10;1;-99;0,1\n0,30;1;2;0,2\n0,40;1;2;0,1\n"
+    (folder / "log.csv").write_text(text, encoding="utf-8")
+    result = command(name, "--time", "stamp", "--missing", "-99")
     assert result.exit_code == 0, result.output
-    table = list(csv.DictReader(io.StringIO(result.stdout)))
-    np.testing.assert_allclose([float(r["dt"]) for r in table[:-1]], np.diff(t) / 1000, rtol=1e-12)
-    np.testing.assert_array_equal([r["gps"] == "" for r in table], np.isnan(y[:, 1]))
+    said = [line for line in result.stderr.splitlines() if not line.startswith("summary")]
+    (warning,) = said
+    assert warning == (
+        "warning: log.csv, line 2, column dt: 0 contradicts the times, which say 0.1 to the next "
+        "sample; the times are used"
+    )
+    assert "contradicts" not in result.stdout
+    if name == "simulate":
+        table = list(csv.DictReader(io.StringIO(result.stdout)))
+        assert [row["Stamp"] for row in table] == ["0,00", "0,10", "0,30", "0,40"]
+        assert next(iter(table[0])) == "Stamp"
+        np.testing.assert_allclose([float(row["dt"]) for row in table], [0.1, 0.2, 0.1, 0.1])
+        assert [row["gps"] == "" for row in table] == [False, True, False, False]
+        (folder / "back.csv").write_text(result.stdout, encoding="utf-8")
+        back = CliRunner().invoke(main, ["run", "walk.toml", "back.csv", "--time", "Stamp"])
+        assert back.exit_code == 0, back.output
+
+
+WRONG = {
+    "a signal without a column": ("t,speed\n0,1\n", [], "no column gps (there are: t, speed)"),
+    "times that go back": ("t,gps,speed\n2,1,1\n1,1,1\n", [], "given 1 after 2; expected times"),
+    "a time that is none": ("t,gps,speed\n0,1,1\nnoon,1,1\n", [], "line 3, column t: given 'no"),
+    "a field that is none": ("t,gps,speed\n0,1,1\n1,x,1\n", [], "line 3, column gps: given 'x'"),
+    "too few fields": ("t,gps,speed\n0,1,1\n1,1\n", [], "line 3: given 2 fields; expected 3"),
+    "a missing parameter": ("gps,speed,dt\n1,1,1\n1,1,\n1,1,1\n", [], "line 3, column dt: given"),
+    "a doubtful number": ("gps,speed\n1,1\n-9999,1\n", [], "expected --missing -9999 if"),
+    "nothing below": ("gps,speed\n", [], "given a header and nothing below it"),
+    "an unknown name": ("gps,speed\n1,1\n", ["--column", "gnss=gps"], "--column: given 'gnss'"),
+    "an unknown heading": ("gps,speed\n1,1\n", ["--column", "gps=GNSS"], "'GNSS', which is no"),
+    "no such time": ("gps,speed\n1,1\n", ["--time", "clock"], "--time: given 'clock' (there are:"),
+    "a wide delimiter": ("gps,speed\n1,1\n", ["--delimiter", "ab"], "--delimiter: given 'ab'"),
+    "a wrong decimal": ("gps,speed\n1,1\n", ["--decimal", "x"], "--decimal: given 'x'"),
+    "no encoding": ("gps,speed\n1,1\n", ["--encoding", "x"], "--encoding: given 'x'"),
+    "negative lines": ("gps,speed\n1,1\n", ["--skip-rows", "-1"], "--skip-rows: given -1"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize(("text", "options", "message"), WRONG.values(), ids=WRONG)
+def test_every_command_refuses_a_record_in_one_line_and_loses_nothing(
+    folder, name, text, options, message
+):
+    (folder / "log.csv").write_text(text, encoding="utf-8")
+    (folder / "out.csv").write_text("precious", encoding="utf-8")
+    here = ["-o", "out.csv", "--force"] if name in {"run", "simulate"} else ["--plot", "new.png"]
+    result = command(name, *options, *here)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+    assert (folder / "out.csv").read_text("utf-8") == "precious"
+    assert sorted(p.name for p in folder.iterdir()) == ["log.csv", "out.csv", "walk.toml"]

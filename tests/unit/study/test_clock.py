@@ -178,6 +178,8 @@ def test_without_times_a_note_names_the_parameter(write):
         ([0, "", 1], "line 3, column t: given nothing; expected a time: seconds, an epoch"),
         ([0, "nan", 1], "line 3, column t: given nothing"),
         ([0, "inf", 1], "line 3, column t: given inf"),
+        (["1_0", "2_0"], "line 2, column t: given '1_0'; expected a time"),
+        (['"1,000"', '"2,000"'], "line 2, column t: given '1,000'; expected a time"),
         ([0, "noon", 1], "line 3, column t: given 'noon'; expected a time"),
         (["2024-05-01", "01.05.2024"], "line 3, column t: given '01.05.2024'"),
         (["2024-05-01T12:00:00Z", "2024-05-01T12:00:00Z"], "2024-05-01T12:00:00Z after 2024"),
@@ -186,6 +188,13 @@ def test_without_times_a_note_names_the_parameter(write):
 def test_times_that_are_none_name_their_line(write, times, message):
     with pytest.raises(DataError, match=message):
         read_table(write("t", times), spec())
+
+
+@pytest.mark.parametrize("times", [["0,00", "0,25", "1"], ["0,000", "0,250", "1,000"]])
+def test_times_may_have_a_decimal_comma_of_their_own(write, times):
+    quoted = [f'"{time}"' for time in times]
+    table = read_table(write("t", quoted, more=",0.25"), spec())
+    assert table.params["dt"][0] == 0.25
 
 
 def test_times_that_are_not_those_of_a_fixed_sample_time_are_told_once(write):

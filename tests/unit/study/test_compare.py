@@ -292,7 +292,8 @@ def test_the_command_simulates_a_record_that_can_be_filtered(tmp_path):
     )
     assert drawn.exit_code == 0, drawn.output
     lines = record.read_text().splitlines()
-    assert lines[0] == "baro,gps_height,gps_climb,dt,true.height,true.climb,true.offset,gamma,delta"
+    heading = "t_s,baro,gps_height,gps_climb,dt,true.height,true.climb,true.offset,gamma,delta"
+    assert lines[0] == heading
     assert len(lines) == 41
     assert any(",," in line for line in lines)  # the GPS is missing where the record lacks it
     done = runner.invoke(main, ["run", spec, str(record)])
