@@ -116,6 +116,10 @@ def _check_stationary(spec: Spec, faults: JumpFaults) -> None:
     given, instead = "'stationary'", "use 'time_varying'"
     if not all(mode.is_constant for mode in faults.modes):
         raise at.error(f"{given} with matrices that depend on parameters", f"constants; {instead}")
+    if faults.law is not None or faults.rate is not None:
+        raise at.error(
+            f"{given} with probabilities that depend on parameters", f"numbers; {instead}"
+        )
     if spec.model.nu:
         raise at.error(
             f"{given} with inputs",
