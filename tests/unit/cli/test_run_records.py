@@ -60,13 +60,16 @@ def text_of(t, y, separator=";"):
     return "\n".join([separator.join(["Time [ms]", "Speed (m/s)", "GPS height [m]"]), *lines])
 
 
-def gaps_of(silent):
-    """Stretches of samples without a row, one by one."""
-    lengths = [0]
-    for each in silent:
-        lengths.append(lengths[-1] + 1 if each else 0)
-    ends = [a for a, b in zip(lengths, [*lengths[1:], 0], strict=True) if a and not b]
-    return len(ends), max(ends, default=0)
+def gaps_of(times, silent):
+    """Pauses between rows that are well above the usual one, sample by sample."""
+    pauses, last = [], times[0]
+    for time, nothing in zip(times, silent, strict=True):
+        if not nothing:
+            pauses.append(time - last)
+            last = time
+    usual = max(np.median(pauses[1:]), np.median(np.diff(times)))
+    long = [each for each in [*pauses, times[-1] - last] if each > 2.5 * usual]
+    return len(long), max(long)
 
 
 @pytest.mark.parametrize("block", [300, 1 << 22])
@@ -87,11 +90,12 @@ def test_a_record_in_pieces_is_filtered_as_the_whole(folder, monkeypatch, block)
         )
     assert [int(row["Time [ms]"]) for row in table] == t.tolist()
     there = np.isfinite(y)
-    count, longest = gaps_of(~there.any(axis=1))
+    count, longest = gaps_of((t / 1000).tolist(), ~there.any(axis=1))
+    assert count > 5
     rms = np.sqrt(expected.nis[there.any(axis=1)].sum() / there.sum())
     assert result.stderr.splitlines()[-1] == (
         f"summary: log.csv: 900 samples, {there.sum()} of 1800 rows used, {count} gaps (the "
-        f"longest of {longest} samples), 0 refused, 0 rejected, rms of normalised "
+        f"longest of {longest:.6g} s), 0 refused, 0 rejected, rms of normalised "
         f"innovations {rms:.3g} (1 where the model is right)"
     )
 
@@ -106,10 +110,27 @@ def test_what_was_refused_is_counted_and_named_by_its_line(folder):
     assert warning.startswith("warning: log.csv: 2 samples refused, the first in line 4: WALK_")
     assert warning.endswith("held: no time passed there")
     assert (
-        "summary: log.csv: 4 samples, 2 of 8 rows used, 1 gap (the longest of 1 sample), 2 ref"
+        "summary: log.csv: 4 samples, 2 of 8 rows used, 0 gaps, 2 refused (2 of them held), 0 rej"
         in (result.stderr)
     )
     assert len((folder / "out.csv").read_text("utf-8").splitlines()) == 5
+
+
+@pytest.mark.parametrize(
+    ("silent", "told"),
+    [
+        ([3], "0 gaps"),
+        ([3, 4], "1 gap (the longest of 3 samples)"),
+        ([0, 1, 2, 7, 8, 9, 10, 11], "2 gaps (the longest of 5 samples)"),
+        (range(12), "1 gap (the longest of 11 samples)"),
+    ],
+)
+def test_gaps_without_times_are_counted_in_samples(folder, monkeypatch, silent, told):
+    rows = ["," if k in silent else "1,2" for k in range(12)]
+    (folder / "log.csv").write_text("\n".join(["gps,speed", *rows, ""]), encoding="utf-8")
+    for block in (30, 1 << 20):
+        monkeypatch.setattr(csv_files, "BLOCK", block)
+        assert f"rows used, {told}, 0 refused" in run("log.csv").stderr
 
 
 def test_an_error_in_the_last_piece_leaves_nothing(folder, monkeypatch):
