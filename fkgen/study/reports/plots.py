@@ -180,10 +180,10 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
         label = None if at else "measured"
         axis.plot(sheet.time[used], sheet.y[used, row], ".", ms=2.0, color=GREY, label=label)
     axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
-    refused, across = sheet.time[sheet.run.refused], axis.get_xaxis_transform()
-    if refused.size:
-        foot = np.full(refused.shape, 0.03)
-        axis.plot(refused, foot, "|", ms=5, color=ORANGE, transform=across, label="refused")
+    stopped, across = sheet.time[sheet.run.refused], axis.get_xaxis_transform()
+    if stopped.size:
+        foot = np.full(stopped.shape, 0.03)
+        axis.plot(stopped, foot, "|", ms=5, color=ORANGE, transform=across, label="refused")
     axis.set_ylabel(label_of(sheet.spec.model.states[i]))
     # room for the state and its usual band: a vague start does not set the scale
     typical = np.minimum(band, 3.0 * np.nanmedian(band))
