@@ -177,7 +177,12 @@ class CsvFile:
         if encoding is None or codecs.lookup(encoding).name == "utf-8":
             encoding = encoding_of(head) if encoding is None else "utf-8-sig"
         decoder = codecs.getincrementaldecoder(encoding)("replace")
-        text = decoder.decode(head)
+        try:
+            text = decoder.decode(head)
+        except UnicodeError as error:
+            given = f"a file that is not in {encoding} ({error})"
+            expected = "its encoding as --encoding, or none: most are found out"
+            raise DataError(self.file, given=given, expected=expected) from None
         if len(head) == HEAD:
             text = text[: max(text.rfind("\n"), text.rfind("\r")) + 1] or text
         found = sniff(text, encoding, self._reading, names)

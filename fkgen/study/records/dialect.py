@@ -77,7 +77,10 @@ def sniff(text: str, encoding: str, reading: Reading, names: Collection[str]) ->
     """
     lines = re.split(r"\r\n|\n|\r", text)
     skipped = reading.skip_rows or 0
-    stated = re.fullmatch(r"sep=(.)", lines[skipped].strip() if len(lines) > skipped else "")
+    stated = re.fullmatch(
+        r"sep=([^\w\"\0-\x08\n-\x1f\x7f-\U0010ffff])",
+        lines[skipped].strip() if len(lines) > skipped else "",
+    )
     given = reading.delimiter or (stated[1] if stated else None)
     skipped += bool(stated)
     best: tuple[tuple[int, ...], str, int, list[Row]] | None = None

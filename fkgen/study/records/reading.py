@@ -90,7 +90,12 @@ def checked(
     """The options of a command, each refused where it can mean nothing."""
     if delimiter is not None:
         delimiter = (_DELIMITERS | _FEWEST).get(delimiter.lower(), delimiter)
-        if len(delimiter) != 1 or delimiter in '"\r\n' or delimiter.isalnum():
+        if (
+            len(delimiter) != 1
+            or delimiter in '"\r\n'
+            or delimiter.isalnum()
+            or not delimiter.isascii()
+        ):
             expected = "one character, or tab, space, comma, semicolon"
             raise DataError("--delimiter", given=repr(delimiter), expected=expected)
     if decimal not in {None, ".", ","}:

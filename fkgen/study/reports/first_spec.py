@@ -116,6 +116,7 @@ def _columns(source: Any, time: int | None) -> Iterator[_Column]:
             yield _Column(plain, heading, kept, values, *_levels(values))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of what is not finite there is no guess
 def _levels(values: Array) -> tuple[float, float]:
     """Variances of the steps of a random walk and of white noise on it, by their moments.
 
