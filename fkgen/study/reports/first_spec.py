@@ -130,17 +130,21 @@ def _levels(values: Array) -> tuple[float, float]:
     least = _SMALL * spread
     if len(heard) < 4:
         return least, max(0.01 * spread, least)
-    steps = np.diff(heard)
-    steps = steps - steps.mean()
-    both = float(np.mean(steps * steps))
+    raw = np.diff(heard)
+    steps = raw - raw.mean()
+    both = _mean_square(steps)
     noise = -float(np.mean(steps[1:] * steps[:-1]))
     noise = min(max(noise, 0.01 * both, least), 0.5 * both) if both else least
-    level = both - 2.0 * noise
+    level = _mean_square(raw) - 2.0 * noise  # a trend is to be followed as well
     lags = _lags(len(heard))
     if level < noise and lags:
-        level = max((float(np.var(heard[m:] - heard[:-m])) - 2.0 * noise) / m for m in lags)
+        level = max((_mean_square(heard[m:] - heard[:-m]) - 2.0 * noise) / m for m in lags)
     spacing = (there[-1] - there[0]) / (len(there) - 1)
     return max(level / spacing, least), noise
+
+
+def _mean_square(values: Array) -> float:
+    return float(np.mean(values * values))
 
 
 def _lags(samples: int) -> list[int]:
