@@ -87,8 +87,8 @@ def time_column(
     if stated is not None:
         found = positions(headings, stated)
         if not found:
-            given = f"{stated!r} (there are: {listed(headings)})"
-            raise DataError("--time", given=given, expected=_closest(stated, headings))
+            given = f"{stated!r}, which is no heading (there are: {listed(headings)})"
+            raise DataError("time column", given=given, expected=_closest(stated, headings))
         return found[0], unit_of(headings[found[0]])
     named = [(i, *_unit(heading)) for i, heading in enumerate(headings) if i not in taken]
     for name in TIMES:

@@ -38,10 +38,9 @@ class Reading:
     columns: Mapping[str, str] = field(default_factory=dict)  # Signal or parameter, and heading
     time: str | None = None  # Heading of the time column; empty: there is none
 
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """Marks of missing values that are compared as numbers."""
-        found = (_number(mark) for mark in self.missing)
+    def numbers(self, decimal: str) -> tuple[float, ...]:
+        """Marks of missing values that are compared as numbers, in a file of this decimal mark."""
+        found = (_number(mark.replace(decimal, ".")) for mark in self.missing)
         return tuple(each for each in found if each is not None)
 
 

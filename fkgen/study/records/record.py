@@ -192,7 +192,7 @@ class Record:
         return _Piece(table, times, start)
 
     def _without_marks(self, values: Array, column: int, start: int) -> Array:
-        for mark in self._reading.numbers:
+        for mark in self._reading.numbers(self.source.decimal):
             values = np.where(values == mark, np.nan, values)
         if not self._reading.missing and (k := first_doubtful(values)) is not None:
             given = f"{values[k]:g}"

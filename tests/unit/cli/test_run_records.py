@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
+import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
 import fkgen
 from fkgen.cli import main
 from fkgen.study.records import csv_files
+from fkgen.study.records.table import read_table
 
 SPEC = """
 name = "walk"
@@ -204,7 +207,7 @@ WRONG = {
     "nothing below": ("gps,speed\n", [], "given a header and nothing below it"),
     "an unknown name": ("gps,speed\n1,1\n", ["--column", "gnss=gps"], "--column: given 'gnss'"),
     "an unknown heading": ("gps,speed\n1,1\n", ["--column", "gps=GNSS"], "'GNSS', which is no"),
-    "no such time": ("gps,speed\n1,1\n", ["--time", "clock"], "--time: given 'clock' (there are:"),
+    "no such time": ("gps,speed\n1,1\n", ["--time", "clock"], "time column: given 'clock', which"),
     "a wide delimiter": ("gps,speed\n1,1\n", ["--delimiter", "ab"], "--delimiter: given 'ab'"),
     "a wrong decimal": ("gps,speed\n1,1\n", ["--decimal", "x"], "--decimal: given 'x'"),
     "no encoding": ("gps,speed\n1,1\n", ["--encoding", "x"], "--encoding: given 'x'"),
@@ -228,3 +231,36 @@ def test_every_command_refuses_a_record_in_one_line_and_loses_nothing(
     assert message in line
     assert (folder / "out.csv").read_text("utf-8") == "precious"
     assert sorted(p.name for p in folder.iterdir()) == ["log.csv", "out.csv", "walk.toml"]
+
+
+def of_matlab(path):
+    """The first bytes of a MATLAB file of version 7.3, which is all that is looked at."""
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512, b" ") + b"\x89HDF\r\n\x1a\n")
+
+
+OTHER_FILES = {
+    "log.parquet": (
+        lambda path: pd.DataFrame({"t": [0.0], "gps": [1.0]}).to_parquet(path),
+        "log.parquet: given no column speed (there are: t, gps); expected a column for each of: ",
+    ),
+    "log.mat": (of_matlab, "given a MATLAB file of version 7.3; expected h5py to read it: pip"),
+    "log.npz": (lambda path: np.savez(path, gps=[1.0, 2.0], speed=[1, 2, 3]), "given 2 values; ex"),
+    "none.csv": (lambda path: None, "none.csv: given a path that cannot be read (no such file"),  # noqa: ARG005
+}
+
+
+@pytest.mark.parametrize("name", OTHER_FILES)
+def test_other_files_are_refused_in_one_line_and_nothing_is_lost(folder, monkeypatch, name):
+    write, message = OTHER_FILES[name]
+    write(folder / name)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    before = sorted(p.name for p in folder.iterdir())
+    result = run(name, "-o", "out.csv", "--plot", "out.png", status=2)
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+    assert sorted(p.name for p in folder.iterdir()) == before
+    with pytest.raises(fkgen.DataError) as error:
+        read_table(name, fkgen.load("walk.toml"))
+    assert f"error: {error.value}" == line

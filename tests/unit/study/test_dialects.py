@@ -243,3 +243,11 @@ def test_a_decimal_comma_is_none_between_columns(tmp_path, header, first):
     table = {"name": "a", "model": model | {"outputs": [{"name": "x"}]}, "filter": {"family": "kf"}}
     read = read_table(checked(path, columns=renamed), fkgen.Spec.from_dict(table))
     assert read.y[:, 0].tolist() == [5432109.87, 5432109.0, -0.25]
+
+
+@pytest.mark.parametrize("mark", ["-99,9", "-99.9", "-999e-1"])
+def test_a_mark_that_is_a_number_is_one_in_any_spelling(tmp_path, mark):
+    path = tmp_path / "a.csv"
+    path.write_text("t;gps;speed\n0;0,2;0,3\n0,1;-99,90;0,4\n", encoding="utf-8")
+    read = read_table(checked(path, missing=(mark,)), SPEC)
+    np.testing.assert_array_equal(read.y, [[0.2, 0.3], [NAN, 0.4]])
