@@ -27,7 +27,7 @@ from fkgen.runtime.results import Run
 from fkgen.study.records.files import refuse_targets, write_whole, written_whole
 from fkgen.study.records.reading import Reading, as_arrow
 from fkgen.study.records.record import Record, Table
-from fkgen.study.records.summary import Summary
+from fkgen.study.records.summary import Summary, several
 from fkgen.study.records.table import joined
 from fkgen.symbolic.interface import Port, Status
 
@@ -199,7 +199,7 @@ def run(
             whole, runs = joined([each for each, _ in done]), Run.joined([r for _, r in done])
             picture = rendered(draw(spec, whole, runs), plot)
             write_whole(plot, picture, force=force)
-    samples = f"written, {summary.samples} samples"
+    samples = f"written, {several(summary.samples, 'sample')}"
     written = [f"{path}: {samples}" for path in (output, plot) if path is not None]
     told = Told([*record.notes, *written], list(record.warnings), [], summary.text(table.file))
     told.refused.extend(refusals.sentences(table))

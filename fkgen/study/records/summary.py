@@ -67,11 +67,11 @@ class Summary:
     def text(self, file: str) -> str:
         """The line."""
         count, longest = self._pauses.gaps()
-        size = f"{longest:.6g} s" if self._timed else _several(round(longest), "sample")
+        size = f"{longest:.6g} s" if self._timed else several(round(longest), "sample")
         parts = [
-            _several(self.samples, "sample"),
-            f"{self.present} of {_several(self.rows, 'row')} used",
-            _several(count, "gap") + (f" (the longest of {size})" if count else ""),
+            several(self.samples, "sample"),
+            f"{self.present} of {several(self.rows, 'row')} used",
+            several(count, "gap") + (f" (the longest of {size})" if count else ""),
             f"{self.refused} refused" + (f" ({self.held} of them held)" if self.held else ""),
             f"{self.rejected} rejected",
         ]
@@ -132,5 +132,6 @@ def usual_pause(pauses: Array, steps: Array) -> float:
     return max([0.0, *(float(np.median(each)) for each in (pauses, steps) if each.size)])
 
 
-def _several(count: int, noun: str) -> str:
+def several(count: int, noun: str) -> str:
+    """A count and what is counted."""
     return f"{count} {noun}{'' if count == 1 else 's'}"

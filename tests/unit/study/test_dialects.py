@@ -222,7 +222,7 @@ def test_a_unit_that_is_another_is_said(write):
         ({"columns": ("gqs=a",)}, "--column: given 'gqs'; expected 'gps'"),
         ({"columns": ("gps=gqs",)}, "column of gps: given 'gqs', which is no heading.*'gps'"),
         ({"columns": ("gps=9",)}, "column of gps: given '9', which is no heading"),
-        ({"time": "stamp"}, "--time: given 'stamp'"),
+        ({"time": "stamp"}, "time column: given 'stamp', which"),
         ({"time": "gps"}, "line 3, column gps: given nothing; expected a time"),
     ],
 )
