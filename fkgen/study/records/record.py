@@ -166,7 +166,7 @@ class Record:
     def _piece(self, columns: dict[int, Any], start: int) -> _Piece:
         """Signals and parameters of a piece; the clock may still have gaps."""
         values = {
-            name: self._without_marks(columns[column], column, start)
+            name: without_marks(self.source, self._reading, columns[column], column, start)
             for name, column in self._columns.items()
         }
         for name, each in values.items():
@@ -190,15 +190,6 @@ class Record:
         seconds, label = times.seconds - self._origin, self._label
         table = replace(table, time=seconds, time_label=label, time_text=times.texts)
         return _Piece(table, times, start)
-
-    def _without_marks(self, values: Array, column: int, start: int) -> Array:
-        for mark in self._reading.numbers(self.source.decimal):
-            values = np.where(values == mark, np.nan, values)
-        if not self._reading.missing and (k := first_doubtful(values)) is not None:
-            given = f"{values[k]:g}"
-            expected = f"--missing {given} if it says that there was no value; else --missing ''"
-            raise DataError(self.source.place(column, start + k), given=given, expected=expected)
-        return values
 
     def _times(self, columns: dict[int, Any], start: int) -> Times | None:
         """The times of a piece, which increase; the first piece says what they are taken for."""
@@ -289,6 +280,17 @@ class Record:
                 "next sample; the times are used"
             )
         return np.where(there & ~wrong, stated, steps)
+
+
+def without_marks(source: Any, reading: Reading, values: Array, column: int, start: int) -> Array:
+    """A piece of a column with NaN for marks that are numbers; an error asks about -9999."""
+    for mark in reading.numbers(source.decimal):
+        values = np.where(values == mark, np.nan, values)
+    if not reading.missing and (k := first_doubtful(values)) is not None:
+        given = f"{values[k]:g}"
+        expected = f"--missing {given} if it says that there was no value; else --missing ''"
+        raise DataError(source.place(column, start + k), given=given, expected=expected)
+    return values
 
 
 def first_doubtful(values: Array) -> int | None:

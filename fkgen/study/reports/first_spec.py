@@ -20,7 +20,7 @@ from fkgen.problem.table.place import Place
 from fkgen.runtime.record import choice
 from fkgen.study.records.headings import listed, parted, time_column, unit_of
 from fkgen.study.records.reading import Reading
-from fkgen.study.records.record import opened
+from fkgen.study.records.record import opened, without_marks
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def first_spec(reading: Reading, inputs: str = "") -> str:
     if at is None and reading.time is None:
         at = next((i for i, _ in enumerate(source.headings) if _is_clock(source, i)), None)
         unit, stated = (None, False) if at is None else (unit_of(source.headings[at]), True)
-    columns = list(_columns(source, at))
+    columns = list(_columns(source, reading, at))
     driving = _driving(columns, inputs)
     outputs = [each for each in columns if each not in driving]
     if not outputs:
@@ -99,21 +99,24 @@ def _is_clock(source: Any, column: int) -> bool:
     return column == 0 and len(steps) >= _RISING and bool(even) and name.casefold() not in _COUNTERS
 
 
-def _columns(source: Any, time: int | None) -> Iterator[_Column]:
+def _columns(source: Any, reading: Reading, time: int | None) -> Iterator[_Column]:
     """The columns of numbers: as much of them as the first piece of the file holds."""
     taken: set[str] = {"dt"}
     for i, heading in enumerate(source.headings):
         name, unit = parted(heading)
         if i == time or name.casefold() in _COUNTERS:
             continue
-        with suppress(DataError, StopIteration):
+        try:
             values = np.asarray(next(source.pieces((i,), ()))[i], float)
-            if not np.isfinite(values).any():
-                continue
-            plain = _identifier(name, f"y{i}", taken)
-            taken.add(plain.casefold())
-            kept = unit if unit.isprintable() and len(unit) <= MAX_UNIT else ""
-            yield _Column(plain, heading, kept, values, *_levels(values))
+        except (DataError, StopIteration):  # no numbers
+            continue
+        values = without_marks(source, reading, values, i, 0)
+        if not np.isfinite(values).any():
+            continue
+        plain = _identifier(name, f"y{i}", taken)
+        taken.add(plain.casefold())
+        kept = unit if unit.isprintable() and len(unit) <= MAX_UNIT else ""
+        yield _Column(plain, heading, kept, values, *_levels(values))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of what is not finite there is no guess

@@ -173,3 +173,15 @@ def test_a_slow_level_in_strong_noise_is_followed(tmp_path):
         spec = spec_of(path, first_spec(write(path, {"x": x + 0.5 * rng.normal(size=1500)})))
         assert 0.2 < spec.model.Q.values()[0, 0] / 0.05**2 < 8.0
         assert spec.model.R.values()[0, 0] == pytest.approx(0.25, rel=0.25)
+
+
+def test_numbers_that_mark_what_is_missing_are_asked_about(tmp_path):
+    y = walk(60)[:, 0].round(3)
+    y[20:30] = -9999.0
+    path = tmp_path / "a.csv"
+    write(path, {"x": y, "t": np.arange(60) / 10})
+    message = "line 22, column x: given -9999; expected --missing -9999"
+    with pytest.raises(DataError, match=message):
+        first_spec(checked(path))
+    spec = spec_of(path, first_spec(checked(path, missing=("-9999",))))
+    assert spec.model.R.values()[0, 0] < 10.0
