@@ -41,6 +41,9 @@ SAMPLES = 6
 #: In this sample row 0 is missing: C marks it as measured and gives NaN.
 MARKED = 4
 
+#: Row 0 of the last sample, where a filter has a gate that is to reject it.
+OUTLIER = 1000.0
+
 #: At most so many samples before a closing, so that the self-test comes across one.
 CLOSED_AFTER = 3
 
@@ -181,6 +184,7 @@ def self_test_vectors(program: ir.CProgram) -> ir.Vectors:
     y = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, p)), 2)
     y[2] = np.nan
     y[MARKED, 0] = np.nan
+    y[-1, 0] = OUTLIER if any(port.flags for port in program.ports) else y[-1, 0]
     trace = []
     for inputs, outputs in zip(u, y.tolist(), strict=True):
         status = machine.step(inputs, outputs, dict(program.parameters))

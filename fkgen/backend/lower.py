@@ -13,6 +13,7 @@ import casadi as ca
 from fkgen.backend import ir
 from fkgen.backend.ir import Copy, Element, Literal, Operand, Operate, Operator, Space, Temp
 from fkgen.backend.render import render
+from fkgen.backend.size.guards import without_implied
 from fkgen.backend.size.selection import selected
 from fkgen.backend.source import Source
 from fkgen.backend.stated import constants_of, stated
@@ -55,6 +56,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     if spec.code.ports is not None:
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
         ports, lowered = selected(ports, lowered, shown)
+    lowered = {name: without_implied(phase) for name, phase in lowered.items()}
     names, phases = {port.name for port in ports}, list(lowered.values())
     form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
     return verify(
