@@ -5,6 +5,7 @@ Mode and sample go together: mode[k] drives y[k] and the step from x[k] to x[k+1
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -20,7 +21,7 @@ from fkgen.problem.probability import (
 from fkgen.problem.table.place import show
 from fkgen.problem.table.section import Section, as_list
 from fkgen.problem.text.discretise import OF_TIME
-from fkgen.problem.text.expression import ZERO, Expression, Name, operation, total
+from fkgen.problem.text.expression import ZERO, Expression, Name, Number, operation, total
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
 Arrival = Literal["always", "known", "unknown"]
@@ -29,8 +30,9 @@ _ARRIVAL_KEYS = ("arrival", "arrival_rate", "arrival_chain")
 KEYS = ("transition", "initial", "modes", *_ARRIVAL_KEYS)
 _ORDER = "(lost, arrived)"
 
-#: Parameter of a filter that is told the mode.
-INDICATOR = "in_mode_{}"
+#: Parameters of a filter that is told the mode: of the sample, and, where modes have states of
+#: their own, of the step that leads into the next one.
+INDICATOR, ENTERED = "in_mode_{}", "into_mode_{}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,22 +68,47 @@ class JumpFaults:
         alike = len({tuple(getattr(mode, x) for x in "ABCDcd") for mode in self.modes}) == 1
         return alike and (tested or self.arrival != "unknown")
 
+    @property
+    def unequal(self) -> bool:
+        """Whether modes have states of their own; then mode k drives the step into sample k."""
+        return any(mode.kept is not None for mode in self.modes)
+
+    @property
+    def held(self) -> tuple[tuple[int, ...], ...]:
+        """Mode by mode, 1 for the states that it has and 0 for those that it leaves out."""
+        states = range(len(self.modes[0].A.rows))
+        return tuple(
+            tuple(int(mode.kept is None or i in mode.kept) for i in states) for mode in self.modes
+        )
+
     def told(self) -> Mode:
-        """The plant of one who is told the mode: parameters are 1 in it and 0 in the others."""
-        indicators = [Name(INDICATOR.format(i)) for i in range(len(self.modes))]
+        """The plant of one who is told the mode: parameters are 1 in it and 0 in the others.
+
+        In continuous time, if the plant is stated so and modes have the same states.
+        """
+        now = [Name(INDICATOR.format(i)) for i in range(len(self.modes))]
+        entered = [Name(ENTERED.format(i)) for i in range(len(self.modes))]
 
         def chosen(letter: str) -> Matrix:
-            matrices: list[Matrix] = [getattr(mode, letter) for mode in self.modes]
+            stated = (
+                mode if self.unequal or letter not in OF_TIME else mode.source or mode
+                for mode in self.modes
+            )
+            matrices: list[Matrix] = [getattr(each, letter) for each in stated]
+            indicators = entered if self.unequal and letter in OF_TIME else now
 
-            def entry(i: int, j: int, first: Expression) -> Expression:
-                values = [matrix.rows[i][j] for matrix in matrices]
-                terms = [operation("*", *each) for each in zip(indicators, values, strict=True)]
-                return first if len(set(values)) == 1 else total(terms)
+            def entry(i: int, j: int, _: Expression) -> Expression:
+                value = _by(indicators, [matrix.rows[i][j] for matrix in matrices])
+                if letter == "A" and self.unequal:  # what the mode before leaves out was 0
+                    return operation(
+                        "*", value, _by(now, [Number(float(has[j])) for has in self.held])
+                    )
+                return value
 
             return matrices[0].mapped(entry)
 
         told: dict[str, Any] = {letter: chosen(letter) for letter in LETTERS}
-        return replace(self.modes[0], title="", source=None, **told)
+        return replace(self.modes[0], title="", source=None, kept=None, **told)
 
     @property
     def channel(self) -> Channel | None:
@@ -100,6 +127,12 @@ def _title(mode: Mode, model: Model) -> str:
     """What tells a mode from the model."""
     own = [letter for letter in LETTERS if getattr(mode, letter) != getattr(model, letter)]
     return "with its own " + ", ".join(own) if own else "the model"
+
+
+def _by(indicators: Sequence[Expression], values: Sequence[Expression]) -> Expression:
+    """The value whose indicator is 1."""
+    terms = [operation("*", *each) for each in zip(indicators, values, strict=True)]
+    return values[0] if len(set(values)) == 1 else total(terms)
 
 
 def read_jump_faults(
