@@ -28,11 +28,13 @@ class Format:
     mantissa: int  # mantissa, bias: Bits of the fraction, and of the exponent's offset
     bias: int
     log: tuple[float, ...]  # p(z) with log((1 + s)/(1 - s)) = 2 s + s z p(z), z = s s
-    #: exp, sin, cos, atan: Taylor coefficients, lowest first: of r, and of z = r r
+    #: exp, sin, cos, atan, sinh, cosh: Taylor coefficients, lowest first: of r, and of z = r r
     exp: tuple[float, ...]
     sin: tuple[float, ...]
     cos: tuple[float, ...]
     atan: tuple[float, ...]
+    sinh: tuple[float, ...]
+    cosh: tuple[float, ...]
     #: ln2, half_pi: The constant as a sum, leading parts with trailing zeros, so that multiples
     #: are exact
     ln2: tuple[float, float]
@@ -45,13 +47,15 @@ def _alternating(degree: int, divisor: Callable[[int], int]) -> tuple[float, ...
     return tuple((-1.0) ** k / divisor(k) for k in range(degree + 1))
 
 
-def _format(degrees: tuple[int, int, int, int], **constants: Any) -> Format:
-    exp, sin, cos, atan = degrees
+def _format(degrees: tuple[int, ...], **constants: Any) -> Format:
+    exp, sin, cos, atan, sinh, cosh = degrees
     return Format(
         exp=tuple(1.0 / math.factorial(k) for k in range(exp + 1)),
         sin=_alternating(sin, lambda k: math.factorial(2 * k + 1)),
         cos=_alternating(cos, lambda k: math.factorial(2 * k)),
         atan=_alternating(atan, lambda k: 2 * k + 1),
+        sinh=tuple(1.0 / math.factorial(2 * k + 1) for k in range(sinh + 1)),
+        cosh=tuple(1.0 / math.factorial(2 * k) for k in range(cosh + 1)),
         **constants,
     )
 
@@ -61,7 +65,7 @@ _hex = float.fromhex
 #: log: Chebyshev fits on z < (sqrt(2) - 1)^4; they err by 5e-18 and 2e-11 of the logarithm.
 FORMATS: dict[Scalar, Format] = {
     "double": _format(
-        (13, 8, 9, 12),
+        (13, 8, 9, 12, 9, 7),
         mantissa=52,
         bias=1023,
         log=(
@@ -74,7 +78,7 @@ FORMATS: dict[Scalar, Format] = {
         underflow=-745.1332191019411,
     ),
     "float": _format(
-        (7, 4, 5, 5),
+        (7, 4, 5, 5, 5, 4),
         mantissa=23,
         bias=127,
         log=(0.6666666655449709, 0.40000121839806124, 0.28550820815960665, 0.23330467216303835),
@@ -84,6 +88,11 @@ FORMATS: dict[Scalar, Format] = {
         underflow=-103.97208,
     ),
 }
+
+
+def _size(x: Number) -> Number:
+    """The magnitude as C asks for it: minus zero stays."""
+    return -x if x < 0 else x
 
 
 class Elementary:
@@ -191,9 +200,9 @@ class Elementary:
     def atan2(self, y: Number, x: Number) -> Number:
         """Angle of the point (x, y)."""
         real = self.real
-        a, b = abs(y), abs(x)
+        a, b = _size(y), _size(x)
         low, high = (a, b) if a <= b else (b, a)
-        t = low / high if high > 0 else real(0.0)
+        t = low / high if high > 0 else high + real(0.0)  # a NaN stays one
         for _ in range(2):
             t = t / (real(1.0) + self.sqrt(real(1.0) + t * t))
         angle = real(4.0) * (t * self._horner(self.format.atan, t * t))
@@ -202,3 +211,56 @@ class Elementary:
         if x < 0:
             angle = real(math.pi) - angle
         return -angle if y < 0 else angle
+
+    def asin(self, x: Number) -> Number:
+        """Arc sine; NaN outside [-1, 1]."""
+        return self.atan2(x, self._opposite(x))
+
+    def acos(self, x: Number) -> Number:
+        """Arc cosine; NaN outside [-1, 1]."""
+        return self.atan2(self._opposite(x), x)
+
+    def _opposite(self, x: Number) -> Number:
+        """The other leg of a triangle with hypotenuse 1."""
+        one = self.real(1.0)
+        return self.sqrt((one - x) * (one + x))
+
+    def hypot(self, x: Number, y: Number) -> Number:
+        """Length of (x, y), which overflows only if the result does."""
+        a, b = _size(x), _size(y)
+        low, high = (a, b) if a <= b else (b, a)
+        if not low > 0:
+            return low + high
+        t = low / high
+        return high * self.sqrt(self.real(1.0) + t * t)
+
+    def _grown(self, a: Number) -> tuple[Number, Number]:
+        """exp(a)/2 and exp(-a)/2 for a >= 0, where exp(a) alone may overflow."""
+        real = self.real
+        if a > real(self.format.overflow) - real(1.0):
+            return self.exp(a - real(1.0)) * real(0.5 * math.e), real(0.0)
+        e = self.exp(a)
+        return real(0.5) * e, real(0.5) / e
+
+    def sinh(self, x: Number) -> Number:
+        """Hyperbolic sine, by its series near zero."""
+        a = _size(x)
+        if a <= self.real(1.0):
+            return x * self._horner(self.format.sinh, x * x)
+        rising, falling = self._grown(a)
+        y = rising - falling
+        return -y if x < 0 else y
+
+    def cosh(self, x: Number) -> Number:
+        """Hyperbolic cosine."""
+        rising, falling = self._grown(_size(x))
+        return rising + falling
+
+    def tanh(self, x: Number) -> Number:
+        """Hyperbolic tangent, by the series of sine and cosine near zero."""
+        real, a = self.real, _size(x)
+        if a <= real(0.55):
+            z = x * x
+            return x * self._horner(self.format.sinh, z) / self._horner(self.format.cosh, z)
+        y = real(1.0) - real(2.0) / (self.exp(real(2.0) * a) + real(1.0))
+        return -y if x < 0 else y

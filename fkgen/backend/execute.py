@@ -24,6 +24,9 @@ ARITHMETIC: dict[Operator, Callable[..., Number]] = {
     Operator.ABS: abs,
     Operator.MAX: lambda a, b: max(b, a),
     Operator.MIN: lambda a, b: min(b, a),
+    Operator.LT: lambda a, b: type(a)(a < b),
+    Operator.LE: lambda a, b: type(a)(a <= b),
+    Operator.IF_ELSE_ZERO: lambda condition, a: a if condition > 0 else type(a)(0),
 }
 
 HOLDS: dict[Kind, Callable[[Number], Any]] = {

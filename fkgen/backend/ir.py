@@ -38,6 +38,11 @@ class Operator(Enum):
     ABS = "abs"
     MAX = "max"
     MIN = "min"
+    #: LT, LE: 1 where it holds, else 0; IF_ELSE_ZERO: the second argument where the first is 1,
+    #: else 0 whatever the second one is
+    LT = "<"
+    LE = "<="
+    IF_ELSE_ZERO = "if_else_zero"
     EXP = "exp"
     LOG = "log"
     SQRT = "sqrt"
@@ -45,11 +50,22 @@ class Operator(Enum):
     COS = "cos"
     TAN = "tan"
     ATAN2 = "atan2"
+    ASIN = "asin"
+    ACOS = "acos"
+    SINH = "sinh"
+    COSH = "cosh"
+    TANH = "tanh"
+    HYPOT = "hypot"
 
     @property
     def is_function(self) -> bool:
         """Whether it is printed as a call."""
-        return self.value in {"exp", "log", "sqrt", "sin", "cos", "tan", "atan2"}
+        return self.value in FUNCTIONS
+
+
+#: Operators that are functions in C.
+FUNCTIONS = {"exp", "log", "sqrt", "sin", "cos", "tan", "atan2"}
+FUNCTIONS |= {"asin", "acos", "sinh", "cosh", "tanh", "hypot"}
 
 
 @dataclass(frozen=True, slots=True)

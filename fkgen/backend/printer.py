@@ -15,6 +15,7 @@ from fkgen.errors import UnfitError
 from fkgen.symbolic.interface import Kind, Port, Status
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
+_COMPARED = (Operator.LT, Operator.LE)
 _PREFIX = {Space.PARAMETER: "params->", Space.SELF: "self->", Space.NEXT: "next->"}
 _WORD_BITS = 32
 
@@ -150,6 +151,10 @@ class StatementPrinter:
                 text = (
                     f"({a[0]} {'>' if operator is Operator.MAX else '<'} {a[1]}) ? {a[0]} : {a[1]}"
                 )
+            case Operator.LT | Operator.LE:
+                text = f"({a[0]} {operator.value} {a[1]}) ? {self.literal(1.0)} : {zero}"
+            case Operator.IF_ELSE_ZERO:
+                text = f"({self._holds(first)}) ? {a[1]} : {zero}"
             case Operator.ADD | Operator.MUL if (
                 isinstance(first, Expression) and first.operator is operator
             ):
@@ -160,6 +165,13 @@ class StatementPrinter:
                 inner = ", ".join(map(self._bare, node.arguments))
                 text = f"{self.elementary}_{operator.value}({inner})"
         return text
+
+    def _holds(self, condition: ir.Operand) -> str:
+        """Test whether a condition, which is 0 or 1, holds."""
+        if isinstance(condition, Expression) and condition.operator in _COMPARED:
+            a, b = map(self.operand, condition.arguments)
+            return f"{a} {condition.operator.value} {b}"
+        return f"{self.operand(condition)} > {self.literal(0.0)}"
 
     def _bare(self, operand: ir.Operand) -> str:
         """An operand where nothing stands beside it."""

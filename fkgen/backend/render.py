@@ -238,8 +238,10 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
     """Names, constants, and which functions there are; sqrt where atan2 needs it."""
     needs = {op.value: op in functions for op in Operator if op.is_function}
     needs["wave"] = needs["sin"] or needs["cos"] or needs["tan"]
+    needs["exp"] = needs["exp"] or needs["sinh"] or needs["cosh"] or needs["tanh"]
     needs["scale"] = needs["exp"]
-    needs["sqrt"] = needs["sqrt"] or needs["atan2"]
+    needs["atan2"] = needs["atan2"] or needs["asin"] or needs["acos"]
+    needs["sqrt"] = needs["sqrt"] or needs["atan2"] or needs["hypot"]
     return {
         "c": c,
         "name": c.name,
@@ -255,6 +257,7 @@ def elementary_context(c: StatementPrinter, functions: frozenset[Operator]) -> d
         "root2": math.sqrt(2.0),
         "ln2": math.log(2.0),
         "pi": math.pi,
+        "half_e": 0.5 * math.e,
     }
 
 

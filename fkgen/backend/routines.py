@@ -39,7 +39,8 @@ _FUNCTIONS = {
     *("correct", "close_window", "propagate", "init", "fill", "finite", "defect"),
     *("update", "predict", "step", "pass", "renew", "keep", "start", "begin", "all_finite"),
     *("selftest", "present_rows", "params_init", "finite_params", "part"),
-    *("exp", "log", "sqrt", "sin", "cos", "tan", "atan2", "reduced", "power_of_two"),
+    *ir.FUNCTIONS,
+    *("reduced", "power_of_two"),
 }
 
 #: Names that an argument or a local of a routine must not have.

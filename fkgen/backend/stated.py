@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, combinations_with_replacement
@@ -13,6 +14,7 @@ from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI
 from fkgen.estimators.models.weights import LOG_ZERO, TINY
 from fkgen.faults import ActuatorFaults, JumpFaults, SensorFaults, SoftFaults
 from fkgen.faults.chain import LETTERS
+from fkgen.problem import Parameter
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.discretise import OF_TIME
 from fkgen.problem.text.expression import ZERO, Computed, Expression, Name, Number, names, to_text
@@ -34,13 +36,13 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
     parts = [_model(spec), *_modes(spec)]
     parts += [_actuator(spec, faults.actuator)] if faults.actuator is not None else []
     parts += [_sensor(spec, faults.sensor)] if faults.sensor is not None else []
-    parts += [_jump(faults.jump)] if faults.jump is not None else []
+    parts += [_jump(spec, faults.jump)] if faults.jump is not None else []
     parts += [_soft(spec, faults.soft)] if faults.soft is not None else []
     return Stated(
         model=tuple(
             line for title, listings in parts for line in (f" * {title}.", *chain(*listings), " *")
         ),
-        ranges=tuple((item.name, _range(spec, item.name)) for item in spec.parameters),
+        ranges=tuple((item.name, _range(spec, item)) for item in spec.parameters),
         folded=_folded(spec, phases),
     )
 
@@ -167,7 +169,7 @@ def _sensor(spec: Spec, sensor: SensorFaults) -> _Part:
     signal = "(C x[k] + D u[k])" if spec.model.nu else "C x[k]"
     text = (
         f"Faults of {rows}: gamma {signal} + v[k] is measured, gamma is 0 or 1; the"
-        f" variance of v is delta R, delta is 1 or {sensor.noise_factor!r}"
+        f" variance of v is delta R, delta is 1 or {_text(_factor(sensor))}"
     )
     if sensor.moments is not None:
         law = sensor.moments
@@ -177,20 +179,34 @@ def _sensor(spec: Spec, sensor: SensorFaults) -> _Part:
         )
     if not sensor.kernel:
         return text, []
-    factor = f"{sensor.noise_factor:g}"
+    factor = "C" if sensor.factor is not None else f"{sensor.noise_factor:g}"
     order = f"(1, 1) (1, {factor}) (0, 1) (0, {factor})"
+    if sensor.law is not None and sensor.independent:
+        text = (
+            f"{text}; modes (gamma, delta): {order}, joint[j] = Pr(j) with parameters of sample k"
+        )
+        return text, [_vector("joint", map(_text, sensor.law.rows[0]))]
+    kernel = _numbers("kernel", sensor.kernel)
+    if sensor.law is not None:
+        kernel = _matrix(spec, "kernel", sensor.law)
     return (
         f"{text}; modes (gamma, delta): {order}, kernel[i][j] = Pr(j at k+1 | i at k)",
-        [_numbers("kernel", sensor.kernel), _vector("initial", map(repr, sensor.initial))],
+        [kernel, _vector("initial", map(repr, sensor.initial))],
     )
 
 
-def _jump(jump: JumpFaults) -> _Part:
+def _factor(sensor: SensorFaults) -> Expression:
+    return sensor.factor or Number(sensor.noise_factor)
+
+
+def _jump(spec: Spec, jump: JumpFaults) -> _Part:
     text = "Faults: the plant jumps between modes, transition[i][j] = Pr(mode j at k+1 | mode i)"
     law = _vector("initial", map(repr, jump.initial))
-    listings = [_numbers("transition", jump.transition), law]
+    transition = _numbers("transition", jump.transition)
+    listings = [transition if jump.law is None else _matrix(spec, "transition", jump.law), law]
     if jump.arrival_rate is not None:
-        text += f"; a sample holds a signal with probability {jump.arrival_rate!r}, else noise"
+        rate = _text(jump.rate or Number(jump.arrival_rate))
+        text += f"; a sample holds a signal with probability {rate}, else noise"
     if jump.arrival_chain:
         text += "; samples are (lost, arrived) by arrival_chain"
         listings.append(_numbers("arrival_chain", jump.arrival_chain))
@@ -199,18 +215,23 @@ def _jump(jump: JumpFaults) -> _Part:
     return text, listings
 
 
-def _range(spec: Spec, name: str) -> str:
+def _range(spec: Spec, item: Parameter) -> str:
     """What is known about a parameter: its range, its unit, and where it stands."""
-    sensor, actuator = spec.faults.sensor, spec.faults.actuator
+    name, sensor, actuator = item.name, spec.faults.sensor, spec.faults.actuator
     if sensor is not None and name not in {item.name for item in spec.stated_parameters}:
         return {
             "gamma": "1: the rows that can fail hold a signal, 0: they hold none",
-            "delta": f"1 or {sensor.noise_factor!r}: factor of the variance of their noise",
+            "delta": f"1 or {_text(_factor(sensor))}: factor of the variance of their noise",
         }[name]
     rates = () if actuator is None else actuator.success_rate
-    if Name(name) in rates:
+    if Name(name) in rates and not item.is_bounded:
         return "a rate, in [0, 1]"
-    found = [f"keeps {_text(rate)} in [0, 1]" for rate in rates if name in names(rate)]
+    limits = ((">=", item.low), ("<=", item.high))
+    stated = [f"{relation} {limit!r}" for relation, limit in limits if math.isfinite(limit)]
+    found = [" and ".join(stated)] if stated else []
+    if name in spec.faults.law_names:
+        found.append("keeps the laws of the faults probabilities")
+    found += [f"keeps {_text(rate)} in [0, 1]" for rate in rates if name in names(rate)]
     used = []
     for letter in LETTERS:
         matrices = [getattr(plant, letter) for plant in spec.plants]

@@ -17,7 +17,7 @@ from fkgen.faults.sensor import read_sensor_faults
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
-from fkgen.problem.table.place import show
+from fkgen.problem.table.place import Place, show
 from fkgen.problem.table.section import Section, as_number
 
 #: Probabilities closer than this are the same.
@@ -44,6 +44,9 @@ class ImmOptions(Options):
         if number not in allowed:
             given = number if faults.jump is None else section.table["modes"]
             raise place.error(show(given), expected)
+        if number == 3 and faults.sensor is not None and faults.sensor.law is not None:
+            given = "3 with probabilities that depend on parameters"
+            raise place.error(given, "4: what three modes put together has to be a constant")
         return cls(int(number))
 
 
@@ -68,10 +71,13 @@ def without_channel(table: Table, truth: Spec) -> Table:
     faults = truth.faults.jump
     if faults is None:
         return table
+    if faults.rate is not None:
+        place = Place(truth.file, "faults.jump.arrival_rate")
+        raise place.error("a rate that depends on parameters", "a number, to make modes of it")
     chain = faults.chain(truth.model)
     if faults.arrival == "unknown" and faults.channel is not None:
         chain = chain.times(faults.channel)
-    jump = JumpFaults(chain.transition, chain.initial, chain.modes)
+    jump = JumpFaults(chain.transition, chain.initial, chain.modes, law=chain.law)
     return table | {"faults": {"jump": jump.plain()}}
 
 

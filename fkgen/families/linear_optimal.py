@@ -14,7 +14,7 @@ from typing import Literal, Self, get_args
 import numpy as np
 
 from fkgen.families.family import Family, built_by, by_option, proved_by
-from fkgen.faults import Faults
+from fkgen.faults import Faults, SensorFaults
 from fkgen.faults.sensor import is_white, read_sensor_faults
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Options, Traits
@@ -52,10 +52,7 @@ def check(spec: Spec) -> None:
     if faults is None:
         return
     if spec.filter.options.form == "augmented":
-        if faults.moments is not None:
-            given = '"augmented" with problem "moments"'
-            at = place.entry("filter").entry("form")
-            raise at.error(given, "a law: problem 1, 2, 3 or 4")
+        _check_augmented(faults, place.entry("filter").entry("form"))
         return
     if is_white(faults):
         return
@@ -72,6 +69,17 @@ def check(spec: Spec) -> None:
             raise place.entry("model").entry(key).error("a known offset", f"none {because}")
 
 
+def _check_augmented(faults: SensorFaults, place: Place) -> None:
+    """Refuse what the augmented form does not cover."""
+    if faults.moments is not None:
+        given = '"augmented" with problem "moments"'
+        raise place.error(given, "a law: problem 1, 2, 3 or 4")
+    if faults.law is not None:
+        given = '"augmented" with probabilities that depend on parameters'
+        expected = '"lemma2", which is exact in problem 1 and 2, or numbers'
+        raise place.error(given, expected)
+
+
 def lemma_2(spec: Spec) -> tuple[Finding, ...]:
     """Sigalov & Oshman, Lemma 2: without it (23) is neither the LMMSE nor knows its error."""
     from fkgen.oracle.claims.sensor import lemma_2_holds
@@ -85,7 +93,7 @@ def lemma_2(spec: Spec) -> tuple[Finding, ...]:
         "some rows of y never fail, and gamma depends on its past: their signal does not carry"
         " gamma, so it predicts the others with E[gamma], not with p11"
     )
-    if faults.moments is None:
+    if faults.moments is None and faults.law is None:
         law = SensorLaw.from_spec(spec)
         holds, difference = satisfies_lemma_2(law.kernel, law.initial)
         if not holds:
@@ -114,7 +122,7 @@ def _errors(spec: Spec) -> tuple[float | None, float | None]:
     from fkgen.oracle.textbook.linear_optimal import linear_optimal, true_covariance
 
     faults = spec.faults.sensor
-    if faults is None or not faults.kernel:
+    if faults is None or not faults.kernel or faults.law is not None:
         return None, None
     with np.errstate(all="ignore"):
         system = LinearSystem.from_spec(spec, HORIZON)

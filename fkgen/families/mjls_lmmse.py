@@ -126,6 +126,10 @@ def _check_stationary(spec: Spec, faults: JumpFaults) -> None:
     given, instead = "'stationary'", "use 'time_varying'"
     if not all(mode.is_constant for mode in faults.modes):
         raise at.error(f"{given} with matrices that depend on parameters", f"constants; {instead}")
+    if faults.law is not None or faults.rate is not None:
+        raise at.error(
+            f"{given} with probabilities that depend on parameters", f"numbers; {instead}"
+        )
     tested = spec.filter.options.detector != "none"
     alone = faults.gain_needs_no_moments(tested=tested)
     if spec.model.nu and not alone:

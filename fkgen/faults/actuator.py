@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Literal, get_args
@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.covariance import values_nearby
 from fkgen.problem.model import Model
+from fkgen.problem.probability import as_rate
 from fkgen.problem.table.place import Place
-from fkgen.problem.table.section import Section, as_entry
-from fkgen.problem.text.expression import Expression, Number, evaluate, to_text
+from fkgen.problem.table.section import Section
+from fkgen.problem.text.expression import Expression, evaluate
 from fkgen.problem.text.foreign import plain_entry, plain_list
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
@@ -119,24 +120,15 @@ def _rates(section: Section, dependence: Dependence, count: int) -> tuple[Expres
     expected = f"a rate in [0, 1], or a list of {count}: one per input"
     given = plain_list(plain_entry(section.require("success_rate", expected), place), place)
     if not isinstance(given, list):
-        return (_rate(given, place, section.defaults),) * (1 if common else count)
+        return (as_rate(given, place, section.defaults),) * (1 if common else count)
     if len(given) != count and not (common and len(given) == 1):
         raise place.error(f"{len(given)} rates", expected)
-    rates = tuple(_rate(rate, place.item(i), section.defaults) for i, rate in enumerate(given))
+    rates = tuple(as_rate(rate, place.item(i), section.defaults) for i, rate in enumerate(given))
     if common and len(set(rates)) > 1:
         raise place.error(
             "different rates with dependence 'common'", "one rate: common faults hit all inputs"
         )
     return rates[:1] if common else rates
-
-
-def _rate(value: object, place: Place, defaults: Mapping[str, float]) -> Expression:
-    rate = as_entry(value, place, defaults)
-    number = evaluate(rate, defaults)
-    if not 0.0 <= number <= 1.0:
-        at = "" if isinstance(rate, Number) else f" at the defaults ({to_text(rate)})"
-        raise place.error(f"{number!r}{at}", "a probability in [0, 1]")
-    return rate
 
 
 def _covariance(section: Section, rates: Sequence[Expression], inputs: int) -> Matrix:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fkgen.problem.model import plain_source
 from fkgen.problem.probability import Distribution, Transition, period, stationary_law, visited
 from fkgen.problem.text.discretise import Continuous
+from fkgen.problem.text.expression import ZERO, Number, operation
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
 #: Matrices of a mode, which a mode of ``faults.jump`` may state.
@@ -112,14 +113,34 @@ class ModeChain:
     modes: tuple[Mode, ...]
     transition: Transition  # Pr(j at k+1 | i at k)
     initial: Distribution  # of sample 0
+    law: Matrix | None = None  # the transition where it depends on parameters
+    #: The law of every sample is a row of it, with the parameters of that sample
+    independent: bool = False
+
+    @property
+    def possible(self) -> Transition:
+        """Positive where a mode can follow another one, whatever the parameters are."""
+        if self.law is None:
+            return self.transition
+        return tuple(tuple(float(each != ZERO) for each in row) for row in self.law.rows)
 
     def times(self, channel: Channel) -> ModeChain:
         """The chain of pairs, first all modes of samples that arrive, then all of lost ones."""
         arrived_first = np.array(channel.transition)[::-1, ::-1]
+        law = None
+        if self.law is not None:
+            law = Matrix(
+                tuple(
+                    tuple(operation("*", Number(a), p) for a in arrival for p in row)
+                    for arrival in arrived_first.tolist()
+                    for row in self.law.rows
+                )
+            )
         return ModeChain(
             (*self.modes, *(mode.silent for mode in self.modes)),
             tuple(map(tuple, np.kron(arrived_first, self.transition).tolist())),
             tuple(np.kron(channel.initial[::-1], self.initial).tolist()),
+            law,
         )
 
     def alike(self, letters: str) -> Groups:

@@ -5,7 +5,7 @@ Mode and sample go together: mode[k] drives y[k] and the step from x[k] to x[k+1
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -14,14 +14,25 @@ from fkgen.problem.model import Model, discretised, offset
 from fkgen.problem.probability import (
     Distribution,
     Transition,
+    as_rate,
+    at_defaults,
     read_initial,
     read_transition,
+    rows_of,
     stationary_law,
 )
 from fkgen.problem.table.place import show
 from fkgen.problem.table.section import Section, as_list
 from fkgen.problem.text.discretise import OF_TIME
-from fkgen.problem.text.expression import ZERO, Expression, Name, Number, operation, total
+from fkgen.problem.text.expression import (
+    ZERO,
+    Expression,
+    Name,
+    Number,
+    evaluate,
+    operation,
+    total,
+)
 from fkgen.problem.text.matrix import Matrix, plain_fields
 
 Arrival = Literal["always", "known", "unknown"]
@@ -50,10 +61,16 @@ class JumpFaults:
     arrival: Arrival = "always"
     arrival_rate: float | None = None  # Pr(a sample holds a signal), independent
     arrival_chain: Transition = ()  # in place of the rate, (lost, arrived)
+    #: transition and arrival_rate as expressions, where they depend on parameters; the numbers
+    #: above are those at the defaults
+    law: Matrix | None = None
+    rate: Expression | None = None
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""
         table = {key: value for key, value in plain_fields(self).items() if value != []}
+        table |= {"transition": table.pop("law")} if "law" in table else {}
+        table |= {"arrival_rate": table.pop("rate")} if "rate" in table else {}
         if self.arrival == "always" and not self.has_channel:
             del table["arrival"]
         return table
@@ -61,7 +78,18 @@ class JumpFaults:
     def chain(self, model: Model) -> ModeChain:
         """Every mode is a plant of its own; losses are apart, see `channel`."""
         modes = tuple(replace(mode, title=_title(mode, model)) for mode in self.modes)
-        return ModeChain(modes, self.transition, self.initial)
+        return ModeChain(modes, self.transition, self.initial, self.law)
+
+    def at(self, parameters: Mapping[str, float]) -> JumpFaults:
+        """The faults whose probabilities have these parameters for good."""
+        law, rate = self.law, self.rate
+        return replace(
+            self,
+            transition=self.transition if law is None else rows_of(law.values(parameters)),
+            arrival_rate=self.arrival_rate if rate is None else evaluate(rate, parameters),
+            law=None,
+            rate=None,
+        )
 
     def gain_needs_no_moments(self, *, tested: bool) -> bool:
         """Whether modes differ in noise alone, and whoever filters takes every sample for good."""
@@ -152,9 +180,14 @@ def read_jump_faults(
             )
     modes = _modes(section, model, "" if sizes else family)
     section.require("transition", f"a {len(modes)} x {len(modes)} matrix, one row per mode")
-    transition = read_transition(section, "transition", "as the modes are", len(modes))
-    initial = read_initial(section, stationary_law(transition), len(modes), "one per mode")
-    return JumpFaults(transition, initial, modes, *_channel(section))
+    law = read_transition(section, "transition", "as the modes are", len(modes))
+    transition = at_defaults(law, section)
+    initial = read_initial(section, law, stationary_law(transition), len(modes), "one per mode")
+    varying = None if law.is_constant else law
+    arrival, rate, chain = _channel(section)
+    known = None if rate is None else evaluate(rate, section.defaults)
+    moving = None if rate is None or isinstance(rate, Number) else rate
+    return JumpFaults(transition, initial, modes, arrival, known, chain, varying, moving)
 
 
 def _modes(section: Section, model: Model, refuses: str) -> tuple[Mode, ...]:
@@ -251,15 +284,23 @@ def _state_own(section: Section, found: dict[str, Matrix]) -> None:
             found[key] = section.matrix(key, own.shape, because)
 
 
-def _channel(section: Section) -> tuple[Arrival, float | None, Transition]:
+def _channel(section: Section) -> tuple[Arrival, Expression | None, Transition]:
     """What the filter knows of the channel, and its rate or chain, whichever is there."""
-    rate = section.probability("arrival_rate") if "arrival_rate" in section else None
+    rate: Expression | None = None
+    if "arrival_rate" in section:
+        place = section.place.entry("arrival_rate")
+        rate = as_rate(section.table["arrival_rate"], place, section.defaults)
     chain: Transition = ()
     if "arrival_chain" in section:
         if rate is not None:
             given = "arrival_chain beside arrival_rate"
             raise section.error("arrival_chain", given, "one of the two")
-        chain = read_transition(section, "arrival_chain", _ORDER, 2)
+        law = read_transition(section, "arrival_chain", _ORDER, 2)
+        if not law.is_constant:
+            given = "probabilities that depend on parameters"
+            expected = "numbers: the chain starts in its stationary law, and the start is fixed"
+            raise section.error("arrival_chain", given, expected)
+        chain = at_defaults(law, section)
         if stationary_law(chain) is None:
             raise section.error(
                 "arrival_chain",

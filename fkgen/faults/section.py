@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fkgen.errors import InternalError
@@ -12,7 +13,9 @@ from fkgen.faults.jump import JumpFaults
 from fkgen.faults.sensor import SensorFaults
 from fkgen.faults.soft import SoftFaults
 from fkgen.problem.model import Model
-from fkgen.problem.text.matrix import plain_fields
+from fkgen.problem.probability import SUM_TOLERANCE, Transition
+from fkgen.problem.text.expression import names
+from fkgen.problem.text.matrix import expressions, plain_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +34,42 @@ class Faults:
         if found is None:
             raise InternalError("no chain of modes without faults of sensors or jumps")
         return found.chain(model)
+
+    @property
+    def law_names(self) -> frozenset[str]:
+        """The parameters that probabilities and the noise of a fault depend on."""
+        laws = [
+            (found.law, getattr(found, "factor", None), getattr(found, "rate", None))
+            for found in (self.sensor, self.jump)
+            if found is not None
+        ]
+        return frozenset().union(*map(names, expressions(tuple(laws))))
+
+    def at(self, parameters: Mapping[str, float]) -> Faults:
+        """The faults whose laws have these parameters for good."""
+        return Faults(
+            self.actuator,
+            None if self.sensor is None else self.sensor.at(parameters),
+            None if self.jump is None else self.jump.at(parameters),
+            self.soft,
+        )
+
+    def in_domain(self, parameters: Mapping[str, float]) -> bool:
+        """Whether the laws are probabilities, and the noise factor positive, with these."""
+        if not self.law_names:
+            return True
+        found = self.at(parameters)
+        laws: list[Transition] = []
+        rates = [0.0]
+        if found.sensor is not None:
+            laws.append(found.sensor.kernel)
+            rates += [] if 0.0 < found.sensor.noise_factor <= sensor.LARGEST_FACTOR else [-1.0]
+        if found.jump is not None:
+            laws.append(found.jump.transition)
+            rates += [] if found.jump.arrival_rate is None else [found.jump.arrival_rate]
+        rows = [row for law in laws for row in law]
+        whole = all(abs(sum(row) - 1.0) <= SUM_TOLERANCE for row in rows)
+        return whole and all(0.0 <= each <= 1.0 for row in (*rows, rates) for each in row)
 
     def plain(self) -> dict[str, object]:
         """Return the table a spec file would hold."""

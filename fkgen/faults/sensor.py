@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,17 +14,29 @@ from fkgen.problem.probability import (
     Array,
     Distribution,
     Transition,
-    as_distribution,
+    as_law,
+    as_rate,
+    at_defaults,
     read_initial,
     read_transition,
+    rows_of,
     stationary_law,
     visited,
 )
 from fkgen.problem.signals import read_rows
 from fkgen.problem.table.place import show
-from fkgen.problem.table.section import Section
-from fkgen.problem.text.expression import ONE, ZERO, Expression, Name, Number, operation
-from fkgen.problem.text.matrix import Matrix
+from fkgen.problem.table.section import Section, as_entry
+from fkgen.problem.text.expression import (
+    ONE,
+    ZERO,
+    Expression,
+    Name,
+    Number,
+    evaluate,
+    operation,
+    to_text,
+)
+from fkgen.problem.text.matrix import Matrix, plain
 
 Problem = Literal[1, 2, 3, 4, "moments"]
 Law = Literal["modes", "moments", "optional"]  # What a family has to be told of it
@@ -71,6 +84,11 @@ class SensorFaults:
     kernel: Transition = ()  # Pr(mode at k+1 is j | mode at k is i)
     initial: Distribution = ()  # at sample 0
     moments: Moments | None = None
+    #: noise_factor and kernel as expressions, where they depend on parameters; the numbers above
+    #: are those at the defaults
+    factor: Expression | None = None
+    law: Matrix | None = None
+    independent: bool = False  # the law of every sample is a row of ``law`` with its parameters
 
     @property
     def conditions(self) -> tuple[tuple[float, float], ...]:
@@ -79,13 +97,27 @@ class SensorFaults:
 
     def chain(self, model: Model) -> ModeChain:
         """The four conditions as modes of the plant; they all move alike."""
-        noises = ("R", f"noise x {self.noise_factor:g}")
+        noises = ("R", f"noise x {f'{self.noise_factor:g}' if self.factor is None else 'C'}")
         titles = [f"{signal}, {noise}" for signal in ("signal", "no signal") for noise in noises]
+        deltas = (ONE, self.factor or Number(self.noise_factor)) * 2
         modes = tuple(
-            replace(self.sensed(model, Number(gamma), Number(delta)), title=title)
-            for (gamma, delta), title in zip(self.conditions, titles, strict=True)
+            replace(self.sensed(model, Number(gamma), delta), title=title)
+            for (gamma, _), delta, title in zip(self.conditions, deltas, titles, strict=True)
         )
-        return ModeChain(modes, self.kernel, self.initial)
+        return ModeChain(modes, self.kernel, self.initial, self.law, self.independent)
+
+    def at(self, parameters: Mapping[str, float]) -> SensorFaults:
+        """The faults whose law and noise have these parameters for good."""
+        kernel = self.kernel if self.law is None else rows_of(self.law.values(parameters))
+        return replace(
+            self,
+            noise_factor=evaluate(self.factor or Number(self.noise_factor), parameters),
+            kernel=kernel,
+            initial=kernel[0] if self.independent else self.initial,
+            factor=None,
+            law=None,
+            independent=False,
+        )
 
     def lumped(self) -> Lumping:
         """Three modes: (1, 1), (1, C) and gamma = 0, whatever the noise; sec. III and IV."""
@@ -119,13 +151,19 @@ class SensorFaults:
         )
 
     def plain(self) -> dict[str, object]:
-        """Return the table a spec file would hold; every chain is written as problem 4."""
-        table: dict[str, object] = {"noise_factor": self.noise_factor, "rows": list(self.rows)}
+        """Return the table a spec file would hold; every chain is written as problem 4.
+
+        But where each sample has parameters of its own, as problem 2.
+        """
+        factor = plain(self.factor or Number(self.noise_factor))
+        table: dict[str, object] = {"noise_factor": factor, "rows": list(self.rows)}
         if self.moments is not None:
             names = LAW_KEYS["moments"]
             table |= {"problem": "moments"} | {n: getattr(self.moments, n) for n in names}
+        elif self.law is not None and self.independent:
+            table |= {"problem": 2, "joint": plain(self.law.rows[0])}
         elif self.kernel:
-            kernel = [list(row) for row in self.kernel]
+            kernel = [list(row) for row in self.kernel] if self.law is None else self.law.plain()
             table |= {"problem": 4, "kernel": kernel, "initial": list(self.initial)}
         return table
 
@@ -134,8 +172,9 @@ def read_sensor_faults(
     section: Section, model: Model, family: str, *, law: Law = "modes"
 ) -> SensorFaults:
     """The sensor faults that a table describes; moments, or no law, will do for some families."""
-    expected = f"a positive number up to {LARGEST_FACTOR:g}: noise variance of a fault over R"
-    factor = section.number("noise_factor", expected, lambda C: 0.0 < C <= LARGEST_FACTOR, 1.0)
+    stated = _factor(section)
+    factor = evaluate(stated, section.defaults)
+    varying = None if isinstance(stated, Number) else stated
     rows = tuple(range(model.ny))
     if "rows" in section:
         hint = "leave the key out if all rows can fail"
@@ -145,14 +184,34 @@ def read_sensor_faults(
             if key in section:
                 given = f"nothing (the key is missing) beside {key}"
                 raise section.error("problem", given, "the problem that it belongs to")
-        return SensorFaults(factor, rows)
+        return SensorFaults(factor, rows, factor=varying)
     problem = _problem(section, family, law)
-    nominal = 1.0 if factor == 1.0 else None  # nothing need be said of delta
+    nominal = 1.0 if stated == ONE else None  # nothing need be said of delta
     if problem == "moments":
-        return SensorFaults(factor, rows, moments=_moments(section, nominal))
-    kernel, stationary = _chain(section, problem, nominal)
-    initial = read_initial(section, stationary, 4, f"ordered {_MODES}")
-    return SensorFaults(factor, rows, kernel, initial)
+        return SensorFaults(factor, rows, moments=_moments(section, nominal), factor=varying)
+    chain, stationary = _chain(section, problem, nominal)
+    kernel, moving = at_defaults(chain, section), not chain.is_constant
+    if moving and problem in {1, 2}:
+        if "initial" in section:
+            given = f"initial with parameters in problem {problem}"
+            expected = "no such key: the law of every sample follows from its own parameters"
+            raise section.error("initial", given, expected)
+        return SensorFaults(
+            factor, rows, kernel, kernel[0], factor=varying, law=chain, independent=True
+        )
+    initial = read_initial(section, chain, stationary, 4, f"ordered {_MODES}")
+    of = chain if moving else None
+    return SensorFaults(factor, rows, kernel, initial, factor=varying, law=of)
+
+
+def _factor(section: Section) -> Expression:
+    expected = f"a positive number up to {LARGEST_FACTOR:g}: noise variance of a fault over R"
+    place = section.place.entry("noise_factor")
+    factor = as_entry(section.table.get("noise_factor", 1.0), place, section.defaults, expected)
+    if not 0.0 < (number := evaluate(factor, section.defaults)) <= LARGEST_FACTOR:
+        at = "" if isinstance(factor, Number) else f" at the defaults ({to_text(factor)})"
+        raise place.error(f"{show(number)}{at}", expected)
+    return factor
 
 
 def _problem(section: Section, family: str, law: Law) -> Problem:
@@ -181,30 +240,44 @@ def _problem(section: Section, family: str, law: Law) -> Problem:
 
 def _chain(
     section: Section, problem: Problem, nominal: float | None
-) -> tuple[Transition, Array | None]:
+) -> tuple[Matrix, Array | None]:
     """Kernel of the four modes and its stationary law, if there is just one."""
     if problem == 4:
         section.require("kernel", f"a 4 x 4 matrix, modes ordered {_MODES}")
         kernel = read_transition(section, "kernel", _MODES, 4)
-        return kernel, stationary_law(kernel)
+        return kernel, stationary_law(at_defaults(kernel, section))
     if problem == 3:  # independent chains; gamma comes as (0, 1), modes begin with gamma = 1
-        gamma = np.array(read_transition(section, "gamma_chain", "(0, 1)", 2))
-        delta: Transition = ((1.0, 0.0), (1.0, 0.0))
+        gamma = read_transition(section, "gamma_chain", "(0, 1)", 2)
+        delta = Matrix.of([[1.0, 0.0], [1.0, 0.0]])
         if "delta_chain" in section or nominal is None:
             delta = read_transition(section, "delta_chain", "(1, C)", 2)
-        first, second = stationary_law(gamma), stationary_law(delta)
-        kernel = tuple(map(tuple, np.kron(gamma[::-1, ::-1], delta).tolist()))
+        first, second = (stationary_law(at_defaults(each, section)) for each in (gamma, delta))
+        rows = (_pairs(g[::-1], d) for g in gamma.rows[::-1] for d in delta.rows)
+        kernel = Matrix(tuple(rows))
         if first is None or second is None:
             return kernel, None
         return kernel, np.asarray(np.kron(first[::-1], second), float)
     if problem == 2:
         what = f"ordered {_MODES}"
         given = section.require("joint", f"4 probabilities, {what}")
-        joint = as_distribution(given, section.place.entry("joint"), 4, what)
+        joint = as_law(given, section.place.entry("joint"), 4, what, section.defaults)
     else:
-        g, d = _rate(section, "gamma_rate"), _rate(section, "delta_nominal_rate", nominal)
-        joint = tuple(s * n for s in (g, 1.0 - g) for n in (d, 1.0 - d))
-    return (joint,) * 4, np.array(joint)
+        rates = _law_rate(section, "gamma_rate"), _law_rate(section, "delta_nominal_rate", nominal)
+        joint = _pairs(*((rate, operation("-", ONE, rate)) for rate in rates))
+    kernel = Matrix((joint,) * 4)
+    return kernel, np.array(at_defaults(kernel, section)[0])
+
+
+def _pairs(gamma: tuple[Expression, ...], delta: tuple[Expression, ...]) -> tuple[Expression, ...]:
+    """Probabilities of the modes from those of gamma = 1, 0 and of delta = 1, C."""
+    return tuple(operation("*", g, d) for g in gamma for d in delta)
+
+
+def _law_rate(section: Section, key: str, default: float | None = None) -> Expression:
+    """A rate that may depend on parameters."""
+    expected = f"a probability in [0, 1]: {_RATES[key]}"
+    given = section.require(key, expected) if default is None else section.table.get(key, default)
+    return as_rate(given, section.place.entry(key), section.defaults)
 
 
 def _moments(section: Section, nominal: float | None) -> Moments:
@@ -232,6 +305,8 @@ def is_white(faults: SensorFaults) -> bool:
     """Whether gamma is independent of its past: E[gamma_k] = p11(k) for every k."""
     if faults.moments is not None:
         return abs(faults.moments.gamma_rate - faults.moments.gamma_persistence) <= EQUAL
+    if faults.law is not None:  # equal rows at the defaults need not be equal elsewhere
+        return faults.independent
     kernel = np.array(faults.kernel)
     rates = kernel[visited(kernel, faults.initial), :2].sum(axis=1)
     return bool(np.ptp(rates) <= EQUAL)

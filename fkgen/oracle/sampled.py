@@ -11,7 +11,7 @@ from fkgen.faults import SensorFaults
 from fkgen.oracle.exact.gaussian import Array
 from fkgen.oracle.plants.actuator import LinearSystem, simulate
 from fkgen.oracle.plants.jump import JumpSystem, simulate_jumps
-from fkgen.oracle.plants.sensor import SensorLaw, gamma_delta, simulate_sensor
+from fkgen.oracle.plants.sensor import SensorLaw, factors_of, gamma_delta, simulate_sensor
 from fkgen.problem import Spec
 
 #: All four modes equally often: for a genie-aided filter, which is told them and states no law.
@@ -31,7 +31,7 @@ def draw_record(
     if faults is None:
         system = LinearSystem.from_spec(spec, T, parameters, spec.first_rates)
         return simulate(system, u, rng), {**parameters}
-    law = _law(faults)
+    law = _law(spec, faults, T, parameters)
     y, modes = simulate_sensor(LinearSystem.from_spec(spec, T, parameters), law, u, rng)
     gamma, delta = gamma_delta(law, modes)
     told = {"gamma": gamma, "delta": delta} if spec.filter.traits.told else {}
@@ -54,15 +54,19 @@ def informed(
     )
 
 
-def _law(faults: SensorFaults) -> SensorLaw:
+def _law(spec: Spec, faults: SensorFaults, T: int, parameters: Mapping[str, Array]) -> SensorLaw:
     """The law of a spec; moments as independent samples."""
-    kernel, initial = UNIFORM, UNIFORM[0]
     if faults.kernel:
-        kernel, initial = np.array(faults.kernel), np.array(faults.initial)
-    elif faults.moments is not None:
+        return SensorLaw.over(spec, T, parameters)
+    kernel, initial = UNIFORM, UNIFORM[0]
+    if faults.moments is not None:
         g, d = faults.moments.gamma_rate, faults.moments.delta_nominal_rate
         initial = np.outer([g, 1.0 - g], [d, 1.0 - d]).ravel()
         kernel = np.tile(initial, (4, 1))
     return SensorLaw(
-        kernel=kernel, initial=initial, noise_factor=faults.noise_factor, rows=faults.rows
+        kernel=kernel,
+        initial=initial,
+        noise_factor=faults.noise_factor,
+        rows=faults.rows,
+        factors=factors_of(spec, T, parameters),
     )

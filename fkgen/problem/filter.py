@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
@@ -18,6 +19,25 @@ class Parameter:
 
     name: str  # A C identifier, usable in the expressions of the spec
     default: float  # Its value where the user of the filter states none
+    #: low, high: What it may be at run time
+    low: float = -math.inf
+    high: float = math.inf
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """What the code has to hold."""
+        return self.default, self.low, self.high
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether there is a range."""
+        return self.low > -math.inf or self.high < math.inf
+
+    def plain(self) -> object:
+        """Return the entry a spec file would hold."""
+        limits = {"min": self.low, "max": self.high}
+        stated = {key: value for key, value in limits.items() if math.isfinite(value)}
+        return {"default": self.default, **stated} if stated else self.default
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,12 +6,15 @@ Finite Markov chains: which states are visited, and the law that stays.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.table.place import Place, show
-from fkgen.problem.table.section import Section, as_list, as_number
+from fkgen.problem.table.section import Section, as_entry, as_list, as_number
+from fkgen.problem.text.expression import Expression, Number, evaluate, to_text
+from fkgen.problem.text.matrix import Matrix
 
 Distribution = tuple[float, ...]
 Transition = tuple[Distribution, ...]  # Pr(j at k+1 | i at k)
@@ -32,6 +35,31 @@ def as_probability(value: object, place: Place) -> float:
     return number
 
 
+def as_rate(value: object, place: Place, defaults: Mapping[str, float]) -> Expression:
+    """Return a number in [0, 1], or an expression that is one at the default parameters."""
+    rate = as_entry(value, place, defaults, "a probability in [0, 1], or an expression of one")
+    number = evaluate(rate, defaults)
+    if not 0.0 <= number <= 1.0:
+        at = "" if isinstance(rate, Number) else f" at the defaults ({to_text(rate)})"
+        raise place.error(f"{number!r}{at}", "a probability in [0, 1]")
+    return rate
+
+
+def as_law(
+    value: object, place: Place, count: int, what: str, defaults: Mapping[str, float]
+) -> tuple[Expression, ...]:
+    """Return ``count`` probabilities, of which some may be expressions."""
+    entries = as_list(value, place, f"a list of {count} probabilities, {what}", count)
+    found = tuple(as_rate(each, place.item(i), defaults) for i, each in enumerate(entries))
+    values = [evaluate(each, defaults) for each in found]
+    if all(isinstance(each, Number) for each in found):
+        return tuple(map(Number, as_distribution(values, place, count, what)))
+    if abs(sum(values) - 1.0) > SUM_TOLERANCE:
+        given = f"probabilities that sum to {sum(values):.12g} at the defaults"
+        raise place.error(given, "a sum of 1")
+    return found
+
+
 def as_distribution(value: object, place: Place, count: int, what: str) -> Distribution:
     """Return ``count`` probabilities that sum to one."""
     entries = as_list(value, place, f"a list of {count} probabilities, {what}", count)
@@ -42,20 +70,45 @@ def as_distribution(value: object, place: Place, count: int, what: str) -> Distr
     return found if abs(total - 1.0) <= ROUNDING else tuple(each / total for each in found)
 
 
-def read_transition(section: Section, key: str, order: str, count: int) -> Transition:
+def read_transition(section: Section, key: str, order: str, count: int) -> Matrix:
     """Return a (count, count) transition matrix: row i is the law of the next state after i."""
     place = section.place.entry(key)
     expected = f"a {count} x {count} matrix, states ordered {order}, rows that sum to 1"
     rows = as_list(section.require(key, expected), place, expected, count, "rows")
     what = f"the law of the next state, ordered {order}"
-    return tuple(as_distribution(row, place.item(i), count, what) for i, row in enumerate(rows))
+    defaults = section.defaults
+    return Matrix(
+        tuple(as_law(row, place.item(i), count, what, defaults) for i, row in enumerate(rows))
+    )
 
 
-def read_initial(section: Section, stationary: Array | None, count: int, what: str) -> Distribution:
+def at_defaults(law: Matrix, section: Section) -> Transition:
+    """Return the numbers of a transition matrix at the default parameters."""
+    return rows_of(law.values(section.defaults))
+
+
+def rows_of(values: Array) -> Transition:
+    """Return an array as rows of numbers."""
+    return tuple(map(tuple, values.tolist()))
+
+
+def read_initial(
+    section: Section, chain: Matrix, stationary: Array | None, count: int, what: str
+) -> Distribution:
     """Return the law of the first state: the stationary one if it is not said, and there is one."""
     if "initial" in section:
         place = section.place.entry("initial")
-        return as_distribution(section.table["initial"], place, count, what)
+        law = as_law(section.table["initial"], place, count, what, section.defaults)
+        if not all(isinstance(each, Number) for each in law):
+            given = "probabilities that depend on parameters"
+            raise place.error(given, "numbers: the start of the filter is fixed")
+        return tuple(evaluate(each, {}) for each in law)
+    if not chain.is_constant:
+        raise section.error(
+            "initial",
+            "nothing (the key is missing), and a chain that depends on parameters",
+            f"{count} probabilities, {what}, numbers: the start of the filter is fixed",
+        )
     if stationary is None:
         raise section.error(
             "initial",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import keyword
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from fkgen.problem.table.place import Place, describe, show, suggestion
 from fkgen.problem.table.section import Section, as_list, as_number
-from fkgen.problem.text.expression import FUNCTIONS
+from fkgen.problem.text.expression import WORDS
 
 MAX_LENGTH = 40
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -54,11 +55,32 @@ PREFIX = (
         "another name: '{0}.h' or '{0}_t' belongs to the C library",
     ),
 )
-#: What the name of a parameter cannot be: it is a name in expressions too.
-PARAMETER = (
-    (frozenset("I"), "a name that is not a macro of <complex.h>"),
-    (frozenset(FUNCTIONS), "a name that is not a function of the expression language"),
+#: Macros of <stdint.h>, <stddef.h>, <float.h> and <math.h>, which members of a struct cannot be.
+_MACRO = re.compile(
+    r"U?INT(8|16|32|64|MAX|PTR|_(LEAST|FAST)(8|16|32|64))_(MIN|MAX|WIDTH|C)"
+    r"|(PTRDIFF|SIZE|RSIZE|SIG_ATOMIC|WCHAR|WINT)_(MIN|MAX|WIDTH)"
+    r"|(FLT|DBL|LDBL|DEC)[0-9]*X?_[A-Z0-9_]+|(CR_)?DECIMAL_DIG"
+    r"|HUGE(_VAL[FL]?)?|FP_[A-Z0-9]+|MATH_ERR[A-Z]+|math_errhandling|[DS]?NANF?L?"
+    r"|M_(E|LOG2E|LOG10E|LN2|LN10|PI|PI_2|PI_4|1_PI|2_PI|2_SQRTPI|SQRT2|SQRT1_2)"
+    r"|DOMAIN|SING|OVERFLOW|UNDERFLOW|PLOSS|TLOSS|X_TLOSS|MAXFLOAT"
 )
+
+
+def parameter_words(name: str, given: Iterable[object]) -> Refused:
+    """What the given names of parameters of a filter cannot be, for it is a name in C and in text.
+
+    The generated header has macros and constants that begin with the name of the filter.
+    """
+    names = [each for each in given if isinstance(each, str)]
+    prefix = f"{name.upper()}_"
+    own = frozenset(each for each in names if each.startswith(prefix) and each.isupper())
+    return (
+        (frozenset("I"), "a name that is not a macro of <complex.h>"),
+        (WORDS, "a name that is not a word of the expression language"),
+        (frozenset(keyword.kwlist), "a name that is not a keyword of Python"),
+        (frozenset(filter(_MACRO.fullmatch, names)), "a name that is not a macro of C's headers"),
+        (own, f"a name that does not begin as the macros of {name}.h do, with {prefix}"),
+    )
 
 
 def read_name(value: object, place: Place, refused: Refused = ()) -> str:

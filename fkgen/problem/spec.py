@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,9 +17,13 @@ from fkgen.problem.code import Code, read_code
 from fkgen.problem.filter import Filter, Parameter, registry
 from fkgen.problem.model import Model, read_model
 from fkgen.problem.record import Columns, read_record
-from fkgen.problem.signals import PARAMETER, PREFIX, check_distinct, read_name
+from fkgen.problem.scope import check_float, read_parameters, read_tables
+from fkgen.problem.signals import PREFIX, read_name
 from fkgen.problem.table.place import Place, describe
-from fkgen.problem.table.section import Section, as_number, as_table
+from fkgen.problem.table.section import Section, as_table
+from fkgen.problem.text.expression import Expression, Scope
+from fkgen.problem.text.lookup import Table
+from fkgen.problem.text.matrix import expressions
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
     from fkgen.faults import Faults, Mode
@@ -26,7 +31,7 @@ if TYPE_CHECKING:  # types alone: faults are read by their families
 #: Smallest variance above zero, and largest entry of any matrix: squares and reciprocals still fit.
 LIMITS = {"double": (1e-100, 1e100), "float": (1e-30, 1e18)}
 
-_KEYS = ("name", "model", "parameters", "faults", "filter", "code", "record")
+_KEYS = ("name", "model", "parameters", "tables", "faults", "filter", "code", "record")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +54,8 @@ class Spec:
         The family and its options.
     code : Code
         Options of the generated code.
+    tables : tuple of Table
+        What expressions may look up.
     record : Columns
         Names of columns in record files.
     file : str
@@ -61,6 +68,7 @@ class Spec:
     faults: Faults
     filter: Filter
     code: Code
+    tables: tuple[Table, ...] = ()
     record: Columns = field(default_factory=Columns)
     file: str = field(default="<dict>", compare=False)
 
@@ -87,22 +95,24 @@ class Spec:
             raise place.error("an empty spec", f"a table with {', '.join(_KEYS)}")
         whole = Section(table, place, known=_KEYS)
         given_name = whole.require("name", "a C identifier")
+        name = read_name(given_name, place.entry("name"), PREFIX)
         given_filter = whole.require("filter", "a table with the family of the filter")
         families = registry()
         family, options = families.section_of(given_filter, place.entry("filter"))
-        parameters = _read_parameters(whole, place, family)
-        defaults = {parameter.name: parameter.default for parameter in parameters}
+        parameters, tables = _read_scope(whole, place, name, family)
+        defaults = Scope({each.name: each.default for each in parameters}, tables)
         given_model = whole.require("model", "a table with the plant")
         model = read_model(given_model, place.entry("model"), defaults)
         given_faults, where = whole.table.get("faults", {}), place.entry("faults")
         faults = families.read_faults(family, given_faults, where, defaults, model)
         spec = cls(
-            name=read_name(given_name, place.entry("name"), PREFIX),
+            name=name,
             model=model,
             parameters=parameters,
             faults=faults,
             filter=Filter(options.table["family"], family.options.read(options, faults, model)),
             code=read_code(whole.table.get("code", {}), place.entry("code")),
+            tables=tables,
             record=read_record(
                 whole.table.get("record", {}),
                 place.entry("record"),
@@ -110,9 +120,7 @@ class Spec:
             ),
             file=file,
         )
-        _check_magnitudes(model, place.entry("model"), spec)
-        for plant, at in spec.placed_plants:
-            _check_magnitudes(plant, at, spec)
+        _check_numbers(spec, place)
         family.check_spec(spec)
         return spec
 
@@ -120,6 +128,11 @@ class Spec:
     def defaults(self) -> dict[str, float]:
         """The default value of every parameter."""
         return {parameter.name: parameter.default for parameter in self.parameters}
+
+    @property
+    def expressions(self) -> Iterator[Expression]:
+        """Every entry of the plants and of what is said about faults."""
+        return expressions((self.plants, self.faults))
 
     @property
     def period(self) -> float | None:
@@ -162,19 +175,28 @@ class Spec:
         table: dict[str, object] = {
             "name": self.name,
             "model": self.model.plain(),
-            "parameters": {item.name: item.default for item in self.stated_parameters},
+            "parameters": {item.name: item.plain() for item in self.stated_parameters},
             "faults": self.faults.plain(),
             "filter": self.filter.plain(),
             "code": self.code.plain(),
         }
-        record = self.record.plain()
-        return table | {"record": record} if record else table
+        tables = {each.name: each.plain() for each in self.tables}
+        optional = {"tables": tables, "record": self.record.plain()}
+        return table | {key: value for key, value in optional.items() if value}
 
     def canonical(self) -> str:
         """Return a JSON text that is equal for equal specs and different for different ones."""
         table = self.to_dict()
-        table["parameters"] = [[item.name, item.default] for item in self.stated_parameters]
+        table["parameters"] = [[item.name, item.plain()] for item in self.stated_parameters]
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def _check_numbers(spec: Spec, place: Place) -> None:
+    """Refuse numbers that the scalar type of the code cannot hold, or work with."""
+    largest = float(np.finfo("f4" if spec.code.scalar == "float" else "f8").max)
+    check_float(spec.parameters, spec.tables, largest, place)
+    for plant, at in ((spec.model, place.entry("model")), *spec.placed_plants):
+        _check_magnitudes(plant, at, spec)
 
 
 def as_spec(value: object, what: str = "spec") -> Spec:
@@ -208,26 +230,13 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
                 raise where.error(f"{value:g}", f"{expected} with scalar {scalar!r}")
 
 
-def _read_parameters(whole: Section, place: Place, family: Any) -> tuple[Parameter, ...]:
-    place = place.entry("parameters")
-    table = whole.table.get("parameters", {})
-    entries = as_table(table, place, "a table of default values, such as tau = 0.05")
-    parameters = tuple(
-        Parameter(
-            read_name(name, place.entry(name), PARAMETER),
-            as_number(value, place.entry(name), "a finite number, the default"),
-        )
-        for name, value in entries.items()
-    )
-    told: tuple[Parameter, ...] = family.traits.told
-    for own in told:
-        if own.name in entries:
-            raise place.entry(own.name).error(
-                f"a parameter {own.name}",
-                f"another name: the family {family.name} has a parameter {own.name} of its own",
-            )
-    check_distinct((each.name for each in (*parameters, *told)), place, "parameters")
-    return (*parameters, *told)
+def _read_scope(
+    whole: Section, place: Place, name: str, family: Any
+) -> tuple[tuple[Parameter, ...], tuple[Table, ...]]:
+    """The parameters and tables that expressions may name."""
+    given, told = whole.table.get("parameters", {}), family.traits.told
+    parameters = read_parameters(given, place.entry("parameters"), name, told, family.name)
+    return parameters, read_tables(whole.table.get("tables", {}), place.entry("tables"))
 
 
 def load(path: str | os.PathLike[str]) -> Spec:

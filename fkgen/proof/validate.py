@@ -180,8 +180,15 @@ def _vary(spec: Spec, parameters: dict[str, Array], rng: np.random.Generator) ->
 
 
 def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
-    """Whether all matrices are finite, all covariances positive and all rates probabilities."""
+    """Whether all matrices are finite, all covariances positive and all rates probabilities.
+
+    And all parameters in their ranges.
+    """
+    if not all(item.low <= parameters[item.name] <= item.high for item in spec.stated_parameters):
+        return False
     try:
+        if not spec.faults.in_domain({**spec.defaults, **parameters}):
+            return False
         for plant in (spec.model, *spec.plants):
             for letter in "ABCDQRcd":
                 M = getattr(plant, letter).values(parameters)

@@ -31,7 +31,7 @@ CORNERS = 6
 def doublings(spec: Spec, source: Continuous) -> int:
     """How often T / 2^s is doubled, so that the series do for every parameter in its range."""
     involved = [item for item in spec.parameters if item.name in source.names]
-    ranges = [(getattr(p, "low", -math.inf), getattr(p, "high", math.inf)) for p in involved]
+    ranges = [(p.low, p.high) for p in involved]
     bounded = all(map(math.isfinite, np.ravel(ranges))) and len(involved) <= CORNERS
     corners = product(*ranges) if bounded else [tuple(p.default for p in involved)]
     largest = 0.0

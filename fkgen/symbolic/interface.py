@@ -40,7 +40,7 @@ class Status(Enum):
     NOT_POSITIVE_DEFINITE = -3, "a covariance lost its positivity"
     PARAMETER_OUT_OF_RANGE = (
         -4,
-        "a variance below zero, a rate outside [0, 1], or an indicator with another value",
+        "a parameter out of its range, or one that no variance, rate or expression can take",
     )
     RESULT_NOT_FINITE = -5, "the result would not be finite"
     SELFTEST_FAILED = -6, "the self-test does not give the recorded bits on this target"

@@ -16,7 +16,8 @@ from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.text.discretise import OF_TIME, Continuous
-from fkgen.problem.text.expression import Computed
+from fkgen.problem.text.expression import COMPARISONS, FUNCTIONS, Computed
+from fkgen.problem.text.lookup import Table
 from fkgen.symbolic.discretise import discretised, doublings
 
 #: Variances of which four may be multiplied, with some room for those that follow from them.
@@ -141,7 +142,7 @@ def lift(matrix: Matrix, parameters: Mapping[str, ca.SX], wholes: Wholes | None 
     return result
 
 
-def lift_expression(
+def lift_expression(  # noqa: PLR0911 - one per node
     expression: Expression, parameters: Mapping[str, ca.SX], wholes: Wholes | None = None
 ) -> ca.SX:
     """One expression of a spec as SX."""
@@ -150,11 +151,50 @@ def lift_expression(
             return ca.SX(value)
         case Name(identifier):
             return parameters[identifier]
+        case Operation("interp", (argument,), Table() as table):
+            return _looked_up(table, lift_expression(argument, parameters))
+        case Operation("if", (condition, first, second)):
+            a, b = (lift_expression(each, parameters) for each in (first, second))
+            holds, fails = _alternatives(condition, parameters)
+            return _where(holds, a) + _where(fails, b)
+        case Operation(symbol, _) if symbol in COMPARISONS:
+            return _alternatives(expression, parameters)[0]
         case Operation(symbol, arguments):
             return _OPERATIONS[symbol](*(lift_expression(a, parameters, wholes) for a in arguments))
         case Computed() if wholes is not None:
             return wholes.entry(expression)
     raise InternalError(f"no expression: {expression!r}")
+
+
+def _where(condition: ca.SX, value: ca.SX) -> ca.SX:
+    """The value where a condition holds (is 1), else 0: nothing of a value that may be NaN."""
+    return ca.SX.binary(ca.OP_IF_ELSE_ZERO, condition, value)
+
+
+def _alternatives(condition: Expression, parameters: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Whether a condition holds and whether it does not, each 1 or 0."""
+    symbol: str = "!="
+    sides: tuple[Expression, ...] = condition, Number(0.0)
+    if isinstance(condition, Operation) and condition.operator in COMPARISONS:
+        symbol, sides = condition.operator, condition.arguments
+    a, b = (lift_expression(side, parameters) for side in sides)
+    if symbol in {"==", "!="}:
+        pair = _where(a <= b, b <= a), (a < b) + (b < a)
+        return pair if symbol == "==" else pair[::-1]
+    if symbol in {">", "<="}:
+        a, b, symbol = b, a, "<" if symbol == ">" else ">="
+    return (a < b, b <= a) if symbol == "<" else (b <= a, a < b)
+
+
+def _looked_up(table: Table, at: ca.SX) -> ca.SX:
+    """A table at one place: the piece of the interval, or the end that holds."""
+    result = _where(at < table.x[0], ca.SX(table.y[0]))
+    for start, end, y, piece in zip(table.x, table.x[1:], table.y, table.pieces, strict=False):
+        t, value = at - start, ca.SX(0)
+        for coefficient in reversed(piece):
+            value = (value + coefficient) * t
+        result += _where(start <= at, _where(at < end, y + value))
+    return result + _where(table.x[-1] <= at, ca.SX(table.y[-1]))
 
 
 def _power(base: ca.SX, exponent: ca.SX) -> ca.SX:
@@ -173,8 +213,11 @@ def _power(base: ca.SX, exponent: ca.SX) -> ca.SX:
 
 
 _OPERATIONS: dict[str, Callable[..., ca.SX]] = {
-    **{name: getattr(ca, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "atan2")},
+    **{name: getattr(ca, name) for name in FUNCTIONS if hasattr(ca, name)},
     "abs": ca.fabs,
+    "min": ca.fmin,
+    "max": ca.fmax,
+    "sign": lambda value: (value > 0) - (value < 0),
     "+": operator.add,
     "-": operator.sub,
     "*": operator.mul,

@@ -17,8 +17,9 @@ import numpy as np
 
 from fkgen.problem import Matrix, Number, Spec
 from fkgen.problem.table.place import Place, suggestion
+from fkgen.symbolic.domain import demands
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status, triangle
-from fkgen.symbolic.ports import prior_of
+from fkgen.symbolic.ports import PARAMETER, prior_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +130,8 @@ class Recursion:
             if phase is not None:
                 sound = _guarded(phase, self.ports, bounded=bounded)
                 object.__setattr__(self, name, sound)
+        for name in ("update", "predict"):
+            object.__setattr__(self, name, _within_domain(self.spec, getattr(self, name)))
         names = [port.name for port in self.ports]
         for i, name in enumerate(self.spec.code.ports or ()):
             if name not in names:
@@ -145,6 +148,25 @@ class Recursion:
     def port(self, name: str) -> Port:
         """Return the port of this name; KeyError if there is none."""
         return {port.name: port for port in self.ports}[name]
+
+
+#: Title of the block that looks at the run-time parameters.
+_DOMAIN = "run-time parameters in their range"
+
+
+def _within_domain(spec: Spec, phase: Phase) -> Phase:
+    """The phase, which refuses first of all what the spec has no meaning for."""
+    names = [item.name for item in spec.parameters if PARAMETER + item.name in phase.symbols]
+    if len(names) < len(spec.parameters) or phase.blocks[0].title == _DOMAIN:
+        return phase
+    found = demands(spec, {name: phase.symbols[PARAMETER + name] for name in names})
+    if not found:
+        return phase
+    status = Status.PARAMETER_OUT_OF_RANGE
+    guards = tuple(Guard(ca.vertcat(*values), kind, status) for kind, values in found.items())
+    used = {each.name() for guard in guards for each in ca.symvar(guard.values)}
+    reads = tuple(sorted(PARAMETER + name for name in used))
+    return replace(phase, blocks=(Block(_DOMAIN, {}, None, guards, reads), *phase.blocks))
 
 
 def _evaluated(

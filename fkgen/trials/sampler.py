@@ -99,8 +99,8 @@ class CompiledSampler:
             trial, sample = divmod(where.value, steps)
             at = f"at sample {sample} of trial {first + trial}"
             if status == Status.PARAMETER_OUT_OF_RANGE.value:
-                given = f"a variance below 0, or a rate outside [0, 1], {at}"
-                law = "values with which Q and R are covariances and rates are probabilities"
+                given = f"out of range, or with a variance below 0 or a rate outside [0, 1], {at}"
+                law = "values in range, with which Q and R are covariances, rates probabilities"
                 raise DataError("params", given=given, expected=law)
             given = f"{steps}, and numbers that overflow {at}"
             stable = "fewer steps: the plant is not stable, and its state grows without bounds"

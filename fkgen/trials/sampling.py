@@ -23,6 +23,7 @@ from fkgen.backend.render import elementary_context
 from fkgen.problem import Spec
 from fkgen.symbolic import recursion
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.domain import demands
 from fkgen.symbolic.interface import Kind, Port, Role, Status
 from fkgen.symbolic.linalg import column, is_zero, sparse
 from fkgen.symbolic.plant import Plant, mode_plants, plant_of
@@ -150,6 +151,8 @@ def _law(
 ) -> recursion.Phase:
     """The probabilities of the Bernoulli variables, of which none may be negative."""
     builder = PhaseBuilder(symbols)
+    for kind, values in demands(spec, plant.parameters).items():
+        builder.demand(kind, values, Status.PARAMETER_OUT_OF_RANGE)
     thresholds: list[ca.SX] = []
     for patterns in probabilities_of(spec, plant, conditions, symbols["hypothesis"]):
         sums = list(accumulate(patterns))

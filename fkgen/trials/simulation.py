@@ -160,16 +160,34 @@ def simulate(
     SpecError, DataError
         If faults have no law, a number or shape does not fit, or an unstable plant overflows.
     """
-    request, told = Request(spec, runs, steps, seed, first), _inputs(spec, u, runs, steps)
+    request = Request(spec, runs, steps, seed, first)
+    told = _inputs(spec, u, runs, steps)
     driving = _added("input", told, input, (runs, steps, spec.model.nu))
     named = {item.name: item.default for item in spec.stated_parameters}
     values = record.values_of(tuple(named.items()), params, steps, np.float64)
     given = {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
+    request = replace(request, spec=_with_laws(spec, given))
     trials = _drawn(request, driving, tuple(given.values()), shown=progress)
-    measured = _measured(spec, trials, present)
-    y = _added("sensor", measured, sensor, measured.shape)
-    trials = replace(trials, measurement=measured)
+    trials = replace(trials, measurement=_measured(spec, trials, present))
+    y = _added("sensor", trials.measurement, sensor, trials.measurement.shape)
     return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
+
+
+def _with_laws(spec: Spec, given: Mapping[str, Array]) -> Spec:
+    """The spec whose laws have the parameters of all samples, which have to be the same."""
+    wanted = spec.faults.law_names
+    if not wanted:
+        return spec
+    for name in sorted(wanted & given.keys()):
+        if np.ptp(given[name]) > 0.0:
+            expected = "one number for all samples: probabilities of faults depend on it"
+            raise DataError(f"params.{name}", given="several values", expected=expected)
+    at = spec.defaults | {name: float(values.flat[0]) for name, values in given.items()}
+    if not spec.faults.in_domain(at):
+        values = ", ".join(f"{name} = {at[name]:g}" for name in sorted(wanted))
+        expected = "values with which faults have probabilities, and a positive noise_factor"
+        raise DataError("params", given=values, expected=expected)
+    return replace(spec, faults=spec.faults.at(at))
 
 
 def counted(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int = 1) -> int:

@@ -78,8 +78,8 @@ typedef enum
     CAR_SPEED_NULL_POINTER = -1, /**< a pointer argument is NULL */
     CAR_SPEED_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     CAR_SPEED_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    CAR_SPEED_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or an
-                                                indicator with another value */
+    CAR_SPEED_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                variance, rate or expression can take */
     CAR_SPEED_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     CAR_SPEED_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                          target */

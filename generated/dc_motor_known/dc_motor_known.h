@@ -73,8 +73,8 @@ typedef enum
     DC_MOTOR_KNOWN_NULL_POINTER = -1, /**< a pointer argument is NULL */
     DC_MOTOR_KNOWN_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
-                                                     or an indicator with another value */
+    DC_MOTOR_KNOWN_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                     variance, rate or expression can take */
     DC_MOTOR_KNOWN_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     DC_MOTOR_KNOWN_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                               target */

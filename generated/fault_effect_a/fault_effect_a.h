@@ -75,8 +75,8 @@ typedef enum
     FAULT_EFFECT_A_NULL_POINTER = -1, /**< a pointer argument is NULL */
     FAULT_EFFECT_A_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    FAULT_EFFECT_A_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
-                                                     or an indicator with another value */
+    FAULT_EFFECT_A_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                     variance, rate or expression can take */
     FAULT_EFFECT_A_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     FAULT_EFFECT_A_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                               target */

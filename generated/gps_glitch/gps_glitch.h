@@ -82,8 +82,8 @@ typedef enum
     GPS_GLITCH_NULL_POINTER = -1, /**< a pointer argument is NULL */
     GPS_GLITCH_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     GPS_GLITCH_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    GPS_GLITCH_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or an
-                                                 indicator with another value */
+    GPS_GLITCH_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                 variance, rate or expression can take */
     GPS_GLITCH_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     GPS_GLITCH_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                           target */

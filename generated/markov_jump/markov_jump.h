@@ -100,8 +100,8 @@ typedef enum
     MARKOV_JUMP_NULL_POINTER = -1, /**< a pointer argument is NULL */
     MARKOV_JUMP_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     MARKOV_JUMP_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    MARKOV_JUMP_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or
-                                                  an indicator with another value */
+    MARKOV_JUMP_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                  variance, rate or expression can take */
     MARKOV_JUMP_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     MARKOV_JUMP_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                            target */

@@ -74,8 +74,8 @@ typedef enum
     SENSOR_FAULTS_1_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an
                                                 infinity */
     SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    SENSOR_FAULTS_1_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
-                                                      or an indicator with another value */
+    SENSOR_FAULTS_1_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                      variance, rate or expression can take */
     SENSOR_FAULTS_1_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     SENSOR_FAULTS_1_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                                target */

@@ -109,8 +109,8 @@ typedef enum
     SHIP_TRACK_NULL_POINTER = -1, /**< a pointer argument is NULL */
     SHIP_TRACK_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     SHIP_TRACK_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    SHIP_TRACK_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or an
-                                                 indicator with another value */
+    SHIP_TRACK_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                 variance, rate or expression can take */
     SHIP_TRACK_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     SHIP_TRACK_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                           target */

@@ -73,8 +73,8 @@ typedef enum
     SOFT_FAULT_DFCF_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an
                                                 infinity */
     SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    SOFT_FAULT_DFCF_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1],
-                                                      or an indicator with another value */
+    SOFT_FAULT_DFCF_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                      variance, rate or expression can take */
     SOFT_FAULT_DFCF_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     SOFT_FAULT_DFCF_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                                target */

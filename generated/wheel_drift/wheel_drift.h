@@ -85,8 +85,8 @@ typedef enum
     WHEEL_DRIFT_NULL_POINTER = -1, /**< a pointer argument is NULL */
     WHEEL_DRIFT_INPUT_NOT_FINITE = -2, /**< u holds NaN or an infinity, or y holds an infinity */
     WHEEL_DRIFT_NOT_POSITIVE_DEFINITE = -3, /**< a covariance lost its positivity */
-    WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE = -4, /**< a variance below zero, a rate outside [0, 1], or
-                                                  an indicator with another value */
+    WHEEL_DRIFT_PARAMETER_OUT_OF_RANGE = -4, /**< a parameter out of its range, or one that no
+                                                  variance, rate or expression can take */
     WHEEL_DRIFT_RESULT_NOT_FINITE = -5, /**< the result would not be finite */
     WHEEL_DRIFT_SELFTEST_FAILED = -6, /**< the self-test does not give the recorded bits on this
                                            target */

@@ -13,7 +13,7 @@ cancels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -36,10 +36,12 @@ from fkgen.estimators.lmmse.loss_tests import LossTest, judges, loss_outcomes, l
 from fkgen.faults.sensor import EQUAL
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import (
     column,
     congruence,
+    is_zero,
     outer_lower,
     pack,
     row_congruence,
@@ -48,7 +50,7 @@ from fkgen.symbolic.linalg import (
     total,
     unpack,
 )
-from fkgen.symbolic.plant import Plant, mode_plants
+from fkgen.symbolic.plant import Plant, lift_expression, mode_plants
 from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
@@ -82,7 +84,8 @@ class AugmentedState:
     def __init__(self, spec: Spec) -> None:
         chain, faults = spec.faults.chain(spec.model), spec.faults.jump
         self.spec, self.chain, modes = spec, chain, chain.modes
-        self.rate = 1.0  # Pr(a sample arrives) as far as it is no part of the mode
+        #: Pr(a sample arrives) as far as it is no part of the mode
+        self.rate: float | ca.SX = 1.0
         self.arrival = np.eye(1)  # transition of (arrived, lost), if losses are part of the mode
         self.shares: tuple[float, ...] = (1.0,)  # its stationary law
         if faults is not None and faults.arrival == "unknown" and not judges(spec):
@@ -108,13 +111,19 @@ class AugmentedState:
         self.base = replace(self.plants[0], noise_free=exact)
         #: Parts are (x, 1) 1{mode}: something known is added to the state, or to y
         self.ones = bool(spec.model.nu) or any(p.c.nnz() or p.d.nnz() for p in self.plants)
+        parameters = self.base.parameters
+        if faults is not None and faults.rate is not None and self.rate != 1.0:
+            self.rate = lift_expression(faults.rate, parameters)
+        #: The chain of the modes where it depends on parameters; then no part is shared
+        self.varying = None if chain.law is None else law_of(chain.law, parameters)
         self.modes = len(self.groups)  # N
         self.parts = len(self.shares) * self.modes
         self.width = self.base.nx + int(self.ones)  # of a part
         inner = (self.parts - 1) * self.width
         self.size = inner + self.base.nx
         self.own = slice(inner, self.size)  # where x stands in the augmented state
-        self.settled = is_settled(chain.initial, chain.transition)
+        constant_law = self.varying is None
+        self.settled = constant_law and is_settled(chain.initial, chain.transition)
         #: A lock-out starts the filter again
         self.restarts = judges(spec) and bool(spec.filter.options.reinitialise)
         self.means = self.ones or self.restarts  # first moments of the parts are carried along
@@ -130,8 +139,13 @@ class AugmentedState:
 
     @property
     def transition(self) -> Array:
-        """Transition of the parts."""
+        """Transition of the parts, where it is constant."""
         return np.asarray(np.kron(self.arrival, self.kernel))
+
+    @property
+    def chances(self) -> ca.SX:
+        """Transition of the groups."""
+        return constant(self.kernel) if self.varying is None else self.varying
 
     def law(self, symbols: dict[str, ca.SX], prefix: str) -> ca.SX:
         """Probabilities of the modes, predicted or at the sample that was corrected, (M,)."""
@@ -145,9 +159,9 @@ class AugmentedState:
 
     def mixed(self, values: Sequence[ca.SX]) -> list[ca.SX]:
         """sum_i p_ij value_i, mode by mode."""
-        P, modes = self.kernel, range(self.modes)
+        P, modes = self.chances, range(self.modes)
         return [
-            total([float(P[i, j]) * values[i] for i in modes if P[i, j]] or [0 * values[0]])
+            total([P[i, j] * values[i] for i in modes if not is_zero(P[i, j])] or [0 * values[0]])
             for j in modes
         ]
 
@@ -259,7 +273,8 @@ def next_law(z: AugmentedState, law: ca.SX) -> ca.SX:
     """Probabilities of the modes one sample later, their rounding taken out of the sum."""
     if z.settled:
         return law
-    moved = ca.SX(ca.DM(np.array(z.chain.transition))).T @ law
+    P = ca.SX(ca.DM(np.array(z.chain.transition))) if z.varying is None else z.varying
+    moved = P.T @ law
     return moved / ca.sum1(moved)
 
 
@@ -313,9 +328,9 @@ def moved_means(
 
 def plant_noise(z: AugmentedState, plants: Sequence[Plant], law: ca.SX) -> list[ca.SX]:
     """sum_i p_ij pi_i Q_i: what the plant's own noise adds in the step to each mode."""
-    P, modes = z.kernel, range(z.modes)
+    P, modes = z.chances, range(z.modes)
     Q = [z.plant(plants, i).Q for i in modes]
-    return [shared(Q, [float(P[i, j]) * law[i] for i in modes]) for j in modes]
+    return [shared(Q, [P[i, j] * law[i] for i in modes]) for j in modes]
 
 
 def augmented_noise(z: AugmentedState, moved: list[ca.SX], noise: list[ca.SX]) -> ca.SX:
@@ -326,11 +341,22 @@ def augmented_noise(z: AugmentedState, moved: list[ca.SX], noise: list[ca.SX]) -
     W[z.own, z.own] = total(noise)
     jumps = ca.SX(inner, inner)
     parts = [share * moment for share in z.shares for moment in moved]
-    for p, part in zip(z.transition[:, :-1], parts, strict=True):
-        indicators = np.where(np.eye(len(p)), p * (1.0 - p), -np.outer(p, p))
-        jumps += ca.kron(constant(indicators), part)
+    for indicators, part in zip(_indicators(z), parts, strict=True):
+        jumps += ca.kron(indicators, part)
     W[:inner, :inner] = jumps + W[:inner, :inner]
     return sparse(W)
+
+
+def _indicators(z: AugmentedState) -> Iterator[ca.SX]:
+    """Covariance of the indicators of the next part, given each part; without the last one."""
+    if z.varying is None:
+        for p in z.transition[:, :-1]:
+            yield constant(np.where(np.eye(len(p)), p * (1.0 - p), -np.outer(p, p)))
+        return
+    P = ca.kron(constant(z.arrival), z.varying)
+    for i in range(z.parts):
+        row = P[i, :-1].T
+        yield sparse(ca.diag(row) - row @ row.T)
 
 
 def unconditional_mean(z: AugmentedState, first: Sequence[ca.SX], law: ca.SX) -> ca.SX:
@@ -355,7 +381,11 @@ def steps(z: AugmentedState, plants: Sequence[Plant], u: ca.SX) -> tuple[ca.SX, 
 
 def mixing(z: AugmentedState) -> tuple[ca.SX, ca.SX]:
     """Matrix and constant that make the next augmented state of (t, u)."""
-    through = z.T @ constant(np.kron(z.transition.T, np.eye(z.width)))
+    wide = constant(np.eye(z.width))
+    if z.varying is None:
+        through = z.T @ constant(np.kron(z.transition.T, np.eye(z.width)))
+    else:
+        through = z.T @ ca.kron(ca.kron(constant(z.arrival), z.varying).T, wide)
     M = through @ z.E
     M[z.own, :] = 0  # what the parts exchange does not change their sum, not even by rounding
     M[z.own, z.own] = ca.SX.eye(z.base.nx)
@@ -528,7 +558,7 @@ def _with_doubt(
 ) -> ca.SX:
     """R, and p (1 - p) E[s s'] where nobody knows whether y holds the signal s: Nahi 1969."""
     doubt = z.rate * (1.0 - z.rate)
-    if not doubt:
+    if isinstance(doubt, float) and not doubt:
         return noise
     signal = unpack(builder.define("signal_moment", moment()), z.base.ny)
     return builder.name_entries("noise_and_doubt", sparse(noise + doubt * signal))

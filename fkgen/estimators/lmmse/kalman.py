@@ -34,7 +34,7 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.linalg import sparse
-from fkgen.symbolic.plant import Plant, lift, plant_of
+from fkgen.symbolic.plant import Plant, lift, lift_expression, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
@@ -109,9 +109,13 @@ def _demand_rates(builder: PhaseBuilder, spec: Spec, plant: Plant) -> None:
 def _demand_indicators(builder: PhaseBuilder, plant: Plant, faults: SensorFaults) -> None:
     """Refuse a gamma that is neither 0 nor 1, and a delta that is neither 1 nor C."""
     gamma, delta = plant.parameters["gamma"], plant.parameters["delta"]
-    for value, other in ((gamma, ca.SX(0)), (delta, ca.SX(faults.noise_factor))):
+    factor, slack = ca.SX(faults.noise_factor), ca.SX(0)
+    if faults.factor is not None:  # who computes C as well may round it in another way
+        factor = lift_expression(faults.factor, plant.parameters)
+        slack = 1e-6 * factor * factor
+    for value, other, room in ((gamma, ca.SX(0), ca.SX(0)), (delta, factor, slack)):
         zero = (value - 1) * (value - other)
-        builder.demand(Kind.NONNEGATIVE, [zero, -zero], Status.PARAMETER_OUT_OF_RANGE)
+        builder.demand(Kind.NONNEGATIVE, [zero + room, room - zero], Status.PARAMETER_OUT_OF_RANGE)
 
 
 def _update(

@@ -10,7 +10,6 @@ minus V is never formed, which cancels for an unstable plant. Rows that cannot f
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import casadi as ca
@@ -35,9 +34,10 @@ from fkgen.estimators.models.weights import TINY
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Kind, Port, Status
 from fkgen.symbolic.linalg import congruence, is_zero, outer_lower, pack, sparse, unpack
-from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.plant import Plant, lift_expression, plant_of
 from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
@@ -61,7 +61,12 @@ class UncertainFilter:
             raise InternalError("linear_optimal without sensor faults")
         self.spec, self.faults, self.plant = spec, faults, plant_of(spec)
         self.white = is_white(faults)  # gamma does not depend on its past
-        self.stationary = faults.moments is not None or is_settled(faults.initial, faults.kernel)
+        #: The law never changes, or each sample has its own: nothing of it is carried along
+        self.stationary = (
+            faults.moments is not None
+            or faults.independent
+            or (faults.law is None and is_settled(faults.initial, faults.kernel))
+        )
         ports = *state_ports(spec), *innovation_ports(spec), *_ports(self.plant)
         self.ports = (*ports, *_law_ports(white=self.white, stationary=self.stationary))
         self.symbols = symbols_of(spec, self.plant, self.ports)
@@ -88,7 +93,7 @@ class UncertainFilter:
             "predicted_mode_law": law,
             "predicted_signal_law": law,
         }
-        if self.stationary:
+        if self.stationary and not self.white:
             start["gamma_persistence"] = (float(self.gamma()),)
         return {port.name: start[port.name] for port in self.ports if port.name in start}
 
@@ -104,6 +109,9 @@ class UncertainFilter:
 
     def _either(self, other: int) -> ca.SX:
         """Probability of the modes 0 and ``other`` at the sample that is corrected."""
+        if self.faults.law is not None and self.faults.independent:
+            own = law_of(self.faults.law, self.plant.parameters)
+            return own[0, 0] + own[0, other]
         if self.stationary:
             return ca.SX(_whole(self.faults.initial[0] + self.faults.initial[other]))
         law = self.symbols["predicted_mode_law"]
@@ -120,9 +128,11 @@ class UncertainFilter:
 
     def noise(self, plant: Plant) -> ca.SX:
         """Mean covariance of the measurement noise: R E[delta] on the rows that can fail."""
-        nominal, factor = self.nominal(), self.faults.noise_factor
+        nominal, factor = self.nominal(), ca.SX(self.faults.noise_factor)
+        if self.faults.factor is not None:
+            factor = lift_expression(self.faults.factor, self.plant.parameters)
         own = nominal + (1 - nominal) * factor
-        cross = nominal + (1 - nominal) * math.sqrt(factor)
+        cross = nominal + (1 - nominal) * ca.sqrt(factor)
         R = ca.SX(plant.R)
         for i in range(plant.ny):
             for j in range(plant.ny):
@@ -135,13 +145,15 @@ class UncertainFilter:
         """The ports of the law for the next sample."""
         if self.stationary:
             return {} if self.white else {"gamma_persistence": ca.SX(self._constant_persistence())}
-        P, law = np.array(self.faults.kernel), self.symbols["mode_law"]
-        moved = ca.SX(P).T @ law
+        P, law = ca.SX(np.array(self.faults.kernel)), self.symbols["mode_law"]
+        if self.faults.law is not None:
+            P = law_of(self.faults.law, self.plant.parameters)
+        moved = P.T @ law
         result = {"predicted_mode_law": moved / ca.sum1(moved)}  # its rounding taken out
         if not self.white:
             tiny = TINY[self.spec.code.scalar]
             signal = ca.vertcat(law[:2], ca.SX.zeros(2)) + tiny * self.symbols["signal_law"]
-            result["predicted_signal_law"] = ca.SX(P).T @ signal / (law[0] + law[1] + tiny)
+            result["predicted_signal_law"] = P.T @ signal / (law[0] + law[1] + tiny)
         return result
 
     def _constant_persistence(self) -> float:

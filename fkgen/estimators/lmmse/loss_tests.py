@@ -14,12 +14,13 @@ from scipy.special import gammainccinv
 
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.sequential import Conditioned, condition
-from fkgen.estimators.models.weights import LOG_ZERO
+from fkgen.estimators.models.weights import LOG_ZERO, logarithm_of
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Outcome, Port, Status
 from fkgen.symbolic.linalg import column, diagonal, total
-from fkgen.symbolic.ports import carried, shown
+from fkgen.symbolic.plant import lift_expression
+from fkgen.symbolic.ports import PARAMETER, carried, shown
 
 #: Between two whole numbers.
 HALF = 0.5
@@ -176,17 +177,25 @@ class LossTest:
 
     def _log_odds(self, found: Conditioned, measurement: Measurement, noise: ca.SX) -> ca.SX:
         """Log of the odds of a loss: both hypotheses are tested, noise alone and signal."""
-        rate = self.spec.faults.jump.arrival_rate if self.spec.faults.jump else None
+        faults = self.spec.faults.jump
+        rate = faults.arrival_rate if faults else None
         log_zero = LOG_ZERO[self.spec.code.scalar]
-        if not rate:
-            return ca.SX(-log_zero)
-        if rate == 1.0:
+        varying = faults.rate if faults else None
+        if varying is None and rate == 1.0:
             return ca.SX(log_zero)
+        if rate is None or (varying is None and not rate):
+            return ca.SX(-log_zero)
         none = ca.SX(measurement.C.shape[0], 1)
         alone = replace(measurement, C=none, offset=none, R=noise, rank_tolerance=None)
         nothing = (ca.SX(1, 1), ca.SX(1, 1))
         lost = condition(self.builder, nothing, alone, tag="_lost", form="short")
-        prior = math.log1p(-rate) - math.log(rate)
+        if varying is not None:
+            scalar, names = self.spec.code.scalar, [each.name for each in self.spec.parameters]
+            given = {name: self.builder.symbol(PARAMETER + name) for name in names}
+            chance = lift_expression(varying, given)
+            prior = logarithm_of(1 - chance, scalar) - logarithm_of(chance, scalar)
+        else:
+            prior = ca.SX(math.log1p(-rate) - math.log(rate))
         return prior + lost.log_likelihood - found.log_likelihood
 
     def _count(self, excess: ca.SX) -> ca.SX:

@@ -82,10 +82,10 @@ def stationary_of(z: AugmentedState) -> Stationary:
     moved = jump.moved_moments(builder, z, z.plants, now, u)
     W = _number(jump.augmented_noise(z, moved, jump.plant_noise(z, z.plants, now.law)))
     F = _number(jump.mixing(z)[0] @ jump.steps(z, z.plants, u)[0])
-    L = z.rate * _number(jump.measured(z, z.plants, u)[0])
+    L = float(z.rate) * _number(jump.measured(z, z.plants, u)[0])
     weights = [now.law[i] for i in range(N)]
     noise = _number(jump.shared([plant.R for plant in z.plants[:N]], weights))
-    doubt = z.rate * (1.0 - z.rate)
+    doubt = float(z.rate) * (1.0 - float(z.rate))
     signal = _number(unpack(jump.signal_moment(z, z.plants, now, u), z.base.ny))
     R = noise + doubt * signal
     return _solved((F, L, W, R), noise, riccati(F, L, W, R))

@@ -39,14 +39,19 @@ from fkgen.estimators.models.weights import (
     Kernel,
     Prediction,
     advance,
+    advance_varying,
+    drawn_anew,
     log_prior,
     log_sum_exp,
+    prior_of_sample,
     reweigh,
 )
 from fkgen.faults import JumpFaults
+from fkgen.faults.chain import ModeChain
 from fkgen.problem import Spec
 from fkgen.problem.probability import visited
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import (
     column,
@@ -70,6 +75,8 @@ from fkgen.symbolic.recursion import Phase, Recursion
 
 #: How many covariances of one_step run beside the estimate, as if no signal were ever lost.
 RICCATIS = {"moment_matched": 0, "weighted": 0, "paper": 2, "paper_nominal": 1}
+
+_EVIDENCE = "log density of the rows of {k} in each mode, where every sample has its own law"
 
 #: Timing of the modes where they move the state.
 JUMPING = "the mode of sample k drives the step from x(k-1) to x(k), with parameters k-1, and y(k)"
@@ -100,6 +107,7 @@ class Modes:
     kernel: Kernel
     initial: tuple[float, ...]  # at sample 0
     entangled: bool
+    chain: ModeChain
 
     @classmethod
     def of(cls, spec: Spec, plants: Sequence[Plant]) -> Modes:
@@ -120,7 +128,26 @@ class Modes:
             for group, shares in zip(found.groups, found.shares, strict=True)
         )
         entangled = lumps is not None and lumps.entangles(spec.model.R)
-        return cls(variants, found.transition, found.initial, entangled)
+        return cls(variants, found.transition, found.initial, entangled, chain)
+
+    def varying(self, builder: PhaseBuilder) -> tuple[tuple[ca.SX, ...], ...]:
+        """The kernel of a sample where it depends on parameters, named once."""
+        if self.chain.law is None:
+            return ()
+        law = law_of(self.chain.law, self.variants[0][0].plant.parameters)
+        named = builder.name_entries("kernel", law[:1, :] if self.chain.independent else law)
+        return tuple(tuple(ca.horzsplit(row)) for row in ca.vertsplit(named))
+
+    def advanced(
+        self, builder: PhaseBuilder, now: tuple[ca.SX, ca.SX], scalar: str, *, mixing: bool
+    ) -> Prediction:
+        """The law of the next mode from ``now`` = (probability, logarithm)."""
+        rows = self.varying(builder)
+        if self.chain.independent:
+            return drawn_anew(rows[0], now[0], scalar)
+        if rows:
+            return advance_varying(builder, rows, now, scalar)
+        return advance(builder, self.kernel, now, scalar, mixing=mixing)
 
     @property
     def note(self) -> str:
@@ -134,7 +161,8 @@ class Modes:
 
         Unreachable modes reuse a reachable one so that their covariance cannot overflow.
         """
-        possible = visited(self.kernel, self.initial)
+        constant = self.chain.law is None
+        possible = visited(self.kernel if constant else self.chain.possible, self.initial)
         first = int(np.argmax(possible))
         return tuple(j if seen else first for j, seen in enumerate(possible))
 
@@ -191,6 +219,7 @@ class Switching:
             *innovation_ports(spec),
             *twins("mode_probability", shape, probability, start=law),
             *twins("log_weight", shape, logarithm, start=log_prior(law, spec.code.scalar)),
+            *(twins("mode_evidence", shape, _EVIDENCE) if modes.chain.independent else ()),
             *own,
         )
         return cls(
@@ -239,9 +268,8 @@ class Switching:
             demand_positive(builder, packed, self.spec.model.nx)
         modes = self.bound(builder, "CDRd")
         each = [self.corrected(builder, modes, j, prior) for j, prior in enumerate(priors)]
-        held = (symbols["predicted_mode_probability"], symbols["predicted_log_weight"])
         with builder.titled("probabilities of the modes"):
-            logs = [one.log_likelihood for one in each]
+            held, logs = self.held(builder, modes), [one.log_likelihood for one in each]
             weights = reweigh(builder, held, logs, 0.0, self.spec.code.scalar)
         with builder.titled("innovation of the mixture"):
             predicted = []
@@ -251,8 +279,26 @@ class Switching:
                 predicted.append(builder.define(f"predicted_y_m{j}", y))
             results = combined_innovation(builder, held[0], predicted, each)
         with builder.titled("combination"):
+            if modes.chain.independent:
+                said = symbols["predicted_mode_evidence"] + column(logs)
+                results["mode_evidence"] = said
             builder.assign(results | weights.ports() | combined(builder, weights.probability, each))
         return builder.phase()
+
+    def held(self, builder: PhaseBuilder, modes: Modes) -> tuple[ca.SX, ca.SX]:
+        """Probability and logarithm of the modes before y[k]; a sample may have its own law."""
+        symbols = self.symbols
+        if modes.chain.independent:
+            (law,) = modes.varying(builder)
+            said = symbols["predicted_mode_evidence"]
+            return prior_of_sample(builder, law, said, self.spec.code.scalar)
+        return symbols["predicted_mode_probability"], symbols["predicted_log_weight"]
+
+    def anew(self) -> dict[str, ca.SX]:
+        """What a prediction forgets."""
+        if not self.modes.chain.independent:
+            return {}
+        return {"predicted_mode_evidence": ca.SX.zeros(len(self.modes.initial))}
 
     def corrected(
         self, builder: PhaseBuilder, modes: Modes, mode: int, prior: Gaussian
@@ -339,7 +385,7 @@ def _one_prediction(filtering: Switching, beside: int) -> Phase:
     plant = bound(builder, filtering.plants[0], "ABQc")
     now = (symbols["mode_probability"], symbols["log_weight"])
     with builder.titled("law of the next mode"):
-        law = advance(builder, filtering.modes.kernel, now, spec.code.scalar, mixing=False)
+        law = filtering.modes.advanced(builder, now, spec.code.scalar, mixing=False)
     packed = [symbols["filtered_covariance"]]
     if beside:
         packed += split_packed(symbols["riccati_filtered_covariance"], spec.model.nx)
@@ -351,6 +397,7 @@ def _one_prediction(filtering: Switching, beside: int) -> Phase:
         "predicted_log_weight": law.logarithm,
         "predicted_state": state,
         "predicted_covariance": moved[0][1],
+        **filtering.anew(),
     }
     if beside:
         results["riccati_covariance"] = ca.vertcat(*(each for _, each in moved[1:]))
@@ -423,7 +470,7 @@ def _predictions(filtering: Switching) -> Phase:
     modes = filtering.bound(builder, "ABcQ")
     with builder.titled("law of the next mode, and mixing weights"):
         now = (symbols["mode_probability"], symbols["log_weight"])
-        law = advance(builder, modes.kernel, now, spec.code.scalar, mixing=True)
+        law = modes.advanced(builder, now, spec.code.scalar, mixing=True)
     with builder.titled("mixing and prediction of every mode"):
         moved, which = _moved(builder, filtering, modes, law)
     with builder.titled("combined prediction"):
@@ -437,6 +484,7 @@ def _predictions(filtering: Switching) -> Phase:
                 "mode_covariance": ca.vertcat(*(moved[at][1] for at in which)),
                 "predicted_state": combined[0],
                 "predicted_covariance": combined[1],
+                **filtering.anew(),
             }
         )
     return builder.phase()

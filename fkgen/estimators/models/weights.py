@@ -18,7 +18,7 @@ import numpy as np
 
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.linalg import column, total
+from fkgen.symbolic.linalg import column, is_zero, total
 
 #: Logarithm that stands for probability zero: finite, and no likelihood brings it back.
 LOG_ZERO = {"double": -1e300, "float": -1e30}
@@ -33,6 +33,8 @@ SMALL = 1e-9
 PROPORTIONAL = 1e-14
 
 Kernel = tuple[tuple[float, ...], ...]
+#: One whose entries are symbols, but for those that are always zero.
+VaryingKernel = tuple[tuple[ca.SX, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +137,70 @@ def patterns(rates: list[float]) -> list[tuple[tuple[int, ...], float]]:
     ]
 
 
+def logarithm_of(probability: ca.SX, scalar: str) -> ca.SX:
+    """Logarithm of a probability that may be zero."""
+    return ca.fmax(ca.log(probability), LOG_ZERO[scalar])
+
+
+def advance_varying(
+    builder: PhaseBuilder, kernel: VaryingKernel, now: tuple[ca.SX, ca.SX], scalar: str
+) -> Prediction:
+    """One step of a chain whose probabilities depend on parameters, and may be zero at times."""
+    probability, logarithm = ([ca.SX(zero)] * len(kernel) for zero in (0.0, LOG_ZERO[scalar]))
+    group, weights = [0] * len(kernel), list[ca.SX]()
+    for j, entries in enumerate(zip(*kernel, strict=True)):
+        source = [i for i, entry in enumerate(entries) if not is_zero(entry)]
+        if not source:
+            continue
+        group[j] = len(weights)
+        logs = [now[1][i] + logarithm_of(entries[i], scalar) for i in source]
+        names = [f"{what}_{j}" for what in _PATH]
+        whole = builder.define(
+            f"mode_prediction_{j}", total([now[0][i] * entries[i] for i in source])
+        )
+        _, top, share, summed = _relative(builder, names, column(logs))
+        before = ca.SX(len(kernel), 1)
+        before[source] = share * builder.define(f"path_share_inverse_{j}", 1 / summed)
+        weights.append(before)
+        probability[j] = whole
+        logarithm[j] = ca.fmax(top + ca.log(summed), LOG_ZERO[scalar])
+    return Prediction(
+        probability=column(probability),
+        logarithm=column(logarithm),
+        mixing=tuple(weights),
+        columns=(None,) * len(weights),
+        group=tuple(group),
+    )
+
+
+def prior_of_sample(
+    builder: PhaseBuilder, law: Sequence[ca.SX], evidence: ca.SX, scalar: str
+) -> tuple[ca.SX, ca.SX]:
+    """Probability and logarithm of modes with this law, and what rows of the sample said before."""
+    logs = column([logarithm_of(each, scalar) for each in law]) + evidence
+    _, top, share, summed = _relative(builder, [f"{what}_held" for what in _PATH], logs)
+    logarithm = ca.fmax((logs - top) - ca.log(summed), LOG_ZERO[scalar])
+    return (
+        builder.define("held_probability", share / summed),
+        builder.define("held_log_weight", logarithm),
+    )
+
+
+def drawn_anew(law: Sequence[ca.SX], now: ca.SX, scalar: str) -> Prediction:
+    """A step after which the mode has this law, whatever it was."""
+    return Prediction(
+        probability=column([*law]),
+        logarithm=column([logarithm_of(each, scalar) for each in law]),
+        mixing=(now,),
+        columns=(None,),
+        group=(0,) * len(law),
+    )
+
+
+#: What is computed of the ways into a mode.
+_PATH = ("log_path", "log_path_largest", "path_share", "path_share_total")
+
+
 def advance(
     builder: PhaseBuilder, kernel: Kernel, now: tuple[ca.SX, ca.SX], scalar: str, *, mixing: bool
 ) -> Prediction:
@@ -196,10 +262,7 @@ def _column(
         inverse = builder.define(f"mode_prediction_inverse_{tag}", 1 / whole)
         shares = column([product * inverse for product in products])
         return whole, ca.log(whole), builder.define(f"mixing_{tag}", shares)
-    names = [
-        f"{what}_{tag}"
-        for what in ("log_path", "log_path_largest", "path_share", "path_share_total")
-    ]
+    names = [f"{what}_{tag}" for what in _PATH]
     joint = column([logarithm[i] + math.log(entries[i]) for i in source])
     _, top, share, summed = _relative(builder, names, joint)
     weights = ca.SX(len(entries), 1)

@@ -34,13 +34,16 @@ def jump_system(spec: Spec, record: Record) -> JumpSystem:
     return replace(system, P0=record.P0)
 
 
-def loss_test(spec: Spec) -> LossTest | None:
+def loss_test(spec: Spec, record: Record | None = None) -> LossTest | None:
     """The test of a spec, with nothing seen yet."""
     faults = spec.faults.jump
     if faults is None or spec.filter.options.detector == "none":
         return None
     rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
-    return LossTest(options=spec.filter.options, rate=rate)
+    varying = None
+    if record is not None:
+        varying = JumpSystem.from_spec(spec, len(record.y), record.parameters).arrival_rates
+    return LossTest(options=spec.filter.options, rate=rate, rates=varying)
 
 
 def unobserved_chain(spec: Spec) -> bool:
@@ -72,7 +75,7 @@ def _by_paths(spec: Spec, record: Record) -> tuple[JumpSystem, JumpResult]:
     samples = int(np.log(MANY_PATHS) / np.log(max(2, system.count)))
     T = max(1, min(samples, system.length))
     system = system.over(slice(T))
-    return system, enumerate_paths(system, record.y[:T], record.u[:T], loss_test(spec))
+    return system, enumerate_paths(system, record.y[:T], record.u[:T], loss_test(spec, record))
 
 
 def _paths(spec: Spec, record: Record) -> Ports | None:
@@ -99,7 +102,7 @@ def _textbook(spec: Spec, record: Record) -> Ports | None:
     steady = steady_state(spec, system) if stationary else None
     if (stationary and steady is None) or _difference_tolerance(spec, record) > NO_DIGITS:
         return None
-    plant, test = composite(system) if chain else system, loss_test(spec)
+    plant, test = composite(system) if chain else system, loss_test(spec, record)
     result = textbook_jumps(plant, record.y, record.u, test=test, steady=steady)
     if chain:
         law = result.mode_law.reshape(len(record.y), 2, -1).sum(axis=1)

@@ -25,9 +25,14 @@ PAPER = "Sigalov & Oshman"
 
 
 def _one_step(spec: Spec, record: Record) -> Ports:
-    system, law = system_of(spec, record), SensorLaw.from_spec(spec)
+    system, law = system_of(spec, record), law_of(spec, record)
     covariance = spec.filter.options.covariance
     return ports(textbook_one_step(system, law, record.y, record.u, covariance=covariance))
+
+
+def law_of(spec: Spec, record: Record) -> SensorLaw:
+    """The law of the sensor with the parameters of a record."""
+    return SensorLaw.over(spec, len(record.y), record.parameters)
 
 
 def _conditions(spec: Spec, record: Record) -> tuple[JumpSystem, Lumping | None]:
@@ -35,9 +40,9 @@ def _conditions(spec: Spec, record: Record) -> tuple[JumpSystem, Lumping | None]
     if spec.faults.jump is not None:
         system = JumpSystem.from_spec(spec, len(record.y), record.parameters)
         return replace(system, P0=record.P0), None
-    law = SensorLaw.from_spec(spec)
+    law, T = law_of(spec, record), len(record.y)
     lumps = spec.filter.option("modes", 4) == 3
-    return sensed_modes(system_of(spec, record), law), silent_lumped(law) if lumps else None
+    return sensed_modes(system_of(spec, record), law), silent_lumped(law, T) if lumps else None
 
 
 def _imm(spec: Spec, record: Record) -> Ports:
@@ -77,10 +82,14 @@ def _moment_tolerance(spec: Spec, record: Record) -> float:
     return max(digits_at_stake(spec, record), 1e4 * np.finfo(float).eps * (1.0 + size / noise))
 
 
+def _moments(spec: Spec, record: Record) -> FaultMoments:
+    return FaultMoments.from_spec(spec, len(record.y), record.parameters)
+
+
 def _lemma_2_form(spec: Spec, record: Record) -> Ports | None:
     if spec.filter.options.form != "lemma2":
         return None
-    system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
+    system, moments = system_of(spec, record), _moments(spec, record)
     result = linear_optimal(system, moments, record.y, record.u)
     unused = ["offset", "estimate_second_moment"]
     ranks = np.linalg.matrix_rank(result.innovation_covariance, hermitian=True)
@@ -108,6 +117,8 @@ def lemma_2_holds(spec: Spec) -> bool:
     healthy = len(faults.rows) < spec.model.ny
     if faults.moments is not None:
         return not healthy or faults.moments.gamma_rate == faults.moments.gamma_persistence
+    if faults.law is not None:
+        return is_white(faults)
     law = SensorLaw.from_spec(spec)
     return satisfies_lemma_2(law.kernel, law.initial)[0] and (not healthy or is_white(faults))
 
@@ -115,7 +126,7 @@ def lemma_2_holds(spec: Spec) -> bool:
 def _linear_batch(spec: Spec, record: Record) -> Ports | None:
     if spec.filter.options.form == "lemma2" and not lemma_2_holds(spec):
         return None
-    system, moments = system_of(spec, record), FaultMoments.from_spec(spec, len(record.y))
+    system, moments = system_of(spec, record), _moments(spec, record)
     return ports(batch_uncertain(system, moments, record.y, record.u), *undecided(spec))
 
 

@@ -123,7 +123,7 @@ def _update(
 
 def _successors(system: JumpSystem, k: int, now: _Histories, u: Array) -> _Histories:
     """Prolong every history by every mode that has a probability, which moves it."""
-    chance = system.transition[now.mode]
+    chance = system.transitions[k][now.mode]
     of, mode = np.nonzero(chance > 0.0)
     A, B, c, Q = (each[k][mode] for each in (system.A, system.B, system.c, system.Q))
     return _Histories(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Self
@@ -10,7 +11,7 @@ import numpy as np
 
 from fkgen.errors import DataError
 from fkgen.oracle.exact.gaussian import Array, square_root
-from fkgen.oracle.plants.sensor import GAMMA, SAME_PROBABILITY, SensorLaw
+from fkgen.oracle.plants.sensor import GAMMA, SAME_PROBABILITY, SensorLaw, factors_of
 from fkgen.problem import Spec
 
 #: Samples over which Lemma 2 is examined. The condition on neighbours i and i + 1 is a quadratic
@@ -38,18 +39,27 @@ class FaultMoments:
     @classmethod
     def from_law(cls, law: SensorLaw, T: int) -> Self:
         """Follow a chain of modes through T samples."""
-        laws = _laws(law.initial, law.kernel, T)
-        # Pr(gamma = 1 after `lag` steps | mode), and Pr(gamma_i = 1, gamma_(i + lag) = 1).
-        again = (laws * GAMMA) @ _laws(GAMMA, law.kernel.T, T).T
-        sample = np.arange(T)
-        earlier = np.minimum(sample[:, None], sample)
-        pair = again[earlier, np.abs(sample[:, None] - sample)]
-        delta = np.array([1.0, law.noise_factor, 1.0, law.noise_factor])
+        steps = law.steps(T)[: max(0, T - 1)]
+        laws = np.array(list(accumulate(steps, np.matmul, initial=law.initial)))
+        if law.kernels is None:
+            # Pr(gamma = 1 after `lag` steps | mode), and Pr(gamma_i = 1, gamma_(i + lag) = 1).
+            again = (laws * GAMMA) @ _laws(GAMMA, law.kernel.T, T).T
+            sample = np.arange(T)
+            earlier = np.minimum(sample[:, None], sample)
+            pair = again[earlier, np.abs(sample[:, None] - sample)]
+        else:
+            pair = np.zeros((T, T))
+            for i in range(T):
+                ways = accumulate(steps[i:], np.matmul, initial=laws[i] * GAMMA)
+                pair[i, i:] = pair[i:, i] = [way @ GAMMA for way in ways]
+        factor = law.noise_factor if law.factors is None else law.factors
+        nominal = laws[:, 0] + laws[:, 2]
+        noisier = laws[:, 1] + laws[:, 3]
         return cls(
             gamma=laws @ GAMMA,
             gamma_pair=pair,
-            delta=laws @ delta,
-            root_delta=laws @ np.sqrt(delta),
+            delta=nominal + noisier * factor,
+            root_delta=nominal + noisier * np.sqrt(factor),
             rows=law.rows,
         )
 
@@ -62,7 +72,7 @@ class FaultMoments:
         *,
         T: int,
         rows: tuple[int, ...],
-        noise_factor: float = 1.0,
+        noise_factor: Array | float = 1.0,
     ) -> Self:
         """Take Lemma 2 for granted: E[gamma_k gamma_i] = p11(k) E[gamma_i] for all i < k."""
         gamma, persistence, nominal = (
@@ -79,18 +89,21 @@ class FaultMoments:
         )
 
     @classmethod
-    def from_spec(cls, spec: Spec, T: int) -> Self:
+    def from_spec(
+        cls, spec: Spec, T: int, params: Mapping[str, Array | float] | None = None
+    ) -> Self:
         """Take the moments from the section ``faults.sensor`` of a spec, chain or numbers."""
         faults = spec.faults.sensor
         if faults is None or faults.moments is None:
-            return cls.from_law(SensorLaw.from_spec(spec), T)
+            return cls.from_law(SensorLaw.over(spec, T, params), T)
+        factors = factors_of(spec, T, params)
         return cls.from_rates(
             faults.moments.gamma_rate,
             faults.moments.gamma_persistence,
             faults.moments.delta_nominal_rate,
             T=T,
             rows=faults.rows,
-            noise_factor=faults.noise_factor,
+            noise_factor=faults.noise_factor if factors is None else factors,
         )
 
     @property

@@ -43,17 +43,18 @@ def enumerate_paths(
     return JumpResult.of(project(joint, y, judge))
 
 
-def _paths(transition: Array, initial: Array, T: int) -> tuple[Array, Array]:
+def _paths(transitions: Array, initial: Array, T: int) -> tuple[Array, Array]:
     """Every path of T states of a chain with its probability; impossible ones are left out."""
     paths = np.array(list(itertools.product(range(len(initial)), repeat=T)))
-    chance = initial[paths[:, 0]] * transition[paths[:, :-1], paths[:, 1:]].prod(axis=1)
+    steps = transitions[np.arange(T - 1), paths[:, :-1], paths[:, 1:]]
+    chance = initial[paths[:, 0]] * steps.prod(axis=1)
     return paths[chance > 0.0], chance[chance > 0.0]
 
 
 def _joint(system: JumpSystem, u: Array) -> tuple[Joint, Array, Array]:
     """States and measurements over all paths; law of the modes (T, N), mean R of y (T, p, p)."""
     T, n, p = system.length, system.nx, system.ny
-    paths, chance = _paths(system.transition, system.initial, T)
+    paths, chance = _paths(system.transitions, system.initial, T)
     M, width = len(paths), 1 + n + n * T
     added, sensed = system.offsets(u)
     noise = square_root(system.Q)
@@ -90,7 +91,7 @@ def _joint(system: JumpSystem, u: Array) -> tuple[Joint, Array, Array]:
 def _received(system: JumpSystem, signal: Array, noise: Array) -> tuple[Array, int]:
     """Measurements gamma s + v: gamma less its mean, times s, is orthogonal to s."""
     T, p, width = signal.shape
-    paths, chance = _paths(system.arrival, system.arrival_initial, T)
+    paths, chance = _paths(system.channel, system.arrival_initial, T)
     mean = chance @ paths
     root = np.linalg.qr((paths - mean) * np.sqrt(chance)[:, None]).R.T
     e = root.shape[1]

@@ -12,26 +12,53 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError
 from fkgen.oracle.exact.gaussian import Array, square_root
 from fkgen.oracle.plants.actuator import Plant, parameter_samples
-from fkgen.problem import Spec
+from fkgen.problem import Matrix, Spec, evaluate
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JumpSystem(Plant):
     """x[k+1] = A_i x + B_i u + c_i + w, y[k] = gamma (C_i x + D_i u + d_i) + v, i = mode[k]."""
 
-    #: transition, initial: (N, N), (N,): Pr(j at k+1 | i at k), and the law of mode[0]
-    transition: Array
+    VARYING = (*Plant.VARYING, "transitions")
+
+    #: transitions, initial: (T, N, N), (N,): Pr(j at k+1 | i at k), and the law of mode[0]
+    transitions: Array
     initial: Array
     #: arrival, arrival_initial: (2, 2), (2,): The same for gamma, states (0, 1); independent of
     #: the modes
     arrival: Array
     arrival_initial: Array
+    #: (T, N): Pr(j at k+1) as sample k has it, where sample k+1 has its own; None elsewhere
+    announced: Array | None = None
+    arrival_rates: Array | None = None  # (T,): Pr(gamma = 1) where it depends on the sample
     kept: Array | None = None  # (N, n): 1 for the states that a mode has; None for all
 
     @property
     def count(self) -> int:
         """Number of modes, N."""
         return int(self.A.shape[1])
+
+    @property
+    def transition(self) -> Array:
+        """The transition matrix where all samples have the same, (N, N)."""
+        if np.ptp(self.transitions, axis=0).any():
+            raise DataError("transitions", given="several", expected="one for all samples")
+        return np.asarray(self.transitions[0])
+
+    @property
+    def channel(self) -> Array:
+        """Transition of gamma from each sample to the next, (T, 2, 2)."""
+        if self.arrival_rates is None:
+            return np.broadcast_to(self.arrival, (self.length, 2, 2))
+        rates = np.append(self.arrival_rates[1:], self.arrival_rates[-1])
+        return np.stack([[1.0 - rates, rates]] * 2, axis=0).transpose(2, 0, 1)
+
+    def over(self, piece: slice) -> Self:
+        """The same plant over a piece of its samples, its prior unchanged."""
+        told, rates = (
+            None if each is None else each[piece] for each in (self.announced, self.arrival_rates)
+        )
+        return replace(super().over(piece), announced=told, arrival_rates=rates)
 
     def offsets(self, u: Array) -> tuple[Array, Array]:
         """What is known beside the state: B_i u + c_i, (T, N, n), and D_i u + d_i, (T, N, p)."""
@@ -45,9 +72,11 @@ class JumpSystem(Plant):
         return kept * self.x0, kept[:, :, None] * self.P0 * kept[:, None, :]
 
     def mode_law(self) -> Array:
-        """Law of mode[k] by powers of the transition matrix, (T, N)."""
-        P = self.transition
-        return np.array([self.initial @ np.linalg.matrix_power(P, k) for k in range(self.length)])
+        """Law of mode[k], (T, N)."""
+        laws = [self.initial]
+        for P in self.transitions[:-1]:
+            laws.append(laws[-1] @ P)
+        return np.array(laws)
 
     def without_inputs(self) -> Self:
         """The same plant at u = 0."""
@@ -55,7 +84,8 @@ class JumpSystem(Plant):
 
     def always_arriving(self) -> Self:
         """The same plant without losses."""
-        return replace(self, arrival=np.array([[0.0, 1.0]] * 2), arrival_initial=np.array([0.0, 1]))
+        always = np.array([[0.0, 1.0]] * 2)
+        return replace(self, arrival=always, arrival_initial=always[0], arrival_rates=None)
 
     @classmethod
     def from_spec(
@@ -70,10 +100,14 @@ class JumpSystem(Plant):
             name: np.array(
                 [[getattr(mode, name).values(at) for mode in faults.modes] for at in samples]
             )[which]
-            for name in cls.VARYING
+            for name in Plant.VARYING
         }
+        chain = Matrix.of(faults.transition) if faults.law is None else faults.law
         plant |= {name: plant[name][..., 0] for name in ("c", "d")}
         rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
+        rates = None
+        if faults.rate is not None:
+            rates = np.array([evaluate(faults.rate, at) for at in samples])[which]
         arrival = np.array(faults.arrival_chain or [[1.0 - rate, rate]] * 2)
         start = lasting_law(arrival) if faults.arrival_chain else arrival[0]
         every = tuple(range(spec.model.nx))
@@ -83,10 +117,11 @@ class JumpSystem(Plant):
             kept=np.array([[float(i in states) for i in every] for states in has]),
             x0=spec.model.x0.values()[:, 0],
             P0=spec.model.P0.values(),
-            transition=np.array(faults.transition),
+            transitions=np.array([chain.values(at) for at in samples])[which],
             initial=np.array(faults.initial),
             arrival=arrival,
-            arrival_initial=start,
+            arrival_initial=start if rates is None else np.array([1.0 - rates[0], rates[0]]),
+            arrival_rates=rates,
         )
 
 
@@ -113,8 +148,8 @@ class JumpRecord:
 def simulate_jumps(system: JumpSystem, u: Array, rng: np.random.Generator) -> JumpRecord:
     """Draw one record; u (T, q)."""
     T, n, p = system.length, system.nx, system.ny
-    mode = draw_chain(system.transition, system.initial, T, rng)
-    arrived = draw_chain(system.arrival, system.arrival_initial, T, rng) == 1
+    mode = draw_chain(system.transitions, system.initial, T, rng)
+    arrived = draw_chain(system.channel, system.arrival_initial, T, rng) == 1
     added, sensed = system.offsets(u)
     x, y = np.empty((T + 1, n)), np.empty((T, p))
     x[0] = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
@@ -131,11 +166,11 @@ def simulate_jumps(system: JumpSystem, u: Array, rng: np.random.Generator) -> Ju
 
 
 def draw_chain(
-    transition: Array, initial: Array, T: int, rng: np.random.Generator
+    transitions: Array, initial: Array, T: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Draw a path of T states of a Markov chain."""
+    """Draw a path of T states of a Markov chain; transitions (T, N, N)."""
     path, law = np.zeros(T, dtype=np.int64), initial
     for k in range(T):
         path[k] = rng.choice(len(law), p=law / law.sum())
-        law = transition[path[k]]
+        law = transitions[k, path[k]]
     return path

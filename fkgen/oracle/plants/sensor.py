@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -10,9 +11,9 @@ from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 from fkgen.oracle.exact.gaussian import Array, square_root
-from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.actuator import LinearSystem, parameter_samples
 from fkgen.oracle.plants.jump import JumpSystem, draw_chain, lasting_law
-from fkgen.problem import Spec
+from fkgen.problem import Spec, evaluate
 
 #: gamma of the four modes.
 GAMMA = np.array([1.0, 1.0, 0.0, 0.0])
@@ -33,6 +34,11 @@ class SensorLaw:
     initial: Array  # (4,): Law of the mode at sample 0, before y[0]
     noise_factor: float  # The value C that delta takes beside 1
     rows: tuple[int, ...]  # Rows of y that are subject to faults
+    #: (T, 4, 4), (T,), (T, 4): The kernel of each step, C and what sample k says of Pr(mode at
+    #: k+1), where they depend on the sample
+    kernels: Array | None = None
+    factors: Array | None = None
+    announced: Array | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is not a law of four modes."""
@@ -47,9 +53,27 @@ class SensorLaw:
                     f"{name} of a SensorLaw", given=f"{values}", expected="probabilities"
                 )
 
+    def steps(self, T: int) -> Array:
+        """The kernels of T steps, (T, 4, 4)."""
+        return np.broadcast_to(self.kernel, (T, 4, 4)) if self.kernels is None else self.kernels
+
+    @classmethod
+    def over(cls, spec: Spec, T: int, params: Mapping[str, Array | float] | None = None) -> Self:
+        """The law over a record, with the parameters of each sample, (T,)."""
+        law, faults = cls.from_spec(spec), spec.faults.sensor
+        law = replace(law, factors=factors_of(spec, T, params))
+        if faults is None or faults.law is None or not T:
+            return law
+        samples, which = parameter_samples(spec, T, params)
+        kernels = np.array([faults.law.values(at) for at in samples])[which]
+        if not faults.independent:
+            return replace(law, kernels=kernels)
+        later = np.concatenate([kernels[1:], kernels[-1:]])  # the mode follows from its own sample
+        return replace(law, kernels=later, initial=kernels[0, 0], announced=kernels[:, 0])
+
     @classmethod
     def from_spec(cls, spec: Spec) -> Self:
-        """Take the law from the section ``faults.sensor`` of a spec."""
+        """Take the law from ``faults.sensor``; what depends on parameters has the defaults."""
         faults = spec.faults.sensor
         if faults is None or not faults.kernel:
             raise DataError(
@@ -63,11 +87,20 @@ class SensorLaw:
         )
 
 
+def factors_of(spec: Spec, T: int, params: Mapping[str, Array | float] | None) -> Array | None:
+    """C of each of T samples where it depends on parameters."""
+    faults = spec.faults.sensor
+    if faults is None or faults.factor is None:
+        return None
+    samples, which = parameter_samples(spec, T, params)
+    return np.array([evaluate(faults.factor, at) for at in samples])[which]
+
+
 def mode_plant(
     system: LinearSystem, law: SensorLaw, k: int, mode: int
 ) -> tuple[Array, Array, Array, Array]:
     """The measurement of one mode: y = G C x + G D u + G d + v with Cov v = T R T, eq. (2)."""
-    gamma, delta = gamma_delta(law, np.array([mode]))
+    gamma, delta = gamma_delta(law, np.array([mode]), slice(k, k + 1))
     signal, noise = np.ones((2, system.ny, 1))
     signal[list(law.rows)], noise[list(law.rows)] = gamma, np.sqrt(delta)
     R = noise * system.R[k] * noise.T
@@ -86,21 +119,25 @@ def sensed_modes(system: LinearSystem, law: SensorLaw) -> JumpSystem:
         **{name: np.repeat(getattr(system, name)[:, np.newaxis], 4, axis=1) for name in "ABQc"},
         x0=system.x0,
         P0=system.P0,
-        transition=law.kernel,
+        transitions=law.steps(T),
         initial=law.initial,
+        announced=law.announced,
         arrival=np.array([[0.0, 1.0]] * 2),
         arrival_initial=np.array([0.0, 1.0]),
     )
 
 
-def gamma_delta(law: SensorLaw, modes: NDArray[np.int64]) -> tuple[Array, Array]:
-    """The fault indicators of modes, (T,) each."""
-    return GAMMA[modes], np.array([1.0, law.noise_factor, 1.0, law.noise_factor])[modes]
+def gamma_delta(
+    law: SensorLaw, modes: NDArray[np.int64], samples: slice = slice(None)
+) -> tuple[Array, Array]:
+    """The fault indicators of modes at some samples, (T,) each."""
+    factor = law.noise_factor if law.factors is None else law.factors[samples]
+    return GAMMA[modes], np.where(modes % 2 == 1, factor, 1.0)
 
 
 def draw_modes(law: SensorLaw, T: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Draw the modes of T samples."""
-    return draw_chain(law.kernel, law.initial, T, rng)
+    return draw_chain(law.steps(T), law.initial, T, rng)
 
 
 def simulate_sensor(

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from fkgen.oracle.exact.gaussian import Array
 from fkgen.oracle.exact.paths import JumpResult
+from fkgen.oracle.plants.actuator import Plant
 from fkgen.oracle.plants.jump import JumpSystem, lasting_law
 from fkgen.oracle.textbook.loss_tests import LossTest, verdict
 from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
@@ -22,13 +23,13 @@ def composite(system: JumpSystem) -> JumpSystem:
     """The plant with modes (mode, gamma), first all that arrive, then all lost: C, D, d = 0."""
     twice = {
         name: np.concatenate([each, 0.0 * each if name in "CDd" else each], axis=1)
-        for name, each in ((name, getattr(system, name)) for name in system.VARYING)
+        for name, each in ((name, getattr(system, name)) for name in Plant.VARYING)
     }
     lost, arrived = system.arrival_initial
     return replace(
         system.always_arriving(),
         **twice,
-        transition=np.asarray(np.kron(system.arrival[::-1, ::-1], system.transition), float),
+        transitions=np.array([np.kron(system.arrival[::-1, ::-1], P) for P in system.transitions]),
         initial=np.asarray(np.kron([arrived, lost], system.initial), float),
     )
 
@@ -80,7 +81,7 @@ def _with_constant(system: JumpSystem, k: int, added: Array) -> Array:
 
 def _split_at(system: JumpSystem, u: Array, k: int, moments: Array, law: Array) -> Split:
     """The split plant at sample k: Costa 1994, Lemma 3 of Sun & Zhao & Yin for the moments."""
-    N, P = system.count, system.transition
+    N, P = system.count, system.transitions[k]
     added, sensed = system.offsets(u)
     A, Q = _with_constant(system, k, added[k])
     signal = np.concatenate([system.C[k], sensed[k][:, :, None]], axis=2)
@@ -129,12 +130,14 @@ def textbook_jumps(
 ) -> JumpResult:
     """Filter a record; y, u (T, p), (T, q)."""
     n, N = system.nx, system.count
-    rate, laws = float(system.arrival_initial[1]), system.mode_law()
+    laws, rates = system.mode_law(), np.full(len(y), system.arrival_initial[1])
+    rates = rates if system.arrival_rates is None else system.arrival_rates
     q, moments = _start_of(system)
     z, X = q, _block_diagonal(moments) - np.outer(q, q)
     E, results = np.tile(np.eye(n, n + 1), N), []
     for k, now in enumerate(y):
         split = _split_at(system, u, k, moments, laws[k])
+        rate = float(rates[k])
         L, S = rate * split.L, split.innovation_covariance(X, rate)
         if steady is not None:
             split = replace(steady.split, F=split.F, L=split.L)
@@ -231,7 +234,7 @@ def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | Non
 
 def _noise_alone(system: JumpSystem) -> bool:
     """Whether the modes differ in Q and R only."""
-    same = (getattr(system, name)[0] for name in system.VARYING if name not in "QR")
+    same = (getattr(system, name)[0] for name in Plant.VARYING if name not in "QR")
     return all(np.array_equal(each, np.broadcast_to(each[0], each.shape)) for each in same)
 
 

@@ -22,6 +22,8 @@ class LossTest:
 
     options: Any  # detector and its thresholds
     rate: float  # Pr(a sample holds a signal), for llr
+    rates: Array | None = None  # The same of every sample, where it is not one for all
+    samples: int = 0  # How many were seen
     energies: list[float] = field(default_factory=list)  # Past |r|^2, for energy
     run: int = 0  # Rejections in a row
 
@@ -41,10 +43,11 @@ class LossTest:
 
     def _log_odds(self, y: Array, residual: Array, S: Array, R: Array) -> float:
         """Log of the probability of a loss over that of a signal, given y and the past."""
-        if self.rate in {0.0, 1.0}:
-            return np.inf if self.rate == 0.0 else -np.inf
-        lost = np.log1p(-self.rate) + log_density(y, whiten(square_root(R)))
-        arrived = np.log(self.rate) + log_density(residual, whiten(square_root(S)))
+        rate = self.rate if self.rates is None else float(self.rates[self.samples])
+        if rate in {0.0, 1.0}:
+            return np.inf if rate == 0.0 else -np.inf
+        lost = np.log1p(-rate) + log_density(y, whiten(square_root(R)))
+        arrived = np.log(rate) + log_density(residual, whiten(square_root(S)))
         return float(lost - arrived)
 
     def restarts(self, *, fault: bool) -> bool:
@@ -71,5 +74,7 @@ def verdict(
         fault = statistic > threshold
         restart = test.restarts(fault=fault)
         values = (float(fault), statistic, threshold, float(rows.size))
+    if test is not None:
+        test.samples += 1
     rejections = float(test.run if test else 0)
     return dict(zip(VERDICT, (*values, rejections), strict=True)), restart

@@ -65,8 +65,10 @@ def textbook_one_step(
             delta = [0, 0, 0, 0] if covariance == "paper_nominal" else [0, 1, 0, 1]
             _, E = _gain(C[delta], R[delta], before[delta], now)
             P = A @ E @ before[delta] @ A.T + Q
-        log_held = _step_law(log_posterior, law.kernel)
-        rows.append({**row, **_estimates(estimate, ahead, log_posterior, log_held)})
+        log_held = _step_law(log_posterior, modes.transitions[k])
+        rows.append(
+            {**row, **_estimates(estimate, ahead, log_posterior, _said(modes, k, log_held))}
+        )
     return OneStepResult.of(rows)
 
 
@@ -75,7 +77,7 @@ class Lumping:
     """M modes, each a fixed mixture of N conditions that move alike."""
 
     shares: Array  # (M, N): Pr(condition | mode)
-    kernel: Array  # kernel, initial: (M, M), (M,): The chain of the modes
+    kernels: Array  # kernels, initial: (T, M, M), (M,): The chain of the modes
     initial: Array
 
 
@@ -88,7 +90,7 @@ def interacting(
     """
     if lumping is None:  # every condition is a mode
         N = system.count
-        lumping = Lumping(shares=np.eye(N), kernel=system.transition, initial=system.initial)
+        lumping = Lumping(shares=np.eye(N), kernels=system.transitions, initial=system.initial)
     M, (of, condition) = len(lumping.initial), np.nonzero(lumping.shares)
     own = of == np.arange(M)[:, None]
     log_share = _log(np.where(own, lumping.shares[of, condition], 0.0))
@@ -104,15 +106,16 @@ def interacting(
         joint, expected = log_share + logs, mixture(np.exp(log_share), *expected)
         filtered = mixture(np.exp(_normalised(joint)), *filtered)
         log_posterior, row = _bayes(log_held, np.logaddexp.reduce(joint, axis=1), expected, now)
-        log_held = _step_law(log_posterior, lumping.kernel)
+        log_held = _step_law(log_posterior, lumping.kernels[k])
         # Eq. (17). A mode that cannot come next has weight 0; any mixture will do for it.
-        mixing = log_posterior + _log(lumping.kernel.T)
+        mixing = log_posterior + _log(lumping.kernels[k].T)
         mixing[np.isneginf(log_held)] = log_posterior
         x, P = mixture(np.exp(_normalised(mixing)), *filtered)
         A, B, c, Q = (each[k, moving] for each in (system.A, system.B, system.c, system.Q))
         held = (A @ x[..., None])[..., 0] + B @ u[k] + c, A @ P @ A.transpose(0, 2, 1) + Q
         estimate = mixture(np.exp(log_posterior), *filtered)
-        row |= _estimates(estimate, mixture(np.exp(log_held), *held), log_posterior, log_held)
+        said = _said(system, k, log_held)
+        row |= _estimates(estimate, mixture(np.exp(said), *held), log_posterior, said)
         row |= {"mode_filtered_state": filtered[0], "mode_filtered_covariance": filtered[1]}
         rows.append(row | {"mode_state": held[0], "mode_covariance": held[1]})
     return InteractingResult.of(rows)
@@ -122,16 +125,16 @@ def textbook_imm(
     system: LinearSystem, law: SensorLaw, y: Array, u: Array | None, *, modes: Literal[4, 3] = 4
 ) -> InteractingResult:
     """Run the interacting-multiple-model filter over the conditions of a sensor, eq. (15)-(18)."""
-    lumping = silent_lumped(law) if modes == 3 else None
+    lumping = silent_lumped(law, system.length) if modes == 3 else None
     return interacting(sensed_modes(system, law), y, system.inputs(u), lumping)
 
 
-def silent_lumped(law: SensorLaw) -> Lumping:
+def silent_lumped(law: SensorLaw, T: int) -> Lumping:
     """Three modes of a sensor: (1, 1), (1, C), and gamma = 0 with delta as if drawn anew."""
     kernel, initial = aggregate(law)
     shares = np.eye(3, 4)
     shares[2, 2:] = nominal_share(law), 1.0 - nominal_share(law)
-    return Lumping(shares=shares, kernel=kernel, initial=initial)
+    return Lumping(shares=shares, kernels=np.broadcast_to(kernel, (T, 3, 3)), initial=initial)
 
 
 def _repeated(prior: Gaussian, N: int) -> Gaussian:
@@ -184,6 +187,11 @@ def _bayes(log_held: Array, logs: Array, expected: Gaussian, y: Array) -> tuple[
 def _step_law(log_posterior: Array, kernel: Array) -> Array:
     """Eq. (10): logs of the law of the next mode."""
     return np.asarray(np.logaddexp.reduce(log_posterior[:, None] + _log(kernel), axis=0))
+
+
+def _said(system: JumpSystem, k: int, log_held: Array) -> Array:
+    """Logs of the law of the next mode as sample k has it, which knows its own parameters only."""
+    return log_held if system.announced is None else _log(system.announced[k])
 
 
 def _estimates(estimate: Gaussian, ahead: Gaussian, log_posterior: Array, log_held: Array) -> Ports:

@@ -176,7 +176,12 @@ def as_number(value: object, place: Place, expected: str = "a finite number") ->
     return number + 0.0  # minus zero is zero
 
 
-def as_entry(value: object, place: Place, defaults: Mapping[str, float]) -> Expression:
+def as_entry(
+    value: object,
+    place: Place,
+    defaults: Mapping[str, float],
+    expected: str = "a finite number or an expression of the parameters",
+) -> Expression:
     """Return a number, or an expression that is finite at the default parameters."""
     plain = plain_entry(value, place)
     if isinstance(plain, str):
@@ -184,7 +189,7 @@ def as_entry(value: object, place: Place, defaults: Mapping[str, float]) -> Expr
     elif isinstance(plain, Number | Name | Operation):
         expression = plain
     else:
-        return Number(as_number(plain, place, "a finite number or an expression of the parameters"))
+        return Number(as_number(plain, place, expected))
     for name in sorted(names(expression)):
         if name not in defaults:
             hint = suggestion(name, defaults)

@@ -11,17 +11,28 @@ import math
 import operator as python_operator
 import re
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Any, Protocol
 
 from fkgen.problem.table.place import Place, show, suggestion
+from fkgen.problem.text.lookup import Table
 
 #: The functions of the expression language and the number of their arguments.
-FUNCTIONS = {"exp": 1, "log": 1, "sqrt": 1, "sin": 1, "cos": 1, "tan": 1, "atan2": 2, "abs": 1}
+FUNCTIONS = dict.fromkeys(("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos"), 1)
+FUNCTIONS |= dict.fromkeys(("sinh", "cosh", "tanh", "abs", "sign"), 1)
+FUNCTIONS |= dict.fromkeys(("atan2", "hypot", "min", "max", "interp"), 2) | {"if": 3}
+CONSTANTS = {"pi": math.pi}
+#: Names that mean something in every expression.
+WORDS = frozenset((*FUNCTIONS, *CONSTANTS))
+
+#: Operators whose value is 1 where they hold and 0 where they do not.
+COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
+#: What decides on the values of its arguments, so that a NaN in them would be lost.
+_DECIDING = frozenset((*COMPARISONS, "sign", "min", "max", "interp"))
 
 MAX_DEPTH = 100
 MAX_NODES = 2000
@@ -49,8 +60,10 @@ class Name:
 class Operation:
     """``operator(*arguments)``."""
 
-    operator: str  # One of + - * / ** (two arguments), neg (one) or a key of `FUNCTIONS`
+    #: One of + - * / **, `COMPARISONS` (two arguments), neg (one) or a key of `FUNCTIONS`
+    operator: str
     arguments: tuple[Expression, ...]  # The operands, in the order in which they are written
+    table: Table | None = None  # What ``interp`` looks up, its second argument in the text
 
 
 class Whole(Protocol):
@@ -91,14 +104,34 @@ _COMPUTE: dict[str, Callable[..., float]] = {
     "/": python_operator.truediv,
     "**": math.pow,
     "neg": python_operator.neg,
-    **{name: getattr(math, name, abs) for name in FUNCTIONS},
+    "<": python_operator.lt,
+    "<=": python_operator.le,
+    ">": python_operator.gt,
+    ">=": python_operator.ge,
+    "==": python_operator.eq,
+    "!=": python_operator.ne,
+    **{name: getattr(math, name) for name in FUNCTIONS if hasattr(math, name)},
+    "abs": abs,
+    "min": min,
+    "max": max,
+    "sign": lambda value: (value > 0.0) - (value < 0.0),
 }
 
 
-def operation(operator: str, *arguments: Expression) -> Expression:
+class Scope(dict[str, float]):
+    """What expressions may name: the parameters, with their defaults, and tables."""
+
+    def __init__(self, defaults: Mapping[str, float], tables: Sequence[Table] = ()) -> None:
+        super().__init__(defaults)
+        self.tables = {table.name: table for table in tables}
+
+
+def operation(operator: str, *arguments: Expression, table: Table | None = None) -> Expression:
     """Return ``operator(*arguments)`` with constants folded."""
+    if operator == "if" and isinstance(arguments[0], Number):
+        return arguments[1] if arguments[0].value else arguments[2]
     if all(isinstance(argument, Number) for argument in arguments):
-        return Number(_compute(operator, [evaluate(argument, {}) for argument in arguments]))
+        return Number(evaluate(Operation(operator, arguments, table), {}))
     match operator, arguments:
         case (
             ("+", (Number(0.0), same))
@@ -113,7 +146,7 @@ def operation(operator: str, *arguments: Expression) -> Expression:
         case ("-", (Number(0.0), subtrahend)):
             return operation("neg", subtrahend)
         case _:
-            return Operation(operator, arguments)
+            return Operation(operator, arguments, table)
 
 
 def total(terms: Sequence[Expression]) -> Expression:
@@ -141,6 +174,10 @@ def evaluate(expression: Expression, values: Mapping[str, float]) -> float:
             return value
         case Name(identifier):
             return float(values[identifier])
+        case Operation("if", (condition, first, second)):
+            return evaluate(first if evaluate(condition, values) else second, values)
+        case Operation("interp", (argument,), Table() as table):
+            return table.value(evaluate(argument, values))
         case Computed():
             return expression.value(values)
         case Operation(operator, arguments):
@@ -151,7 +188,7 @@ def _compute(operator: str, values: Sequence[float]) -> float:
     if operator == "/" and values[1] == 0.0:
         raise ArithmeticError(f"division by zero in {_written(operator, values)}")
     try:
-        result = _COMPUTE[operator](*values)
+        result = float(_COMPUTE[operator](*values))
     except OverflowError:
         result = math.inf
     except ValueError:
@@ -166,6 +203,27 @@ def _written(operator: str, values: Sequence[float]) -> str:
     if operator in FUNCTIONS:
         return f"{operator}({', '.join(map(repr, values))})"
     return f" {operator} ".join(f"({value!r})" if value < 0 else repr(value) for value in values)
+
+
+def decisive(expression: Expression) -> Iterator[Expression]:
+    """Yield what an expression decides by, such as both sides of a comparison.
+
+    Where a branch is not taken, what it decides by is 0.
+    """
+    if not isinstance(expression, Operation):
+        return
+    if expression.operator == "if":
+        condition, first, second = expression.arguments
+        if not (isinstance(condition, Operation) and condition.operator in COMPARISONS):
+            yield condition
+        yield from decisive(condition)
+        yield from (operation("if", condition, each, ZERO) for each in decisive(first))
+        yield from (operation("if", condition, ZERO, each) for each in decisive(second))
+        return
+    if expression.operator in _DECIDING:
+        yield from (each for each in expression.arguments if not isinstance(each, Number))
+    for argument in expression.arguments:
+        yield from decisive(argument)
 
 
 def names(expression: Expression) -> frozenset[str]:
@@ -195,16 +253,21 @@ def is_large(expression: Expression) -> bool:
 
 
 MAX_TEXT = 10_000
-_ALLOWED = re.compile(r"[A-Za-z0-9_.,+\-*/() ]")
+_ALLOWED = re.compile(r"[A-Za-z0-9_.,+\-*/()<>=!\"' ]")
+#: ``if`` is no name to Python; this is one, and no user can have written it.
+_IF = re.compile(r"\bif(?= ?\()"), "if\N{MIDDLE DOT}"
+_COMPARED: dict[type[ast.cmpop], str] = dict(
+    zip((ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq), COMPARISONS, strict=True)
+)
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
-_LANGUAGE = f"numbers, parameters, + - * / ** ( ) and {' '.join(FUNCTIONS)}"
+_LANGUAGE = f"numbers, parameters, + - * / ** ( ) {' '.join((*COMPARISONS, *FUNCTIONS))} and pi"
 _WORDS: dict[type[ast.AST], str] = {
     ast.Attribute: "an attribute access",
     ast.Subscript: "an index",
     ast.Lambda: "a lambda",
-    ast.Compare: "a comparison",
-    ast.BoolOp: "a boolean operation",
-    ast.IfExp: "a conditional",
+    ast.IfExp: "Python's conditional (if(condition, a, b) is ours)",
+    ast.Compare: "the operators in and is",
+    ast.BoolOp: "a boolean operation (a product of comparisons holds where all of them do)",
     ast.NamedExpr: "an assignment",
     ast.Tuple: "a comma outside a call",
     ast.keyword: "a keyword argument",
@@ -224,7 +287,7 @@ _NOT_SO_DEEP = f"at most {MAX_DEPTH} levels of nesting"
 def parse(
     text: str, *, place: Place | None = None, parameters: Collection[str] | None = None
 ) -> Expression:
-    """Parse an expression."""
+    """Parse an expression; a `Scope` of parameters has the tables that it may look up."""
     where = Place("<text>", "expression") if place is None else place
     try:
         return _converted(_tree(text), 1, parameters)
@@ -248,14 +311,16 @@ def _tree(text: str) -> ast.expr:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # "1or 2" is a warning to Python, a mistake to us
-            return ast.parse(line, mode="eval").body
+            return ast.parse(_IF[0].sub(_IF[1], line), mode="eval").body
     except (SyntaxError, ValueError, Warning):
         raise Unfit(f"an expression of {_LANGUAGE}") from None
     except (RecursionError, MemoryError):
         raise Unfit(_NOT_SO_DEEP) from None
 
 
-def _converted(node: ast.expr, level: int, parameters: Collection[str] | None) -> Expression:
+def _converted(  # noqa: PLR0911 - one per node
+    node: ast.expr, level: int, parameters: Collection[str] | None
+) -> Expression:
     if level > MAX_DEPTH:
         raise Unfit(_NOT_SO_DEEP)
     convert = partial(_converted, level=level + 1, parameters=parameters)
@@ -270,14 +335,51 @@ def _converted(node: ast.expr, level: int, parameters: Collection[str] | None) -
             return operation("neg", convert(operand))
         case ast.BinOp(left, kind, right) if type(kind) in _BINARY:
             return operation(_BINARY[type(kind)], convert(left), convert(right))
+        case ast.Compare(left, kinds, others) if all(type(kind) in _COMPARED for kind in kinds):
+            pairs = pairwise([convert(side) for side in (left, *others)])
+            compared = zip(kinds, pairs, strict=True)
+            return product([operation(_COMPARED[type(kind)], *pair) for kind, pair in compared])
         case ast.Call(ast.Name(function), arguments, []):
-            _check_call(function, len(arguments))
-            return operation(function, *map(convert, arguments))
+            name = "if" if function == _IF[1] else function
+            _check_call(name, len(arguments))
+            return _called(name, arguments, convert, parameters)
     culprit: ast.AST = node.op if isinstance(node, ast.BinOp | ast.UnaryOp) else node
     if isinstance(node, ast.Call) and node.keywords:
         culprit = node.keywords[0]
     word = _WORDS.get(type(culprit), f"Python's {type(culprit).__name__}")
     raise Unfit(f"an expression of {_LANGUAGE}, without {word}")
+
+
+def _called(
+    function: str,
+    arguments: list[ast.expr],
+    convert: Callable[[ast.expr], Expression],
+    parameters: Collection[str] | None,
+) -> Expression:
+    """Return a call; of an ``if`` that is decided the other branch may have no value."""
+    first = convert(arguments[0])
+    if function == "interp":
+        return operation("interp", first, table=_table(arguments[1], parameters))
+    if function == "if" and isinstance(first, Number):
+        with suppress(ArithmeticError):
+            convert(arguments[2 if first.value else 1])
+        return convert(arguments[1 if first.value else 2])
+    return operation(function, first, *map(convert, arguments[1:]))
+
+
+def _table(node: ast.expr, parameters: Collection[str] | None) -> Table:
+    """Return the table whose name stands in quotes."""
+    tables = parameters.tables if isinstance(parameters, Scope) else {}
+    known = ", ".join(map(repr, tables)) or "of which the spec has none"
+    expected = f"the name of one of [tables] ({known}) as second argument of 'interp'"
+    match node:
+        case ast.Constant(str() as name) if name in tables:
+            return tables[name]
+        case ast.Constant(str() as name):
+            raise Unfit(f"{expected}, not {show(name)}{suggestion(name, tables)}")
+        case ast.Name(name) if name in tables:
+            raise Unfit(f"{expected}: write it as '{name}', in quotes")
+    raise Unfit(f"{expected}, in quotes")
 
 
 def _constant(value: object) -> Expression:
@@ -290,6 +392,8 @@ def _constant(value: object) -> Expression:
 
 
 def _name(identifier: str, parameters: Collection[str] | None) -> Expression:
+    if identifier in CONSTANTS:
+        return Number(CONSTANTS[identifier])
     if parameters is None or identifier in parameters:
         return Name(identifier)
     if identifier in FUNCTIONS:
@@ -309,7 +413,7 @@ def _check_call(function: str, given: int) -> None:
         raise Unfit(f"{count} argument{'s' * (count > 1)} of '{function}', not {given}")
 
 
-_STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3, "**": 4}
+_STRENGTH = dict.fromkeys(COMPARISONS, 0) | {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3, "**": 4}
 _ATOM = 5
 
 
@@ -326,10 +430,12 @@ def to_text(expression: Expression) -> str:
             return f"-{_within(operand, _STRENGTH['**'])}"
         case Operation(operator, (left, right)) if operator in _STRENGTH:
             strength = _STRENGTH[operator]
-            first = _within(left, _ATOM if operator == "**" else strength)
+            looser = operator not in COMPARISONS
+            first = _within(left, _ATOM if operator == "**" else strength + 1 - looser)
             return f"{first} {operator} {_within(right, strength + 1)}"
-        case Operation(function, arguments):
-            return f"{function}({', '.join(map(to_text, arguments))})"
+        case Operation(function, arguments, table):
+            looked_up = [] if table is None else [f"'{table.name}'"]
+            return f"{function}({', '.join([*map(to_text, arguments), *looked_up])})"
 
 
 def _within(expression: Expression, required: int) -> str:

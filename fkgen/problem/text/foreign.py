@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from functools import partial, reduce
 from importlib import import_module
 from numbers import Real
 from typing import Any
 
 from fkgen.problem.table.place import Place, describe, show
 from fkgen.problem.text.expression import (
+    COMPARISONS,
     FUNCTIONS,
     MAX_DEPTH,
     MAX_NODES,
@@ -110,8 +112,22 @@ class _SympyScalar:
             return total([self.converted(term) for term in node.args])
         if isinstance(node, sympy.Mul) or self.divides(node):
             return self.quotient(sympy.Mul.make_args(node))
+        if isinstance(node, sympy.Piecewise):
+            return self.choice(node)
         name, arguments = self.operation(node)
-        return operation(name, *map(self.converted, arguments))
+        operands = [self.converted(each) for each in arguments]
+        several = name in {"min", "max", "*"}
+        return reduce(partial(operation, name), operands) if several else operation(name, *operands)
+
+    def choice(self, node: Any) -> Expression:
+        """Convert a chain of conditions, of which the last one is always true."""
+        *branches, (last, always) = node.args
+        if always != self.sympy.true:
+            raise Unfit("a Piecewise that ends with (value, True)")
+        result = self.converted(last)
+        for value, condition in reversed(branches):
+            result = operation("if", self.converted(condition), self.converted(value), result)
+        return result
 
     def quotient(self, factors: tuple[Any, ...]) -> Expression:
         below = [self.converted(1 / each) for each in factors if self.divides(each)]
@@ -121,15 +137,20 @@ class _SympyScalar:
 
     def operation(self, node: Any) -> tuple[str, tuple[Any, ...]]:
         kind = type(node).__name__
-        name = "abs" if kind == "Abs" else kind
+        name = kind.lower() if kind in {"Abs", "Min", "Max"} else kind
         if isinstance(node, self.sympy.Pow):
             root = node.exp == self.sympy.Rational(1, 2)
             return ("sqrt", node.args[:1]) if root else ("**", node.args)
-        if name in FUNCTIONS and isinstance(node, self.sympy.Function):
+        if isinstance(node, self.sympy.core.relational.Relational) and node.rel_op in COMPARISONS:
+            return node.rel_op, node.args
+        if isinstance(node, self.sympy.And):
+            return "*", node.args
+        own = self.sympy.Function | self.sympy.Min | self.sympy.Max
+        if name in FUNCTIONS and isinstance(node, own):
             return name, node.args
         raise Unfit(
-            "numbers, symbols, + - * / **, exp, log, sqrt, sin, cos, tan, atan2, Abs, pi and E,"
-            f" without {kind}"
+            "numbers, symbols, + - * / **, comparisons, exp, log, sqrt, sin, cos, tan, asin, acos,"
+            f" sinh, cosh, tanh, atan2, sign, Abs, Min, Max, Piecewise, pi and E, without {kind}"
         )
 
     def divides(self, node: Any) -> bool:
@@ -137,7 +158,9 @@ class _SympyScalar:
 
 
 _CASADI = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/", "NEG": "neg", "POW": "**"}
-_CASADI |= {"CONSTPOW": "**", "FABS": "abs"} | {name.upper(): name for name in FUNCTIONS}
+_CASADI |= {"CONSTPOW": "**", "FABS": "abs", "FMIN": "min", "FMAX": "max"}
+_CASADI |= {"LT": "<", "LE": "<=", "EQ": "==", "NE": "!="}
+_CASADI |= {name.upper(): name for name in FUNCTIONS}
 
 
 def _casadi_rows(value: Any, place: Place) -> list[list[Any]]:
@@ -176,10 +199,16 @@ def _casadi_result(kind: str, arguments: list[Expression], place: Place) -> Expr
         "SQ": ("**", [arguments[0], Number(2.0)]),
         "TWICE": ("*", [Number(2.0), arguments[0]]),
         "INV": ("/", [ONE, arguments[0]]),
+        "NOT": ("==", [arguments[0], ZERO]),
+        "IF_ELSE_ZERO": ("if", [*arguments, ZERO]),
+        "AND": ("*", [operation("!=", each, ZERO) for each in arguments]),
     }
     operator, operands = special.get(kind, (_CASADI.get(kind), arguments))
     if operator is None:
-        supported = "only + - * / **, exp, log, sqrt, sin, cos, tan, atan2 and fabs"
+        supported = (
+            "only + - * / **, comparisons, if_else, exp, log, sqrt, sin, cos, tan, asin, acos,"
+            " sinh, cosh, tanh, atan2, hypot, sign, fmin, fmax and fabs"
+        )
         raise place.error(f"a CasADi matrix that uses {kind.lower()}", supported)
     try:
         result = operation(operator, *operands)

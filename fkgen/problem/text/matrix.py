@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem.text.expression import (
     ZERO,
+    Computed,
     Expression,
     Name,
     Number,
@@ -107,6 +108,24 @@ def plain_fields(value: Any) -> dict[str, object]:
     """Return the fields of a dataclass as the table of a spec file; None is left out."""
     table = {each.name: plain(getattr(value, each.name)) for each in fields(value)}
     return {key: entry for key, entry in table.items() if entry is not None}
+
+
+def expressions(value: object) -> Iterator[Expression]:
+    """Yield every expression in matrices, tuples and dataclasses, however deep.
+
+    What is computed as a whole stands for the matrices that it is computed from.
+    """
+    match value:
+        case Number() | Name() | Operation():
+            yield value
+        case Computed():
+            return
+        case tuple():
+            for entry in value:
+                yield from expressions(entry)
+        case _ if is_dataclass(value):
+            for each in fields(value):
+                yield from expressions(getattr(value, each.name))
 
 
 def mirrored(matrix: Matrix) -> Matrix:

@@ -227,6 +227,19 @@ def _quotient(a: Bounded, b: Bounded) -> Bounded:
     return _rounded(value, (a.error + abs(value) * b.error) / (abs(b) - b.error))
 
 
+def _compared(a: Bounded, b: Bounded, *, holds: bool) -> Bounded:
+    """A comparison; where the errors could turn it, either value may come out."""
+    return Bounded(float(holds), float(abs(float(a) - float(b)) < a.error + b.error))
+
+
+def _where(condition: Bounded, value: Bounded) -> Bounded:
+    """The value where a condition holds, else 0."""
+    error = value.error if float(condition) > 0.0 else 0.0
+    if condition.error > 0.0:
+        error = abs(float(value)) + value.error
+    return Bounded(float(value) if float(condition) > 0.0 else 0.0, error)
+
+
 ARITHMETIC: Mapping[Operator, Callable[..., Bounded]] = {
     Operator.ADD: lambda a, b: _rounded(float(a) + float(b), a.error + b.error),
     Operator.SUB: lambda a, b: _rounded(float(a) - float(b), a.error + b.error),
@@ -236,6 +249,9 @@ ARITHMETIC: Mapping[Operator, Callable[..., Bounded]] = {
     Operator.ABS: lambda a: Bounded(abs(float(a)), a.error),
     Operator.MAX: lambda a, b: Bounded(max(float(a), float(b)), max(a.error, b.error)),
     Operator.MIN: lambda a, b: Bounded(min(float(a), float(b)), max(a.error, b.error)),
+    Operator.LT: lambda a, b: _compared(a, b, holds=float(a) < float(b)),
+    Operator.LE: lambda a, b: _compared(a, b, holds=float(a) <= float(b)),
+    Operator.IF_ELSE_ZERO: _where,
 }
 
 
@@ -254,6 +270,7 @@ def _elementary(operator: Operator, arguments: list[Bounded]) -> Bounded:
 def _slope(operator: Operator, values: list[float], value: float, error: float) -> float:
     """Largest slope of a function within the bound around its arguments; 1 at most if unlisted."""
     least, far = values[0] - error, math.hypot(*values) - 2.0 * error
+    inside = 1.0 - (abs(values[0]) + error) ** 2
     steep = math.cos(values[0]) ** 2 - 2.0 * error if operator is Operator.TAN else 1.0
     slopes = {
         Operator.EXP: abs(value) * math.exp(error) if error < 1.0 else math.inf,
@@ -261,5 +278,10 @@ def _slope(operator: Operator, values: list[float], value: float, error: float) 
         Operator.SQRT: 0.5 / math.sqrt(least) if least > 0.0 else math.inf,
         Operator.TAN: 1.0 / steep if steep > 0.0 else math.inf,
         Operator.ATAN2: 2.0 / far if far > 0.0 else math.inf,
+        Operator.ASIN: (edge := 1.0 / math.sqrt(inside) if inside > 0.0 else math.inf),
+        Operator.ACOS: edge,
+        Operator.SINH: (grown := math.hypot(1.0, value) * math.exp(min(error, 100.0))),
+        Operator.COSH: grown,
+        Operator.HYPOT: 2.0,
     }
     return slopes.get(operator, 1.0)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fkgen.errors import DataError, SpecError
-from fkgen.problem.signals import MAX_LENGTH, MAX_UNIT, PARAMETER, PREFIX, read_name
+from fkgen.problem.signals import MAX_LENGTH, MAX_UNIT, PREFIX, parameter_words, read_name
 from fkgen.problem.table.place import Place
 from fkgen.runtime.record import choice
 from fkgen.study.records.headings import parted, time_column
@@ -198,12 +198,13 @@ def _digits(value: float) -> str:
     return text if any(mark in text for mark in ".e") else f"{text}.0"
 
 
-def _identifier(text: str, other: str, taken: set[str], refused: Any = PARAMETER) -> str:
+def _identifier(text: str, other: str, taken: set[str], refused: Any = None) -> str:
     """A name that a spec takes, as near to the text as can be."""
     ascii_only = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     words = re.sub(r"[^A-Za-z0-9]+", "_", ascii_only).strip("_")[: MAX_LENGTH - 4].strip("_")
-    for name in (words, f"{words}_y", f"y_{words}", other, f"{other}_y"):
+    possible = words, f"{words}_y", f"y_{words}", other, f"{other}_y"
+    for name in possible:
         with suppress(SpecError):
             if name.casefold() not in taken:
-                return read_name(name, Place(), refused)
+                return read_name(name, Place(), refused or parameter_words("", possible))
     return f"{other}_{len(taken)}"

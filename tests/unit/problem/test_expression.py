@@ -6,9 +6,11 @@ import copy
 import math
 import pickle
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import PchipInterpolator
 
 from fkgen.errors import SpecError
 from fkgen.problem.table.place import Place
@@ -17,6 +19,8 @@ from fkgen.problem.text.expression import (
     Name,
     Number,
     Operation,
+    Scope,
+    decisive,
     depth,
     evaluate,
     names,
@@ -26,6 +30,7 @@ from fkgen.problem.text.expression import (
     to_text,
     total,
 )
+from fkgen.problem.text.lookup import Table
 
 VALUES = {"a": 0.7, "b": -1.3, "tau": 2.5}
 
@@ -37,20 +42,32 @@ def atan2(y: float, x: float) -> float:
     return math.atan2(y, x)
 
 
+OF_ONE = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "sinh", "cosh", "tanh")
+
+
+def sign(x: float) -> float:
+    return float(bool(x)) if x >= 0.0 else -1.0
+
+
 def python_value(text: str) -> float | None:
     """Return what Python itself makes of the text, None where it is not finite and real."""
-    functions = {key: getattr(math, key) for key in ("exp", "log", "sqrt", "sin", "cos", "tan")}
-    scope = {"__builtins__": {}, "abs": abs, "atan2": atan2, **functions, **VALUES}
+    functions = {key: getattr(math, key) for key in (*OF_ONE, "hypot", "pi")}
+    own = {"abs": abs, "min": min, "max": max, "atan2": atan2, "sign": sign}
+    scope = {"__builtins__": {}, **own, **functions, **VALUES}
     try:
         value = eval(text, scope)  # noqa: S307 - text drawn by the strategy below
     except (ArithmeticError, ValueError):
         return None
+    value = float(value) if isinstance(value, int) else value
     return value if isinstance(value, float) and math.isfinite(value) else None
 
 
 FORMS = [
     *(f"({{0}} {operator} {{1}})" for operator in "+-*/"),
-    *(f"{name}({{0}})" for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "abs", "-", "+")),
+    *(f"{name}({{0}})" for name in (*OF_ONE, "abs", "sign", "-", "+")),
+    *(f"{name}({{0}}, {{1}})" for name in ("min", "max", "hypot")),
+    *(f"({{0}} {relation} {{1}})" for relation in ("<", "<=", ">", ">=", "==", "!=")),
+    "(pi * {0})",
     *(f"({{0}}) ** {exponent}.0" for exponent in range(-3, 4)),
     "atan2({0}, {1})",
 ]
@@ -112,6 +129,14 @@ def test_text_and_tree_are_the_same_thing(text: str) -> None:
         ("atan2(a, 2)", Operation("atan2", (Name("a"), Number(2.0)))),
         ("2**3**2", Number(512.0)),
         ("abs(-3)", Number(3.0)),
+        ("2*pi", Number(2.0 * math.pi)),
+        ("if(1 < 2, tau, 1/0)", Name("tau")),
+        ("if(2 < 1, 1/0, tau)", Name("tau")),
+        ("if (0, 1/0, tau)", Name("tau")),
+        ("(1 < 2) + (2 < 1)", Number(1.0)),
+        ("a >= b", Operation(">=", (Name("a"), Name("b")))),
+        ("0 < a < b", product([parse("0 < a"), parse("a < b")])),
+        ("if(a, b, tau)", Operation("if", (Name("a"), Name("b"), Name("tau")))),
     ],
 )
 def test_trees_are_folded(text: str, tree: object) -> None:
@@ -132,8 +157,20 @@ INJECTIONS = [
     "[x for x in tau]",
     "(x for x in tau)",
     "tau if tau else tau",
-    "tau == tau",
-    "tau < 1",
+    "tau in tau",
+    "tau is tau",
+    "tau < 1 is 1",
+    "if(tau, tau)",
+    "if + 1",
+    "if(1 < 2, taw, 1)",
+    "if(1 < 2, 1, taw)",
+    "if(tau, 1/0, 1)",
+    "asin(2)",
+    "min(1, 2, 3)",
+    "interp(tau)",
+    "interp(tau, tau)",
+    "interp(tau, 'drag')",
+    "pi(1)",
     "tau and tau",
     "not tau",
     "(tau := 1)",
@@ -239,7 +276,14 @@ def test_anything_else_is_refused_in_one_line(text: str) -> None:
         ("exp(1000)", "exp(1000.0) is too large"),
         ("tau.x", "attribute access"),
         ("tau[0]", "without '['"),
-        ("exp(x=tau)", "without '='"),
+        ("exp(x=tau)", "without a keyword argument"),
+        ("min(tau)", "2 arguments of 'min', not 1"),
+        ("tau and 1", "a product of comparisons"),
+        ("1 if tau else 2", "if(condition, a, b) is ours"),
+        ("asin(2)", "asin(2.0) is not a real number"),
+        ("if(tau, log(-1), 2)", "log(-1.0) is not a real number"),
+        ("if(1 < 2, 1, taw)", "not the name 'taw'"),
+        ("interp(tau, 'drag')", "of which the spec has none"),
         ("tau // 2", "the operator //"),
         ("(" * 150, "100 levels"),
         ("1" * 20_000, "at most 10000 characters, not 20000"),
@@ -269,6 +313,67 @@ def test_a_spec_without_parameters_says_so() -> None:
 def test_undefined_values_raise(text: str, fault: str) -> None:
     with pytest.raises(ArithmeticError, match=fault):
         evaluate(parse(text), {"a": 0.0})
+
+
+LINE = Table("line", (0.0, 1.0, 3.0), (1.0, 2.0, -2.0))
+CURVE = Table("curve", (0.0, 1.0, 3.0, 4.0), (1.0, 2.0, 2.5, 0.0), "pchip")
+TABLES = Scope(VALUES, (LINE, CURVE))
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("if(a > 0, 1/a, log(a))", 1.0 / 0.7),
+        ("if(b > 0, log(b), -b)", 1.3),
+        ("if(a - a, 1, 2)", 2.0),
+        ("if(a == 0.7, if(b != 0, 3, 4), 5)", 3.0),
+        ("interp(a, 'line')", 1.7),
+        ('interp(tau, "line")', -1.0),
+        ("interp(b, 'line')", 1.0),
+        ("interp(tau + 1, 'line') + interp(4, 'curve')", -2.0),
+        ("interp(1, 'line') + interp(3, 'curve')", 4.5),
+    ],
+)
+def test_only_the_branch_that_is_taken_needs_a_value(text: str, value: float) -> None:
+    tree = parse(text, parameters=TABLES)
+    assert evaluate(tree, VALUES) == pytest.approx(value, rel=1e-15)
+    assert parse(to_text(tree), parameters=TABLES) == tree
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("interp(a, 'lime')", "('line', 'curve') as second argument of 'interp', not 'lime'; did"),
+        ("interp(a, line)", "write it as 'line', in quotes"),
+        ("interp(a, 3)", "in quotes"),
+        ("interp(a)", "2 arguments of 'interp', not 1"),
+    ],
+)
+def test_a_table_is_named_in_quotes(text: str, expected: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        parse(text, parameters=TABLES)
+    assert expected in caught.value.expected
+
+
+def test_tables_go_through_their_points_as_those_of_numpy_and_scipy() -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(40):
+        x = np.cumsum(rng.uniform(0.1, 3.0, rng.integers(2, 9)))
+        y = np.round(rng.normal(size=x.size), 1)  # flat pieces and turns among them
+        at = np.concatenate([x, rng.uniform(x[0] - 1.0, x[-1] + 1.0, 50)])
+        curve = PchipInterpolator(x, y)(np.clip(at, x[0], x[-1]))
+        for kind, expected in (("linear", np.interp(at, x, y)), ("pchip", curve)):
+            table = Table("t", tuple(x.tolist()), tuple(y.tolist()), kind)
+            found = [table.value(float(each)) for each in at]
+            # y is of order 3, and a few roundings of what it is made of
+            np.testing.assert_allclose(found, expected, atol=1e-13, rtol=0.0)
+
+
+def test_what_an_expression_decides_by_is_nothing_where_it_is_not_reached() -> None:
+    tree = parse("if(a > 0, min(log(a), 2), interp(b, 'line'))", parameters=TABLES)
+    reached = "if(a > 0.0, log(a), 0.0)", "if(a > 0.0, 0.0, b)"
+    assert [to_text(each) for each in decisive(tree)] == ["a", *reached]
+    assert not list(decisive(parse("exp(a) / b + hypot(a, b)")))
 
 
 def test_names_are_the_parameters_used() -> None:

@@ -41,8 +41,18 @@ NAMES: list[Case] = [
     (KF, {Y: [{"name": "y", "unit": "V" * 41}]}, "model.outputs[0].unit", "VVV", "at most 40"),
     (KF, {"parameters.1a": 1.0}, "parameters.1a", "'1a'", "a C identifier"),
     (KF, {"parameters.double": 1.0}, "parameters.double", "'double'", "keyword"),
-    (KF, {"parameters.exp": 1.0}, "parameters.exp", "'exp'", "not a function"),
-    (KF, {"parameters.atan2": 1.0}, "parameters.atan2", "'atan2'", "not a function"),
+    (KF, {"parameters.exp": 1.0}, "parameters.exp", "'exp'", "not a word"),
+    (KF, {"parameters.atan2": 1.0}, "parameters.atan2", "'atan2'", "not a word"),
+    *(
+        (KF, {f"parameters.{word}": 1.0}, f"parameters.{word}", f"'{word}'", expected)
+        for words, expected in (
+            ("lambda from as global None del", "a keyword of Python"),
+            ("min max sign hypot pi interp asin tanh", "a word of the expression language"),
+            ("DBL_MAX SIZE_MAX INT32_MAX UINT8_C FLT_EPSILON HUGE_VAL M_PI", "a macro of C's"),
+            ("MOTOR_NX MOTOR_OK MOTOR_H_INCLUDED", "do, with MOTOR_"),
+        )
+        for word in words.split()
+    ),
     (KF, {"parameters._a": 1.0}, "parameters._a", "'_a'", "without leading"),
     (KF, {"parameters.I": 1.0}, "parameters.I", "'I'", "complex.h"),
     (KF, {"parameters.TAU": 1.0}, "parameters", "'tau' and 'TAU'", "distinct names"),

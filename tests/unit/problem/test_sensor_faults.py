@@ -59,7 +59,7 @@ BASES = {
     "chain": CHAIN,
 }
 
-S = "faults.sensor"
+S, TAU = "faults.sensor", "parameters.tau"
 FACTOR, ROWS, PROBLEM, INITIAL = f"{S}.noise_factor", f"{S}.rows", f"{S}.problem", f"{S}.initial"
 RATE, PERSISTENCE, NOMINAL = f"{S}.gamma_rate", f"{S}.gamma_persistence", f"{S}.delta_nominal_rate"
 JOINT, GAMMA, DELTA, K = f"{S}.joint", f"{S}.gamma_chain", f"{S}.delta_chain", f"{S}.kernel"
@@ -93,7 +93,8 @@ SECTION: list[Case] = [
     (ONE, {FACTOR: 1e13}, FACTOR, "10000000000000.0", "up to 1e+12"),
     (ONE, {FACTOR: NAN}, FACTOR, "nan", "a positive number"),
     (ONE, {FACTOR: INF}, FACTOR, "inf", "a positive number"),
-    (ONE, {FACTOR: "tau"}, FACTOR, "the text 'tau'", "a positive number"),
+    (ONE, {FACTOR: "taw"}, FACTOR, "'taw'", "not the name 'taw'"),
+    (ONE, {FACTOR: "tau", TAU: -0.5}, FACTOR, "-0.5 at the defaults (tau)", "a positive number"),
     (ONE, {FACTOR: True}, FACTOR, "the boolean True", "a positive number"),
     (ONE, {FACTOR: [10, 2]}, FACTOR, "the list [10, 2]", "a positive number"),
     (GENIE, {FACTOR: 0.0}, FACTOR, "0.0", "a positive number"),
@@ -136,7 +137,9 @@ PROBABILITIES: list[Case] = [
     (ONE, {RATE: 1.1}, RATE, "1.1", "a probability in [0, 1]"),
     (ONE, {RATE: -0.1}, RATE, "-0.1", "a probability in [0, 1]"),
     (ONE, {RATE: NAN}, RATE, "nan", "a probability in [0, 1]"),
-    (ONE, {RATE: "tau"}, RATE, "the text 'tau'", "a probability in [0, 1]"),
+    (ONE, {RATE: "taw"}, RATE, "'taw'", "not the name 'taw'"),
+    (ONE, {RATE: "tau", TAU: 1.5}, RATE, "1.5 at the defaults (tau)", "a probability in [0, 1]"),
+    (ONE, {RATE: "tau", TAU: 0.5, INITIAL: [1, 0, 0, 0]}, INITIAL, "with parameters", "its own"),
     (ONE, {RATE: [0.9]}, RATE, "the list [0.9]", "a probability in [0, 1]"),
     (ONE, {NOMINAL: REMOVED}, NOMINAL, "the key is missing", "[0, 1]: Pr(delta = 1)"),
     (ONE, {NOMINAL: 2}, NOMINAL, "2.0", "a probability in [0, 1]"),
@@ -148,7 +151,10 @@ PROBABILITIES: list[Case] = [
     (TWO, {JOINT: [0.7, 0.1, 0.1, 0.1 + 2e-9]}, JOINT, "sum to 1.000000002", "a sum of 1"),
     (TWO, {JOINT: [0.0, 0.0, 0.0, 0.0]}, JOINT, "sum to 0", "a sum of 1"),
     (TWO, {JOINT: [0.8, 0.3, -0.1, 0.0]}, f"{JOINT}[2]", "-0.1", "a probability in [0, 1]"),
-    (TWO, {JOINT: [1.0, "0", 0, 0]}, f"{JOINT}[1]", "the text '0'", "a probability in [0, 1]"),
+    (TWO, {JOINT: [1.0, [0], 0, 0]}, f"{JOINT}[1]", "the list [0]", "a probability in [0, 1]"),
+    (TWO, {JOINT: ["tau", 0.3, 0, 0], TAU: 0.5}, JOINT, "sum to 0.8 at the", "a sum of 1"),
+    (FOUR, {K: [["tau", "1-tau", 0, 0]] * 4, TAU: 0.5}, INITIAL, "nothing", "numbers: the start"),
+    (ONE, {INITIAL: ["tau", "1-tau", 0, 0], TAU: 0.5}, INITIAL, "depend on parameters", "numbers"),
     (THREE, {GAMMA: REMOVED}, GAMMA, "missing", "a 2 x 2 matrix, states ordered (0, 1)"),
     (THREE, {DELTA: REMOVED}, DELTA, "missing", "a 2 x 2 matrix, states ordered (1, C)"),
     (THREE, {GAMMA: 0.9}, GAMMA, "the float 0.9", "states ordered (0, 1), rows that sum to 1"),

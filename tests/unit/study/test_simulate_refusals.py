@@ -60,6 +60,9 @@ def test_parameters_that_make_no_law_are_refused():
     noise = plants.spec(PLANT | {"R": [["r"]]}, parameters={"r": 0.5})
     with pytest.raises(fkgen.DataError, match="a variance below 0"):
         fkgen.simulate(noise, 2, 5, u=1.0, params={"r": -1.0})
+    ranged = plants.spec(PLANT, parameters={"r": {"default": 0.5, "max": 1.0}})
+    with pytest.raises(fkgen.DataError, match=r"out of range, .* at sample 2 of trial 0"):
+        fkgen.simulate(ranged, 2, 5, u=1.0, params={"r": [0.1, 1.0, 1.1, 0.2, 0.3]})
 
 
 def test_a_genie_without_a_law_has_nothing_to_draw():

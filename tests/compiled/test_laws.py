@@ -1,0 +1,239 @@
+"""Laws of faults that depend on parameters: as numbers in their place, sample by sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plants import assert_agree, built
+from scipy.stats import norm
+from toolchain import needs_compiler
+
+import fkgen
+from fkgen.errors import DataError, SpecError
+
+pytestmark = needs_compiler()
+
+MODEL = {
+    "A": [[1.0, 0.1], [0.0, 0.95]],
+    "C": [[1.0, 0.0], [0.0, 1.0]],
+    "Q": [[0.1, 0.0], [0.0, 0.1]],
+    "R": [[0.5, 0.1], [0.1, 0.3]],
+    "x0": [0.0, 0.0],
+    "P0": [[1.0, 0.0], [0.0, 1.0]],
+}
+START = [0.7, 0.1, 0.1, 0.1]
+LAST = [[0.2, 0.6, 0.1, 0.1], [0.3, 0.1, 0.5, 0.1], [0.2, 0.2, 0.2, 0.4]]
+
+#: Laws of a sensor with parameters p = 0.8, q = 0.1, and with these numbers in their place.
+SENSOR = {
+    "1": (
+        {"problem": 1, "gamma_rate": "p", "delta_nominal_rate": "1 - q"},
+        {"problem": 1, "gamma_rate": 0.8, "delta_nominal_rate": 0.9},
+    ),
+    "2": (
+        {"problem": 2, "joint": ["p - q", "q", 0.15, "0.85 - p"]},
+        {"problem": 2, "joint": [0.7, 0.1, 0.15, 0.05]},
+    ),
+    "3": (
+        {
+            "problem": 3,
+            "gamma_chain": [["p", "1 - p"], ["q", "1 - q"]],
+            "delta_chain": [[0.9, 0.1], ["p/2", "1 - p/2"]],
+            "initial": START,
+        },
+        {
+            "problem": 3,
+            "gamma_chain": [[0.8, 0.2], [0.1, 0.9]],
+            "delta_chain": [[0.9, 0.1], [0.4, 0.6]],
+            "initial": START,
+        },
+    ),
+    "4": (
+        {"problem": 4, "kernel": [["p", "q", "0.9 - p", "0.1 - q"], *LAST], "initial": START},
+        {"problem": 4, "kernel": [[0.8, 0.1, 0.1, 0.0], *LAST], "initial": START},
+    ),
+}
+MODES = [{}, {"Q": [[1.0, 0.0], [0.0, 2.0]]}, {"A": [[0.9, 0.1], [0.0, 0.8]]}]
+JUMP = (
+    {"transition": [["p", "1 - p", 0.0], ["q", 0.7, "0.3 - q"], [0.3, 0.3, 0.4]]},
+    {"transition": [[0.8, 0.2, 0.0], [0.1, 0.7, 0.2], [0.3, 0.3, 0.4]]},
+)
+RATE = {"arrival_rate": "p"}, {"arrival_rate": 0.8}
+
+
+def sensor(family, number):
+    laws = SENSOR[number]
+    factors = ("p*5", 4.0)
+    return [
+        (family, {"sensor": {"noise_factor": f, **law}})
+        for f, law in zip(factors, laws, strict=True)
+    ]
+
+
+def jump(family, *more, **options):
+    found = []
+    for at, law in enumerate(JUMP):
+        table = {"modes": MODES, "initial": [0.5, 0.3, 0.2], **law}
+        for each in more:
+            table |= each[at]
+        found.append((family, {"jump": table}, options))
+    return found
+
+
+CASES = {
+    **{f"{f} {n}": sensor(f, n) for f in ("one_step", "imm", "linear_optimal") for n in SENSOR},
+    "imm jump": jump("imm"),
+    "mjls": jump("mjls_lmmse"),
+    "mjls rate": jump("mjls_lmmse", RATE),
+    "mjls chain": jump("mjls_lmmse", ({"arrival_chain": [[0.4, 0.6], [0.1, 0.9]]},) * 2),
+    "mjls llr": jump("mjls_lmmse", RATE, detector="llr"),
+}
+
+
+def spec(family, faults, options=None, scalar="double", model=MODEL, **parameters):
+    return fkgen.Spec.from_dict(
+        {
+            "name": "plant",
+            "model": model,
+            "parameters": parameters,
+            "faults": faults,
+            "filter": {"family": family, **(options or {})},
+            "code": {"scalar": scalar},
+        }
+    )
+
+
+def record(T=14):
+    rng = np.random.default_rng(4)
+    y = rng.normal(size=(T, 2))
+    y[4], y[6, 1] = np.nan, np.nan
+    return y
+
+
+def ports_of(result):
+    """Every port but logarithms, which hold another large number for log 0."""
+    return [port for port in result.ports if "log_weight" not in port and "evidence" not in port]
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_a_law_with_parameters_is_the_law_with_numbers(name):
+    given, numbers = CASES[name]
+    varying = spec(*given, p=0.7, q=0.05)
+    assert fkgen.Spec.from_dict(varying.to_dict()) == varying
+    expected = built(spec(*numbers)).run(record())
+    found = built(varying).run(record(), params={"p": 0.8, "q": 0.1})
+    np.testing.assert_array_equal(found.status, expected.status)
+    assert_agree(found, expected, ports_of(expected), 1e-12)  # some roundings of 1 - p
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_a_law_that_is_none_is_refused(name):
+    filtering = built(spec(*CASES[name][0], p=0.7, q=0.05))
+    p, q = np.full(14, 0.7), np.full(14, 0.05)
+    p[3], p[8], q[10] = 1.001, -0.001, -0.001
+    wrong = filtering.run(record(), params={"p": p, "q": q}).status < 0
+    assert np.flatnonzero(wrong).tolist() == [3, 8, 10]
+    assert (filtering.run(record(), params={"p": p, "q": q}).status[wrong] == -4).all()
+
+
+def test_float_has_the_same_laws():
+    given, numbers = CASES["imm 4"]
+    expected = built(spec(*numbers)).run(record())
+    found = built(spec(*given, scalar="float", p=0.7, q=0.05)).run(
+        record(), params={"p": 0.8, "q": 0.1}
+    )
+    assert_agree(found, expected, ["filtered_state", "mode_probability"], 1e-5)
+
+
+SCALAR = {"A": [[0.9]], "C": [[1.0]], "Q": [[0.3]], "R": [[0.2]], "x0": [1.0], "P0": [[0.8]]}
+
+
+def posterior(law, x, P, y, factor):
+    """Bayes' rule for the four conditions of a scalar sensor."""
+    gamma, delta = np.array([1, 1, 0, 0]), np.array([1, factor, 1, factor])
+    density = norm.pdf(y, gamma * x, np.sqrt(gamma * P + 0.2 * delta))
+    return law * density / (law @ density)
+
+
+@pytest.mark.parametrize("family", ["one_step", "imm"])
+def test_a_rate_is_that_of_its_own_sample_and_a_kernel_that_of_the_step_to_the_next(family):
+    y, p, c = [[0.3], [1.4]], np.array([0.9, 0.2]), np.array([3.0, 9.0])
+    fault = {"problem": 1, "gamma_rate": "p", "delta_nominal_rate": 0.75, "noise_factor": "c"}
+    own = built(spec(family, {"sensor": fault}, model=SCALAR, p=0.5, c=4.0))
+    found = own.run(y, params={"p": p, "c": c})
+    first = posterior(np.kron([p[0], 1 - p[0]], [0.75, 0.25]), 1.0, 0.8, 0.3, c[0])
+    np.testing.assert_allclose(found.mode_probability[0], first, rtol=1e-12)
+    # Sample 1 has one Gaussian before it, for the modes say nothing about each other.
+    x, P = found.predicted_state[0, 0], found.predicted_covariance[0, 0, 0]
+    second = posterior(np.kron([p[1], 1 - p[1]], [0.75, 0.25]), x, P, 1.4, c[1])
+    np.testing.assert_allclose(found.mode_probability[1], second, rtol=1e-12)
+
+    kernel = [["p", "1 - p", 0.0, 0.0], *([0.25] * 4 for _ in range(3))]
+    fault = {"problem": 4, "kernel": kernel, "initial": [1.0, 0.0, 0.0, 0.0], "noise_factor": "c"}
+    chain = built(spec(family, {"sensor": fault}, model=SCALAR, p=0.5, c=4.0))
+    found = chain.run(y, params={"p": p, "c": c})
+    law = np.array([p[0], 1.0 - p[0], 0.0, 0.0])
+    np.testing.assert_allclose(found.predicted_mode_probability[0], law, rtol=1e-12)
+    x, P = found.predicted_state[0, 0], found.predicted_covariance[0, 0, 0]
+    second = posterior(law, x, P, 1.4, c[1])
+    np.testing.assert_allclose(found.mode_probability[1], second, rtol=1e-12, atol=1e-300)
+
+
+@pytest.mark.parametrize("family", ["linear_optimal", "mjls_lmmse"])
+def test_rates_of_linear_filters_are_those_of_their_own_sample(family):
+    p = np.array([0.9, 0.2, 1.0, 0.0, 0.6])
+    faults = {"jump": {"transition": [[1.0]], "modes": [{}], "arrival_rate": "p"}}
+    if family == "linear_optimal":
+        faults = {"sensor": {"problem": 1, "gamma_rate": "p"}}
+    y = np.array([0.5, -0.4, 1.1, 0.3, 0.8])
+    found = built(spec(family, faults, model=SCALAR, p=0.5)).run(y[:, None], params={"p": p})
+    x, P, second = 1.0, 0.8, 1.8  # Nahi 1969 with one state: E[x^2] beside the error variance
+    for k, rate in enumerate(p):
+        gain = rate * P / (rate**2 * P + rate * (1.0 - rate) * second + 0.2)
+        x, P = x + gain * (y[k] - rate * x), P - gain * rate * P
+        assert found.filtered_state[k, 0] == pytest.approx(x, rel=1e-12)
+        assert found.filtered_covariance[k, 0, 0] == pytest.approx(P, rel=1e-12)
+        x, P, second = 0.9 * x, 0.81 * P + 0.3, 0.81 * second + 0.3
+
+
+def test_the_noise_factor_of_a_genie_may_change_with_the_sample():
+    faults = {"sensor": {"noise_factor": "exp(c)"}}
+    genie = built(spec("genie", faults, model=SCALAR, c=1.0))
+    c = np.array([0.5, 1.5, 1.0])
+    told = {"gamma": np.array([1.0, 1.0, 0.0]), "delta": np.array([np.exp(0.5), np.exp(1.5), 1.0])}
+    S = genie.run([[1.0]] * 3, params={"c": c} | told).innovation_covariance[:, 0, 0]
+    assert S[0] == pytest.approx(0.8 + 0.2 * np.exp(0.5))
+    assert S[2] == pytest.approx(0.2)
+    wrong = told | {"delta": np.array([np.exp(0.5), np.exp(1.0), 1.0])}
+    assert genie.run([[1.0]] * 3, params={"c": c} | wrong).status.tolist() == [0, -4, 0]
+
+
+@pytest.mark.parametrize("name", ["imm 1", "imm 4", "mjls rate"])
+def test_trials_are_drawn_with_the_law_of_the_parameters(name):
+    given, numbers = CASES[name]
+    varying = spec(*given, p=0.7, q=0.05)
+    expected = fkgen.simulate(spec(*numbers), 3, 50, seed=5)
+    found = fkgen.simulate(varying, 3, 50, seed=5, params={"p": 0.8, "q": 0.1})
+    np.testing.assert_allclose(found.y, expected.y, rtol=1e-12)
+    with pytest.raises(DataError, match=r"params.p: given several values; expected one number"):
+        fkgen.simulate(varying, 3, 2, params={"p": [0.7, 0.8]})
+    with pytest.raises(DataError, match=r"params: given p = 1.2, q = 0.05; expected values with"):
+        fkgen.simulate(varying, 3, 2, params={"p": 1.2})
+
+
+ARRIVALS = ({"arrival_chain": [["p", "1 - p"], [0.1, 0.9]]},) * 2
+REFUSED = {
+    "mixed modes": (sensor("imm", "4")[0], {"modes": 3}, "filter.modes", "4: what three"),
+    "augmented": (sensor("linear_optimal", "4")[0], {"form": "augmented"}, "filter.form", "lemma2"),
+    "stationary": (jump("mjls_lmmse")[0][:2], {"gain": "stationary"}, "filter.gain", "numbers"),
+    "arrivals": (jump("mjls_lmmse", ARRIVALS)[0][:2], {}, "faults.jump.arrival_chain", "the start"),
+}
+
+
+@pytest.mark.parametrize("name", list(REFUSED))
+def test_what_has_no_meaning_with_parameters_is_refused(name):
+    faults, options, key, expected = REFUSED[name]
+    with pytest.raises(SpecError) as caught:
+        spec(*faults, options, p=0.7, q=0.05)
+    assert caught.value.key == key
+    assert expected in caught.value.expected
