@@ -258,7 +258,7 @@ def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
     }
     if kept is not None:
         found |= {letter: _narrowed(found[letter], letter, kept) for letter in "ABCQc"}
-    _state_own(section, found)
+    _state_own(section, found, model.nx if kept is None else len(kept))
     if kept is not None:
         found |= {letter: _widened(found[letter], letter, kept, model.nx) for letter in "ABCQc"}
     if source is not None:
@@ -271,10 +271,12 @@ def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
     return Mode(**found, kept=kept, source=source)
 
 
-def _state_own(section: Section, found: dict[str, Matrix]) -> None:
+def _state_own(section: Section, found: dict[str, Matrix], states: int) -> None:
     """Put what the mode states in place of what is the model's."""
     for key, own in found.items():
         because = f"all modes share the states, inputs and rows of y; so is model.{key}"
+        if "states" in section:
+            because = f"the mode has {states} of the states, and the inputs and rows of the model"
         if key in {"c", "d"} and key in section:
             of = "state" if key == "c" else "measurement"
             found[key] = offset(section, key, len(own.rows), of)
