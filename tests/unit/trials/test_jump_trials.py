@@ -13,6 +13,7 @@ from scipy import stats
 import fkgen
 from fkgen.oracle.plants.jump import lasting_law
 from fkgen.oracle.sampled import draw_record
+from fkgen.study.comparisons.candidates import genie_of
 
 Z = 4.5  # standard errors, as in test_simulation
 
@@ -149,6 +150,23 @@ def test_modes_with_fewer_states_follow_their_chain_in_both_samplers():
     theirs = [draw_record(spec, {}, np.zeros((T, 1)), rng)[0].ravel() for _ in range(1200)]
     for i in range(2 * T):
         assert stats.ks_2samp(ours[:, i], np.array(theirs)[:, i]).pvalue > 1e-4
+
+
+def test_who_is_told_the_mode_knows_what_it_leaves_out_and_which_step_leads_into_the_next():
+    told, table = genie_of(fkgen.Spec.from_dict(UNEQUAL)).model, UNEQUAL["model"]
+    for now, after in product(range(3), repeat=2):
+        values = {f"in_mode_{i}": float(i == now) for i in range(3)}
+        values |= {f"into_mode_{i}": float(i == after) for i in range(3)}
+        mine, kept = UNEQUAL["faults"]["jump"]["modes"][after], HELD[after]
+        both, A, Q = np.ix_(kept, kept), np.zeros((3, 3)), np.zeros((3, 3))
+        A[both] = mine.get("A", np.array(table["A"])[both])
+        A[:, [i for i in range(3) if i not in HELD[now]]] = 0.0
+        Q[both] = np.array(table["Q"])[both]
+        np.testing.assert_array_equal(told.A.values(values), A)
+        np.testing.assert_array_equal(told.Q.values(values), Q)
+        C, seen = np.zeros((2, 3)), HELD[now]
+        C[:, seen] = UNEQUAL["faults"]["jump"]["modes"][now].get("C", np.array(table["C"])[:, seen])
+        np.testing.assert_array_equal(told.C.values(values), C)
 
 
 @pytest.mark.parametrize("time", ["discrete", "continuous"])
