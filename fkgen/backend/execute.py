@@ -12,7 +12,7 @@ import numpy as np
 from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
 from fkgen.backend.ir import Element, Operator, Space
-from fkgen.errors import InternalError
+from fkgen.errors import UnfitError
 from fkgen.symbolic.interface import Kind, Status
 
 ARITHMETIC: dict[Operator, Callable[..., Number]] = {
@@ -171,7 +171,13 @@ class _Run:
 
 
 def self_test_vectors(program: ir.CProgram) -> ir.Vectors:
-    """Run the program on a short record of short decimals, with missing rows."""
+    """Run the program on a short record of short decimals, with missing rows.
+
+    Raises
+    ------
+    UnfitError
+        If the filter refuses one of them.
+    """
     machine = Machine(program)
     start = {}
     if program.closing is not None:  # a countdown that comes to its end within the self-test
@@ -185,11 +191,12 @@ def self_test_vectors(program: ir.CProgram) -> ir.Vectors:
     y[2] = np.nan
     y[MARKED, 0] = np.nan
     y[-1, 0] = OUTLIER if any(port.flags for port in program.ports) else y[-1, 0]
-    trace = []
+    trace: list[tuple[float, ...]] = []
     for inputs, outputs in zip(u, y.tolist(), strict=True):
         status = machine.step(inputs, outputs, dict(program.parameters))
         if status.value < 0:
-            raise InternalError(f"{program.name}: the self-test is refused: {status.meaning}")
+            what = f"sample {len(trace)} of the self-test is refused: {status.meaning}"
+            raise UnfitError(program.name, what)
         trace.append(_floats(machine.ports["filtered_state"]))
     return ir.Vectors(
         u=tuple(map(tuple, u)),
