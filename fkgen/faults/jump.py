@@ -147,7 +147,7 @@ class JumpFaults:
                 title="",
                 Q=chosen("Q"),
                 R=chosen("R"),
-                equations=modes.chosen(several, indicators),
+                equations=modes.chosen(several, now),
             )
         told: dict[str, Any] = {letter: chosen(letter) for letter in LETTERS}
         return replace(self.modes[0], title="", source=None, kept=None, **told)

@@ -120,9 +120,10 @@ def _start_of(recursion: Recursion) -> Claim:
     model = recursion.spec.model
     priors = {"state": model.x0.values().ravel(), "covariance": model.P0.values()}
     values = Interpreter(recursion).values
-    faults = recursion.spec.faults.jump
-    held = np.ones((1, model.nx)) if faults is None else np.array(faults.held, float)
-    kept = {"mode_state": held, "mode_covariance": held[:, :, None] * held[:, None, :]}
+    faults, kept = recursion.spec.faults.jump, {}
+    if faults is not None and faults.unequal:
+        held = np.array(faults.held, float)
+        kept = {"mode_state": held, "mode_covariance": held[:, :, None] * held[:, None, :]}
     errors = [
         np.abs(port.unpacked(values[port.name]) - kept.get(port.name, 1.0) * prior).max()
         for port in recursion.ports
