@@ -117,7 +117,11 @@ class Spec:
             model=model,
             parameters=parameters,
             faults=faults,
-            filter=Filter(options.table["family"], family.options.read(options, faults, model)),
+            filter=Filter(
+                options.table["family"],
+                family.options.read(options, faults, model),
+                linearises=model.equations is not None,
+            ),
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             tables=tuple(defaults.tables.values()),
             record=read_record(
