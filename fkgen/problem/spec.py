@@ -87,8 +87,9 @@ class Spec:
         ----------
         table : mapping
             The sections of the spec file. Matrices may also be NumPy arrays, SymPy or CasADi
-            matrices; ``model.system`` may be a discrete-time ``control.StateSpace``. It is
-            neither changed nor kept.
+            matrices; ``model.system`` may be a ``control.StateSpace``; ``model.f`` and
+            ``model.h`` CasADi functions, or callables over CasADi symbols. It is neither changed
+            nor kept.
         file : str, optional
             For messages.
 
@@ -117,18 +118,10 @@ class Spec:
             model=model,
             parameters=parameters,
             faults=faults,
-            filter=Filter(
-                options.table["family"],
-                family.options.read(options, faults, model),
-                linearises=model.equations is not None,
-            ),
+            filter=_read_filter(options, family, faults, model),
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             tables=tuple(defaults.tables.values()),
-            record=read_record(
-                whole.table.get("record", {}),
-                place.entry("record"),
-                [*(s.name for s in (*model.outputs, *model.inputs)), *defaults],
-            ),
+            record=_read_record(whole, model, defaults),
             file=file,
         )
         _check_numbers(spec, place)
@@ -213,6 +206,24 @@ class Spec:
         if found := [[list(pair) for pair in each.plain_let] for each in self.equations]:
             table["let"] = found
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def _read_filter(options: Section, family: Any, faults: Faults, model: Model) -> Filter:
+    """The family with its options, and whether there is anything to linearise."""
+    plants: list[Model | Mode] = [model]
+    plants += [] if faults.jump is None else faults.jump.modes
+    return Filter(
+        str(options.table["family"]),
+        family.options.read(options, faults, model),
+        linearises=any(plant.equations is not None for plant in plants),
+    )
+
+
+def _read_record(whole: Section, model: Model, defaults: Scope) -> Columns:
+    """Where signals and parameters stand in record files."""
+    place, known = whole.place.entry("record"), (*model.outputs, *model.inputs)
+    given = whole.table.get("record", {})
+    return read_record(given, place, [*(signal.name for signal in known), *defaults])
 
 
 def _check_numbers(spec: Spec, place: Place) -> None:
