@@ -158,6 +158,14 @@ class Elementary:
         first = int(k / 2)
         return y * self._power_of_two(first) * self._power_of_two(k - first)
 
+    def floor(self, x: Number) -> Number:
+        """Largest whole number that is not above x."""
+        whole = self.real(2.0**self.format.mantissa)
+        if not -whole < x < whole:
+            return x
+        result = self.real(int(x))
+        return result - self.real(1.0) if result > x else result
+
     def sqrt(self, x: Number) -> Number:
         """Square root by Newton's iteration from a guess that halves the exponent."""
         real, f = self.real, self.format

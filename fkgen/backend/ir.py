@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -46,6 +47,7 @@ class Operator(Enum):
     EXP = "exp"
     LOG = "log"
     SQRT = "sqrt"
+    FLOOR = "floor"
     SIN = "sin"
     COS = "cos"
     TAN = "tan"
@@ -64,7 +66,7 @@ class Operator(Enum):
 
 
 #: Operators that are functions in C.
-FUNCTIONS = {"exp", "log", "sqrt", "sin", "cos", "tan", "atan2"}
+FUNCTIONS = {"exp", "log", "sqrt", "floor", "sin", "cos", "tan", "atan2"}
 FUNCTIONS |= {"asin", "acos", "sinh", "cosh", "tanh", "hypot"}
 
 
@@ -334,6 +336,11 @@ class CProgram:
     constants: tuple[Constant, ...] = ()
     stated: Stated = Stated()
     shares_functions: bool = False
+
+    @property
+    def errors(self) -> int:
+        """Rows of the covariance of x: fewer than there are numbers where x holds attitudes."""
+        return (math.isqrt(8 * len(self.prior[1]) + 1) - 1) // 2
 
     @property
     def statuses(self) -> tuple[Status, ...]:

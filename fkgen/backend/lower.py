@@ -17,6 +17,7 @@ from fkgen.backend.size.selection import selected
 from fkgen.backend.source import Source
 from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError
+from fkgen.problem.functions.named import coordinates
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.ports import PARAMETER, prior_of
@@ -42,8 +43,10 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     model = spec.model
     signals: dict[str, Any] = {
         kind: tuple(ir.Signal(s.name, s.unit) for s in getattr(model, kind))
-        for kind in ("states", "inputs", "outputs")
+        for kind in ("inputs", "outputs")
     }
+    named = ((name, s.unit) for s in model.states for name in coordinates(s))
+    signals["states"] = tuple(ir.Signal(*each) for each in named)
     lowered: dict[str, Any] = {
         name: lower_phase(recursion.ports, phase)
         for name in ("update", "closing", "predict")

@@ -13,8 +13,10 @@ from fkgen.backend.lines import WIDTH, unit_text, units_of, wrapped
 from fkgen.estimators.gaussian.decorrelation import LOG_TWO_PI
 from fkgen.estimators.models.weights import LOG_ZERO, TINY
 from fkgen.faults import ActuatorFaults, JumpFaults, SensorFaults, SoftFaults
-from fkgen.faults.chain import LETTERS
-from fkgen.problem import Parameter
+from fkgen.faults.chain import LETTERS, Mode
+from fkgen.problem import Model, Parameter
+from fkgen.problem.equations import ABSENT, Equations, Increment
+from fkgen.problem.functions.named import coordinates
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.discretise import OF_TIME
 from fkgen.problem.text.expression import ZERO, Computed, Expression, Name, Number, names, to_text
@@ -47,7 +49,38 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
     )
 
 
+def _equations(spec: Spec, equations: Equations) -> _Part:
+    """The model by functions f and h."""
+    model = spec.model
+    time = "dx/dt = f" if equations.continuous else "x[k+1] = f"
+    title = f"Model: {time}(x[k], u[k], w[k]), y[k] = h(x[k], u[k]) + v[k], v ~ (0, R)"
+    lines = [f"{name} = {to_text(tree)}" for name, tree in equations.let]
+    for name, motion in zip(_moving(model, equations), equations.f, strict=True):
+        if isinstance(motion, Increment):
+            text = f"{name} * [{', '.join(map(to_text, motion.by))}]"
+        else:
+            text = to_text(motion)
+        lines.append(f"f: {name} = {text}")
+    rows = zip(model.outputs, equations.h, strict=True)
+    lines += [f"h: {signal.name} = {to_text(tree)}" for signal, tree in rows]
+    lines += [f"w: {noise.name} ~ (0, {to_text(noise.variance)})" for noise in equations.noises]
+    listings = [[*wrapped(line, " *   ", " *       ")] for line in lines]
+    letters = ("Q", "R", "x0", "P0") if model.S.is_zero else ("Q", "R", "S", "x0", "P0")
+    return title, [*listings, *(_matrix(spec, x, getattr(model, x)) for x in letters)]
+
+
+def _moving(model: Model, equations: Equations) -> Iterator[str]:
+    """What each entry of f is about: an attitude that turns by an increment has one."""
+    turning, at = {each.at for each in equations.f if isinstance(each, Increment)}, 0
+    for signal in model.states:
+        parts = coordinates(signal)
+        yield from (signal.name,) if at in turning else parts
+        at += len(parts)
+
+
 def _model(spec: Spec) -> _Part:
+    if spec.model.equations is not None:
+        return _equations(spec, spec.model.equations)
     inputs, absent = spec.model.nu > 0, "" if spec.model.nu else "BD"
     absent += "".join(each for each in "cd" if getattr(spec.model, each).is_zero)
     c, d = (
@@ -74,6 +107,7 @@ def _modes(spec: Spec) -> Iterator[_Part]:
     """What each mode has of its own."""
     for index, mode in enumerate(spec.faults.jump.modes if spec.faults.jump is not None else ()):
         own = {letter: getattr(mode, letter) for letter in LETTERS}
+        own = {letter: matrix for letter, matrix in own.items() if matrix != ABSENT}
         own = {name: matrix for name, matrix in own.items() if matrix != getattr(spec.model, name)}
         title = f"Mode {index}: {'what differs' if own else 'the model itself'}"
         yield title, [_matrix(spec, name, matrix) for name, matrix in own.items()]
@@ -233,8 +267,10 @@ def _range(spec: Spec, item: Parameter) -> str:
         found.append("keeps the laws of the faults probabilities")
     found += [f"keeps {_text(rate)} in [0, 1]" for rate in rates if name in names(rate)]
     used = []
+    if any(name in each.names for each in spec.equations):
+        used.append("f or h")
     for letter in LETTERS:
-        matrices = [getattr(plant, letter) for plant in spec.plants]
+        matrices = [getattr(plant, letter) for plant in _stating(spec, letter)]
         if any(name in matrix.names for matrix in matrices):
             used.append(letter)
         if letter in {"Q", "R"}:
@@ -247,12 +283,17 @@ def _range(spec: Spec, item: Parameter) -> str:
     return "; ".join([*filter(None, [unit, *found]), *([f"in {', '.join(used)}"] if used else [])])
 
 
+def _stating(spec: Spec, letter: str) -> Iterator[Model | Mode]:
+    """The plants that have this matrix."""
+    return (plant for plant in spec.plants if getattr(plant, letter) != ABSENT)
+
+
 def _units_of(spec: Spec, name: str) -> Iterator[str]:
     """The unit of a parameter that is an entry of the model by itself, such as ``m per m/s``."""
     signals = {"x": spec.model.states, "u": spec.model.inputs, "y": spec.model.outputs}
     for letter in "ABCDQR":
         above, below = _UNITS[letter][0], _UNITS[letter][-1]
-        for plant in spec.plants:
+        for plant in () if spec.model.attitudes else _stating(spec, letter):
             for i, row in enumerate(getattr(plant, letter).rows):
                 for j, entry in enumerate(row):
                     one, two = signals[above][i].unit, signals[below][j].unit
@@ -266,7 +307,7 @@ def _folded(spec: Spec, phases: Sequence[Phase]) -> tuple[tuple[float, str], ...
     known: dict[float, str] = {}
     for index, plant in enumerate(spec.plants):
         of = f" of mode {index}" if len(spec.plants) > 1 else ""
-        for letter in "ABC":
+        for letter in "ABC" if plant.equations is None else "":
             for value, text in _coefficients(letter, getattr(plant, letter)):
                 known.setdefault(abs(value), f"{'-' if value < 0 else ''}{text}{of}")
     used = {abs(value) for value in _read(phases)}

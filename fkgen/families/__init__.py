@@ -16,6 +16,7 @@ from fkgen.problem.table.section import Section, as_table
 #: Names in the order of ``fkgen families``.
 NAMES = (
     "kf",
+    "ekf",
     "mkf",
     "mme",
     "linear_optimal",

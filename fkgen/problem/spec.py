@@ -28,7 +28,7 @@ from fkgen.problem.signals import PREFIX, read_name
 from fkgen.problem.table.columns import Columns, read_record
 from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_table
-from fkgen.problem.text.expression import Expression, Scope
+from fkgen.problem.text.expression import Expression, Scope, evaluate
 from fkgen.problem.text.lookup import Table
 from fkgen.problem.text.matrix import expressions
 
@@ -236,6 +236,12 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
     """Refuse entries beyond `LIMITS`; parameters have their default values."""
     scalar = spec.code.scalar
     smallest, largest = LIMITS[scalar]
+    for i, noise in enumerate(() if plant.equations is None else plant.equations.noises):
+        variance = evaluate(noise.variance, spec.defaults)
+        if not (variance == 0.0 or smallest <= variance <= largest):
+            where = Place(spec.file, "model.noises").item(i).entry("variance")
+            expected = f"0, or {smallest:g} to {largest:g} with scalar {scalar!r}"
+            raise where.error(f"{variance:g}", expected)
     for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c", "d", "S"):
         found = getattr(plant, name, ABSENT)
         values = () if found is ABSENT else found.values(spec.defaults)

@@ -124,20 +124,20 @@ def with_interpreter(design: Validated) -> tuple[Claim, ...]:
         claims.append(Claim(claim=what, source=origin, error=error, tolerance=0.0))
     if rounded:
         what = f"the compiled double code agrees with CasADi's interpreter: {_names(rounded)}"
-        error = max(_distance(run, found, p) for p in rounded)
+        error = max(_distance(spec, run, found, p) for p in rounded)
         allowed = max(tolerances[port.name] for port in rounded)
         origin = f"{origin}; {reason}"
         claims.append(Claim(claim=what, source=origin, error=error, tolerance=allowed))
     return tuple(claims)
 
 
-def _distance(run: Run, found: Mapping[str, Array], port: Port) -> float:
+def _distance(spec: Spec, run: Run, found: Mapping[str, Array], port: Port) -> float:
     expected = {name: np.asarray(values, dtype=float) for name, values in found.items()}
     return distance(
         np.asarray(run[port.name], dtype=float),
         expected[port.name],
         symmetric=port.symmetric,
-        deviation=natural_deviation(port.name, expected),
+        deviation=natural_deviation(port.name, expected, spec.model.attitudes),
     )
 
 
@@ -168,7 +168,7 @@ def _tolerances(spec: Spec, ports: Sequence[Port]) -> tuple[dict[str, float], st
 
 def _goes_through_functions(spec: Spec) -> bool:
     """Whether entries of the model need functions that are not the same everywhere."""
-    return any(map(_is_inexact, spec.expressions))
+    return bool(spec.equations) or any(map(_is_inexact, spec.expressions))
 
 
 def _is_inexact(expression: Expression) -> bool:

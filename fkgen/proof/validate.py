@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +11,13 @@ from fkgen.families import family
 from fkgen.families.family import Family
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
 from fkgen.oracle.claims.gaussian import digits_at_stake
-from fkgen.oracle.plants.actuator import LinearSystem
+from fkgen.oracle.plants.actuator import actuation_of
 from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.model import joint_noise
 from fkgen.symbolic.interpreter import Interpreter
+from fkgen.symbolic.plant import sensed_at_prior
 from fkgen.symbolic.recursion import Recursion
 from fkgen.symbolic.validated import Claim, Validated
 
@@ -73,7 +74,7 @@ def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None
             np.asarray(found[name][: len(value)] if name in found else np.nan, float),
             np.asarray(value, float),
             symmetric=name in found and recursion.port(name).symmetric,
-            deviation=natural_deviation(name, expected),
+            deviation=natural_deviation(name, expected, spec.model.attitudes),
         )
         for name, value in expected.items()
     )
@@ -164,17 +165,17 @@ def _makes_sense(spec: Spec, parameters: Mapping[str, float]) -> bool:
         if not spec.faults.in_domain({**spec.defaults, **parameters}):
             return False
         for plant in (spec.model, *spec.plants):
-            for letter in "ABCDQRcd":
+            for letter in "ABCDQRcd" if plant.equations is None else "QR":
                 M = getattr(plant, letter).values(parameters)
                 if letter in "QR" and np.linalg.eigvalsh(M)[0] < -1e-12 * np.abs(M).max():
                     return False
-        system = LinearSystem.from_spec(spec, 1, dict(parameters), spec.first_rates)
+        rate, _ = actuation_of(spec, 1, dict(parameters), spec.first_rates)
         noise = joint_noise(spec.model.Q, spec.model.S, spec.model.R).values(parameters)
         if np.linalg.eigvalsh(noise)[0] < -1e-12 * np.abs(noise).max():
             return False
     except ArithmeticError:
         return False
-    return bool(np.all((system.rate >= 0.0) & (system.rate <= 1.0)))
+    return bool(np.all((rate >= 0.0) & (rate <= 1.0)))
 
 
 def _mild_prior(spec: Spec) -> Array:
@@ -182,7 +183,8 @@ def _mild_prior(spec: Spec) -> Array:
 
     Not where P0 is part of the second moments that a gain depends on.
     """
-    C, P0, R = (getattr(spec.model, m).values(spec.defaults) for m in ("C", "P0", "R"))
+    C, P0 = sensed_at_prior(spec, spec.model), spec.model.P0.values()
+    R = spec.model.R.values(spec.defaults)
     noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)
     known = (noise > 0.0) & (prior > 0.0)
     if spec.filter.traits.moments or not known.any():
@@ -222,11 +224,20 @@ def distance(
     return float(np.nanmax(np.abs(found - expected) / scale))
 
 
-def natural_deviation(port: str, expected: Mapping[str, Array]) -> Array | None:
-    """Standard deviation of a port, from the covariance that belongs to it; one for logarithms."""
+def natural_deviation(
+    port: str, expected: Mapping[str, Array], attitudes: Sequence[int] = ()
+) -> Array | None:
+    """Standard deviation of a port, from the covariance that belongs to it; one for logarithms.
+
+    The four numbers of an attitude have the largest of its three.
+    """
     if port in {"log_likelihood", "log_weight"}:
         return np.array(1.0)
     covariance = expected.get(_COVARIANCE.get(port, ""))
     if covariance is None:
         return None
-    return np.asarray(np.sqrt(np.abs(np.diagonal(covariance, axis1=-2, axis2=-1))))
+    found = np.sqrt(np.abs(np.diagonal(covariance, axis1=-2, axis2=-1)))
+    for at in attitudes if port.endswith("state") else ():
+        largest = found[..., at : at + 3].max(axis=-1, keepdims=True).repeat(4, axis=-1)
+        found = np.concatenate((found[..., :at], largest, found[..., at + 3 :]), axis=-1)
+    return np.asarray(found)

@@ -11,8 +11,8 @@ from fkgen.faults.sensor import LARGEST_FACTOR
 from fkgen.problem import Matrix, Name, Number, Spec
 from fkgen.problem.text.expression import decisive
 from fkgen.symbolic.interface import Kind
+from fkgen.symbolic.lifting.expressions import lift, lift_expression
 from fkgen.symbolic.linalg import total
-from fkgen.symbolic.plant import lift, lift_expression
 
 #: How far below 0 a computed probability may be, and from 1 the sum of all.
 ROUNDED = {"double": 1e-12, "float": 1e-6}

@@ -5,6 +5,7 @@ Symmetric matrices travel packed: the lower triangle by rows, (0,0), (1,0), (1,1
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Iterable, Sequence
 from functools import reduce
@@ -12,6 +13,8 @@ from functools import reduce
 import casadi as ca
 
 from fkgen.symbolic.interface import triangle
+
+TURN = 2.0 * math.pi
 
 
 def column(values: list[ca.SX]) -> ca.SX:
@@ -31,12 +34,18 @@ def split_packed(packed: ca.SX, n: int) -> list[ca.SX]:
 
 def split_estimates(states: ca.SX, packed: ca.SX, n: int) -> list[tuple[ca.SX, ca.SX]]:
     """Means and packed covariances of estimates of n numbers that are stacked."""
-    return list(zip(ca.vertsplit(states, n), split_packed(packed, n), strict=True))
+    means = ca.vertsplit(states, n)
+    return list(zip(means, ca.vertsplit(packed, packed.numel() // len(means)), strict=True))
 
 
-def diagonal(packed: ca.SX, n: int) -> list[ca.SX]:
-    """The variances of a packed (n, n) covariance."""
-    return [packed[i * (i + 3) // 2] for i in range(n)]
+def order(packed: ca.SX) -> int:
+    """Number n of rows of a packed (n, n) matrix."""
+    return (math.isqrt(8 * packed.numel() + 1) - 1) // 2
+
+
+def diagonal(packed: ca.SX) -> list[ca.SX]:
+    """The variances of a packed covariance."""
+    return [packed[i * (i + 3) // 2] for i in range(order(packed))]
 
 
 def unpack(packed: ca.SX, n: int) -> ca.SX:
@@ -55,6 +64,11 @@ def sparse(matrix: ca.SX) -> ca.SX:
 def is_zero(scalar: ca.SX) -> bool:
     """Whether a 1 x 1 matrix is zero by structure or by value."""
     return bool(scalar.nnz() == 0 or scalar.is_zero())
+
+
+def reduced(angle: ca.SX) -> ca.SX:
+    """The same angle in (-pi, pi]."""
+    return angle + TURN * ca.floor(0.5 - angle * (1.0 / TURN))
 
 
 def outer_lower(a: ca.SX, b: ca.SX) -> ca.SX:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import math
-import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from fkgen.errors import InternalError
 from fkgen.faults.chain import LETTERS, Mode
-from fkgen.problem import Expression, Matrix, Name, Number, Operation, Spec
+from fkgen.problem import Matrix, Model, Spec
 from fkgen.problem.covariance import is_singular
-from fkgen.problem.text.discretise import OF_TIME, Continuous
-from fkgen.problem.text.expression import COMPARISONS, FUNCTIONS, Computed
-from fkgen.problem.text.lookup import Table
-from fkgen.symbolic.discretise import discretised, doublings
+from fkgen.symbolic.lifting.equations import Lifted, lift_equations
+from fkgen.symbolic.lifting.expressions import Wholes, lift, lift_expression
+from fkgen.symbolic.linalg import sparse
+
+#: What of a plant with f and h is about f.
+MOTION = ("moved", "A", "B", "G", "variances")
 
 #: Variances of which four may be multiplied, with some room for those that follow from them.
 TAME = 1e-60, 1e60
@@ -46,11 +46,31 @@ class Plant:
     noise_free: bool
     #: Variances follow parameters or are so large or small that products of some overflow
     wide: bool
+    #: f and h in place of A, B, C, D, c and d, which are then their derivatives over symbols until
+    #: the plant is linearised somewhere
+    lifted: Lifted | None = None
+    moved: ca.SX | None = None  # moved, seen: (n, 1), (p, 1), f and h where it is linearised
+    seen: ca.SX | None = None
+
+    @property
+    def ne(self) -> int:
+        """Number of rows of the covariance of x: n, less one for every attitude."""
+        return int(self.A.shape[0])
 
     @property
     def nx(self) -> int:
-        """Number of states n."""
-        return int(self.A.shape[0])
+        """Number of numbers in x, n."""
+        return self.ne + len(self.attitudes)
+
+    @property
+    def attitudes(self) -> tuple[int, ...]:
+        """Where quaternions begin in x."""
+        return () if self.lifted is None else self.lifted.attitudes
+
+    @property
+    def wraps(self) -> tuple[int, ...]:
+        """Rows of y that are angles."""
+        return () if self.lifted is None else self.lifted.wraps
 
     @property
     def nu(self) -> int:
@@ -67,9 +87,14 @@ def plant_of(spec: Spec) -> Plant:
     """Lift the matrices of a spec to CasADi."""
     parameters, model = {p.name: ca.SX.sym(p.name) for p in spec.parameters}, spec.model
     wholes = Wholes(spec, parameters)
+    lifted = _lifted(spec, model, parameters)
+    stated = [x for x in (*LETTERS, "S") if lifted is None or x in {"Q", "R", "S"}]
+    matrices = {letter: lift(getattr(model, letter), parameters, wholes) for letter in stated}
+    matrices["Q"] = _over_a_sample(model, matrices["Q"], parameters)
+    own: dict[str, Any] = matrices | _derivatives(lifted)
     return Plant(
         parameters=parameters,
-        **{letter: lift(getattr(model, letter), parameters, wholes) for letter in (*LETTERS, "S")},
+        **own,
         limits=tuple(wholes.limits),
         rows=tuple(signal.name for signal in model.outputs),
         scalar=spec.code.scalar,
@@ -79,18 +104,67 @@ def plant_of(spec: Spec) -> Plant:
     )
 
 
+def _lifted(
+    spec: Spec, plant: Model | Mode, parameters: Mapping[str, ca.SX], like: Lifted | None = None
+) -> Lifted | None:
+    """F and h, where a plant has them."""
+    if plant.equations is None:
+        return None
+    signals = spec.model.states, spec.model.outputs
+    return lift_equations(plant.equations, parameters, signals, like)
+
+
+def _over_a_sample(plant: Model | Mode, Q: ca.SX, parameters: Mapping[str, ca.SX]) -> ca.SX:
+    """The covariance of what is added to x, where Q is a density of equations in time."""
+    if plant.equations is None or plant.equations.period is None:
+        return Q
+    return sparse(Q * lift_expression(plant.equations.period, parameters))
+
+
+def _derivatives(lifted: Lifted | None) -> dict[str, Any]:
+    """What stands in place of matrices where a plant has f and h."""
+    if lifted is None:
+        return {}
+    own: dict[str, Any] = {letter: getattr(lifted, letter) for letter in "ABCD"}
+    return (
+        own
+        | {"c": ca.SX(lifted.moved.numel(), 1), "d": ca.SX(lifted.seen.numel(), 1)}
+        | {"lifted": lifted}
+    )
+
+
+def sensed_at_prior(spec: Spec, plant: Model | Mode) -> NDArray[np.float64]:
+    """C of a plant, or the derivative of its h at x0 and u = 0, parameters at their defaults."""
+    if plant.equations is None:
+        return plant.C.values(spec.defaults)
+    parameters = {p.name: ca.SX.sym(p.name) for p in spec.parameters}
+    lifted = lift_equations(plant.equations, parameters, (spec.model.states, spec.model.outputs))
+    symbols = [lifted.x, lifted.u, *parameters.values()]
+    values = [spec.model.x0.values(), np.zeros(lifted.u.numel()), *spec.defaults.values()]
+    return np.array(ca.Function("C", symbols, [lifted.C])(*values))
+
+
 def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
     """Lift modes of a spec to CasADi: one set of parameters, and equal matrices are one object."""
     base = plant_of(spec)
     wholes = Wholes(spec, base.parameters)
-    known: dict[tuple[str, Matrix], ca.SX] = {}
+    known: dict[Any, Any] = {}
     plants = []
     for mode in modes:
-        lifted: dict[str, Any] = {}
-        for letter in LETTERS:
+        if mode.equations not in known:
+            own = _lifted(spec, mode, base.parameters, base.lifted)
+            if own is not None and mode.equations is not None:  # what moves alike is one object
+                first = known.setdefault(("f", mode.equations.motion), own)
+                own = replace(own, **{name: getattr(first, name) for name in MOTION})
+            known[mode.equations] = _derivatives(own)
+        lifted = dict(known[mode.equations])
+        for letter in LETTERS if mode.equations is None else ("Q", "R"):
             key = letter, getattr(mode, letter)
             if key not in known:
-                known[key] = lift(key[1], base.parameters, wholes)
+                matrix = lift(key[1], base.parameters, wholes)
+                if letter == "Q":
+                    matrix = _over_a_sample(mode, matrix, base.parameters)
+                known[key] = matrix
             lifted[letter] = known[key]
         wide = base.wide or _is_wide(mode.R)
         plants.append(replace(base, noise_free=_is_noise_free(mode.R), wide=wide, **lifted))
@@ -108,120 +182,3 @@ def _is_wide(covariance: Matrix) -> bool:
         return True
     variances = np.diag(covariance.values())
     return any(not TAME[0] <= value <= TAME[1] for value in variances[variances > 0.0])
-
-
-class Wholes:
-    """Matrices that are computed as a whole, each once, and what must not be negative for them."""
-
-    def __init__(self, spec: Spec, parameters: Mapping[str, ca.SX]) -> None:
-        self.spec, self.parameters = spec, parameters
-        self.limits: list[ca.SX] = []
-        self._known: dict[Continuous, dict[str, ca.SX]] = {}
-
-    def entry(self, entry: Computed) -> ca.SX:
-        """One entry of one of them."""
-        source = entry.whole
-        if not isinstance(source, Continuous):
-            raise InternalError(f"no expression: {entry!r}")
-        if source not in self._known:
-            matrices = {x: lift(getattr(source, x), self.parameters) for x in OF_TIME}
-            T = lift_expression(source.T, self.parameters)
-            count = doublings(self.spec, source)
-            self._known[source], limits = discretised(source, matrices, T, count)
-            self.limits += limits
-        return self._known[source][entry.letter][entry.row, entry.column]
-
-
-def lift(matrix: Matrix, parameters: Mapping[str, ca.SX], wholes: Wholes | None = None) -> ca.SX:
-    """A matrix of expressions as SX; entries that are zero are not stored."""
-    result = ca.SX(*matrix.shape)
-    for i, row in enumerate(matrix.rows):
-        for j, entry in enumerate(row):
-            if entry != Number(0.0):
-                result[i, j] = lift_expression(entry, parameters, wholes)
-    return result
-
-
-def lift_expression(  # noqa: PLR0911 - one per node
-    expression: Expression, parameters: Mapping[str, ca.SX], wholes: Wholes | None = None
-) -> ca.SX:
-    """One expression of a spec as SX."""
-    match expression:
-        case Number(value):
-            return ca.SX(value)
-        case Name(identifier):
-            return parameters[identifier]
-        case Operation("interp", (argument,), Table() as table):
-            return _looked_up(table, lift_expression(argument, parameters))
-        case Operation("if", (condition, first, second)):
-            a, b = (lift_expression(each, parameters) for each in (first, second))
-            holds, fails = _alternatives(condition, parameters)
-            return _where(holds, a) + _where(fails, b)
-        case Operation(symbol, _) if symbol in COMPARISONS:
-            return _alternatives(expression, parameters)[0]
-        case Operation(symbol, arguments):
-            return _OPERATIONS[symbol](*(lift_expression(a, parameters, wholes) for a in arguments))
-        case Computed() if wholes is not None:
-            return wholes.entry(expression)
-    raise InternalError(f"no expression: {expression!r}")
-
-
-def _where(condition: ca.SX, value: ca.SX) -> ca.SX:
-    """The value where a condition holds (is 1), else 0: nothing of a value that may be NaN."""
-    return ca.SX.binary(ca.OP_IF_ELSE_ZERO, condition, value)
-
-
-def _alternatives(condition: Expression, parameters: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Whether a condition holds and whether it does not, each 1 or 0."""
-    symbol: str = "!="
-    sides: tuple[Expression, ...] = condition, Number(0.0)
-    if isinstance(condition, Operation) and condition.operator in COMPARISONS:
-        symbol, sides = condition.operator, condition.arguments
-    a, b = (lift_expression(side, parameters) for side in sides)
-    if symbol in {"==", "!="}:
-        pair = _where(a <= b, b <= a), (a < b) + (b < a)
-        return pair if symbol == "==" else pair[::-1]
-    if symbol in {">", "<="}:
-        a, b, symbol = b, a, "<" if symbol == ">" else ">="
-    return (a < b, b <= a) if symbol == "<" else (b <= a, a < b)
-
-
-def _looked_up(table: Table, at: ca.SX) -> ca.SX:
-    """A table at one place: the piece of the interval, or the end that holds."""
-    result = _where(at < table.x[0], ca.SX(table.y[0]))
-    for start, end, y, piece in zip(table.x, table.x[1:], table.y, table.pieces, strict=False):
-        t, value = at - start, ca.SX(0)
-        for coefficient in reversed(piece):
-            value = (value + coefficient) * t
-        result += _where(start <= at, _where(at < end, y + value))
-    return result + _where(table.x[-1] <= at, ca.SX(table.y[-1]))
-
-
-def _power(base: ca.SX, exponent: ca.SX) -> ca.SX:
-    """Products for whole exponents, a square root for halves, exp(b log a) otherwise."""
-    value = float(exponent) if exponent.is_constant() else math.nan
-    if value == 0.5:
-        return ca.sqrt(base)
-    if not value.is_integer() or abs(value) > 64:
-        return ca.exp(exponent * ca.log(base))
-    result, square, remaining = ca.SX(1), base, int(abs(value))
-    while remaining:
-        if remaining % 2:
-            result = result * square
-        square, remaining = square * square, remaining // 2
-    return 1 / result if value < 0 else result
-
-
-_OPERATIONS: dict[str, Callable[..., ca.SX]] = {
-    **{name: getattr(ca, name) for name in FUNCTIONS if hasattr(ca, name)},
-    "abs": ca.fabs,
-    "min": ca.fmin,
-    "max": ca.fmax,
-    "sign": lambda value: (value > 0) - (value < 0),
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-    "neg": operator.neg,
-    "**": _power,
-}

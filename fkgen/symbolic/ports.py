@@ -30,12 +30,15 @@ def estimate_ports(
     state: str = "state",
     priors: Priors = ("x", "P"),
     corrected: str = "",
+    errors: int | None = None,
 ) -> tuple[Port, Port]:
     """An estimate of this shape, one or several, and its covariance; each starts as the prior.
 
-    ``corrected`` is the prefix of what an update makes of it.
+    ``corrected`` is the prefix of what an update makes of it, ``errors`` the number of rows of the
+    covariance, where it is not that of the estimate.
     """
-    names, square = (state, "covariance"), (*shape, shape[-1])
+    rows = shape[-1] if errors is None else errors
+    names, square = (state, "covariance"), (*shape[:-1], rows, rows)
     twin = [corrected and f"{corrected}{name}" for name in names]
     vector = partial(carried, unit="x", prior=priors[0], corrected=twin[0])
     matrix = partial(carried, unit="xx", symmetric=True, prior=priors[1], corrected=twin[1])
@@ -49,20 +52,20 @@ def state_ports(spec: Spec) -> tuple[Port, ...]:
     """Predicted and filtered state with their covariances."""
     predicted = "x(k+1|k): mean of the next state given y[0..k]", "P(k+1|k): its error covariance"
     filtered = "x(k|k): mean of the state given y[0..k]", "P(k|k): its error covariance"
-    shape = (spec.model.nx,)
+    shape, errors = (spec.model.nx,), spec.model.ne
     return (
-        *estimate_ports("predicted_", shape, predicted, corrected="filtered_"),
-        *estimate_ports("filtered_", shape, filtered),
+        *estimate_ports("predicted_", shape, predicted, corrected="filtered_", errors=errors),
+        *estimate_ports("filtered_", shape, filtered, errors=errors),
     )
 
 
 def mode_estimate_ports(spec: Spec, count: int, means: tuple[str, str]) -> tuple[Port, ...]:
     """Predicted and filtered state under each of several modes, with their covariances."""
     shape, covariance = (count, spec.model.nx), "its error covariance"
-    later = "mode_filtered_"
+    later, errors = "mode_filtered_", spec.model.ne
     return (
-        *estimate_ports("mode_", shape, (means[0], covariance), corrected=later),
-        *estimate_ports(later, shape, (means[1], covariance)),
+        *estimate_ports("mode_", shape, (means[0], covariance), corrected=later, errors=errors),
+        *estimate_ports(later, shape, (means[1], covariance), errors=errors),
     )
 
 
@@ -92,7 +95,7 @@ def prior_of(spec: Spec) -> tuple[Start, Start]:
     """x0, and P0 packed: what every prediction for sample 0 is."""
     P0 = spec.model.P0.values()
     state = tuple(float(v) for v in spec.model.x0.values().ravel())
-    return state, tuple(float(P0[i, j]) for i, j in triangle(spec.model.nx))
+    return state, tuple(float(P0[i, j]) for i, j in triangle(spec.model.ne))
 
 
 def prior_symbols(n: int) -> dict[str, ca.SX]:

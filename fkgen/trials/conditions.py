@@ -15,7 +15,8 @@ from fkgen.faults.actuator import pattern_law
 from fkgen.problem import Spec
 from fkgen.problem.probability import Distribution
 from fkgen.problem.table.place import Place
-from fkgen.symbolic.plant import Plant, lift
+from fkgen.symbolic.lifting.expressions import lift
+from fkgen.symbolic.plant import Plant
 
 _COUNTED = 255  # codes of conditions and hypotheses fit a byte
 

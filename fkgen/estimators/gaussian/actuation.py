@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fkgen.faults import ActuatorFaults
+from fkgen.symbolic.lifting.expressions import lift, lift_expression
 from fkgen.symbolic.linalg import is_zero, sparse
-from fkgen.symbolic.plant import Plant, lift, lift_expression
+from fkgen.symbolic.plant import Plant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

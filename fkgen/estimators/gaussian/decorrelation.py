@@ -35,6 +35,8 @@ class Measurement:
     shows_variance: bool  # S is shown, so it may as well give the innovations
     pivots_per_log: int  # so many may be multiplied before their logarithm
     S: ca.SX | None = None  # (m, p), covariance of z with w, if it has any
+    predicted: ca.SX | None = None  # (p, 1), what is predicted of y in place of C z
+    wraps: tuple[int, ...] = ()  # Rows that are angles
 
     def only(self, rows: tuple[int, ...]) -> Measurement:
         """Some of the rows, as if there were no others."""
@@ -47,6 +49,8 @@ class Measurement:
             y=self.y[which],
             rows=tuple(self.rows[i] for i in which),
             at=tuple(self.at[i] for i in which),
+            predicted=None if self.predicted is None else self.predicted[which],
+            wraps=tuple(i for i, row in enumerate(which) if row in self.wraps),
         )
 
 

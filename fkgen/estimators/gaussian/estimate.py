@@ -25,8 +25,9 @@ from fkgen.estimators.gaussian.sequential import (
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.lifting.equations import box_plus, normalised, turned_by
 from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, sparse, unpack
-from fkgen.symbolic.plant import Plant
+from fkgen.symbolic.plant import Plant, sensed_at_prior
 from fkgen.symbolic.recursion import Guard
 
 #: Beyond this ratio of prior to noise variance the short form loses more than ten digits in double.
@@ -59,10 +60,10 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
 
 def prior_to_noise(spec: Spec) -> float:
     """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
-    plants = (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
     P0, ratios = spec.model.P0.values(), [0.0]
-    for plant in plants:
-        C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "CQR")
+    for plant in spec.plants:
+        Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "QR")
+        C = sensed_at_prior(spec, plant)
         for prior, noise in zip(np.diag(C @ (P0 + Q) @ C.T), np.diag(R), strict=True):
             if noise > 0.0:
                 ratios.append(float(prior / noise))
@@ -82,10 +83,16 @@ def correct(
     tag: str = "",
     with_gain: bool = False,
     gate: Gate | None = None,
+    as_errors: bool = False,
 ) -> tuple[Conditioned, Posterior]:
-    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11)."""
-    state, packed = prior
-    n, covariance, C = plant.nx, unpack(packed, plant.nx), plant.C
+    """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11).
+
+    A plant with f and h is linearised there. ``as_errors`` leaves the corrections of a state with
+    attitudes as errors about the prediction.
+    """
+    whole, packed = prior
+    n, covariance, C = plant.ne, unpack(packed, plant.ne), plant.C
+    state = ca.SX.zeros(n) if plant.attitudes else whole
     if actuation.size and plant.D.nnz():  # y depends on the random part of the input
         state = ca.vertcat(state, ca.SX.zeros(actuation.size))
         covariance = ca.diagcat(covariance, actuation.covariance)
@@ -108,15 +115,47 @@ def correct(
         with_gain=with_gain,
         gate=gate,
     )
-    P = unpack(found.covariance, state.numel())
+    turns = bool(plant.attitudes) and not as_errors
+    if turns:
+        found = _turned(builder, plant, whole, found, tag)
+    P, count = unpack(found.covariance, state.numel()), plant.nx if turns else n
     posterior = Posterior(
-        state=found.mean[:n, 0],
+        state=found.mean[:count, 0],
         covariance=pack(P[:n, :n]),
-        deviation=found.mean[n:, 0],
+        deviation=found.mean[count:, 0],
         deviation_covariance=pack(P[n:, n:]),
         cross_covariance=P[n:, :n],
     )
     return found, posterior
+
+
+def _turned(
+    builder: PhaseBuilder, plant: Plant, prior: ca.SX, found: Conditioned, tag: str
+) -> Conditioned:
+    """An estimate of errors as one of the state; attitudes take the axes of errors with them."""
+    n, m = plant.ne, found.mean.numel()
+    errors = builder.define(f"correction{tag}", found.mean[:n])
+    state, turn = off_by(builder, plant, prior, errors, tag)
+    turn = ca.diagcat(turn, ca.SX.eye(m - n))
+    mean = ca.vertcat(state, found.mean[n:])
+    gain = None if found.gain is None else turn @ found.gain
+    return replace(
+        found, mean=mean, covariance=congruence(turn, unpack(found.covariance, m)), gain=gain
+    )
+
+
+def off_by(
+    builder: PhaseBuilder, plant: Plant, origin: ca.SX, errors: ca.SX, tag: str = ""
+) -> tuple[ca.SX, ca.SX]:
+    """The state that lies off by errors, and by what small errors turn on the way, named."""
+    state = normalised(box_plus(origin, errors, plant.attitudes), plant.attitudes)
+    (turn,) = builder.name_all(f"turn{tag}", (turned_by(plant.attitudes, errors),))
+    return builder.define(f"corrected{tag}", state), turn
+
+
+def expected(plant: Plant, state: ca.SX, u: ca.SX) -> ca.SX:
+    """What is expected of y at a state, where the plant is linearised if it has functions."""
+    return plant.C @ state + plant.D @ u + plant.d if plant.seen is None else plant.seen
 
 
 def moved_by_noise(plant: Plant) -> list[int]:
@@ -133,6 +172,8 @@ def measurement_of(plant: Plant, *, y: ca.SX, C: ca.SX, offset: ca.SX, R: ca.SX)
         y=y,
         rows=plant.rows,
         at=tuple(range(plant.ny)),
+        predicted=plant.seen,
+        wraps=plant.wraps,
         rank_tolerance=RANK_TOLERANCE[plant.scalar] if plant.noise_free else None,
         shows_variance=plant.shows_variance,
         pivots_per_log=1 if plant.wide else PIVOTS_PER_LOG[plant.scalar],
@@ -143,11 +184,13 @@ def propagate(
     plant: Plant, actuation: Actuation, posterior: Posterior
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Predicted state, packed covariance and the map [A, B u~]: Strandt et al., eqs. (4), (12)."""
-    n, moved = plant.nx, moved_by_noise(plant)
+    n, moved = plant.ne, moved_by_noise(plant)
     B, Q = plant.B @ actuation.through, ca.SX(plant.Q)
     if moved:  # their noise is part of what was estimated
         B, Q[moved, moved] = ca.SX.eye(n)[:, moved], 0
-    state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
+    state = plant.moved
+    if state is None:
+        state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
     P = unpack(posterior.covariance, n)
     if posterior.deviation.numel() == 0:
         covariance = congruence(plant.A, P) + pack(plant.Q)
@@ -158,7 +201,12 @@ def propagate(
     cross = posterior.cross_covariance
     joint = ca.blockcat(P, cross.T, cross, unpack(posterior.deviation_covariance, r))
     through = ca.horzcat(plant.A, B)
-    return state + B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q)), through
+    shift, covariance = B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q))
+    if not plant.attitudes:
+        return state + shift, covariance, through
+    turn = turned_by(plant.attitudes, shift)
+    state = normalised(box_plus(state, shift, plant.attitudes), plant.attitudes)
+    return state, congruence(turn, unpack(covariance, n)), turn @ through
 
 
 def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
@@ -169,6 +217,8 @@ def bound(builder: PhaseBuilder, plant: Plant, letters: str) -> Plant:
 def bound_all(builder: PhaseBuilder, plants: Sequence[Plant], letters: str) -> tuple[Plant, ...]:
     """The same for several plants; a matrix that is the same object in some is named once."""
     named: dict[int, Any] = {}
+    if plants[0].lifted is not None:  # what depends on the state is named where it is linearised
+        letters = "".join(letter for letter in letters if letter not in "ABCDcd")
     if "A" in letters and plants[0].limits:
         builder.demand(Kind.NONNEGATIVE, plants[0].limits, Status.PARAMETER_OUT_OF_RANGE)
     for letter in letters:
@@ -186,7 +236,7 @@ def bound_all(builder: PhaseBuilder, plants: Sequence[Plant], letters: str) -> t
 
 def finite(state: ca.SX, packed: ca.SX) -> Guard:
     """Refuse the sample unless the state and the variances are finite."""
-    values = ca.vertcat(state, *diagonal(packed, state.numel()))
+    values = ca.vertcat(state, *diagonal(packed))
     return Guard(ca.densify(values), Kind.FINITE, Status.RESULT_NOT_FINITE)
 
 
@@ -199,6 +249,6 @@ def demand_finite(builder: PhaseBuilder, state: ca.SX) -> None:
     builder.demand(Kind.FINITE, ca.vertsplit(state), Status.RESULT_NOT_FINITE)
 
 
-def demand_positive(builder: PhaseBuilder, packed: ca.SX, n: int) -> None:
+def demand_positive(builder: PhaseBuilder, packed: ca.SX) -> None:
     """Refuse to go on from a covariance with a negative variance."""
-    builder.demand(Kind.NONNEGATIVE, diagonal(packed, n), Status.NOT_POSITIVE_DEFINITE)
+    builder.demand(Kind.NONNEGATIVE, diagonal(packed), Status.NOT_POSITIVE_DEFINITE)

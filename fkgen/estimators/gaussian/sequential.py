@@ -26,6 +26,7 @@ from fkgen.symbolic.linalg import (
     operations,
     outer_lower,
     pack,
+    reduced,
     total,
     unpack,
 )
@@ -152,14 +153,15 @@ def innovations(
     builder: PhaseBuilder, mean: ca.SX, measurement: Measurement, tag: str
 ) -> list[ca.SX]:
     """Each row of y minus its prediction; zero where the row is missing."""
-    result = []
+    result, seen = [], measurement.predicted
     with builder.titled("innovation, row by row"):
         for i in range(measurement.C.shape[0]):
             name = f"innovation{tag}_{i}"
             result.append(builder.local(name, 1, initial=0.0))
-            predicted = ca.mtimes(measurement.C[i, :], mean)
+            predicted = ca.mtimes(measurement.C[i, :], mean) if seen is None else seen[i]
+            value = measurement.y[i] - predicted - measurement.offset[i]
             with builder.if_present(measurement.at[i]):
-                builder.assign({name: measurement.y[i] - predicted - measurement.offset[i]})
+                builder.assign({name: reduced(value) if i in measurement.wraps else value})
     return result
 
 
@@ -224,7 +226,7 @@ class SequentialUpdate:
             self.rejected += [ca.SX(0)] if self.gate else []
             return
         if self.rank_tolerance is not None and self.variance is not None:
-            own = diagonal(self.variance, len(self.rows))[i]
+            own = diagonal(self.variance)[i]
             builder.demand(Kind.NONNEGATIVE, [own], Status.NOT_POSITIVE_DEFINITE)
             significant = pivot - self.rank_tolerance * own  # no combination of the rows before it
         row_of_y = self.at[i] if self.at else None

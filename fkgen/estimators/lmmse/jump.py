@@ -38,6 +38,7 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Port
+from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.linalg import (
     column,
     congruence,
@@ -50,7 +51,7 @@ from fkgen.symbolic.linalg import (
     total,
     unpack,
 )
-from fkgen.symbolic.plant import Plant, lift_expression, mode_plants
+from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
@@ -509,7 +510,7 @@ def signal_moment(z: AugmentedState, plants: Sequence[Plant], now: Moments, u: c
 def _update(z: AugmentedState, symbols: dict[str, ca.SX], *, form: Form) -> Phase:
     builder, u = PhaseBuilder(symbols), symbols["u"]
     prior = symbols["augmented_state"], symbols["augmented_covariance"]
-    demand_positive(builder, prior[1], z.size)
+    demand_positive(builder, prior[1])
     plants = bound_all(builder, z.plants, "CDRd")
     now = moments_of(z, symbols, "predicted_")
     noise = mean_noise(builder, z, plants, z.law(symbols, "predicted_"))

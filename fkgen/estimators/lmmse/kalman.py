@@ -33,8 +33,10 @@ from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.lifting.expressions import lift, lift_expression
 from fkgen.symbolic.linalg import sparse
-from fkgen.symbolic.plant import Plant, lift, lift_expression, plant_of
+from fkgen.symbolic.linearise import moved_from, seen_from
+from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
@@ -61,7 +63,7 @@ def linear_filter(spec: Spec, *, source: str, with_gain: bool) -> Recursion:
 
 def _ports(spec: Spec, plant: Plant, r: int, *, with_gain: bool) -> tuple[Port, ...]:
     """What every filter has, of the r random inputs that y depends on, and gains."""
-    n, p, missing = plant.nx, plant.ny, "columns of missing rows are 0"
+    n, p, missing = plant.ne, plant.ny, "columns of missing rows are 0"
     deviation = "E[gamma[k] | y[0..k]] minus the success rate, per random component"
     covariance = "covariance of gamma[k] given y[0..k]"
     cross = "covariance of gamma[k] with the state given y[0..k]"
@@ -122,7 +124,7 @@ def _update(
     spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, form: Form, with_gain: bool
 ) -> Phase:
     builder = PhaseBuilder(symbols)
-    demand_positive(builder, symbols["predicted_covariance"], plant.nx)
+    demand_positive(builder, symbols["predicted_covariance"])
     _demand_rates(builder, spec, plant)
     if spec.faults.sensor is not None:
         _demand_indicators(builder, plant, spec.faults.sensor)
@@ -131,10 +133,12 @@ def _update(
         C, D, R, d = (lift(matrix, plant.parameters) for matrix in sensed)
         plant = replace(plant, C=C, D=D, R=R, d=d)
     plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
+    actuation = _actuation(spec, plant, symbols["u"])
+    (plant,) = seen_from(builder, [plant], [symbols["predicted_state"]], actuation.mean)
     found, posterior = correct(
         builder,
         plant,
-        _actuation(spec, plant, symbols["u"]),
+        actuation,
         (symbols["predicted_state"], symbols["predicted_covariance"]),
         y=symbols["y"],
         form=form,
@@ -152,8 +156,8 @@ def _update(
         **gate_results(found.rejected),
     }
     if found.gain is not None:
-        assign["filtered_gain"] = by_rows(found.gain[: plant.nx, :])
-        assign["actuation_gain"] = by_rows(found.gain[plant.nx :, :])
+        assign["filtered_gain"] = by_rows(found.gain[: plant.ne, :])
+        assign["actuation_gain"] = by_rows(found.gain[plant.ne :, :])
     with builder.titled("results of the update"):
         builder.assign({name: value for name, value in assign.items() if value.numel()})
     return builder.phase()
@@ -164,6 +168,7 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
     _demand_rates(builder, spec, plant)
     plant = bound(builder, plant, "ABQc")
     actuation = _actuation(spec, plant, symbols["u"])
+    (plant,) = moved_from(builder, [plant], [symbols["filtered_state"]], actuation.mean)
     posterior, r = Posterior(symbols["filtered_state"], symbols["filtered_covariance"]), 0
     deviation, own, cross = _deviation_ports(plant)
     if deviation in symbols:
@@ -177,7 +182,7 @@ def _predict(spec: Spec, plant: Plant, symbols: dict[str, ca.SX], *, with_gain: 
     state, covariance, through = propagate(plant, actuation, posterior)
     assign = {"predicted_state": state, "predicted_covariance": covariance}
     if with_gain:
-        gain = from_rows(symbols["filtered_gain"], plant.nx)
+        gain = from_rows(symbols["filtered_gain"], plant.ne)
         if r:
             gain = ca.vertcat(gain, from_rows(symbols["actuation_gain"], r))
         assign["gain"] = by_rows(through @ gain)

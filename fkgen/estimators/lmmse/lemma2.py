@@ -36,8 +36,9 @@ from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Kind, Port, Status
+from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.linalg import congruence, is_zero, outer_lower, pack, sparse, unpack
-from fkgen.symbolic.plant import Plant, lift_expression, plant_of
+from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
@@ -226,7 +227,7 @@ def _ports(plant: Plant) -> tuple[Port, ...]:
 def _update(design: UncertainFilter) -> Phase:
     symbols, n = design.symbols, design.plant.nx
     builder = PhaseBuilder(symbols)
-    demand_positive(builder, symbols["predicted_covariance"], n)
+    demand_positive(builder, symbols["predicted_covariance"])
     plant = bound(builder, design.plant, "CDRd")
     with builder.titled("moments of the measurement"):
         C, found, gain = _condition(builder, design, plant)

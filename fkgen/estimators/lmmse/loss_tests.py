@@ -18,8 +18,8 @@ from fkgen.estimators.models.weights import LOG_ZERO, logarithm_of
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Outcome, Port, Status
+from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.linalg import column, diagonal, total
-from fkgen.symbolic.plant import lift_expression
 from fkgen.symbolic.ports import PARAMETER, carried, shown
 
 #: Between two whole numbers.
@@ -160,7 +160,7 @@ class LossTest:
         """Mean square over the window, what it is expected to be, and the window moved on."""
         builder = self.builder
         energy, expected = (builder.local(name, 1, initial=0.0) for name in ("energy", "expected"))
-        for i, variance in enumerate(diagonal(found.innovation_covariance, self.spec.model.ny)):
+        for i, variance in enumerate(diagonal(found.innovation_covariance)):
             square = found.innovation[i] * found.innovation[i]
             with builder.if_present(i):
                 builder.assign({"energy": energy + square, "expected": expected + variance})

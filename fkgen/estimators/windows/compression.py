@@ -94,7 +94,7 @@ def _update(design: window.Design) -> Phase:
     state, packed = symbols["predicted_state"], symbols["predicted_covariance"]
     priors = _filters(design, "predicted_")
     for covariance in (packed, *(P for _, _, P in priors)):
-        demand_positive(builder, covariance, n)
+        demand_positive(builder, covariance)
     plant, whole, innovation = window.observed(builder, design)
     host = _host(design, builder, whole, innovation)
     correction = ca.SX.zeros(n) if host is None else host.mean
@@ -184,7 +184,7 @@ def _test(design: window.Design, builder: PhaseBuilder, group: int) -> Quadratic
         builder.local(name, size, initial=0.0)
     with builder.titled(f"test of group {group}"):
         with builder.if_positive(design.symbols["collecting"][group] - 0.5):
-            variances = column(diagonal(host, n))
+            variances = column(diagonal(host))
             builder.assign(dict(zip(names, (host - P, d, variances), strict=True)))
         table = thresholds(design.soft.false_alarm, n)
         return quadratic_form(builder, names, n, DIRECTION[design.spec.code.scalar], table)

@@ -146,7 +146,7 @@ def update(given: PartialDesign) -> Phase:
     """Write the update of sample k: (29), (44) or its replacement, (45), (46)."""
     builder, symbols, found = PhaseBuilder(given.symbols), given.symbols, None
     state, covariance = symbols["predicted_state"], symbols["predicted_covariance"]
-    demand_positive(builder, covariance, given.plant.nx)
+    demand_positive(builder, covariance)
     plant, y, innovation = window.observed(builder, given)
     compressed = _carried(builder, given)
     if given.soft.host:

@@ -11,7 +11,8 @@ import sympy as sp
 from equations import ATTITUDE, ROBOT, read, table
 
 import fkgen
-from fkgen.errors import SpecError
+from fkgen.errors import DataError, SpecError
+from fkgen.runtime import record
 
 POINT = ([1.0, 2.0, 0.3], [2.0, 0.5], [0.1], {"dt": 0.1, "bias": 0.25})
 PARAMETERS = {"dt": 0.1, "bias": 0.25}
@@ -202,3 +203,17 @@ def test_what_is_wrong_with_a_source_is_said_in_one_line(name):
     assert caught.value.key.startswith("model.f")
     assert expected in f"{caught.value.given} {caught.value.expected}"
     assert "\n" not in str(caught.value)
+
+
+def test_a_vector_of_parameters_is_given_whole_or_entry_by_entry():
+    named = [("dt", 0.1), ("m_0", 1.0), ("m_1", 2.0)]
+
+    def values(params, samples=3):
+        return [each.tolist() for each in record.values_of(named, params, samples, np.float64)]
+
+    assert values({"m": [5.0, 6.0]}) == [[0.1], [5.0], [6.0]]
+    assert values({"m": np.arange(6.0).reshape(3, 2)}) == [[0.1], [0, 2, 4], [1, 3, 5]]
+    assert values({"m_1": 7.0}) == [[0.1], [1.0], [7.0]]
+    for wrong in ([1.0], 1.0, [[1.0, 2.0, 3.0]]):
+        with pytest.raises(DataError, match=r"params\.m"):
+            values({"m": wrong})

@@ -1,0 +1,64 @@
+"""Linearise a plant where its estimate is: f and h there, and derivatives in place of A and C.
+
+A plant with matrices passes through unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+
+from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.linalg import congruence, pack, unpack
+from fkgen.symbolic.plant import Plant
+
+
+def seen_from(
+    builder: PhaseBuilder, plants: Sequence[Plant], states: Sequence[ca.SX], u: ca.SX, tag: str = ""
+) -> tuple[Plant, ...]:
+    """Plants with h, C and D at a state each; what they have in common is computed once."""
+    found = _evaluated(builder, plants, states, u, (f"seen{tag}", ("seen", "C", "D")))
+    return tuple(
+        plant if own is None else replace(plant, seen=own[0], C=own[1], D=own[2])
+        for plant, own in zip(plants, found, strict=True)
+    )
+
+
+def moved_from(
+    builder: PhaseBuilder, plants: Sequence[Plant], states: Sequence[ca.SX], u: ca.SX, tag: str = ""
+) -> tuple[Plant, ...]:
+    """Plants with f, A, B at a state each, and Q with the noises that enter through f."""
+    letters = ("moved", "A", "B", "G")
+    found = _evaluated(builder, plants, states, u, (f"moved{tag}", letters))
+    moved = []
+    for plant, own in zip(plants, found, strict=True):
+        if own is None or plant.lifted is None:
+            moved.append(plant)
+            continue
+        Q = plant.Q
+        if own[3].nnz():
+            noise = congruence(own[3], ca.diag(plant.lifted.variances))
+            Q = unpack(pack(Q) + noise, plant.ne)
+        moved.append(replace(plant, moved=own[0], A=own[1], B=own[2], Q=Q))
+    return tuple(moved)
+
+
+def _evaluated(
+    builder: PhaseBuilder,
+    plants: Sequence[Plant],
+    states: Sequence[ca.SX],
+    u: ca.SX,
+    named: tuple[str, tuple[str, ...]],
+) -> list[list[ca.SX] | None]:
+    """Expressions of each plant at its state, named; None for a plant with matrices."""
+    name, letters = named
+    values: list[ca.SX] = []
+    for plant, state in zip(plants, states, strict=True):
+        if plant.lifted is not None:
+            own = [getattr(plant.lifted, letter) for letter in letters]
+            values += ca.substitute(own, [plant.lifted.x, plant.lifted.u], [state, u])
+    with builder.titled("linearisation"):
+        ready = iter(builder.name_all(name, values))
+    return [None if plant.lifted is None else [next(ready) for _ in letters] for plant in plants]
