@@ -15,7 +15,7 @@ from fkgen.estimators.models.weights import LOG_ZERO, TINY
 from fkgen.faults import ActuatorFaults, JumpFaults, SensorFaults, SoftFaults
 from fkgen.faults.chain import LETTERS, Mode
 from fkgen.problem import Model, Parameter
-from fkgen.problem.equations import ABSENT, Increment
+from fkgen.problem.equations import ABSENT, Equations, Increment
 from fkgen.problem.functions.named import coordinates
 from fkgen.problem.spec import Spec
 from fkgen.problem.text.discretise import OF_TIME
@@ -49,16 +49,17 @@ def stated(spec: Spec, phases: Sequence[Phase]) -> Stated:
     )
 
 
-def _equations(spec: Spec) -> _Part:
+def _equations(spec: Spec, equations: Equations) -> _Part:
     """The model by functions f and h."""
-    model, equations = spec.model, spec.model.equations
-    assert equations is not None
+    model = spec.model
     time = "dx/dt = f" if equations.continuous else "x[k+1] = f"
     title = f"Model: {time}(x[k], u[k], w[k]), y[k] = h(x[k], u[k]) + v[k], v ~ (0, R)"
     lines = [f"{name} = {to_text(tree)}" for name, tree in equations.let]
-    for name, motion in zip(_moving(model), equations.f, strict=True):
-        by = motion.by if isinstance(motion, Increment) else None
-        text = to_text(motion) if by is None else f"{name} * [{', '.join(map(to_text, by))}]"
+    for name, motion in zip(_moving(model, equations), equations.f, strict=True):
+        if isinstance(motion, Increment):
+            text = f"{name} * [{', '.join(map(to_text, motion.by))}]"
+        else:
+            text = to_text(motion)
         lines.append(f"f: {name} = {text}")
     rows = zip(model.outputs, equations.h, strict=True)
     lines += [f"h: {signal.name} = {to_text(tree)}" for signal, tree in rows]
@@ -68,10 +69,9 @@ def _equations(spec: Spec) -> _Part:
     return title, [*listings, *(_matrix(spec, x, getattr(model, x)) for x in letters)]
 
 
-def _moving(model: Model) -> Iterator[str]:
+def _moving(model: Model, equations: Equations) -> Iterator[str]:
     """What each entry of f is about: an attitude that turns by an increment has one."""
-    equations, at = model.equations, 0
-    turning = {e.at for e in equations.f if isinstance(e, Increment)} if equations else set()
+    turning, at = {each.at for each in equations.f if isinstance(each, Increment)}, 0
     for signal in model.states:
         parts = coordinates(signal)
         yield from (signal.name,) if at in turning else parts
@@ -80,7 +80,7 @@ def _moving(model: Model) -> Iterator[str]:
 
 def _model(spec: Spec) -> _Part:
     if spec.model.equations is not None:
-        return _equations(spec)
+        return _equations(spec, spec.model.equations)
     inputs, absent = spec.model.nu > 0, "" if spec.model.nu else "BD"
     absent += "".join(each for each in "cd" if getattr(spec.model, each).is_zero)
     c, d = (

@@ -12,7 +12,7 @@ from fkgen.problem.covariance import is_singular
 from fkgen.problem.equations import Equations
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.finding import Finding
-from fkgen.problem.functions.affine import why_not_linear
+from fkgen.problem.functions.affine import matrices, why_not_linear
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
@@ -130,9 +130,13 @@ class Family:
 
     def check_spec(self, spec: Spec) -> None:
         """Refuse a spec for which the family is not defined."""
-        for plant, place in spec.placed_plants:
-            if plant.equations is not None and not self.traits.nonlinear:
-                raise self._no_matrices(spec.model, plant.equations, place)
+        curved = [
+            (plant.equations, place)
+            for plant, place in spec.placed_plants
+            if plant.equations is not None and not self.traits.nonlinear
+        ]
+        for equations, place in sorted(curved, key=lambda each: matrices(each[0]) is not None):
+            raise self._no_matrices(spec.model, equations, place)
         demand_noise(spec, f"the family {self.name}" if self.traits.densities else "")
         if not (spec.model.S.is_zero or self.traits.correlated):
             raise (

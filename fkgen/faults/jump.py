@@ -177,7 +177,7 @@ def _read_modes(section: Section, model: Model, refuses: str) -> tuple[Mode, ...
     entries = as_list(section.require("modes", expected), place, expected)
     if not entries:
         raise place.error("an empty list", expected)
-    sections = (
+    sections = [
         Section(
             entry,
             place.item(i),
@@ -185,8 +185,11 @@ def _read_modes(section: Section, model: Model, refuses: str) -> tuple[Mode, ...
             defaults=section.defaults,
         )
         for i, entry in enumerate(entries)
-    )
-    return tuple(_mode(each, model, _kept(each, model, refuses)) for each in sections)
+    ]
+    found = tuple(_mode(each, model, _kept(each, model, refuses)) for each in sections)
+    if len({mode.equations is None for mode in found}) > 1:
+        return tuple(_with_equations(each, model, None, apart=True) for each in sections)
+    return found
 
 
 def _kept(section: Section, model: Model, refuses: str) -> tuple[int, ...] | None:
@@ -233,7 +236,8 @@ def _narrowed(matrix: Matrix, letter: str, kept: tuple[int, ...]) -> Matrix:
 
 def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
     """The mode whose matrices are those of the model, but for those that are stated."""
-    if model.equations is not None or any(key in section for key in modes.OF_MODES):
+    noisy = model.stated is not None and bool(model.stated[0].noises)  # Q is not all of the noise
+    if model.equations is not None or noisy or any(key in section for key in modes.OF_MODES):
         return _with_equations(section, model, kept)
     for key in ("B", "D"):
         if key in section and not model.nu:
@@ -259,8 +263,13 @@ def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
     return Mode(**found, kept=kept, source=source)
 
 
-def _with_equations(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
-    """The mode with equations of its own; matrices where they and those of the model are linear."""
+def _with_equations(
+    section: Section, model: Model, kept: tuple[int, ...] | None, *, apart: bool = False
+) -> Mode:
+    """The mode with equations of its own; matrices where they and those of the model are linear.
+
+    ``apart``: another mode is not linear, so that this one has equations as well.
+    """
     for key in ("A", "B", "C", "D", "c", "d"):
         if key in section:
             raise section.error(key, f"{key} for a plant of equations", "f or h of the mode")
@@ -272,16 +281,18 @@ def _with_equations(section: Section, model: Model, kept: tuple[int, ...] | None
         expected = "matrices as the model has, or f in the model: its time is continuous"
         raise section.error(key, f"{key} beside matrices of dx/dt", expected)
     scope = section.defaults if isinstance(section.defaults, Scope) else Scope(section.defaults)
-    own = model.equations or model.stated
+    own, Q = model.stated or (model.equations, model.Q)
     noises, moving = (own.noises, own.continuous) if own else ((), False)
     named = Named(model.states, model.inputs, model.outputs, noises, scope, moving)
     matrices = {} if own else {each: getattr(model, each) for each in LETTERS}
     base = own or modes.of_matrices(named, matrices)
-    found: dict[str, Any] = {"Q": model.Q, "R": model.R}
+    found: dict[str, Any] = {"Q": Q, "R": model.R}
     _state_own(section, found)
     equations = modes.mode_equations(section, named, base)
     check_start(equations, named, model.x0.values().ravel(), section.place)
-    linear = None if model.equations is not None else affine.matrices(equations)
+    linear = None
+    if model.equations is None and not apart:
+        linear = affine.linear_plant(equations, found["Q"], section)
     if linear is not None:
         return Mode(**(found | linear))
     return Mode(**ABSENCE, **found, equations=equations)

@@ -103,6 +103,12 @@ class Equations:
         return [(name, plain(tree)) for name, tree in self.let]
 
     @property
+    def motion(self) -> tuple[Any, ...]:
+        """What f is, to be compared."""
+        timing = (self.continuous, self.integrator, self.substeps, self.period)
+        return self.f, self.for_f, self.noises, timing
+
+    @property
     def for_f(self) -> tuple[Definition, ...]:
         """The definitions that f needs."""
         return needed(self.let, self._motion)
@@ -351,6 +357,10 @@ class Absent(Matrix):
     def __hash__(self) -> int:
         """One for all."""
         return hash(Absent)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Be one in another process too."""
+        return Absent, ()
 
     def __repr__(self) -> str:
         """Show what it is."""

@@ -12,7 +12,7 @@ from fkgen.errors import SpecError
 from fkgen.problem.covariance import checked_covariance
 from fkgen.problem.equations import ABSENCE, Equations
 from fkgen.problem.finding import Finding
-from fkgen.problem.functions.affine import matrices
+from fkgen.problem.functions.affine import linear_plant
 from fkgen.problem.functions.named import read_named, read_start
 from fkgen.problem.functions.reading import (
     KEYS,
@@ -65,8 +65,8 @@ class Model:
     outputs: tuple[Signal, ...]
     source: Continuous | None = None  # What A, B, c and Q were computed from, if the time was
     equations: Equations | None = None  # What is there in place of A, B, C, D, c and d
-    #: The equations that the matrices were read from, if they were
-    stated: Equations | None = field(default=None, compare=False)
+    #: The equations that the matrices were read from, if they were, and the Q beside them
+    stated: tuple[Equations, Matrix] | None = field(default=None, compare=False)
     #: What a user should know of how it was read
     remarks: tuple[Finding, ...] = field(default=(), compare=False)
 
@@ -189,11 +189,10 @@ def _with_equations(section: Section) -> Model:
     x0 = _constant(section, "x0", section.column("x0", n, "numbers"))
     x0, remarks = read_start(section, named, x0)
     check_start(equations, named, x0.values().ravel(), section.place)
-    found = matrices(equations) if not named.wraps else None
-    letters = ABSENCE if found is None else found
+    found = linear_plant(equations, Q, section) if not named.wraps else None
+    letters = {"Q": Q} | ABSENCE if found is None else found
     return Model(
         **letters,
-        Q=Q,
         R=R,
         S=_cross_covariance(section, Q, R),
         x0=x0,
@@ -203,7 +202,7 @@ def _with_equations(section: Section) -> Model:
         inputs=named.inputs,
         outputs=named.outputs,
         equations=equations if found is None else None,
-        stated=equations,
+        stated=None if found is None else (equations, Q),
         remarks=remarks,
     )
 

@@ -183,8 +183,8 @@ def _mild_prior(spec: Spec) -> Array:
 
     Not where P0 is part of the second moments that a gain depends on.
     """
-    C, P0, R = sensed_at_prior(spec, spec.model), spec.model.P0.values(), spec.model.R
-    R = R.values(spec.defaults)
+    C, P0 = sensed_at_prior(spec, spec.model), spec.model.P0.values()
+    R = spec.model.R.values(spec.defaults)
     noise, prior = np.diag(R), np.diag(C @ P0 @ C.T)
     known = (noise > 0.0) & (prior > 0.0)
     if spec.filter.traits.moments or not known.any():

@@ -153,11 +153,12 @@ def _mapping(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
     if given is None:
         return {}
     if isinstance(given, Mapping):
-        for name in given:
+        values = _scalars(given, known)
+        for name in values:
             if name not in known:
                 expected = choice(name, known)
                 raise DataError(f"params.{name}", given="an unknown name", expected=expected)
-        return given
+        return values
     columns = headings(given)
     if columns is None:
         kind = f"a value of type {type(given).__name__}"
@@ -167,6 +168,23 @@ def _mapping(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
     if not found:
         there = f"columns {', '.join(map(str, columns))}"
         raise DataError("params", given=there, expected=choice(str(next(iter(columns), "")), known))
+    return found
+
+
+def _scalars(given: Mapping[Any, Any], known: Sequence[str]) -> Mapping[Any, Any]:
+    """Vectors as their entries: of m they are m_0, m_1, ..."""
+    found: dict[Any, Any] = {}
+    for name, value in given.items():
+        parts = [f"{name}_{i}" for i in range(len(known)) if f"{name}_{i}" in known]
+        if name in known or len(parts) < 2:
+            found[name] = value
+            continue
+        role = "a parameter is never missing"
+        array = numbers(f"params.{name}", value, np.float64, role=role)
+        if array.shape[-1] != len(parts):
+            expected = f"{len(parts)} numbers, or as many columns"
+            raise DataError(f"params.{name}", given=f"shape {array.shape}", expected=expected)
+        found |= {part: array[..., i] for i, part in enumerate(parts)}
     return found
 
 

@@ -34,7 +34,8 @@ def split_packed(packed: ca.SX, n: int) -> list[ca.SX]:
 
 def split_estimates(states: ca.SX, packed: ca.SX, n: int) -> list[tuple[ca.SX, ca.SX]]:
     """Means and packed covariances of estimates of n numbers that are stacked."""
-    return list(zip(ca.vertsplit(states, n), split_packed(packed, n), strict=True))
+    means = ca.vertsplit(states, n)
+    return list(zip(means, ca.vertsplit(packed, packed.numel() // len(means)), strict=True))
 
 
 def order(packed: ca.SX) -> int:

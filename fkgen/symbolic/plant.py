@@ -17,6 +17,9 @@ from fkgen.symbolic.lifting.equations import Lifted, lift_equations
 from fkgen.symbolic.lifting.expressions import Wholes, lift, lift_expression
 from fkgen.symbolic.linalg import sparse
 
+#: What of a plant with f and h is about f.
+MOTION = ("moved", "A", "B", "G", "variances")
+
 #: Variances of which four may be multiplied, with some room for those that follow from them.
 TAME = 1e-60, 1e60
 
@@ -101,11 +104,14 @@ def plant_of(spec: Spec) -> Plant:
     )
 
 
-def _lifted(spec: Spec, plant: Model | Mode, parameters: Mapping[str, ca.SX]) -> Lifted | None:
+def _lifted(
+    spec: Spec, plant: Model | Mode, parameters: Mapping[str, ca.SX], like: Lifted | None = None
+) -> Lifted | None:
     """F and h, where a plant has them."""
     if plant.equations is None:
         return None
-    return lift_equations(plant.equations, parameters, (spec.model.states, spec.model.outputs))
+    signals = spec.model.states, spec.model.outputs
+    return lift_equations(plant.equations, parameters, signals, like)
 
 
 def _over_a_sample(plant: Model | Mode, Q: ca.SX, parameters: Mapping[str, ca.SX]) -> ca.SX:
@@ -146,7 +152,11 @@ def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
     plants = []
     for mode in modes:
         if mode.equations not in known:
-            known[mode.equations] = _derivatives(_lifted(spec, mode, base.parameters))
+            own = _lifted(spec, mode, base.parameters, base.lifted)
+            if own is not None and mode.equations is not None:  # what moves alike is one object
+                first = known.setdefault(("f", mode.equations.motion), own)
+                own = replace(own, **{name: getattr(first, name) for name in MOTION})
+            known[mode.equations] = _derivatives(own)
         lifted = dict(known[mode.equations])
         for letter in LETTERS if mode.equations is None else ("Q", "R"):
             key = letter, getattr(mode, letter)

@@ -25,8 +25,7 @@ from fkgen.estimators.gaussian.sequential import (
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.lifting.equations import box_plus, normalised, places
-from fkgen.symbolic.lifting.rotations import right_jacobian
+from fkgen.symbolic.lifting.equations import box_plus, normalised, turned_by
 from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant, sensed_at_prior
 from fkgen.symbolic.recursion import Guard
@@ -84,10 +83,12 @@ def correct(
     tag: str = "",
     with_gain: bool = False,
     gate: Gate | None = None,
+    as_errors: bool = False,
 ) -> tuple[Conditioned, Posterior]:
     """Condition the prediction (state, packed covariance) on y[k]: Strandt et al., (10), (11).
 
-    A plant with f and h is linearised there.
+    A plant with f and h is linearised there. ``as_errors`` leaves the corrections of a state with
+    attitudes as errors about the prediction.
     """
     whole, packed = prior
     n, covariance, C = plant.ne, unpack(packed, plant.ne), plant.C
@@ -114,12 +115,14 @@ def correct(
         with_gain=with_gain,
         gate=gate,
     )
-    found = _turned(builder, plant, whole, found, tag)
-    P = unpack(found.covariance, state.numel())
+    turns = bool(plant.attitudes) and not as_errors
+    if turns:
+        found = _turned(builder, plant, whole, found, tag)
+    P, count = unpack(found.covariance, state.numel()), plant.nx if turns else n
     posterior = Posterior(
-        state=found.mean[: plant.nx, 0],
+        state=found.mean[:count, 0],
         covariance=pack(P[:n, :n]),
-        deviation=found.mean[plant.nx :, 0],
+        deviation=found.mean[count:, 0],
         deviation_covariance=pack(P[n:, n:]),
         cross_covariance=P[n:, :n],
     )
@@ -130,27 +133,29 @@ def _turned(
     builder: PhaseBuilder, plant: Plant, prior: ca.SX, found: Conditioned, tag: str
 ) -> Conditioned:
     """An estimate of errors as one of the state; attitudes take the axes of errors with them."""
-    if not plant.attitudes:
-        return found
     n, m = plant.ne, found.mean.numel()
     errors = builder.define(f"correction{tag}", found.mean[:n])
-    state = normalised(box_plus(prior, errors, plant.attitudes), plant.attitudes)
-    turn = ca.diagcat(turned_by(plant, errors), ca.SX.eye(m - n))
-    (turn,) = builder.name_all(f"turn{tag}", (turn,))
-    mean = ca.vertcat(builder.define(f"corrected{tag}", state), found.mean[n:])
+    state, turn = off_by(builder, plant, prior, errors, tag)
+    turn = ca.diagcat(turn, ca.SX.eye(m - n))
+    mean = ca.vertcat(state, found.mean[n:])
     gain = None if found.gain is None else turn @ found.gain
     return replace(
         found, mean=mean, covariance=congruence(turn, unpack(found.covariance, m)), gain=gain
     )
 
 
-def turned_by(plant: Plant, errors: ca.SX) -> ca.SX:
-    """By what small errors turn when a state moves by errors that are not small, (ne, ne)."""
-    turn = ca.SX.eye(plant.ne)
-    for _, at, turns in places(plant.nx, plant.attitudes):
-        if turns:
-            turn[at : at + 3, at : at + 3] = right_jacobian(errors[at : at + 3])
-    return turn
+def off_by(
+    builder: PhaseBuilder, plant: Plant, origin: ca.SX, errors: ca.SX, tag: str = ""
+) -> tuple[ca.SX, ca.SX]:
+    """The state that lies off by errors, and by what small errors turn on the way, named."""
+    state = normalised(box_plus(origin, errors, plant.attitudes), plant.attitudes)
+    (turn,) = builder.name_all(f"turn{tag}", (turned_by(plant.attitudes, errors),))
+    return builder.define(f"corrected{tag}", state), turn
+
+
+def expected(plant: Plant, state: ca.SX, u: ca.SX) -> ca.SX:
+    """What is expected of y at a state, where the plant is linearised if it has functions."""
+    return plant.C @ state + plant.D @ u + plant.d if plant.seen is None else plant.seen
 
 
 def moved_by_noise(plant: Plant) -> list[int]:
@@ -199,7 +204,7 @@ def propagate(
     shift, covariance = B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q))
     if not plant.attitudes:
         return state + shift, covariance, through
-    turn = turned_by(plant, shift)
+    turn = turned_by(plant.attitudes, shift)
     state = normalised(box_plus(state, shift, plant.attitudes), plant.attitudes)
     return state, congruence(turn, unpack(covariance, n)), turn @ through
 

@@ -7,6 +7,7 @@ coherently: x(k|k) and x(k+1|k) with weights given y[0..k]; ``paper_state`` is (
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -20,19 +21,21 @@ from fkgen.estimators.gaussian.estimate import (
     correct,
     demand_finite,
     demand_positive,
+    expected,
     finite,
     propagate,
     update_form,
 )
 from fkgen.estimators.gaussian.sequential import Conditioned, Form
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows
-from fkgen.estimators.models.merge import Gaussian, combined_innovation, mixture_covariance
+from fkgen.estimators.models.merge import Chart, Gaussian, combined_innovation, mixture
 from fkgen.estimators.models.weights import log_prior, log_sum_exp, patterns, reweigh
 from fkgen.faults import ActuatorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import congruence, pack, split_estimates, unpack, weighted_sum
+from fkgen.symbolic.linearise import moved_from, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import (
     carried,
@@ -72,7 +75,7 @@ class Bank:
         state, covariance = split_estimates(states, packed, self.plant.nx)[i]
         if not (r := self.random[i]):
             return Posterior(state, covariance)
-        begin, n = sum(self.random[:i]), self.plant.nx
+        begin, n = sum(self.random[:i]), self.plant.ne
         sizes = [s * (s + 1) // 2 for s in self.random]
         at = sum(sizes[:i])
         cross = self.symbols["mode_deviation_cross"][begin * n : (begin + r) * n]
@@ -125,7 +128,7 @@ def multiple_model_bank(spec: Spec) -> Recursion:
 
 def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
     """Ports of the hypotheses; what each makes of gamma[k] stands one after the other."""
-    n, options = spec.model.nx, spec.filter.options
+    n, ne, options = spec.model.nx, spec.model.ne, spec.filter.options
     count, rates = len(options.hypotheses), len(options.hypotheses[0])
     paper = "(18) as printed: predictions for k with weights given y[0..k]"
     rate = (rates,) if rates > 1 else ()
@@ -146,7 +149,7 @@ def _ports(spec: Spec, random: tuple[int, ...]) -> tuple[Port, ...]:
     deviations = (
         carried("mode_deviation", (r,), f"mean {about}"),
         carried("mode_deviation_covariance", (packed,), f"covariance {about}"),
-        carried("mode_deviation_cross", (r * n,), f"covariance {about}, with the state"),
+        carried("mode_deviation_cross", (r * ne,), f"covariance {about}, with the state"),
     )
     return (*ports, *deviations) if r else ports
 
@@ -179,31 +182,38 @@ def _update(bank: Bank) -> Phase:
         demand_positive(builder, packed)
     bank = replace(bank, plant=bound(builder, bank.plant, "CDRd"))
     found, posteriors = [], []
+    plants = []
     for i, prior in enumerate(priors):
         with builder.titled(f"hypothesis {i}"):
+            inputs, tag = bank.actuation(i), f"_h{i}"
+            (plant,) = seen_from(builder, [bank.plant], [prior[0]], inputs.mean, tag)
             conditioned, posterior = correct(
-                builder, bank.plant, bank.actuation(i), prior, y=y, form=bank.form, tag=f"_h{i}"
+                builder, plant, inputs, prior, y=y, form=bank.form, tag=tag
             )
+        plants.append(plant)
         demand_finite(builder, posterior.state)
         found.append(conditioned)
         posteriors.append(posterior)
     with builder.titled("weights of the hypotheses"):
-        logs = [_log_likelihood(builder, bank, i, priors[i], each) for i, each in enumerate(found)]
+        logs = [
+            _log_likelihood(builder, replace(bank, plant=plants[i]), i, priors[i], each)
+            for i, each in enumerate(found)
+        ]
         weights = reweigh(builder, held, logs, spec.filter.options.weight_floor, spec.code.scalar)
     with builder.titled("combination"):
-        C, D, d = bank.plant.C, bank.plant.D, bank.plant.d
         predicted = [
-            builder.define(f"predicted_y_h{i}", C @ mean + D @ bank.actuation(i).mean + d)
+            builder.define(f"predicted_y_h{i}", expected(plants[i], mean, bank.actuation(i).mean))
             for i, (mean, _) in enumerate(priors)
         ]
-        results = combined_innovation(builder, held[0], predicted, found)
+        angles = bank.plant.wraps, y
+        results = combined_innovation(builder, held[0], predicted, found, angles)
         w, parts = weights.probability, [(each.state, each.covariance) for each in posteriors]
-        state = weighted_sum(w, [mean for mean, _ in parts])
+        state, covariance = _merged(builder, bank, w, parts, "merged")
         rates = [ca.SX(list(rates)) for rates in spec.filter.options.hypotheses]
         results |= {
             "filtered_state": state,
-            "filtered_covariance": mixture_covariance(w, parts, state),
-            "paper_state": weighted_sum(w, [mean for mean, _ in priors]),
+            "filtered_covariance": covariance,
+            "paper_state": _merged(builder, bank, w, priors, "paper")[0],
             "success_rate_estimate": weighted_sum(w, rates),
             "mode_filtered_state": ca.vertcat(*(mean for mean, _ in parts)),
             "mode_filtered_covariance": ca.vertcat(*(packed for _, packed in parts)),
@@ -227,7 +237,7 @@ def _log_likelihood(
     plant, through = bank.plant, bank.plant.D @ bank.actuation(i).through
     rates = _random_rates(bank.spec.filter.options.hypotheses[i])
     healthless = found.innovation + through @ ca.SX(rates)
-    S = congruence(plant.C, unpack(prior[1], plant.nx)) + pack(plant.R)
+    S = congruence(plant.C, unpack(prior[1], plant.ne)) + pack(plant.R)
     S = builder.define(f"share_variance_h{i}", S)
     whitened = whiten(builder, S, ca.horzcat(healthless, through), f"_h{i}")
     terms = [
@@ -242,18 +252,29 @@ def _log_likelihood(
     )
 
 
+def _merged(
+    builder: PhaseBuilder, bank: Bank, weights: ca.SX, parts: Sequence[Gaussian], name: str
+) -> Gaussian:
+    """The one estimate of all hypotheses."""
+    chart = Chart(builder, bank.plant, name, parts[0][0])
+    return mixture(chart, weights, parts, named=name == "combined")
+
+
 def _predict(bank: Bank) -> Phase:
     builder = PhaseBuilder(bank.symbols)
     plant = bound(builder, bank.plant, "ABQc")
-    moved = [propagate(plant, bank.actuation(i), bank.filtered(i)) for i in range(len(bank.random))]
+    moved = []
+    for i in range(len(bank.random)):
+        inputs, filtered = bank.actuation(i), bank.filtered(i)
+        (own,) = moved_from(builder, [plant], [filtered.state], inputs.mean, f"_h{i}")
+        moved.append(propagate(own, inputs, filtered))
     with builder.titled("prediction of every hypothesis"):
         states = builder.define("moved_state", ca.vertcat(*(state for state, _, _ in moved)))
         covariances = builder.define("moved_covariance", ca.vertcat(*(P for _, P, _ in moved)))
     parts = split_estimates(states, covariances, plant.nx)
     w = bank.symbols["mode_probability"]
     with builder.titled("combined prediction"):
-        state = builder.define("combined_state", weighted_sum(w, [mean for mean, _ in parts]))
-        covariance = mixture_covariance(w, parts, state)
+        state, covariance = _merged(builder, bank, w, parts, "combined")
         builder.assign(
             {
                 "mode_state": states,

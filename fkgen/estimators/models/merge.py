@@ -3,20 +3,98 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 
 from fkgen.estimators.gaussian.decorrelation import whiten
+from fkgen.estimators.gaussian.estimate import off_by
 from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.models.weights import TINY
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.linalg import column, is_zero, outer_lower, spread, total, weighted_sum
+from fkgen.symbolic.lifting.equations import Lifted, box_minus, turned_by
+from fkgen.symbolic.linalg import (
+    column,
+    congruence,
+    is_zero,
+    outer_lower,
+    reduced,
+    spread,
+    total,
+    unpack,
+    weighted_sum,
+)
+from fkgen.symbolic.plant import Plant
 
 #: Shares of a column that agree to so many decimals are the same.
 DIGITS = 13
 
 #: Mean and packed covariance.
 Gaussian = tuple[ca.SX, ca.SX]
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """Coordinates in which estimates are merged: errors about one of them.
+
+    They are the states themselves where no state is an angle or an attitude.
+    """
+
+    builder: PhaseBuilder
+    plant: Plant
+    name: str
+    origin: ca.SX
+
+    @property
+    def _lifted(self) -> Lifted | None:
+        """The plant by functions, if something of its state turns."""
+        found = self.plant.lifted
+        return found if found is not None and (found.attitudes or found.angles) else None
+
+    def inward(self, parts: Sequence[Gaussian]) -> list[Gaussian]:
+        """Estimates in these coordinates."""
+        lifted = self._lifted
+        return (
+            list(parts)
+            if lifted is None
+            else [self._errors(lifted, i, part) for i, part in enumerate(parts)]
+        )
+
+    def _errors(self, lifted: Lifted, i: int, part: Gaussian) -> Gaussian:
+        state, packed = part
+        if state is self.origin:
+            return ca.SX.zeros(self.plant.ne), packed
+        apart = box_minus(state, self.origin, lifted)
+        errors = self.builder.define(f"{self.name}_errors_{i}", apart)
+        if lifted.attitudes:
+            turn = turned_by(lifted.attitudes, errors, back=True)
+            (turn,) = self.builder.name_all(f"{self.name}_turn_{i}", (turn,))
+            carried = congruence(turn, unpack(packed, self.plant.ne))
+            packed = self.builder.define(f"{self.name}_carried_{i}", carried)
+        return errors, packed
+
+    def outward(self, merged: Gaussian, tag: str = "") -> Gaussian:
+        """An estimate in these coordinates as one of the state."""
+        if self._lifted is None:
+            return merged
+        errors = self.builder.define(f"{self.name}_mean{tag}", merged[0])
+        of = f"_{self.name}{tag}"
+        state, turn = off_by(self.builder, self.plant, self.origin, errors, of)
+        if not self.plant.attitudes:
+            return state, merged[1]
+        packed = congruence(turn, unpack(merged[1], self.plant.ne))
+        return state, self.builder.define(f"turned{of}", packed)
+
+
+def mixture(
+    chart: Chart, weights: ca.SX, parts: Sequence[Gaussian], tag: str = "", *, named: bool = True
+) -> Gaussian:
+    """Mean and packed covariance of a mixture of Gaussians; the mean is computed once."""
+    own = chart.inward(parts)
+    mean = weighted_sum(weights, [each for each, _ in own])
+    if named:
+        mean = chart.builder.define(f"{chart.name}_state{tag}", mean)
+    return chart.outward((mean, mixture_covariance(weights, own, mean)), tag)
 
 
 def mixture_covariance(weights: ca.SX, parts: Sequence[Gaussian], mean: ca.SX) -> ca.SX:
@@ -26,16 +104,31 @@ def mixture_covariance(weights: ca.SX, parts: Sequence[Gaussian], mean: ca.SX) -
 
 
 def combined_innovation(
-    builder: PhaseBuilder, held: ca.SX, predicted: list[ca.SX], found: list[Conditioned]
+    builder: PhaseBuilder,
+    held: ca.SX,
+    predicted: list[ca.SX],
+    found: list[Conditioned],
+    angles: tuple[tuple[int, ...], ca.SX],
 ) -> dict[str, ca.SX]:
     """Innovation of a mixture of predictions of y, its covariance, its NIS over the rows present.
 
-    ``held`` are the probabilities before y[k], ``found`` is what each mode made of y[k].
+    ``held`` are the probabilities before y[k], ``found`` is what each mode made of y[k]. Of rows
+    that are ``angles``, beside y, predictions count as near the first one as they come.
     """
+    wraps, y = angles
+    predicted = [ca.SX(each) for each in predicted]
+    for row in wraps:
+        for each in predicted[1:]:
+            each[row] = predicted[0][row] + reduced(each[row] - predicted[0][row])
     mean = weighted_sum(held, predicted)
     S = weighted_sum(held, [each.innovation_covariance for each in found])
     S = builder.define("combined_variance", S + spread(*_distinct(held, predicted), mean))
-    nu = builder.define("combined_innovation", weighted_sum(held, [f.innovation for f in found]))
+    nu = ca.SX(weighted_sum(held, [f.innovation for f in found]))
+    for row in wraps:
+        nu[row] = builder.local(f"combined_angle_{row}", 1, initial=0.0)
+        with builder.if_present(row):
+            builder.assign({f"combined_angle_{row}": reduced(y[row] - mean[row])})
+    nu = builder.define("combined_innovation", nu)
     whitened = None if len(found) == 1 else whiten(builder, S, nu, "_combined")
     nis = found[0].nis if whitened is None else whitened.quadratic(ca.SX(1))
     return {"innovation": nu, "innovation_covariance": S, "nis": nis}

@@ -29,12 +29,21 @@ from fkgen.estimators.gaussian.estimate import (
     correct,
     demand_finite,
     demand_positive,
+    expected,
     finite,
+    off_by,
     propagate,
     update_form,
 )
 from fkgen.estimators.gaussian.sequential import Conditioned, Form
-from fkgen.estimators.models.merge import Gaussian, Mixer, combined_innovation, mixture_covariance
+from fkgen.estimators.models.merge import (
+    Chart,
+    Gaussian,
+    Mixer,
+    combined_innovation,
+    mixture,
+    mixture_covariance,
+)
 from fkgen.estimators.models.weights import (
     Kernel,
     Prediction,
@@ -54,12 +63,14 @@ from fkgen.symbolic.domain import law_of
 from fkgen.symbolic.interface import Port
 from fkgen.symbolic.linalg import (
     column,
+    congruence,
     pack,
     split_estimates,
     split_packed,
     unpack,
     weighted_sum,
 )
+from fkgen.symbolic.linearise import moved_from, seen_from
 from fkgen.symbolic.plant import Plant, mode_plants
 from fkgen.symbolic.ports import (
     carried,
@@ -203,9 +214,10 @@ class Switching:
     ports: tuple[Port, ...]
     symbols: dict[str, ca.SX]
     form: Form
+    merges_errors: bool = False  # Corrections stay errors about one prediction
 
     @classmethod
-    def of(cls, spec: Spec, own: tuple[Port, ...]) -> Switching:
+    def of(cls, spec: Spec, own: tuple[Port, ...], *, merges_errors: bool = False) -> Switching:
         """Lay out the ports of a filter; ``own`` are those of its family."""
         plants = mode_plants(spec, spec.faults.chain(spec.model).modes)
         modes = Modes.of(spec, plants)
@@ -227,6 +239,7 @@ class Switching:
             ports=ports,
             symbols=symbols_of(spec, plants[0], ports),
             form=update_form(spec, plants[0], augmented=False),
+            merges_errors=merges_errors and bool(plants[0].attitudes),
         )
 
     def recursion(
@@ -262,7 +275,7 @@ class Switching:
         builder, symbols = PhaseBuilder(self.symbols), self.symbols
         for packed in {id(packed): packed for _, packed in priors}.values():
             demand_positive(builder, packed)
-        modes = self.bound(builder, "CDRd")
+        modes = self.seen_from(builder, self.bound(builder, "CDRd"), priors)
         each = [self.corrected(builder, modes, j, prior) for j, prior in enumerate(priors)]
         with builder.titled("probabilities of the modes"):
             held, logs = self.held(builder, modes), [one.log_likelihood for one in each]
@@ -270,16 +283,31 @@ class Switching:
         with builder.titled("innovation of the mixture"):
             predicted = []
             for j, (prior, variants) in enumerate(zip(priors, modes.variants, strict=True)):
-                plant = variants[0].plant
-                y = plant.C @ prior[0] + plant.D @ symbols["u"] + plant.d
+                y = expected(variants[0].plant, prior[0], symbols["u"])
                 predicted.append(builder.define(f"predicted_y_m{j}", y))
-            results = combined_innovation(builder, held[0], predicted, each)
+            angles = self.plants[0].wraps, symbols["y"]
+            results = combined_innovation(builder, held[0], predicted, each, angles)
         with builder.titled("combination"):
             if modes.chain.independent:
                 said = symbols["predicted_mode_evidence"] + column(logs)
                 results["mode_evidence"] = said
             builder.assign(results | weights.ports() | combined(builder, weights.probability, each))
         return builder.phase()
+
+    def seen_from(self, builder: PhaseBuilder, modes: Modes, priors: Sequence[Gaussian]) -> Modes:
+        """The modes, with functions h linearised where each mode is."""
+        flat = [
+            (variant.plant, prior[0])
+            for variants, prior in zip(modes.variants, priors, strict=True)
+            for variant in variants
+        ]
+        plants, states = zip(*flat, strict=True)
+        ready = iter(seen_from(builder, plants, states, self.symbols["u"]))
+        variants = tuple(
+            tuple(replace(variant, plant=next(ready)) for variant in mode)
+            for mode in modes.variants
+        )
+        return replace(modes, variants=variants)
 
     def held(self, builder: PhaseBuilder, modes: Modes) -> tuple[ca.SX, ca.SX]:
         """Probability and logarithm of the modes before y[k]; a sample may have its own law."""
@@ -306,7 +334,14 @@ class Switching:
             tag = f"_m{mode}_{at}" if at else f"_m{mode}"
             with builder.titled(f"mode {mode}: {variant.title}"):
                 found, _ = correct(
-                    builder, variant.plant, certain(u), prior, y=y, form=self.form, tag=tag
+                    builder,
+                    variant.plant,
+                    certain(u),
+                    prior,
+                    y=y,
+                    form=self.form,
+                    tag=tag,
+                    as_errors=self.merges_errors,
                 )
                 density = builder.define(f"log_density{tag}", found.log_likelihood)
             each.append(replace(found, log_likelihood=density))
@@ -324,9 +359,8 @@ class Switching:
             return whole
         weights = builder.define(f"variant_weight_m{mode}", ca.exp(ca.vertcat(*joint) - total))
         parts = [(one.mean, one.covariance) for one in each]
-        mean = weighted_sum(weights, [one.mean for one in each])
-        state = builder.define(f"merged_state_m{mode}", mean)
-        covariance = mixture_covariance(weights, parts, state)
+        chart = Chart(builder, self.plants[0], "merged", each[0].mean)
+        state, covariance = mixture(chart, weights, parts, f"_m{mode}")
         covariance = builder.define(f"merged_covariance_m{mode}", covariance)
         return replace(whole, mean=state, covariance=covariance)
 
@@ -338,8 +372,8 @@ def one_step_optimal(spec: Spec) -> Recursion:
     """Build ``one_step``: corrections of one prior, Bayes' rule, one Gaussian."""
     option = spec.filter.options.covariance
     beside = RICCATIS[option]
-    filtering = Switching.of(spec, _riccati_ports(spec, beside))
-    symbols = filtering.symbols
+    filtering = Switching.of(spec, _riccati_ports(spec, beside), merges_errors=True)
+    symbols, plant = filtering.symbols, filtering.plants[0]
 
     def combined(
         builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
@@ -351,13 +385,19 @@ def one_step_optimal(spec: Spec) -> Recursion:
         covariance = weighted_sum(weights, covariances)
         if option == "moment_matched":
             covariance = mixture_covariance(weights, parts, state)
+        alone = covariances[:beside]
+        if plant.attitudes:
+            errors, n = state, plant.ne
+            state, turn = off_by(builder, plant, symbols["predicted_state"], errors)
+            covariance = congruence(turn, unpack(covariance, n))
+            alone = [congruence(turn, unpack(each, n)) for each in alone]
         results = {"filtered_state": state, "filtered_covariance": covariance}
         if beside:
-            results["riccati_filtered_covariance"] = ca.vertcat(*covariances[:beside])
+            results["riccati_filtered_covariance"] = ca.vertcat(*alone)
         return results
 
     packed = symbols["riccati_covariance" if beside else "predicted_covariance"]
-    known = split_packed(packed, spec.model.nx)
+    known = split_packed(packed, spec.model.ne)
     priors = [(symbols["predicted_state"], known[j % len(known)]) for j in range(4)]
     phases = filtering.update(priors, combined), _one_prediction(filtering, beside)
     notes = f"covariance: {option}", filtering.modes.note
@@ -365,7 +405,7 @@ def one_step_optimal(spec: Spec) -> Recursion:
 
 
 def _riccati_ports(spec: Spec, count: int) -> tuple[Port, ...]:
-    n = spec.model.nx
+    n = spec.model.ne
     shape = (count, n, n) if count > 1 else (n, n)
     what = f"as if gamma were always 1, for delta = 1{' and C' if count > 1 else ''}"
     covariance = partial(carried, unit="xx", symmetric=True, prior="P")
@@ -384,8 +424,9 @@ def _one_prediction(filtering: Switching, beside: int) -> Phase:
         law = filtering.modes.advanced(builder, now, spec.code.scalar, mixing=False)
     packed = [symbols["filtered_covariance"]]
     if beside:
-        packed += split_packed(symbols["riccati_filtered_covariance"], spec.model.nx)
+        packed += split_packed(symbols["riccati_filtered_covariance"], spec.model.ne)
     inputs, mean = certain(symbols["u"]), symbols["filtered_state"]
+    (plant,) = moved_from(builder, [plant], [mean], symbols["u"])
     moved = [propagate(plant, inputs, Posterior(mean, each))[:2] for each in packed]
     state = moved[0][0]
     results = {
@@ -414,7 +455,9 @@ def interacting_models(spec: Spec) -> Recursion:
         builder: PhaseBuilder, weights: ca.SX, each: list[Conditioned]
     ) -> dict[str, ca.SX]:
         parts = [(one.mean, one.covariance) for one in each]
-        state, covariance = Mixer(builder, "combined", parts, spec.code.scalar).under(weights)
+        chart = Chart(builder, filtering.plants[0], "combination", parts[0][0])
+        mixer = Mixer(builder, "combined", chart.inward(parts), spec.code.scalar)
+        state, covariance = chart.outward(mixer.under(weights))
         demand_finite(builder, state)
         return {
             "filtered_state": state,
@@ -482,7 +525,9 @@ def _moved(
     What is the same is computed once.
     """
     symbols, motions = filtering.symbols, modes.motions
-    mixer = Mixer(builder, "mixed", filtering.filtered(), filtering.spec.code.scalar)
+    filtered = filtering.filtered()
+    chart = Chart(builder, motions[0], "mixing", filtered[0][0])
+    mixer = Mixer(builder, "mixed", chart.inward(filtered), filtering.spec.code.scalar)
     mixed: dict[int, Gaussian] = {}
     known: dict[tuple[int, int], int] = {}
     moved: list[Gaussian] = []
@@ -492,9 +537,11 @@ def _moved(
         if law.mixing[group] is symbols["mode_probability"]:  # says nothing of the mode before
             mixed[group] = (symbols["filtered_state"], symbols["filtered_covariance"])
         elif group not in mixed:
-            mixed[group] = mixer.under(law.mixing[group], f"_{group}", law.columns[group])
+            merged = mixer.under(law.mixing[group], f"_{group}", law.columns[group])
+            mixed[group] = chart.outward(merged, f"_{group}")
         at = known.setdefault((group, id(plant)), len(moved))
         if at == len(moved):
+            (plant,) = moved_from(builder, [plant], [mixed[group][0]], symbols["u"], f"_{at}")
             state, packed, _ = propagate(plant, certain(symbols["u"]), Posterior(*mixed[group]))
             state = builder.define(f"moved_state_{at}", state)
             moved.append((state, builder.define(f"moved_covariance_{at}", packed)))
@@ -511,11 +558,13 @@ def _combined(
 ) -> Gaussian:
     """x(k+1|k) whatever the mode; where modes differ in nothing but Q, from x(k|k)."""
     symbols = filtering.symbols
-    if move_alike(motions):
+    if motions[0].lifted is None and move_alike(motions):
         plant = replace(motions[0], Q=mean_noise(motions, probability))
         estimate = Posterior(symbols["filtered_state"], symbols["filtered_covariance"])
         return propagate(plant, certain(symbols["u"]), estimate)[:2]
     masses = [ca.SX(0) for _ in moved[0]]
     for j, at in enumerate(moved[1]):
         masses[at] += probability[j]
-    return Mixer(builder, "predicted", moved[0], filtering.spec.code.scalar).under(column(masses))
+    chart = Chart(builder, motions[0], "prediction", moved[0][0][0])
+    mixer = Mixer(builder, "predicted", chart.inward(moved[0]), filtering.spec.code.scalar)
+    return chart.outward(mixer.under(column(masses)))

@@ -1,6 +1,7 @@
 """Closed forms of filters that linearise: matrices in NumPy, derivatives by dual numbers.
 
-They are about plants by equations; of ``ekf``, ``iekf`` and ``ukf`` about linear ones as well.
+`EXTENDED`, `ITERATED` and `UNSCENTED` are about any plant; the others, of families that have closed
+forms of their own where the plant is linear, about plants by equations.
 """
 
 from __future__ import annotations
@@ -32,9 +33,6 @@ from fkgen.problem import Spec
 
 Run: TypeAlias = Callable[[Spec, Record], dict[str, Array]]
 
-#: Families that linearise whatever the plant is.
-ALWAYS = ("ekf", "iekf", "ukf")
-
 #: What S beside R costs: some hundred roundings of every entry.
 LOST_DIGITS = 1e3 * float(np.finfo(float).eps)
 
@@ -47,7 +45,7 @@ STEP = 10.0
 
 def _system(spec: Spec, record: Record) -> NonlinearSystem:
     """The plant of a record, with the record's prior, as it is where faults are told."""
-    system = replace(system_of(spec, len(record.y), record.parameters), P0=record.P0)
+    system = system_of(spec, len(record.y), record.parameters, P0=record.P0)
     faults = spec.faults.sensor
     if faults is None or not spec.filter.traits.told:
         return system
@@ -102,8 +100,7 @@ def _conditions(spec: Spec, record: Record) -> Modes:
     if faults is None:
         lumped = spec.filter.option("modes", 4) == 3
         return sensor_modes(_system(spec, record), law_of(spec, record), modes=3 if lumped else 4)
-    plants = (system_of(spec, T, record.parameters, mode) for mode in faults.modes)
-    systems = [replace(each, P0=record.P0) for each in plants]
+    systems = [system_of(spec, T, record.parameters, mode, record.P0) for mode in faults.modes]
     return Modes.of(systems, **chain_of(spec, T, record.parameters))
 
 
@@ -121,16 +118,10 @@ def _one_step(spec: Spec, record: Record) -> dict[str, Array]:
     return textbook_gpb1(_conditions(spec, record), record.y, record.u, covariance=reading)
 
 
-def _is_about(spec: Spec) -> bool:
-    return is_nonlinear(spec) or spec.filter.family in ALWAYS
-
-
 def _claimed(run: Run) -> Callable[[Spec, Record], Ports | None]:
     """The ports of a run, of a decision that is rounding's only what stands before it."""
 
     def expected(spec: Spec, record: Record) -> Ports | None:
-        if not _is_about(spec):
-            return None
         found = run(spec, record)
         for name in undecided(spec):
             found.pop(name, None)
@@ -162,6 +153,15 @@ def _tolerated(run: Run, factor: float = 1.0) -> Callable[[Spec, Record], float]
     return tolerance
 
 
+def of_equations(form: ClosedForm) -> ClosedForm:
+    """The same statement, which says nothing about plants of matrices."""
+
+    def expected(spec: Spec, record: Record) -> Ports | None:
+        return form.expected(spec, record) if is_nonlinear(spec) else None
+
+    return replace(form, expected=expected)
+
+
 def _form(run: Run, claim: str, source: str, factor: float = 1.0) -> ClosedForm:
     return ClosedForm(
         claim=claim, source=source, tolerance=_tolerated(run, factor), expected=_claimed(run)
@@ -173,6 +173,7 @@ EXTENDED = _form(
     "estimates are those of matrices, f and h linearised at the estimate by dual numbers",
     "Jazwinski 1970, sec. 8.3",
 )
+LINEARISED = of_equations(EXTENDED)
 ITERATED = _form(
     _iterated,
     "the update is Gauss and Newton's, each step taken where it lowers the cost",
@@ -183,21 +184,27 @@ UNSCENTED = _form(
     "moments are those of points, sent through f and h one by one",
     "Julier & Uhlmann 1997; equal weights",
 )
-LINEARISED_BANK = _form(
-    _bank,
-    "estimates and weights are those of extended filters, one for each hypothesis",
-    "Strandt, Schneider & Yaz, eqs. (4), (9)-(18), linearised",
-    WEIGHTS,
+LINEARISED_BANK = of_equations(
+    _form(
+        _bank,
+        "estimates and weights are those of extended filters, one for each hypothesis",
+        "Strandt, Schneider & Yaz, eqs. (4), (9)-(18), linearised",
+        WEIGHTS,
+    )
 )
-LINEARISED_IMM = _form(
-    _interacting,
-    "estimates and probabilities are those of interacting extended filters",
-    f"Blom & Bar-Shalom 1988; {SENSOR_PAPER}, sec. IV, eqs. (15)-(18), linearised",
-    WEIGHTS,
+LINEARISED_IMM = of_equations(
+    _form(
+        _interacting,
+        "estimates and probabilities are those of interacting extended filters",
+        f"Blom & Bar-Shalom 1988; {SENSOR_PAPER}, sec. IV, eqs. (15)-(18), linearised",
+        WEIGHTS,
+    )
 )
-LINEARISED_ONE_STEP = _form(
-    _one_step,
-    "estimates are those of extended filters, one for each sensor condition, mixed as errors",
-    f"{SENSOR_PAPER}, eqs. (3)-(14), linearised",
-    WEIGHTS,
+LINEARISED_ONE_STEP = of_equations(
+    _form(
+        _one_step,
+        "estimates are those of extended filters, one for each sensor condition, mixed as errors",
+        f"{SENSOR_PAPER}, eqs. (3)-(14), linearised",
+        WEIGHTS,
+    )
 )

@@ -67,9 +67,13 @@ def space_of(states: tuple[Signal, ...]) -> Space:
 
 
 def system_of(
-    spec: Spec, T: int, params: Mapping[str, Array | float], plant: Model | Mode | None = None
+    spec: Spec,
+    T: int,
+    params: Mapping[str, Array | float],
+    plant: Model | Mode | None = None,
+    P0: Array | None = None,
 ) -> NonlinearSystem:
-    """The plant of a spec over T samples, or one of its modes; params (T,)."""
+    """The plant of a spec over T samples, or one of its modes; params (T,), P0 if not its own."""
     model = spec.model
     plant = model if plant is None else plant
     samples, which = parameter_samples(spec, T, params)
@@ -78,7 +82,12 @@ def system_of(
         return np.array([matrix.values(each) for each in samples])[which]
 
     space, ny = space_of(model.states), model.ny
-    given = {"x0": model.x0.values()[:, 0], "P0": model.P0.values(), "S": over(model.S)}
+    has: Array = np.ones(model.nx)
+    if isinstance(plant, Mode) and plant.kept is not None:  # the other states are 0
+        has = np.isin(np.arange(model.nx), plant.kept).astype(float)
+    P0 = model.P0.values() if P0 is None else P0
+    given = {"x0": has * model.x0.values()[:, 0], "S": over(model.S)}
+    given["P0"] = P0 if has.all() else has[:, None] * P0 * has
     given |= {"Q": over(plant.Q), "R": over(plant.R)}
     wraps = np.array([each.wrap for each in model.outputs], bool)
     if plant.equations is None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 from fkgen.problem.equations import Equations, Increment
 from fkgen.problem.table.place import show
+from fkgen.problem.table.section import Section, check_finite
 from fkgen.problem.text.expression import (
     ONE,
     ZERO,
@@ -18,7 +20,7 @@ from fkgen.problem.text.expression import (
     is_large,
     operation,
 )
-from fkgen.problem.text.matrix import Matrix, plain
+from fkgen.problem.text.matrix import Matrix, congruence, plain
 
 if TYPE_CHECKING:
     from fkgen.problem.model import Model
@@ -64,11 +66,9 @@ class _Reader:
             case "neg", [inner]:
                 return {key: operation("neg", each) for key, each in inner.items()}
             case ("+" | "-") as operator, [left, right]:
-                keys = dict.fromkeys((*left, *right))
-                return {
-                    key: operation(operator, left.get(key, ZERO), right.get(key, ZERO))
-                    for key in keys
-                }
+                return _merged(partial(operation, operator), left, right)
+            case "if", [condition, first, second] if _is_constant(condition):
+                return _merged(partial(operation, "if", constants[0]), first, second)
             case "*", [left, right] if _is_constant(left):
                 return {key: operation("*", constants[0], each) for key, each in right.items()}
             case ("*" | "/") as operator, [left, right] if _is_constant(right):
@@ -76,13 +76,38 @@ class _Reader:
         return None
 
 
+def _merged(combine: Callable[..., Expression], left: Affine, right: Affine) -> Affine:
+    keys = dict.fromkeys((*left, *right))
+    return {key: combine(left.get(key, ZERO), right.get(key, ZERO)) for key in keys}
+
+
 def _is_constant(found: Affine) -> bool:
     return all(key == "" or each == ZERO for key, each in found.items())
 
 
+def linear_plant(equations: Equations, Q: Matrix, section: Section) -> dict[str, Matrix] | None:
+    """Matrices of equations that are affine; Q has what noises add to it. None for all others."""
+    found = matrices(equations)
+    if found is None:
+        return None
+    variances = [noise.variance for noise in equations.noises]
+    if variances:
+        V = Matrix.zeros(len(variances), len(variances))
+        V = V.mapped(lambda i, j, zero: variances[i] if i == j else zero)
+        added = congruence(found["G"], V)
+        Q = Q.mapped(lambda i, j, entry: operation("+", entry, added.rows[i][j]))
+    del found["G"]
+    for letter, matrix in (found | {"Q": Q}).items():
+        key = "h" if letter in "CDd" else "f"
+        for row in matrix.rows:
+            for entry in row:
+                check_finite(entry, section.place.entry(key), section.defaults)
+    return found | {"Q": Q}
+
+
 def matrices(equations: Equations) -> dict[str, Matrix] | None:
-    """A, B, c, C, D and d of equations that are affine; None for all others."""
-    if equations.noises or equations.attitudes or equations.continuous:
+    """A, B, c, G (of noises), C, D and d of equations that are affine; None for all others."""
+    if equations.attitudes or equations.continuous:
         return None
     reader = _Reader(equations)
     rows: dict[str, list[Affine]] = {"f": [], "h": []}
@@ -99,8 +124,9 @@ def matrices(equations: Equations) -> dict[str, Matrix] | None:
         )
 
     states, inputs, one = equations.states, equations.inputs, ("",)
+    noises = tuple(noise.name for noise in equations.noises)
     letters = {"A": ("f", states), "B": ("f", inputs), "c": ("f", one)}
-    letters |= {"C": ("h", states), "D": ("h", inputs), "d": ("h", one)}
+    letters |= {"G": ("f", noises), "C": ("h", states), "D": ("h", inputs), "d": ("h", one)}
     return {letter: matrix(*where) for letter, where in letters.items()}
 
 
@@ -127,17 +153,15 @@ def why_not_linear(equations: Equations, model: Model) -> tuple[str, str]:
         for tree, signal in zip(trees, signals, strict=True):
             if isinstance(tree, Increment) or reader.read(tree) is None:
                 return f"{key}.{signal.name}", show(plain(tree))
-    return _why_not_plain(model, equations)
+    return _why_not_plain(model)
 
 
-def _why_not_plain(model: Model, equations: Equations) -> tuple[str, str]:
+def _why_not_plain(model: Model) -> tuple[str, str]:
     """Why a model whose equations are linear is not a linear one."""
     for key, signals in (("states", model.states), ("outputs", model.outputs)):
         for i, each in enumerate(signals):
             if each.wrap:
                 return f"{key}[{i}].wrap", f"the angle {each.name}, which wraps"
-    if equations.noises:
-        return "noises", "noises that enter through f"
     return "f", "equations of dx/dt, which an integrator solves (matrices A, B of dx/dt are exact)"
 
 

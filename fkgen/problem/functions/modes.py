@@ -21,9 +21,8 @@ from fkgen.problem.table.section import Section
 from fkgen.problem.text.expression import (
     Expression,
     Name,
-    Operation,
-    operation,
     product,
+    renamed,
     total,
 )
 from fkgen.problem.text.matrix import Matrix
@@ -72,12 +71,12 @@ def chosen(several: Sequence[Equations], indicators: Sequence[Name]) -> Equation
     for i, each in enumerate(several):
         names: dict[str, str] = {}
         for name, stated in each.let:
-            tree = _renamed(stated, names)
+            tree = renamed(stated, names)
             if let.get(name, tree) != tree:
                 names[name] = f"mode.{i}:{len(let)}"
             let[names.get(name, name)] = tree
         motions.append(tuple(_moved(motion, names) for motion in each.f))
-        seen.append(tuple(_renamed(tree, names) for tree in each.h))
+        seen.append(tuple(renamed(tree, names) for tree in each.h))
     f = tuple(_chosen_motion(each, indicators) for each in zip(*motions, strict=True))
     h = tuple(_chosen(each, indicators) for each in zip(*seen, strict=True))
     return replace(several[0], let=tuple(let.items()), f=f, h=h)
@@ -98,17 +97,8 @@ def _chosen_motion(motions: Sequence[Motion], indicators: Sequence[Name]) -> Mot
     return Increment(turns[0].at, (a, b, c))
 
 
-def _renamed(tree: Expression, names: Mapping[str, str]) -> Expression:
-    if isinstance(tree, Name):
-        return Name(names.get(tree.identifier, tree.identifier))
-    if isinstance(tree, Operation):
-        arguments = (_renamed(each, names) for each in tree.arguments)
-        return operation(tree.operator, *arguments, table=tree.table)
-    return tree
-
-
 def _moved(motion: Motion, names: Mapping[str, str]) -> Motion:
     if not isinstance(motion, Increment):
-        return _renamed(motion, names)
-    a, b, c = (_renamed(each, names) for each in motion.by)
+        return renamed(motion, names)
+    a, b, c = (renamed(each, names) for each in motion.by)
     return Increment(motion.at, (a, b, c))

@@ -10,6 +10,7 @@ from fkgen.errors import InternalError
 from fkgen.problem.equations import Definition, Equations, Increment, Integrator, Motion, needed
 from fkgen.problem.functions.affine import rows
 from fkgen.problem.functions.named import REFUSED, Named
+from fkgen.problem.functions.sources import checked, is_source, read_source, trees
 from fkgen.problem.functions.vectors import HIDDEN, PART, EquationReader, Known, Value
 from fkgen.problem.signals import Signal, read_name
 from fkgen.problem.table.place import Place, show, suggestion
@@ -26,7 +27,7 @@ from fkgen.problem.text.expression import (
     to_text,
     total,
 )
-from fkgen.problem.text.foreign import plain_entry
+from fkgen.problem.text.foreign import library, plain_entry
 from fkgen.problem.text.matrix import plain
 
 #: What only a model with equations has.
@@ -155,6 +156,9 @@ def _check_new(key: str, known: Known, place: Place) -> None:
 
 def read_value(entry: object, place: Place, reader: EquationReader) -> Value:
     """A number or vector out of a text, a list, or an object of another library."""
+    if library(entry) == "casadi":
+        found = trees(entry, place, reader)
+        return found[0] if len(found) == 1 else tuple(found)
     plain = plain_entry(entry, place)
     if isinstance(plain, str):
         value = placed(lambda: reader.read(plain), plain, place)
@@ -165,7 +169,7 @@ def read_value(entry: object, place: Place, reader: EquationReader) -> Value:
                 raise place.item(i).error("a vector in a vector", "numbers or expressions")
         value = tuple(each for each in parts if not isinstance(each, tuple))
     elif isinstance(plain, Number | Name | Operation):
-        value = _checked(plain, place, reader)
+        value = checked(plain, place, reader)
     else:
         expected = "a finite number, or an expression of states, inputs and parameters"
         value = as_entry(plain, place, reader.known.scope, expected)
@@ -175,22 +179,17 @@ def read_value(entry: object, place: Place, reader: EquationReader) -> Value:
     return value
 
 
-def _checked(tree: Expression, place: Place, reader: EquationReader) -> Expression:
-    """A tree of another library, whose names have to be known."""
-    words = reader.known.words
-    for name in sorted(names(tree)):
-        if name not in reader.known.scalars:
-            expected = f"symbols out of {', '.join(words)}"
-            raise place.error(f"the symbol '{name}'", expected + suggestion(name, words))
-    return tree
-
-
 def _entries(
-    section: Section, key: str, signals: Sequence[Signal], what: str
+    section: Section, key: str, named: Named, known: Known
 ) -> dict[str, tuple[object, Place]]:
-    """What is stated for signals, with its place."""
+    """What is stated for states or outputs, with its place."""
     place, given = section.place.entry(key), section.table.get(key, {})
+    signals, what = (named.states, "state") if key == "f" else (named.outputs, "output")
     words = [each.name for each in signals]
+    if is_source(given):
+        given = read_source(given, key, place, named, known)
+        if isinstance(given, list):
+            given = _grouped(given, signals, place, continuous=named.continuous)
     if isinstance(given, Mapping):
         for name in as_table(given, place, f"a table of expressions by {what}"):
             if name not in words:
@@ -199,10 +198,20 @@ def _entries(
         return {name: (entry, place.entry(name)) for name, entry in given.items()}
     expected = f"a table of expressions by {what}, or a list of {len(words)} in order"
     entries = as_list(given, place, expected, len(words), "expressions")
-    return {
-        name: (entry, place.item(i))
-        for i, (name, entry) in enumerate(zip(words, entries, strict=True))
-    }
+    plain = [each[0] if isinstance(each, list) and len(each) == 1 else each for each in entries]
+    return {name: (plain[i], place.item(i)) for i, name in enumerate(words)}
+
+
+def _grouped(
+    column: list[object], signals: Sequence[Signal], place: Place, *, continuous: bool
+) -> list[object]:
+    """A column of numbers, those of one signal together."""
+    sizes = [(3 if continuous else 4) if each.manifold else 1 for each in signals]
+    if len(column) != sum(sizes):
+        shown = ", ".join(f"{s.name} ({n})" for s, n in zip(signals, sizes, strict=True))
+        raise place.error(f"a column of {len(column)} numbers", f"{sum(sizes)}: {shown}")
+    left = iter(column)
+    return [next(left) if n == 1 else [next(left) for _ in range(n)] for n in sizes]
 
 
 def kept(known: Known, trees: Sequence[Expression]) -> tuple[Definition, ...]:
@@ -221,7 +230,7 @@ def read_motion(
     section: Section, named: Named, known: Known, base: Sequence[Motion] = ()
 ) -> list[Motion]:
     """F by component; what is left out stays as it is, or as it is in the base."""
-    entries = _entries(section, "f", named.states, "state")
+    entries = _entries(section, "f", named, known)
     found: list[Motion] = []
     left = list(base)
     for signal in named.states:
@@ -283,7 +292,7 @@ def read_measurement(
     section: Section, named: Named, known: Known, base: Sequence[Expression] = ()
 ) -> list[Expression]:
     """H by output; every one of them has an equation, if not in the base."""
-    entries = _entries(section, "h", named.outputs, "output")
+    entries = _entries(section, "h", named, known)
     found = []
     for i, signal in enumerate(named.outputs):
         place = section.place.entry("h").entry(signal.name)

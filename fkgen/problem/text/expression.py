@@ -242,6 +242,16 @@ def names(expression: Expression) -> frozenset[str]:
     return frozenset({expression.identifier} if isinstance(expression, Name) else ())
 
 
+def renamed(expression: Expression, names: Mapping[str, str]) -> Expression:
+    """Return an expression with other names for some names."""
+    if isinstance(expression, Name):
+        return Name(names.get(expression.identifier, expression.identifier))
+    if isinstance(expression, Operation):
+        arguments = (renamed(each, names) for each in expression.arguments)
+        return Operation(expression.operator, tuple(arguments), expression.table)
+    return expression
+
+
 def depth(expression: Expression) -> int:
     """Return the height of the tree; 1 for a leaf."""
     arguments = expression.arguments if isinstance(expression, Operation) else ()

@@ -7,6 +7,8 @@ type, so none of those libraries is imported unless the user has handed one of i
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial, reduce
 from importlib import import_module
@@ -29,6 +31,7 @@ from fkgen.problem.text.expression import (
     is_large,
     operation,
     product,
+    size,
     total,
 )
 from fkgen.problem.text.matrix import Matrix
@@ -148,6 +151,8 @@ class _SympyScalar:
         own = self.sympy.Function | self.sympy.Min | self.sympy.Max
         if name in FUNCTIONS and isinstance(node, own):
             return name, node.args
+        if name == "atan":
+            return "atan2", (*node.args, self.sympy.Integer(1))
         raise Unfit(
             "numbers, symbols, + - * / **, comparisons, exp, log, sqrt, sin, cos, tan, asin, acos,"
             f" sinh, cosh, tanh, atan2, sign, Abs, Min, Max, Piecewise, pi and E, without {kind}"
@@ -156,6 +161,9 @@ class _SympyScalar:
     def divides(self, node: Any) -> bool:
         return bool(isinstance(node, self.sympy.Pow) and node.exp.is_Rational and node.exp < 0)
 
+
+#: Nodes of a tree that become a definition, if definitions are possible.
+LARGE = 100
 
 _CASADI = {"ADD": "+", "SUB": "-", "MUL": "*", "DIV": "/", "NEG": "neg", "POW": "**"}
 _CASADI |= {"CONSTPOW": "**", "FABS": "abs", "FMIN": "min", "FMAX": "max"}
@@ -169,29 +177,63 @@ def _casadi_rows(value: Any, place: Place) -> list[list[Any]]:
     if isinstance(value, casadi.DM):
         numbers: list[list[Any]] = value.full().tolist()
         return numbers
+    return casadi_trees(value, place, Name)
+
+
+def casadi_trees(
+    value: Any,
+    place: Place,
+    named: Callable[[str], Name],
+    shared: Callable[[Expression], Expression] | None = None,
+) -> list[list[Expression]]:
+    """Return the entries of an SX or DM matrix.
+
+    ``shared`` gives what stands for a tree that is needed more than once, or is large.
+    """
+    casadi = import_module("casadi")
+    value = casadi.SX(value) if isinstance(value, casadi.DM) else value
     if not isinstance(value, casadi.SX):
         raise place.error(describe(value), "a CasADi SX or DM matrix")
     kinds = {getattr(casadi, key): key[3:] for key in dir(casadi) if key.startswith("OP_")}
     symbols = casadi.symvar(value)
     function = casadi.Function("entries", symbols, [casadi.densify(value)])
-    entries: list[list[Any]] = [[ZERO] * value.shape[1] for _ in range(value.shape[0])]
+    entries: list[list[Expression]] = [[ZERO] * value.shape[1] for _ in range(value.shape[0])]
     work: dict[int, Expression] = {}
+    uses = _uses(function, kinds)
     for k in range(function.n_instructions()):
         kind = kinds[function.instruction_id(k)]
         inputs, outputs = function.instruction_input(k), function.instruction_output(k)
         if kind == "INPUT":
-            work[outputs[0]] = Name(str(symbols[inputs[0]].name()))
+            work[outputs[0]] = named(str(symbols[inputs[0]].name()))
         elif kind == "CONST":
             constant = function.instruction_constant(k)
             if not math.isfinite(constant):
-                raise place.error(f"an entry {constant}", "finite numbers")
+                hint = " (a function of Python's math takes no symbol, casadi's do)"
+                expected = f"finite numbers{hint if math.isnan(constant) else ''}"
+                raise place.error(f"an entry {constant}", expected)
             work[outputs[0]] = Number(constant)
         elif kind == "OUTPUT":
             column, row = divmod(outputs[1], value.shape[0])
             entries[row][column] = work[inputs[0]]
         else:
-            work[outputs[0]] = _casadi_result(kind, [work[index] for index in inputs], place)
+            tree = _casadi_result(kind, [work[index] for index in inputs], place)
+            if shared is not None and (uses[k] > 1 or size(tree) > LARGE):
+                tree = shared(tree)
+            work[outputs[0]] = tree
     return entries
+
+
+def _uses(function: Any, kinds: Mapping[int, str]) -> Counter[int]:
+    """How often the result of each instruction is used."""
+    origin: dict[int, int] = {}
+    found: Counter[int] = Counter()
+    for k in range(function.n_instructions()):
+        kind = kinds[function.instruction_id(k)]
+        if kind not in {"INPUT", "CONST"}:
+            found.update(origin[each] for each in function.instruction_input(k))
+        if kind != "OUTPUT":
+            origin[function.instruction_output(k)[0]] = k
+    return found
 
 
 def _casadi_result(kind: str, arguments: list[Expression], place: Place) -> Expression:
@@ -199,6 +241,7 @@ def _casadi_result(kind: str, arguments: list[Expression], place: Place) -> Expr
         "SQ": ("**", [arguments[0], Number(2.0)]),
         "TWICE": ("*", [Number(2.0), arguments[0]]),
         "INV": ("/", [ONE, arguments[0]]),
+        "ATAN": ("atan2", [arguments[0], ONE]),
         "NOT": ("==", [arguments[0], ZERO]),
         "IF_ELSE_ZERO": ("if", [*arguments, ZERO]),
         "AND": ("*", [operation("!=", each, ZERO) for each in arguments]),
@@ -207,7 +250,7 @@ def _casadi_result(kind: str, arguments: list[Expression], place: Place) -> Expr
     if operator is None:
         supported = (
             "only + - * / **, comparisons, if_else, exp, log, sqrt, sin, cos, tan, asin, acos,"
-            " sinh, cosh, tanh, atan2, hypot, sign, fmin, fmax and fabs"
+            " atan, sinh, cosh, tanh, atan2, hypot, sign, fmin, fmax and fabs"
         )
         raise place.error(f"a CasADi matrix that uses {kind.lower()}", supported)
     try:

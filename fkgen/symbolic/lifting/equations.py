@@ -19,7 +19,7 @@ from fkgen.problem.functions.affine import affine_parts
 from fkgen.problem.signals import Signal
 from fkgen.symbolic.lifting import rotations
 from fkgen.symbolic.lifting.expressions import lift_expression
-from fkgen.symbolic.linalg import column, sparse
+from fkgen.symbolic.linalg import column, reduced, sparse
 
 _ROTATION = re.compile(r"(?P<q>.+)\.R:(?P<i>[0-2])(?P<j>[0-2])")
 
@@ -51,9 +51,10 @@ def lift_equations(
     equations: Equations,
     parameters: Mapping[str, ca.SX],
     signals: tuple[Sequence[Signal], Sequence[Signal]],
+    like: Lifted | None = None,
 ) -> Lifted:
-    """The equations of a plant with these states and outputs."""
-    return _Lifting(equations, parameters).lifted(*signals)
+    """The equations of a plant with these states and outputs; over the symbols of another one."""
+    return _Lifting(equations, parameters, like).lifted(*signals)
 
 
 def places(n: int, attitudes: Sequence[int]) -> list[tuple[int, int, bool]]:
@@ -70,10 +71,12 @@ def places(n: int, attitudes: Sequence[int]) -> list[tuple[int, int, bool]]:
 class _Lifting:
     """Builder of the expressions."""
 
-    def __init__(self, equations: Equations, parameters: Mapping[str, ca.SX]) -> None:
+    def __init__(
+        self, equations: Equations, parameters: Mapping[str, ca.SX], like: Lifted | None
+    ) -> None:
         self.equations = equations
-        self.x = ca.SX.sym("x", len(equations.states))
-        self.u = ca.SX.sym("u", len(equations.inputs))
+        self.x = ca.SX.sym("x", len(equations.states)) if like is None else like.x
+        self.u = ca.SX.sym("u", len(equations.inputs)) if like is None else like.u
         self.w = ca.SX.sym("w", len(equations.noises))
         self.values = dict(parameters)
         for symbols, own in (
@@ -248,6 +251,30 @@ def box_plus(x: ca.SX, errors: ca.SX, attitudes: Sequence[int]) -> ca.SX:
         else:
             parts.append(x[at] + errors[error])
     return ca.vertcat(*parts)
+
+
+def box_minus(x: ca.SX, origin: ca.SX, lifted: Lifted) -> ca.SX:
+    """The errors by which one state lies off another, of angles the shortest."""
+    parts = []
+    for at, error, turns in places(x.numel(), lifted.attitudes):
+        if turns:
+            q, p = (each[at : at + 4] for each in (origin, x))
+            parts.append(rotations.logarithm(rotations.product(rotations.conjugate(q), p)))
+        else:
+            apart = x[at] - origin[at]
+            parts.append(reduced(apart) if error in lifted.angles else apart)
+    return ca.vertcat(*parts)
+
+
+def turned_by(attitudes: Sequence[int], errors: ca.SX, *, back: bool = False) -> ca.SX:
+    """By what small errors turn when a state moves by errors that are not small, (ne, ne)."""
+    ne = errors.numel()
+    turn = ca.SX.eye(ne)
+    jacobian = rotations.inverse_right_jacobian if back else rotations.right_jacobian
+    for _, at, turns in places(ne + len(attitudes), attitudes):
+        if turns:
+            turn[at : at + 3, at : at + 3] = jacobian(errors[at : at + 3])
+    return turn
 
 
 def normalised(x: ca.SX, attitudes: Sequence[int]) -> ca.SX:

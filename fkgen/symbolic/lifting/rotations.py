@@ -109,6 +109,18 @@ def right_jacobian(d: ca.SX) -> ca.SX:
     return ca.SX.eye(3) - first * cross(d) + second * outer
 
 
+def inverse_right_jacobian(d: ca.SX) -> ca.SX:
+    """The inverse of `right_jacobian`, for angles below a full turn."""
+    square = squared(d)
+    second = _of_square(
+        square,
+        (1 / 12, 1 / 720, 1 / 30240),
+        lambda s, a: (1 - a / 2 * ca.cos(a / 2) / ca.sin(a / 2)) / s,
+    )
+    outer = d @ d.T - square * ca.SX.eye(3)
+    return ca.SX.eye(3) + cross(d) / 2 + second * outer
+
+
 def pushed(q: ca.SX) -> ca.SX:
     """D (q * exp(d)) / dd at d = 0, (4, 3)."""
     w, x, y, z = ca.vertsplit(q / 2)

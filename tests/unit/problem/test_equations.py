@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -49,6 +50,7 @@ def test_a_spec_of_equations_comes_back_from_its_own_table(model):
     again = fkgen.Spec.from_dict(spec.to_dict())
     assert again == spec
     assert again.canonical() == spec.canonical()
+    assert pickle.loads(pickle.dumps(spec)) == spec  # noqa: S301 - our own
 
 
 def test_the_order_of_definitions_tells_specs_apart():
@@ -136,6 +138,34 @@ def test_equations_that_are_linear_are_the_matrices():
     assert read(stated, family="kf") == read(by_matrices, family="kf")
 
 
+def test_noises_that_enter_linearly_are_part_of_q():
+    noises = [{"name": "a", "variance": "dt"}, {"name": "b", "variance": 4.0}]
+    f = ["if(dt > 1, 2*p, p) + a + 2*b", "v - 3*b"]
+    model = SCALAR | {"f": f, "h": ["p"], "noises": noises}
+    found = read(model, family="kf").model
+    G = np.array([[1.0, 2.0], [0.0, -3.0]])
+    expected = G @ np.diag([0.1, 4.0]) @ G.T + np.eye(2)
+    np.testing.assert_allclose(found.Q.values({"dt": 0.1}), expected, rtol=1e-15)
+    np.testing.assert_array_equal(found.A.values({"dt": 0.1}), np.eye(2))
+    np.testing.assert_array_equal(found.A.values({"dt": 1.5}), np.diag([2.0, 1.0]))
+    own = {"f": {"v": "0.5*v + b"}, "Q": [[2.0, 0.0], [0.0, 2.0]]}
+    spec = jumping({}, own, {"Q": np.zeros((2, 2)).tolist()}, family="mjls_lmmse")(model)
+    plain, changed, without = (m.Q.values({"dt": 0.1}) for m in spec.faults.jump.modes)
+    np.testing.assert_allclose(plain, expected, rtol=1e-15)
+    np.testing.assert_allclose(without, expected - np.eye(2), rtol=1e-15)
+    G[1, 1] = 1.0
+    np.testing.assert_allclose(changed, G @ np.diag([0.1, 4.0]) @ G.T + 2 * np.eye(2), rtol=1e-15)
+
+
+def test_one_mode_that_is_not_linear_makes_equations_of_all():
+    model = SCALAR | {"f": ["p + dt*v", "v"], "h": ["p"]}
+    spec = jumping({}, {"h": ["p*v"]})(model)
+    first, second = (mode.equations for mode in spec.faults.jump.modes)
+    assert first.evaluate([1.0, 2.0], [], [], {"dt": 0.5}) == ((2.0, 2.0), (1.0,))
+    assert second.seen([3.0, 2.0], [], {"dt": 0.5}) == (6.0,)
+    assert fkgen.Spec.from_dict(spec.to_dict()) == spec
+
+
 def test_matrices_state_what_the_other_equations_do_not():
     mixed = SCALAR | {"A": [[1.0, "dt"], [0.0, 1.0]], "h": ["atan2(p, 2.0)"]}
     equations = read(mixed).model.equations
@@ -151,7 +181,7 @@ def test_matrices_state_what_the_other_equations_do_not():
         ({"h": ["sin(p)"]}, "model.h.y", "'sin(p)'"),
         ({"f": {"v": "v*p"}, "h": ["p"]}, "model.f.v", "'v * p'"),
         ({"outputs": [{"name": "y", "wrap": True}], "h": ["p"]}, "model.outputs[0].wrap", "angle"),
-        ({"noises": [{"name": "w", "variance": 1.0}], "h": ["p"]}, "model.noises", "noises"),
+        ({"time": "continuous", "sample_time": 0.1, "h": ["p"]}, "model.f", "dx/dt"),
     ],
 )
 def test_a_linear_family_names_the_row_and_the_family_to_take(change, key, given):
