@@ -16,7 +16,7 @@ from fkgen.problem.filter import Options, Traits
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
-SOURCE = "Bell & Cathey 1993, The iterated Kalman filter update as a Gauss-Newton method"
+SOURCE = "Jazwinski 1970, sec. 8.3; steps that lower the cost: Bell & Cathey 1993"
 
 #: Gains that a sample may cost.
 LARGEST = 20
@@ -45,7 +45,7 @@ FAMILY = Family(
     name="iekf",
     title="iterated extended Kalman filter: the most probable state given y, by Gauss-Newton steps",
     build=built_by("nonlinear.iterated:iterated_filter", source=SOURCE),
-    proof=proved_by("nonlinear", "ITERATED"),
+    proof=proved_by("nonlinear", "ITERATED", "LINEAR"),
     traits=Traits(nonlinear=True),
     options=IteratedOptions,
     check=check,

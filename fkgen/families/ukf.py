@@ -13,7 +13,7 @@ from fkgen.problem import Model
 from fkgen.problem.filter import Options, Traits
 from fkgen.problem.table.section import Section
 
-SOURCE = "Julier & Uhlmann 1997, A new extension of the Kalman filter to nonlinear systems"
+SOURCE = "Julier & Uhlmann 1997, sec. 3, with equal weights"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ FAMILY = Family(
     name="ukf",
     title="unscented Kalman filter: points through f and h in place of derivatives",
     build=built_by("nonlinear.unscented:unscented_filter", source=SOURCE),
-    proof=proved_by("nonlinear", "UNSCENTED"),
+    proof=proved_by("nonlinear", "UNSCENTED", "LINEAR"),
     traits=Traits(nonlinear=True),
     options=UnscentedOptions,
     starter="starter_ukf.toml",

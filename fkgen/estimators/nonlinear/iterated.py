@@ -19,7 +19,6 @@ from fkgen.estimators.gaussian.estimate import (
     demand_finite,
     demand_positive,
     measurement_of,
-    turned_by,
     update_form,
 )
 from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
@@ -27,7 +26,7 @@ from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.lifting.equations import Lifted, box_plus, normalised
+from fkgen.symbolic.lifting.equations import Lifted, box_plus, normalised, turned_by
 from fkgen.symbolic.linalg import column, congruence, is_zero, pack, reduced, sparse, total, unpack
 from fkgen.symbolic.linearise import evaluated, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
@@ -157,7 +156,7 @@ class Search:
         first = replace(first, innovation=innovation, innovation_covariance=S)
         if not plant.attitudes:
             return first, self.prior[0] + self.kept["step"], found.covariance
-        (turn,) = builder.name_all("turn", (turned_by(plant, self.kept["step"]),))
+        (turn,) = builder.name_all("turn", (turned_by(plant.attitudes, self.kept["step"]),))
         covariance = congruence(turn, unpack(found.covariance, ne))
         return first, self.kept["corrected"], covariance
 
@@ -186,7 +185,7 @@ class Search:
         if not last:
             new |= {
                 "residual": residual,
-                "sensed": self._moving(C[0] @ turned_by(plant, found.mean)),
+                "sensed": self._moving(C[0] @ turned_by(plant.attitudes, found.mean)),
             }
         with builder.titled(f"iteration {i + 1}: the step is taken if it lowers the cost"):
             with builder.if_present(None):
@@ -222,7 +221,7 @@ class Search:
     @property
     def _pattern(self) -> tuple[ca.SX, list[tuple[int, int]]]:
         """H about any step, and where its entries differ from step to step."""
-        H = sparse(self.lifted.C @ turned_by(self.plant, ca.SX.sym("d", self.plant.ne)))
+        H = sparse(self.lifted.C @ turned_by(self.plant.attitudes, ca.SX.sym("d", self.plant.ne)))
         places = zip(*H.sparsity().get_triplet(), strict=True)
         return H, [place for place in places if not H[place].is_constant()]
 

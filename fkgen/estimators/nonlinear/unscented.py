@@ -23,7 +23,6 @@ from fkgen.estimators.gaussian.estimate import (
     demand_positive,
     finite,
     measurement_of,
-    turned_by,
     update_form,
 )
 from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
@@ -31,7 +30,7 @@ from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.lifting.equations import Lifted, box_plus, normalised, places
+from fkgen.symbolic.lifting.equations import Lifted, box_plus, normalised, places, turned_by
 from fkgen.symbolic.lifting.rotations import conjugate, logarithm, product
 from fkgen.symbolic.linalg import (
     outer_lower,
@@ -184,7 +183,7 @@ def _corrected(
     errors = builder.define("correction", root @ found.mean)
     state = normalised(box_plus(state, errors, plant.attitudes), plant.attitudes)
     if plant.attitudes:
-        (root,) = builder.name_all("turned", (turned_by(plant, errors) @ root,))
+        (root,) = builder.name_all("turned", (turned_by(plant.attitudes, errors) @ root,))
     return state, row_congruence(root, unpack(found.covariance, plant.ne))
 
 

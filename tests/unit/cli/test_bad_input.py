@@ -64,7 +64,7 @@ def test_a_spec_that_is_wrong(refused, folder):
 
 def test_an_unknown_family(refused):
     assert refused("new", "mk") == "error: family: given 'mk'; expected 'mkf'"
-    assert "expected one of: kf, mkf, mme" in refused("new", "nothing")
+    assert "expected one of: kf, ekf, iekf, ukf, mkf, mme" in refused("new", "nothing")
 
 
 def test_new_never_overwrites(refused):
