@@ -12,7 +12,7 @@ import numpy as np
 from fkgen.backend import ir
 from fkgen.backend.elementary import Elementary, Number
 from fkgen.backend.ir import Element, Operator, Space
-from fkgen.errors import InternalError
+from fkgen.errors import UnfitError
 from fkgen.symbolic.interface import Kind, Status
 
 ARITHMETIC: dict[Operator, Callable[..., Number]] = {
@@ -40,6 +40,9 @@ SAMPLES = 6
 
 #: In this sample row 0 is missing: C marks it as measured and gives NaN.
 MARKED = 4
+
+#: Row 0 of the last sample, where a filter has a gate that is to reject it.
+OUTLIER = 1000.0
 
 #: At most so many samples before a closing, so that the self-test comes across one.
 CLOSED_AFTER = 3
@@ -168,7 +171,13 @@ class _Run:
 
 
 def self_test_vectors(program: ir.CProgram) -> ir.Vectors:
-    """Run the program on a short record of short decimals, with missing rows."""
+    """Run the program on a short record of short decimals, with missing rows.
+
+    Raises
+    ------
+    UnfitError
+        If the filter refuses one of them.
+    """
     machine = Machine(program)
     start = {}
     if program.closing is not None:  # a countdown that comes to its end within the self-test
@@ -181,11 +190,13 @@ def self_test_vectors(program: ir.CProgram) -> ir.Vectors:
     y = np.round(rng.uniform(-1.0, 1.0, (SAMPLES, p)), 2)
     y[2] = np.nan
     y[MARKED, 0] = np.nan
-    trace = []
+    y[-1, 0] = OUTLIER if any(port.flags for port in program.ports) else y[-1, 0]
+    trace: list[tuple[float, ...]] = []
     for inputs, outputs in zip(u, y.tolist(), strict=True):
         status = machine.step(inputs, outputs, dict(program.parameters))
         if status.value < 0:
-            raise InternalError(f"{program.name}: the self-test is refused: {status.meaning}")
+            what = f"sample {len(trace)} of the self-test is refused: {status.meaning}"
+            raise UnfitError(program.name, what)
         trace.append(_floats(machine.ports["filtered_state"]))
     return ir.Vectors(
         u=tuple(map(tuple, u)),

@@ -13,10 +13,13 @@ import casadi as ca
 from fkgen.backend import ir
 from fkgen.backend.ir import Copy, Element, Literal, Operand, Operate, Operator, Space, Temp
 from fkgen.backend.render import render
+from fkgen.backend.size.guards import without_implied
 from fkgen.backend.size.selection import selected
 from fkgen.backend.source import Source
 from fkgen.backend.stated import constants_of, stated
-from fkgen.errors import InternalError
+from fkgen.errors import InternalError, SpecError, UnfitError
+from fkgen.families import family
+from fkgen.problem import Spec
 from fkgen.problem.functions.named import coordinates
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.interface import Port
@@ -33,8 +36,30 @@ _OPERATORS = _OTHER | {
 
 
 def generate(design: Validated) -> Source:
-    """Generate the C code of one validated filter. Nothing is written to disk."""
-    return render(lower(design.recursion), tuple(claim.claim for claim in design.claims))
+    """Generate the C code of one validated filter. Nothing is written to disk.
+
+    Raises
+    ------
+    SpecError
+        If the filter refuses its self-test: rounding has eaten a covariance, say.
+    """
+    claims = tuple(claim.claim for claim in design.claims)
+    try:
+        return render(lower(design.recursion), claims)
+    except UnfitError as unfit:
+        raise unfit_spec(design.recursion.spec, unfit) from None
+
+
+def unfit_spec(spec: Spec, unfit: UnfitError) -> SpecError:
+    """What a program that cannot run says about its spec."""
+    caveats = family(spec.filter.family).caveats(spec)
+    ways = [each.remedy for each in caveats if each.remedy]
+    ways = [*ways, "a smaller model.P0, or a larger R"]
+    scalar, key = spec.code.scalar, "model.P0"
+    if scalar == "float":
+        key, ways = "code.scalar", ['scalar = "double"', *ways]
+    given = f"numbers with which, in {scalar}, {unfit.what}"
+    return SpecError(key, given=given, expected=", or ".join(ways), file=spec.file)
 
 
 def lower(recursion: sym.Recursion) -> ir.CProgram:
@@ -58,6 +83,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     if spec.code.ports is not None:
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
         ports, lowered = selected(ports, lowered, shown)
+    lowered = {name: without_implied(phase) for name, phase in lowered.items()}
     names, phases = {port.name for port in ports}, list(lowered.values())
     form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
     return verify(

@@ -11,7 +11,7 @@ import numpy as np
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Expression, Operator, Space
 from fkgen.backend.lines import WIDTH
-from fkgen.errors import InternalError
+from fkgen.errors import UnfitError
 from fkgen.symbolic.interface import Kind, Port, Status
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
@@ -44,7 +44,7 @@ class StatementPrinter:
         """A constant that reads back as the same bits."""
         number: Any = float(value) if self.real == "double" else np.float32(value)
         if not np.isfinite(number):
-            raise InternalError(f"{self.name}: constant {value} is not finite as {self.real}")
+            raise UnfitError(self.name, f"the constant {value} is not finite as {self.real}")
         text = np.format_float_scientific(number, trim="0", unique=True)
         if 1e-4 <= abs(number) < 1e16 or number == 0.0:
             text = np.format_float_positional(number, trim="0", unique=True)

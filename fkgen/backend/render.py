@@ -94,6 +94,11 @@ def _context(program: CProgram) -> dict[str, object]:
             for port in program.ports
         ],
         "masks": [_mask(c, row, k) for k, row in enumerate(vectors.y)],
+        "flag_words": [
+            (port.name, _words(c, dict(vectors.final)[port.name]))
+            for port in program.ports
+            if port.flags
+        ],
         "marked": MARKED,
         "infinite": infinite,
         "not_a_number": infinite | (1 << (form.mantissa - 1)),
@@ -282,10 +287,15 @@ def _calls(program: CProgram) -> dict[str, int]:
 
 def _mask(c: Printer, row: tuple[float, ...], k: int) -> str:
     """Bits of the rows that are measured; row 0 of one sample is marked although it is not."""
-    bits = sum(1 << i for i, value in enumerate(row) if not math.isnan(value))
-    bits |= int(k == MARKED)
-    words = [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
+    marked = [not math.isnan(value) or (k == MARKED and i == 0) for i, value in enumerate(row)]
+    words = _words(c, marked)
     return words[0] if c.words == 1 else "{ " + ", ".join(words) + " }"
+
+
+def _words(c: Printer, rows: Iterable[float]) -> list[str]:
+    """Rows that are 1 as bits of words."""
+    bits = sum(1 << i for i, value in enumerate(rows) if value > 0)
+    return [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
 
 
 def _shape_text(port: Port) -> str:

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, fields
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.equations import Equations
@@ -52,10 +55,14 @@ def by_option(key: str, **builders: Callable[[Spec], Recursion]) -> Callable[[Sp
 
 
 def proved_by(claims: str, *names: str, theorems: str = "") -> Callable[[], Proof]:
-    """Closed forms of a module of claims, and theorems "module:NAME", imported when asked for."""
+    """Closed forms of a module of claims, and theorems "module:NAME", imported when asked for.
+
+    The name of a closed form of another module begins with it, "module:NAME".
+    """
 
     def proof() -> Proof:
-        closed_forms = tuple(_found(f"oracle.claims.{claims}:{name}") for name in names)
+        where = (name if ":" in name else f"{claims}:{name}" for name in names)
+        closed_forms = tuple(_found(f"oracle.claims.{each}") for each in where)
         return Proof(closed_forms, _found(f"oracle.theorems.{theorems}") if theorems else ())
 
     return proof
@@ -145,10 +152,22 @@ class Family:
                 .entry("S")
                 .error(
                     f"a covariance of w with v for the family {self.name}",
-                    "none: only the family kf takes noises that are correlated",
+                    "none: only the family kf, and ekf, take noises that are correlated",
                 )
             )
         self.check(spec)
+
+
+def demand_stationary(at: Place, *system: NDArray[np.float64]) -> None:
+    """Refuse a stationary gain of a plant A, C, Q, R, and S if there is one, that has none."""
+    from fkgen.oracle.textbook.riccati import stationary_prediction
+
+    if stationary_prediction(*system) is None:
+        raise at.error(
+            "'stationary' for a plant without a stabilising solution of the Riccati equation",
+            "every state that does not die away by itself to be seen by y, and every one on the"
+            " unit circle to be moved by Q; use gain = 'time_varying'",
+        )
 
 
 def demand_noise(spec: Spec, compares: str) -> None:

@@ -29,8 +29,9 @@ def build(spec: Spec) -> Recursion:
 def proof() -> Proof:
     """Those of the Kalman filter, whose C, D and R change from sample to sample."""
     from fkgen.oracle.claims.gaussian import BATCH, RICCATI
+    from fkgen.oracle.claims.nonlinear import LINEARISED
 
-    return Proof((BATCH, RICCATI))
+    return Proof((BATCH, RICCATI, LINEARISED))
 
 
 def without_law(table: Table, _: Spec) -> Table:
@@ -44,7 +45,9 @@ FAMILY = Family(
     title="genie-aided Kalman filter, told the sensor faults: a lower bound",
     build=build,
     proof=proof,
-    traits=Traits(linear=True, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0))),
+    traits=Traits(
+        linear=True, nonlinear=True, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0))
+    ),
     options=GateOptions,
     accepts={"sensor": partial(read_sensor_faults, law="optional")},
     adopt=without_law,

@@ -45,7 +45,7 @@ FAMILY = Family(
     name="iekf",
     title="iterated extended Kalman filter: the most probable state given y, by Gauss-Newton steps",
     build=built_by("nonlinear.iterated:iterated_filter", source=SOURCE),
-    proof=proved_by("nonlinear", "ITERATED", "LINEAR"),
+    proof=proved_by("nonlinear", "ITERATED", "JOINT"),
     traits=Traits(nonlinear=True),
     options=IteratedOptions,
     check=check,

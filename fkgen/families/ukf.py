@@ -33,7 +33,7 @@ FAMILY = Family(
     name="ukf",
     title="unscented Kalman filter: points through f and h in place of derivatives",
     build=built_by("nonlinear.unscented:unscented_filter", source=SOURCE),
-    proof=proved_by("nonlinear", "UNSCENTED", "LINEAR"),
+    proof=proved_by("nonlinear", "UNSCENTED", "JOINT"),
     traits=Traits(nonlinear=True),
     options=UnscentedOptions,
     starter="starter_ukf.toml",

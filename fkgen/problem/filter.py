@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import import_module
 from typing import Any, Literal, Self
@@ -85,12 +85,13 @@ class Filter:
 
     family: str  # Its name, or module:NAME of a `Family` in any importable module
     options: Any = field(default_factory=Options)  # Of the type that the family has for them
+    linearises: bool = False  # The plant has functions f and h
 
     @property
     def traits(self) -> Traits:
         """What the family is like."""
         traits: Traits = self.options.adapted(registry().family(self.family).traits)
-        return traits
+        return replace(traits, linear=traits.linear and not self.linearises)
 
     def option(self, name: str, default: Any) -> Any:
         """An option that not every family has."""

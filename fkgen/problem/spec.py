@@ -28,7 +28,7 @@ from fkgen.problem.signals import PREFIX, read_name
 from fkgen.problem.table.columns import Columns, read_record
 from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_table
-from fkgen.problem.text.expression import Expression, Scope
+from fkgen.problem.text.expression import Expression, Scope, evaluate
 from fkgen.problem.text.lookup import Table
 from fkgen.problem.text.matrix import expressions
 
@@ -87,8 +87,9 @@ class Spec:
         ----------
         table : mapping
             The sections of the spec file. Matrices may also be NumPy arrays, SymPy or CasADi
-            matrices; ``model.system`` may be a discrete-time ``control.StateSpace``. It is
-            neither changed nor kept.
+            matrices; ``model.system`` may be a ``control.StateSpace``; ``model.f`` and
+            ``model.h`` CasADi functions, or callables over CasADi symbols. It is neither changed
+            nor kept.
         file : str, optional
             For messages.
 
@@ -117,14 +118,10 @@ class Spec:
             model=model,
             parameters=parameters,
             faults=faults,
-            filter=Filter(options.table["family"], family.options.read(options, faults, model)),
+            filter=_read_filter(options, family, faults, model),
             code=read_code(whole.table.get("code", {}), place.entry("code")),
             tables=tuple(defaults.tables.values()),
-            record=read_record(
-                whole.table.get("record", {}),
-                place.entry("record"),
-                [*(s.name for s in (*model.outputs, *model.inputs)), *defaults],
-            ),
+            record=_read_record(whole, model, defaults),
             file=file,
         )
         _check_numbers(spec, place)
@@ -211,6 +208,24 @@ class Spec:
         return json.dumps(table, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
+def _read_filter(options: Section, family: Any, faults: Faults, model: Model) -> Filter:
+    """The family with its options, and whether there is anything to linearise."""
+    plants: list[Model | Mode] = [model]
+    plants += [] if faults.jump is None else faults.jump.modes
+    return Filter(
+        str(options.table["family"]),
+        family.options.read(options, faults, model),
+        linearises=any(plant.equations is not None for plant in plants),
+    )
+
+
+def _read_record(whole: Section, model: Model, defaults: Scope) -> Columns:
+    """Where signals and parameters stand in record files."""
+    place, known = whole.place.entry("record"), (*model.outputs, *model.inputs)
+    given = whole.table.get("record", {})
+    return read_record(given, place, [*(signal.name for signal in known), *defaults])
+
+
 def _check_numbers(spec: Spec, place: Place) -> None:
     """Refuse numbers that the scalar type of the code cannot hold, or work with."""
     largest = float(np.finfo("f4" if spec.code.scalar == "float" else "f8").max)
@@ -236,6 +251,12 @@ def _check_magnitudes(plant: Model | Mode, place: Place, spec: Spec) -> None:
     """Refuse entries beyond `LIMITS`; parameters have their default values."""
     scalar = spec.code.scalar
     smallest, largest = LIMITS[scalar]
+    for i, noise in enumerate(() if plant.equations is None else plant.equations.noises):
+        variance = evaluate(noise.variance, spec.defaults)
+        if not (variance == 0.0 or smallest <= variance <= largest):
+            where = Place(spec.file, "model.noises").item(i).entry("variance")
+            expected = f"0, or {smallest:g} to {largest:g} with scalar {scalar!r}"
+            raise where.error(f"{variance:g}", expected)
     for name in ("A", "B", "C", "D", "Q", "R", "x0", "P0", "c", "d", "S"):
         found = getattr(plant, name, ABSENT)
         values = () if found is ABSENT else found.values(spec.defaults)
@@ -259,7 +280,7 @@ def _read_scope(
     parameters = read_parameters(given, place.entry("parameters"), name, told, family.name)
     tables = read_tables(whole.table.get("tables", {}), place.entry("tables"))
     defaults = {each.name: each.default for each in parameters}
-    return parameters, Scope(defaults, tables, vectors(parameters))
+    return parameters, Scope(defaults, tables, vectors(parameters), [each.name for each in told])
 
 
 def load(path: str | os.PathLike[str]) -> Spec:

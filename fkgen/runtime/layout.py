@@ -36,13 +36,18 @@ class Layout:
         """The NumPy scalar."""
         return np.float64 if self.scalar == "double" else np.float32
 
+    @property
+    def real(self) -> Any:
+        """The same in ctypes."""
+        return ctypes.c_double if self.scalar == "double" else ctypes.c_float
+
     def dtype_of(self, port: Port) -> type[np.generic]:
         """The NumPy scalar of a port in Python."""
         return np.bool_ if port.flags else self.dtype
 
     def structure(self) -> type[ctypes.Structure]:
         """The C instance as a ctypes structure."""
-        real: Any = ctypes.c_double if self.scalar == "double" else ctypes.c_float
+        real = self.real
         fields = [(port.member, real * port.size if port.shape else real) for port in self.ports]
         fields.append((UPDATED, real))
         fields += [(CORRELATED, real * self.groups)] if self.groups else []

@@ -144,9 +144,9 @@ def sensed_at_prior(spec: Spec, plant: Model | Mode) -> NDArray[np.float64]:
     return np.array(ca.Function("C", symbols, [lifted.C])(*values))
 
 
-def mode_plants(spec: Spec, modes: Sequence[Mode]) -> tuple[Plant, ...]:
+def mode_plants(spec: Spec, modes: Sequence[Mode], base: Plant | None = None) -> tuple[Plant, ...]:
     """Lift modes of a spec to CasADi: one set of parameters, and equal matrices are one object."""
-    base = plant_of(spec)
+    base = plant_of(spec) if base is None else base
     wholes = Wholes(spec, base.parameters)
     known: dict[Any, Any] = {}
     plants = []

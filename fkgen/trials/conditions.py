@@ -41,7 +41,9 @@ class Conditions:
     indicators: tuple[tuple[float, ...], ...] = ()  # what each condition hands to the plant
     modes: tuple[int, ...] = ()  # the mode of each condition: several if their past matters
     lost: tuple[int, ...] = ()  # whether the sample is lost, by condition
-    plants: int = 0  # N: the first N indicators say which plant moves; 0 if there is one
+    plants: int = 0  # N: the first N indicators say which plant measures; 0 if there is one
+    entering: bool = False  # the last N say which plant moves, otherwise the first
+    held: tuple[tuple[int, ...], ...] = ()  # by condition, 1 for each state that is not 0 in it
     rows: tuple[int, ...] = ()  # of y: signal times the next indicator, noise times the one after
 
 
@@ -78,6 +80,8 @@ def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:
 
 def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
     """The modes; with a channel both states of it in every mode, a lost sample first."""
+    if faults.unequal:
+        return _of_pairs(spec, faults)
     chain, channel, count = faults.chain(spec.model), faults.channel, len(faults.modes)
     order = np.arange(count)
     if channel is not None:
@@ -92,6 +96,24 @@ def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
         lost=() if channel is None else tuple((order >= count).astype(int).tolist()),
         plants=count,
         rows=tuple(range(spec.model.ny)),
+    )
+
+
+def _of_pairs(spec: Spec, faults: JumpFaults) -> Conditions:
+    """Pairs of a mode and the next one, which drives the step: what it leaves out is 0 after it."""
+    P, N = np.array(faults.transition), len(faults.modes)
+    now, after = (each.ravel() for each in np.indices((N, N)))
+    measured = np.column_stack([np.eye(N)[now], np.ones((N * N, 2))])
+    follows = after[:, np.newaxis] == now
+    return Conditions(
+        initial=tuple((np.array(faults.initial)[now] * P[now, after]).tolist()),
+        kernel=tuple(map(tuple, (follows * P[now, after]).tolist())),
+        indicators=tuple(map(tuple, np.hstack([measured, np.eye(N)[after]]).tolist())),
+        modes=tuple(now.tolist()),
+        plants=N,
+        rows=tuple(range(spec.model.ny)),
+        entering=True,
+        held=tuple(faults.held[mode] for mode in now),
     )
 
 

@@ -169,6 +169,8 @@ def _sample(
 ) -> recursion.Phase:
     """y[k] = s (C x + D u + d) + f root(R) v, or x[k+1] = A x + B u + c + root(Q) w."""
     builder, indicator = PhaseBuilder(symbols), symbols["indicator"]
+    if conditions.entering and port == "state":
+        indicator = indicator[-conditions.plants :]
     letters, noise = ("CDRd", "v") if port == "measurement" else ("ABQc", "w")
     M, N, covariances, offsets = ([getattr(p, letter) for p in plants] for letter in letters)
     for covariance in covariances:

@@ -72,7 +72,7 @@ def test_rows_without_noise_that_say_the_same_are_taken_once(filter_of):
     system = replace(system, **twice, R=np.zeros((T, 2, 2)))
     y = simulate(system, u, np.random.default_rng(3))
     found, expected = filter_of(system=by_functions(system)).run(y, u), batch_lmmse(system, y, u)
-    for name in ("filtered_state", "filtered_covariance", "predicted_state"):
+    for name in ("filtered_state", "filtered_covariance", "predicted_state", "nis"):
         np.testing.assert_allclose(found[name], getattr(expected, name), rtol=1e-6, atol=1e-7)
 
 

@@ -84,12 +84,10 @@ def _pruned(phase: ir.Phase, kept: frozenset[str]) -> ir.Phase:
         if node.target.space is Space.NEXT:
             stored[node.target.name in kept].add(node.value)
     pruning = _Pruning(kept, frozenset(stored[False] - stored[True]))
-    ends = [*(at for at, _ in phase.chunks[1:]), len(phase.body)]
-    chunks = list(zip(phase.chunks, ends, strict=False))
     found: list[tuple[str, ir.Body]] = []
-    for (start, section), end in reversed(chunks):
-        found.append((section, pruning.body(phase.body[start:end])))
-    return _with_bodies(phase, _without_empty_headings(found[::-1]))
+    for section, body in reversed(chunks_of(phase)):
+        found.append((section, pruning.body(body)))
+    return with_chunks(phase, _without_empty_headings(found[::-1]))
 
 
 def _without_empty_headings(chunks: list[tuple[str, ir.Body]]) -> list[tuple[str, ir.Body]]:
@@ -106,7 +104,14 @@ def _without_empty_headings(chunks: list[tuple[str, ir.Body]]) -> list[tuple[str
     return [chunk for chunk in reversed(left) if chunk[1]]
 
 
-def _with_bodies(phase: ir.Phase, chunks: list[tuple[str, ir.Body]]) -> ir.Phase:
+def chunks_of(phase: ir.Phase) -> list[tuple[str, ir.Body]]:
+    """The chunks of a phase: the section that each belongs to, and its statements."""
+    ends = [*(at for at, _ in phase.chunks[1:]), len(phase.body)]
+    chunks = zip(phase.chunks, ends, strict=False)
+    return [(section, phase.body[start:end]) for (start, section), end in chunks]
+
+
+def with_chunks(phase: ir.Phase, chunks: list[tuple[str, ir.Body]]) -> ir.Phase:
     """A phase of these chunks, with the locals that they use."""
     everything: list[ir.Statement] = []
     begins = []

@@ -77,7 +77,9 @@ class AugmentedState:
     """The augmented state of one spec: its parts, their chain, and what is carried along.
 
     A part belongs to a group of modes that differ in nothing but R; where losses are a Markov
-    chain that is not observed, to such a pair of both, first all that arrive.
+    chain that is not observed, to such a pair of both, first all that arrive. With a stationary
+    gain modes that differ in noise alone are one part: the gain of x needs no second moments then,
+    which may grow.
     """
 
     def __init__(self, spec: Spec) -> None:
@@ -98,6 +100,10 @@ class AugmentedState:
         if faults is None:  # modes of jump faults are the user's: each has its part
             lumped = chain.lumped(chain.alike("ABCDQcd"))
             lumping = lumped if lumped.unequal_successors <= EQUAL else lumping
+        elif spec.filter.option("gain", None) == "stationary" and faults.gain_needs_no_moments(
+            tested=judges(spec)
+        ):
+            lumping = chain.lumped((tuple(range(len(chain.modes))),))
         self.groups = lumping.groups  # the modes that share a part
         self.kernel = np.array(lumping.transition)  # (N, N), of the groups
         self.plants = mode_plants(spec, modes)  # of every mode, then of every mode without a signal
@@ -256,8 +262,12 @@ def moments_of(z: AugmentedState, symbols: dict[str, ca.SX], prefix: str) -> Mom
     n, law = z.base.nx, z.law(symbols, prefix)
     second = split_packed(symbols[f"{prefix}mode_second_moment"], n)
     first = ca.vertsplit(symbols[f"{prefix}mode_first_moment"], n) if z.means else ()
-    groups = column([total([law[i] for i in group]) for group in z.groups])
-    return Moments([unpack(each, n) for each in second], first, groups)
+    return Moments([unpack(each, n) for each in second], first, grouped(z, law))
+
+
+def grouped(z: AugmentedState, law: ca.SX) -> ca.SX:
+    """Probabilities of the parts."""
+    return column([total([law[i] for i in group]) for group in z.groups])
 
 
 def next_law(z: AugmentedState, law: ca.SX) -> ca.SX:
@@ -309,11 +319,11 @@ def moved_moments(
 
 
 def moved_means(
-    z: AugmentedState, plants: Sequence[Plant], first: Sequence[ca.SX], law: ca.SX
+    z: AugmentedState, plants: Sequence[Plant], first: Sequence[ca.SX], law: ca.SX, u: ca.SX
 ) -> list[ca.SX]:
-    """E[x 1{mode}] one sample later, without inputs."""
+    """E[x 1{mode}] one sample later."""
     own = [z.plant(plants, i) for i in range(z.modes)]
-    each = [plant.A @ first[i] + law[i] * plant.c for i, plant in enumerate(own)]
+    each = [plant.A @ first[i] + law[i] * offset_of(plant, u) for i, plant in enumerate(own)]
     return [ca.densify(mean) for mean in z.mixed(each)]
 
 
@@ -401,7 +411,7 @@ def _predict(z: AugmentedState, symbols: dict[str, ca.SX]) -> Phase:
         results = {"predicted_mode_second_moment": ca.vertcat(*second)}
         if z.means:
             first = [ca.densify(each[:n, n]) for each in mixed] if z.ones else []
-            first = first or moved_means(z, plants, now.first, now.law)
+            first = first or moved_means(z, plants, now.first, now.law, u)
             results["predicted_mode_first_moment"] = ca.vertcat(*first)
         if not z.settled:
             results["predicted_mode_law"] = law

@@ -33,10 +33,10 @@ from fkgen.faults import SensorFaults
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Port, Status
-from fkgen.symbolic.lifting.expressions import lift, lift_expression
+from fkgen.symbolic.lifting.expressions import lift_expression
 from fkgen.symbolic.linalg import sparse
 from fkgen.symbolic.linearise import moved_from, seen_from
-from fkgen.symbolic.plant import Plant, plant_of
+from fkgen.symbolic.plant import Plant, mode_plants, plant_of
 from fkgen.symbolic.ports import carried, innovation_ports, shown, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
@@ -128,10 +128,8 @@ def _update(
     _demand_rates(builder, spec, plant)
     if spec.faults.sensor is not None:
         _demand_indicators(builder, plant, spec.faults.sensor)
-        told = spec.faults.sensor.told(spec.model)
-        sensed = (told.C, told.D, told.R, told.d)
-        C, D, R, d = (lift(matrix, plant.parameters) for matrix in sensed)
-        plant = replace(plant, C=C, D=D, R=R, d=d)
+        (told,) = mode_plants(spec, [spec.faults.sensor.told(spec.model)], plant)
+        plant = replace(plant, C=told.C, D=told.D, R=told.R, d=told.d, lifted=told.lifted)
     plant = bound(builder, plant, "CDRdQS" if plant.S.nnz() else "CDRd")
     actuation = _actuation(spec, plant, symbols["u"])
     (plant,) = seen_from(builder, [plant], [symbols["predicted_state"]], actuation.mean)

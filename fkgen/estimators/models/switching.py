@@ -55,6 +55,7 @@ from fkgen.estimators.models.weights import (
     prior_of_sample,
     reweigh,
 )
+from fkgen.faults import JumpFaults
 from fkgen.faults.chain import ModeChain
 from fkgen.problem import Spec
 from fkgen.problem.probability import visited
@@ -76,6 +77,7 @@ from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
     mode_estimate_ports,
+    prior_symbols,
     state_ports,
     symbols_of,
     twins,
@@ -248,6 +250,7 @@ class Switching:
         phases: tuple[Phase, Phase],
         *notes: str,
         repeats: tuple[tuple[int, ...], ...] | None = None,
+        start: Phase | None = None,
     ) -> Recursion:
         """The recursion of these two phases."""
         return Recursion(
@@ -259,6 +262,7 @@ class Switching:
             form=self.form,
             notes=notes,
             repeats=repeats,
+            start=start,
         )
 
     def bound(self, builder: PhaseBuilder, letters: str) -> Modes:
@@ -478,7 +482,19 @@ def interacting_models(spec: Spec) -> Recursion:
         notes.append(JUMPING)
     lumped = any(len(variants) > 1 for variants in filtering.modes.variants)
     repeats = None if lumped else correlated_rows([plant.R for plant in filtering.plants])
-    return filtering.recursion(source, phases, *notes, repeats=repeats)
+    faults = spec.faults.jump
+    start = _start(filtering, faults) if faults is not None and faults.unequal else None
+    return filtering.recursion(source, phases, *notes, repeats=repeats, start=start)
+
+
+def _start(filtering: Switching, faults: JumpFaults) -> Phase:
+    """The prior under each mode: 0, known, in place of the states that it does not have."""
+    given = prior_symbols(filtering.spec.model.nx)
+    builder = PhaseBuilder({**filtering.symbols, **given})
+    priors = [_of_states((given["x"], given["P"]), mode.kept) for mode in faults.modes]
+    states, covariances = zip(*priors, strict=True)
+    builder.assign({"mode_state": ca.vertcat(*states), "mode_covariance": ca.vertcat(*covariances)})
+    return builder.phase()
 
 
 def _of_states(prior: Gaussian, kept: tuple[int, ...] | None) -> Gaussian:

@@ -13,7 +13,13 @@ from typing import TypeAlias
 import numpy as np
 
 from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record
-from fkgen.oracle.claims.gaussian import BATCH, EXACT, RANK_DEFICIENT, has_exact_rows, undecided
+from fkgen.oracle.claims.gaussian import (
+    BATCH,
+    EXACT,
+    RANK_DEFICIENT,
+    has_exact_rows,
+    undecided,
+)
 from fkgen.oracle.claims.sensor import PAPER as SENSOR_PAPER
 from fkgen.oracle.claims.sensor import law_of
 from fkgen.oracle.plants.actuator import actuation_of
@@ -168,8 +174,8 @@ def _form(run: Run, claim: str, source: str, factor: float = 1.0) -> ClosedForm:
     )
 
 
-#: Of the same filters where the plant is linear.
-LINEAR = BATCH
+#: Of a linear plant ekf, iekf and ukf are the best linear estimate.
+JOINT = BATCH
 EXTENDED = _form(
     _extended,
     "estimates are those of matrices, f and h linearised at the estimate by dual numbers",

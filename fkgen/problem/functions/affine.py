@@ -49,12 +49,8 @@ class _Reader:
 
     def converted(self, tree: Expression) -> Affine | None:  # noqa: PLR0911 - one per node
         """The coefficients of a node."""
-        if isinstance(tree, Name) and tree.identifier in self.variables:
-            return {tree.identifier: ONE}
-        if isinstance(tree, Name) and tree.identifier in self.found:
-            return self.found[tree.identifier]
         if not isinstance(tree, Operation):
-            return {"": tree}
+            return self.leaf(tree)
         parts = [self.converted(each) for each in tree.arguments]
         given = [each for each in parts if each is not None]
         if len(given) < len(parts):
@@ -74,6 +70,13 @@ class _Reader:
             case ("*" | "/") as operator, [left, right] if _is_constant(right):
                 return {key: operation(operator, each, constants[1]) for key, each in left.items()}
         return None
+
+    def leaf(self, tree: Expression) -> Affine | None:
+        """The coefficients of a name or a number."""
+        name = tree.identifier if isinstance(tree, Name) else ""
+        if name in self.variables:
+            return {name: ONE}
+        return self.found.get(name, {"": tree})
 
 
 def _merged(combine: Callable[..., Expression], left: Affine, right: Affine) -> Affine:

@@ -96,7 +96,7 @@ def _symbols(letter: str, named: Named, casadi: Any) -> tuple[dict[str, Any], An
     elif letter == "p":
         vectors = named.scope.vectors
         parts = {name: vector for vector, several in vectors.items() for name in several}
-        for name in named.scope:
+        for name in (each for each in named.scope if each not in named.scope.told):
             vector = parts.get(name, name)
             groups[vector] = vectors.get(vector, (name,))
     else:

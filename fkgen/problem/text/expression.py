@@ -127,10 +127,12 @@ class Scope(dict[str, float]):
         defaults: Mapping[str, float],
         tables: Sequence[Table] = (),
         vectors: Mapping[str, tuple[str, ...]] | None = None,
+        told: Collection[str] = (),
     ) -> None:
         super().__init__(defaults)
         self.tables = {table.name: table for table in tables}
         self.vectors = dict(vectors or {})  # Names of parameters that are the parts of a vector
+        self.told = frozenset(told)  # Those that a filter is told of faults
 
 
 def operation(operator: str, *arguments: Expression, table: Table | None = None) -> Expression:

@@ -78,6 +78,7 @@ error start.negative: from the prior on, {value} of {samples} samples in float h
 error start.refused: from the prior on, float refuses {value} of {samples} samples that double
     takes, the first is sample {first}: a covariance lost its positivity
     -> scalar = "double", or a smaller P0
+error start.unfit: no code can be generated: with these numbers, in {scalar}, {what} -> {remedy}
 warning float_rounding.used: {bound}
     -> scalar = "double", or states of a smaller range, such as offsets from a reference
 

@@ -7,7 +7,7 @@ import pytest
 from plants import covariance, distance, random_model, record, spec
 
 import fkgen
-from fkgen.families import NAMES
+from fkgen.families import NAMES, family
 
 ROUNDED = 1e-10
 
@@ -122,13 +122,13 @@ def test_what_q_and_r_do_not_allow_is_refused_where_it_stands(S, what):
     assert "\n" not in str(fault.value)
 
 
-@pytest.mark.parametrize("family", [name for name in NAMES if name != "kf"])
-def test_other_families_say_that_they_do_not_take_it(family):
+@pytest.mark.parametrize("name", [name for name in NAMES if not family(name).traits.correlated])
+def test_other_families_say_that_they_do_not_take_it(name):
     import tomllib
 
     from fkgen.study.reports.starters import starter
 
-    table = tomllib.loads(starter(family))
+    table = tomllib.loads(starter(name))
     n, p = len(table["model"]["A"]), len(table["model"]["C"])
     table["model"]["S"] = np.full((n, p), 1e-12).tolist()
     with pytest.raises(fkgen.SpecError, match="only the family kf") as fault:

@@ -131,6 +131,13 @@ def test_a_value_that_is_not_finite_is_said_with_its_place_in_the_state_space():
     assert "p = 0, v = 1, force = 0" in fault.given
 
 
+def test_a_variance_that_float_cannot_hold_is_refused():
+    noises = [{"name": "w", "variance": 1e-40}]
+    assert read(PLAIN | {"noises": noises}).model.ne == 2
+    fault = refused(PLAIN | {"noises": noises}, code={"scalar": "float"})
+    assert fault.key == "model.noises[0].variance"
+
+
 def test_an_input_that_is_zero_is_no_fault():
     assert read(PLAIN | {"f": {"p": "p + v/force"}}).model.nx == 2
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import casadi as ca
+import equations
 import numpy as np
 import pytest
 import sympy as sp
@@ -12,6 +14,7 @@ from equations import ATTITUDE, ROBOT, read, table
 
 import fkgen
 from fkgen.errors import DataError, SpecError
+from fkgen.problem import Parameter
 from fkgen.runtime import record
 
 POINT = ([1.0, 2.0, 0.3], [2.0, 0.5], [0.1], {"dt": 0.1, "bias": 0.25})
@@ -102,8 +105,8 @@ def test_every_source_has_the_numbers_of_the_text(name):
 
 
 def test_what_casadi_computes_once_is_defined_once():
-    equations = robot(*SOURCES["functions"]()).model.equations
-    assert [name for name, _ in equations.let] == ["f:1"]
+    found = robot(*SOURCES["functions"]()).model.equations
+    assert [name for name, _ in found.let] == ["f:1"]
     x = ca.SX.sym("x")
     grown = x
     for _ in range(40):  # written out it has 2^40 terms
@@ -217,3 +220,14 @@ def test_a_vector_of_parameters_is_given_whole_or_entry_by_entry():
     for wrong in ([1.0], 1.0, [[1.0, 2.0, 3.0]]):
         with pytest.raises(DataError, match=r"params\.m"):
             values({"m": wrong})
+
+
+def test_what_a_filter_is_told_of_faults_is_no_argument():
+    faults = {"sensor": {"noise_factor": 4.0}}
+    f, h = SOURCES["functions"]()
+    model = {key: value for key, value in ROBOT.items() if key != "let"}
+    given = table({**model, "f": f, "h": h}, PARAMETERS, faults=faults)
+    plain = fkgen.Spec.from_dict(given).model
+    told = replace(equations.FAMILY.traits, told=(Parameter("gamma", 1.0), Parameter("delta", 1.0)))
+    equations.TOLD = replace(equations.FAMILY, traits=told)
+    assert fkgen.Spec.from_dict(given | {"filter": {"family": "equations:TOLD"}}).model == plain

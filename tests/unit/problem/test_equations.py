@@ -281,3 +281,49 @@ def test_a_sensor_that_fails_has_no_h():
     assert [mode.R.rows[0][0].value for mode in modes] == [0.01, 0.04, 0.01, 0.04]
     told = spec.faults.sensor.told(spec.model).equations
     assert told.seen(x, u, {"dt": 0.1, "gamma": 0.0, "delta": 1.0})[0] == 0.0
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "euler"])
+def test_an_attitude_in_continuous_time_turns_by_the_mean_of_its_body_rates(integrator):
+    given = {"time": "continuous", "sample_time": "dt", "integrator": integrator, "substeps": 2}
+    let = {"field": "rotate_back(q, [1.0, 0.5, -2.0])"}
+    f = {"q": "[gx, gy, gz] + cross(field, [bx, by, bz])", "bx": "field[1]", "by": "-bx"}
+    model = ATTITUDE | given | {"let": let, "f": f, "h": ["bx", "by", "bz"]}
+    equations = read(model).model.equations
+    u = np.array([0.3, -0.2, 0.5])
+
+    def rate(q, b):
+        field = q.inv().apply([1.0, 0.5, -2.0])
+        return u + np.cross(field, b), np.array([field[1], -b[0], 0.0])
+
+    def after(q, b, rates, step):
+        return q * Rotation.from_rotvec(step * rates[0]), b + step * rates[1]
+
+    q, b = Rotation.from_rotvec([0.4, -1.0, 2.9]), np.array([0.2, 0.7, -0.4])
+    start = np.roll(q.as_quat(), 1)
+    step = 0.4 / 2
+    for _ in range(2):
+        k = k1 = rate(q, b)
+        if integrator == "rk4":
+            k2 = rate(*after(q, b, k1, step / 2))
+            k3 = rate(*after(q, b, k2, step / 2))
+            k4 = rate(*after(q, b, k3, step))
+            k = [(i + 2 * j + 2 * m + n) / 6 for i, j, m, n in zip(k1, k2, k3, k4, strict=True)]
+        q, b = after(q, b, k, step)
+    found = np.array(equations.moved([*start, 0.2, 0.7, -0.4], u, [], {"dt": 0.4}))
+    expected = np.roll(q.as_quat(), 1)
+    np.testing.assert_allclose(found[:4], expected * np.sign(expected[0]), rtol=1e-13)
+    np.testing.assert_allclose(found[4:], b, rtol=1e-13)
+
+
+def test_decisions_and_tables_take_arrays():
+    tables = {"bend": {"x": [0.0, 1.0, 3.0], "y": [1.0, 4.0, 2.0], "kind": "pchip"}}
+    h = ["if(p > 1, log(p), interp(p, 'bend')) + sign(v)*min(p, v) + (p <= v) + max(p, 2)**2"]
+    equations = read(SCALAR | {"h": h}, tables=tables).model.equations
+    x = np.array([[-1.0, 0.0, 0.5, 1.0, 2.5, 4.0], [1.0, -2.0, 0.0, 1.0, 3.0, 2.0]])
+    (seen,) = equations.seen(x, [], {"dt": 0.1})
+    bend = fkgen.Spec.from_dict(table(SCALAR | {"h": h}, tables=tables)).tables[0]
+    for p, v, found in zip(*x, seen, strict=True):
+        first = math.log(p) if p > 1 else bend.value(p)
+        expected = first + np.sign(v) * min(p, v) + (p <= v) + max(p, 2) ** 2
+        assert found == pytest.approx(expected, rel=1e-14)
