@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from fkgen.errors import InternalError
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.linalg import congruence
 from fkgen.symbolic.plant import Plant
@@ -42,6 +43,16 @@ def moved_from(
             spread = congruence(own[3], ca.diag(plant.lifted.variances))
         moved.append(replace(plant, moved=own[0], A=own[1], B=own[2], spread=spread))
     return tuple(moved)
+
+
+def evaluated(
+    builder: PhaseBuilder, plant: Plant, state: ca.SX, u: ca.SX, named: tuple[str, tuple[str, ...]]
+) -> list[ca.SX]:
+    """Some of the expressions of a plant with f and h, by their letters, at a state."""
+    (found,) = _evaluated(builder, [plant], [state], u, named)
+    if found is None:
+        raise InternalError("a plant with matrices is linear everywhere")
+    return found
 
 
 def _evaluated(

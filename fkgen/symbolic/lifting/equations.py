@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fkgen.problem.equations import Equations, Increment
+from fkgen.problem.functions.affine import affine_parts
 from fkgen.problem.signals import Signal
 from fkgen.symbolic.lifting import rotations
 from fkgen.symbolic.lifting.expressions import lift_expression
@@ -29,6 +30,8 @@ class Lifted:
 
     x: ca.SX  # x, u: (n, 1), (q, 1), symbols
     u: ca.SX
+    w: ca.SX  # (r, 1), symbols of the noises that enter through f
+    stirred: ca.SX  # (n, 1), f with these noises
     moved: ca.SX  # (n, 1), f
     seen: ca.SX  # (p, 1), h
     A: ca.SX  # A, B, G: (ne, ne), (ne, q), (ne, r), of f by x, u and w
@@ -40,6 +43,8 @@ class Lifted:
     attitudes: tuple[int, ...]  # where quaternions begin in x
     angles: tuple[int, ...]  # numbers of errors that are differences of angles
     wraps: tuple[int, ...]  # rows of y that are angles
+    #: plain: of f and h, whether it is affine in states, inputs and noises, and nothing wraps
+    plain: tuple[bool, bool]
 
 
 def lift_equations(
@@ -114,6 +119,7 @@ class _Lifting:
         equations = self.equations
         seen = column([lift_expression(tree, self.values) for tree in equations.h])
         moved, A, B, G = self._motion()
+        stirred = sparse(self._written_out(moved))
         found = [moved, seen, A, B, G, self._by_state(seen), ca.jacobian(seen, self.u)]
         moved, seen, A, B, G, C, D = (self._without_noise(each) for each in found)
         parts = places(self.x.numel(), equations.attitudes)
@@ -121,9 +127,14 @@ class _Lifting:
         if equations.period is not None:  # noises are held over a sample, and stated as densities
             period = lift_expression(equations.period, self.values)
             variances = [each / period for each in variances]
+        angles = tuple(e for (_, e, _), s in zip(parts, states, strict=True) if s.wrap)
+        wraps = tuple(i for i, signal in enumerate(outputs) if signal.wrap)
+        affine = affine_parts(equations)
         return Lifted(
             x=self.x,
             u=self.u,
+            w=self.w,
+            stirred=stirred,
             moved=moved,
             seen=seen,
             A=A,
@@ -133,8 +144,9 @@ class _Lifting:
             D=D,
             variances=column(variances),
             attitudes=equations.attitudes,
-            angles=tuple(e for (_, e, _), s in zip(parts, states, strict=True) if s.wrap),
-            wraps=tuple(i for i, signal in enumerate(outputs) if signal.wrap),
+            angles=angles,
+            wraps=wraps,
+            plain=(affine[0] and not angles, affine[1] and not wraps),
         )
 
     def _without_noise(self, value: ca.SX) -> ca.SX:
