@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fkgen.problem import Signal
+from fkgen.problem.equations import ARRAYS, normalised, turned
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,45 @@ def errors_of(states: Sequence[Signal], truth: ArrayLike, estimate: ArrayLike) -
             found.append(_between(y, x))
         else:
             found.append(reduced(x - y) if each.wrap else x - y)
+    return np.concatenate(found, axis=-1)
+
+
+def moved_by(states: Sequence[Signal], x: ArrayLike, errors: ArrayLike) -> Array:
+    """The states that lie off by errors (..., ne) from states (..., nx)."""
+    origin, d = np.asarray(x, np.float64), np.asarray(errors, np.float64)
+    found: list[Array] = []
+    at = of = 0
+    for each in states:
+        size, part = (4, 3) if each.manifold else (1, 1)
+        value, off = origin[..., at : at + size], d[..., of : of + part]
+        if each.manifold:
+            q = turned(numbers_of(value), numbers_of(off), ARRAYS)
+            found.append(np.stack(normalised(q, ARRAYS), axis=-1))
+        else:
+            found.append(value + off)
+        at, of = at + size, of + part
+    return np.concatenate(found, axis=-1)
+
+
+def numbers_of(vectors: Array) -> tuple[Array, ...]:
+    """The numbers of vectors (..., m), m of (...)."""
+    return tuple(np.moveaxis(vectors, -1, 0))
+
+
+def error_sizes(states: Sequence[Signal], sizes: Array) -> Array:
+    """How large errors are, (..., ne), where the numbers of states (..., nx) are off by so much.
+
+    A quaternion that is off by e in its largest number turns by 2 e.
+    """
+    found: list[Array] = []
+    at = 0
+    for each in states:
+        if each.manifold:
+            turn = 2.0 * sizes[..., at : at + 4].max(axis=-1, keepdims=True)
+            found += [turn] * 3
+        else:
+            found.append(sizes[..., at : at + 1])
+        at += 4 if each.manifold else 1
     return np.concatenate(found, axis=-1)
 
 

@@ -113,8 +113,7 @@ def fault_effect(
         Who gets the input anomaly: ``"both"``, ``"plant"`` (actuator fault), ``"filter"``.
     steps : int, optional
         T, to be checked against the profile.
-    params : mapping, optional
-        Run-time parameters, numbers or (T,).
+    params : mapping of numbers or (T,), optional
     u : (T, q) array_like, optional
         Inputs without the fault; needed where the gain depends on them (``mkf``, ``mme``).
     y : (T, p) array_like, optional
@@ -128,9 +127,9 @@ def fault_effect(
         If a profile does not fit the model, or the plant is unstable and numbers overflow.
     """
     scenario = _checked(as_spec(spec), (sensor, input, u, y), params, mode, steps)
-    traits = spec.filter.traits
     if spec.filter.linearises:
         return _simulated_response(scenario, runs, seed)
+    traits = spec.filter.traits
     if traits.linear and spec.model.S.is_zero:
         return _linear_response(scenario)
     if traits.moments and spec.faults.sensor is not None and not scenario.anomaly.any():
