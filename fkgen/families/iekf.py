@@ -46,7 +46,7 @@ FAMILY = Family(
     title="iterated extended Kalman filter: the most probable state given y, by Gauss-Newton steps",
     build=built_by("nonlinear.iterated:iterated_filter", source=SOURCE),
     proof=proved_by("nonlinear", "ITERATED", "JOINT"),
-    traits=Traits(nonlinear=True),
+    traits=Traits(nonlinear=True, looks="anew"),
     options=IteratedOptions,
     check=check,
     starter="starter_iekf.toml",

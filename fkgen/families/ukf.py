@@ -34,7 +34,7 @@ FAMILY = Family(
     title="unscented Kalman filter: points through f and h in place of derivatives",
     build=built_by("nonlinear.unscented:unscented_filter", source=SOURCE),
     proof=proved_by("nonlinear", "UNSCENTED", "JOINT"),
-    traits=Traits(nonlinear=True),
+    traits=Traits(nonlinear=True, looks="spread"),
     options=UnscentedOptions,
     starter="starter_ukf.toml",
 )

@@ -16,6 +16,7 @@ from itertools import product
 
 import numpy as np
 
+from fkgen.families import NAMES, family
 from fkgen.faults.actuator import pattern_law
 from fkgen.oracle.plants.actuator import actuation_of
 from fkgen.oracle.plants.nonlinear import NonlinearSystem
@@ -32,6 +33,7 @@ SMALL = 0.3
 LARGE = 1.0
 _ROUNDED = 1e-6  # what is less of a deviation comes of rounding
 _MANY_INPUTS = 10
+_WAYS = ("point", "anew", "spread")  # the cheapest first
 _FINEST = 64
 
 #: d (..., T, e) -> the change of a function over all samples (..., T, m).
@@ -256,27 +258,32 @@ def _verdict(
     """The first of the filters, the cheapest first, for which everything is small."""
     motion, largest = worst["motion"].max(), {n: float(each.max()) for n, each in worst.items()}
     left = {
-        "ekf": max(largest["before"], motion, biases["extended"].max()),
-        "iekf": max(largest["after"], motion, biases["iterated"].max()),
+        "point": max(largest["before"], motion, biases["extended"].max()),
+        "anew": max(largest["after"], motion, biases["iterated"].max()),
     }
-    enough = next((name for name, each in left.items() if each <= SMALL), "ukf")
-    if enough == "ukf" and max(largest["innovation"], motion) > LARGE:
+    enough = next((way for way, each in left.items() if each <= SMALL), "spread")
+    if enough == "spread" and max(largest["innovation"], motion) > LARGE:
         enough = "none"
-    order, own = ("ekf", "iekf", "ukf", "none"), model.spec.filter.family
-    rank = order.index(own) if own in order else 0
-    code = "nonlinearity" if order.index(enough) <= rank else f"nonlinearity.{enough}"
-    if own not in order and enough != "ekf":
-        code = "nonlinearity.faults"
+    own, order = family(model.spec.filter.family), [*_WAYS, "none"]
+    code = "nonlinearity"
+    if order.index(enough) > order.index(own.traits.looks):
+        code += ".faults" if own.accepts else f".{enough}"
     outputs, states = model.spec.model.outputs, error_signals(model.spec.model.states)
     facts = {
         "h": _largest(worst["before"], outputs),
         "h_after": f"{largest['after']:.2g}",
         "f": _largest(worst["motion"], states),
         "of": path.drive.of,
-        "enough": enough,
-        "family": own,
+        "enough": _named(enough),
+        "family": own.name,
     }
-    model.add(code, left["ekf"], **facts)
+    model.add(code, left["point"], **facts)
+
+
+def _named(way: str) -> str:
+    """The family about no faults that takes f and h in a way; none has the rest."""
+    plain = (each for each in map(family, NAMES) if each.traits.nonlinear and not each.accepts)
+    return next((each.name for each in plain if each.traits.looks == way), "")
 
 
 def _largest(shares: Array, signals: Sequence[Signal]) -> str:

@@ -50,12 +50,12 @@ note weakly_observable: no window of {length} samples of {of} determines {name} 
     does: sd {value:.3g} from measurements alone, {prior:.3g} from P0
 note nonlinearity: second-order terms along {of}: of h up to {h} deviations of the noise, of f up to
     {f} of the prediction; {enough} is enough
-warning nonlinearity.iekf: second-order terms along {of}: of h up to {h} deviations of the noise,
+warning nonlinearity.anew: second-order terms along {of}: of h up to {h} deviations of the noise,
     of f up to {f} of the prediction: {family} believes its first estimates too much; over the
-    spread of the filtered state they are {h_after} -> family = "iekf", or a smaller P0
-warning nonlinearity.ukf: second-order terms along {of}: of h up to {h} deviations of the noise, of
-    f up to {f} of the prediction: too many for {family} -> family = "ukf", which takes them in, or
-    less uncertainty; fkgen compare says what is left
+    spread of the filtered state they are {h_after} -> family = "{enough}", or a smaller P0
+warning nonlinearity.spread: second-order terms along {of}: of h up to {h} deviations of the noise,
+    of f up to {f} of the prediction: too many for {family} -> family = "{enough}", which takes them
+    in, or less uncertainty; fkgen compare says what is left
 warning nonlinearity.faults: second-order terms along {of}: of h up to {h} deviations of the noise,
     of f up to {f} of the prediction: too many for {family}, which linearises as ekf does
     -> a smaller P0, or more noise in R; fkgen compare says what it does to errors
