@@ -12,7 +12,7 @@ import casadi as ca
 
 from fkgen.errors import InternalError
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.linalg import congruence, pack, unpack
+from fkgen.symbolic.linalg import congruence
 from fkgen.symbolic.plant import Plant
 
 
@@ -30,7 +30,7 @@ def seen_from(
 def moved_from(
     builder: PhaseBuilder, plants: Sequence[Plant], states: Sequence[ca.SX], u: ca.SX, tag: str = ""
 ) -> tuple[Plant, ...]:
-    """Plants with f, A, B at a state each, and Q with the noises that enter through f."""
+    """Plants with f, A, B at a state each, and what the noises that enter through f add to P."""
     letters = ("moved", "A", "B", "G")
     found = _evaluated(builder, plants, states, u, (f"moved{tag}", letters))
     moved = []
@@ -38,11 +38,10 @@ def moved_from(
         if own is None or plant.lifted is None:
             moved.append(plant)
             continue
-        Q = plant.Q
+        spread = None
         if own[3].nnz():
-            noise = congruence(own[3], ca.diag(plant.lifted.variances))
-            Q = unpack(pack(Q) + noise, plant.ne)
-        moved.append(replace(plant, moved=own[0], A=own[1], B=own[2], Q=Q))
+            spread = congruence(own[3], ca.diag(plant.lifted.variances))
+        moved.append(replace(plant, moved=own[0], A=own[1], B=own[2], spread=spread))
     return tuple(moved)
 
 

@@ -51,6 +51,7 @@ class Plant:
     lifted: Lifted | None = None
     moved: ca.SX | None = None  # moved, seen: (n, 1), (p, 1), f and h where it is linearised
     seen: ca.SX | None = None
+    spread: ca.SX | None = None  # packed G Var(w) G' there
 
     @property
     def ne(self) -> int:

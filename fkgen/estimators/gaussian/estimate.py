@@ -24,7 +24,7 @@ from fkgen.estimators.gaussian.sequential import (
 )
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.interface import Kind, Status, triangle
 from fkgen.symbolic.lifting.equations import box_plus, normalised, turned_by
 from fkgen.symbolic.linalg import congruence, diagonal, is_zero, pack, sparse, unpack
 from fkgen.symbolic.plant import Plant, sensed_at_prior
@@ -98,6 +98,8 @@ def correct(
         covariance = ca.diagcat(covariance, actuation.covariance)
         C = ca.horzcat(C, plant.D @ actuation.through)
     offset, S = plant.D @ actuation.mean + plant.d, None
+    if plant.seen is not None:  # h has all of it
+        offset = ca.SX(plant.ny, 1)
     if moved := moved_by_noise(plant):  # the noise of x that v tells of is estimated with x
         state, C = (
             ca.vertcat(state, ca.SX.zeros(len(moved))),
@@ -192,8 +194,9 @@ def propagate(
     if state is None:
         state = plant.A @ posterior.state + plant.B @ actuation.mean + plant.c
     P = unpack(posterior.covariance, n)
+    spread = ca.SX.zeros(len(triangle(n))) if plant.spread is None else plant.spread
     if posterior.deviation.numel() == 0:
-        covariance = congruence(plant.A, P) + pack(plant.Q)
+        covariance = congruence(plant.A, P) + pack(plant.Q) + spread
         if actuation.size:
             covariance += congruence(B, actuation.covariance)
         return state, covariance, plant.A
@@ -201,7 +204,8 @@ def propagate(
     cross = posterior.cross_covariance
     joint = ca.blockcat(P, cross.T, cross, unpack(posterior.deviation_covariance, r))
     through = ca.horzcat(plant.A, B)
-    shift, covariance = B @ posterior.deviation, congruence(through, joint) + pack(sparse(Q))
+    covariance = congruence(through, joint) + pack(sparse(Q)) + spread
+    shift = B @ posterior.deviation
     if not plant.attitudes:
         return state + shift, covariance, through
     turn = turned_by(plant.attitudes, shift)

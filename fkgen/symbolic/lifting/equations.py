@@ -180,8 +180,7 @@ class _Lifting:
         if equations.period is None:
             return self._jumped(stated)
         rates = self._written_out(ca.vertcat(*stated))
-        function = ca.Function("rates", [self.x, self.u, self.w], [rates])
-        moved = self._integrated(function, lift_expression(equations.period, self.values))
+        moved = self._integrated(rates, lift_expression(equations.period, self.values))
         by = [ca.jacobian(moved, self.x) @ self.tangent]
         by += [ca.jacobian(moved, each) for each in (self.u, self.w)]
         pulled = cotangent_of(moved, equations.attitudes)
@@ -219,17 +218,21 @@ class _Lifting:
     def _derivatives(self, value: ca.SX) -> list[ca.SX]:
         return [self._by_state(value), *(ca.jacobian(value, each) for each in (self.u, self.w))]
 
-    def _integrated(self, rates: ca.Function, period: ca.SX) -> ca.SX:
+    def _integrated(self, rates: ca.SX, period: ca.SX) -> ca.SX:
         """The state one sample later, quaternions not yet normalised."""
         equations, state = self.equations, self.x
         step = period / equations.substeps
+
+        def at(x: ca.SX) -> ca.SX:
+            return ca.substitute([rates], [self.x], [x])[0]
+
         for _ in range(equations.substeps):
-            slope = rates(state, self.u, self.w)
+            slope = at(state)
             if equations.integrator == "rk4":
                 k1 = slope
-                k2 = rates(self._applied(state, k1, step / 2), self.u, self.w)
-                k3 = rates(self._applied(state, k2, step / 2), self.u, self.w)
-                k4 = rates(self._applied(state, k3, step), self.u, self.w)
+                k2 = at(self._applied(state, k1, step / 2))
+                k3 = at(self._applied(state, k2, step / 2))
+                k4 = at(self._applied(state, k3, step))
                 slope = (k1 + 2 * k2 + 2 * k3 + k4) / 6
             state = self._applied(state, slope, step)
         return state
