@@ -70,5 +70,5 @@ def _evaluated(
             own = [getattr(plant.lifted, letter) for letter in letters]
             values += ca.substitute(own, [plant.lifted.x, plant.lifted.u], [state, u])
     with builder.titled("linearisation"):
-        ready = iter(builder.name_all(name, values))
+        ready = iter(builder.name_distinct(name, values))
     return [None if plant.lifted is None else [next(ready) for _ in letters] for plant in plants]
