@@ -29,7 +29,6 @@ from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
 from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
-from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.lifting.equations import Lifted, box_minus, box_plus, shifted, turned_by
 from fkgen.symbolic.linalg import (
     outer_lower,
@@ -40,7 +39,7 @@ from fkgen.symbolic.linalg import (
     total,
     unpack,
 )
-from fkgen.symbolic.linearise import seen_from
+from fkgen.symbolic.linearise import demand_variances, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
@@ -191,8 +190,7 @@ def _predict(plant: Plant, symbols: dict[str, ca.SX], lifted: Lifted, kappa: flo
     plant = bound(builder, plant, "Q")
     x, u = symbols["filtered_state"], symbols["u"]
     root = lower_root(builder, symbols["filtered_covariance"], NO_PIVOT[plant.scalar])
-    variances = ca.vertsplit(lifted.variances) if lifted.variances.numel() else []
-    builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+    demand_variances(builder, lifted)
     deviations = sparse(ca.diag(ca.sqrt(lifted.variances)))
     points = Points.of(builder, ca.diagcat(root, deviations), kappa)
     n = plant.ne
