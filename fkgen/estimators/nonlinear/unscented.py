@@ -29,8 +29,10 @@ from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
 from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.lifting.equations import Lifted, box_minus, box_plus, shifted, turned_by
 from fkgen.symbolic.linalg import (
+    congruence,
     outer_lower,
     pack,
     reduced,
@@ -46,6 +48,9 @@ from fkgen.symbolic.recursion import Phase, Recursion
 
 #: A pivot of a covariance below this share of its variance is the zero of a semidefinite one.
 NO_PIVOT = {"double": 1e-14, "float": 1e-6}
+
+#: Below this share of the square of what is seen a variance of its noise is none.
+ROUNDED = {"double": 1e-28, "float": 1e-12}
 
 
 def unscented_filter(spec: Spec, *, source: str) -> Recursion:
@@ -164,14 +169,27 @@ def _seen(
         for i in plant.wraps:
             mean[i] = values[0][i] + points.mean([reduced(z[i] - values[0][i]) for z in values])
         mean = builder.define("expected", mean)
+        builder.demand(Kind.FINITE, ca.vertsplit(mean), Status.RESULT_NOT_FINITE)
         deviations = [_difference(z, mean, plant.wraps) for z in values]
         M, curved = points.halves(builder.name_distinct("deviation", deviations))
         M, R = builder.name_all("M", (M, sparse(unpack(pack(plant.R) + curved, plant.ny))))
-    n = plant.ne
-    stated = replace(
-        measurement_of(plant, y=y, C=M, offset=ca.SX.zeros(plant.ny), R=R), predicted=mean
-    )
+    n, S = plant.ne, None
+    if plant.noise_free:  # what rounding leaves of a a' is no noise: only S tells what is none
+        S, R, M = M.T, unpack(congruence(M, ca.SX.eye(n)) + pack(R), plant.ny), ca.SX(*M.shape)
+    elif not plant.R.is_constant():
+        _demand_noise(builder, plant, (M, R, mean))
+    stated = measurement_of(plant, y=y, C=M, offset=ca.SX.zeros(plant.ny), R=R)
+    stated = replace(stated, predicted=mean, S=S)
     return condition(builder, (ca.SX.zeros(n), ca.SX.eye(n)), stated, form=how[0])
+
+
+def _demand_noise(builder: PhaseBuilder, plant: Plant, moments: tuple[ca.SX, ca.SX, ca.SX]) -> None:
+    """Refuse rows of which a parameter takes the noise away: rounding would be in its place."""
+    M, R, mean = moments
+    for i in range(plant.ny if plant.ny > 1 else 0):
+        least = ROUNDED[plant.scalar] * (mean[i] * mean[i] + ca.sumsqr(M[i, :]))
+        with builder.if_present(i):
+            builder.demand(Kind.POSITIVE, [R[i, i] - least], Status.NOT_POSITIVE_DEFINITE)
 
 
 def _corrected(
