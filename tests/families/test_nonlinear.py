@@ -5,10 +5,13 @@ from __future__ import annotations
 import equations
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from nonlinear_specs import CASES, in_numpy, record_of, spec_of
 from plants import built, distance, interpreted, random_model, run, spec
 
 import fkgen
+from fkgen.cli import main
+from fkgen.study.reports.starters import starter
 
 FILTERS = {
     "ekf": ("ekf", {}),
@@ -222,3 +225,9 @@ def test_what_has_no_value_is_refused_and_changes_nothing(family):
     result = found.run(y, params=good | {"k": k})
     assert result.status[2] == -5
     assert np.isfinite(result.filtered_state).all()
+
+
+def test_verify_takes_equations(tmp_path):
+    (tmp_path / "s.toml").write_text(starter("ekf"), encoding="utf-8")
+    result = CliRunner().invoke(main, ["verify", str(tmp_path / "s.toml")])
+    assert result.exit_code == 0, result.output
