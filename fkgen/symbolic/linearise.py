@@ -12,6 +12,8 @@ import casadi as ca
 
 from fkgen.errors import InternalError
 from fkgen.symbolic.builder import PhaseBuilder
+from fkgen.symbolic.interface import Kind, Status
+from fkgen.symbolic.lifting.equations import Lifted
 from fkgen.symbolic.linalg import congruence
 from fkgen.symbolic.plant import Plant
 
@@ -31,6 +33,9 @@ def moved_from(
     builder: PhaseBuilder, plants: Sequence[Plant], states: Sequence[ca.SX], u: ca.SX, tag: str = ""
 ) -> tuple[Plant, ...]:
     """Plants with f, A, B at a state each, and what the noises that enter through f add to P."""
+    stirred = {id(plant.lifted): plant.lifted for plant in plants if plant.lifted is not None}
+    for lifted in stirred.values():
+        demand_variances(builder, lifted)
     letters = ("moved", "A", "B", "G")
     found = _evaluated(builder, plants, states, u, (f"moved{tag}", letters))
     moved = []
@@ -43,6 +48,12 @@ def moved_from(
             spread = congruence(own[3], ca.diag(plant.lifted.variances))
         moved.append(replace(plant, moved=own[0], A=own[1], B=own[2], spread=spread))
     return tuple(moved)
+
+
+def demand_variances(builder: PhaseBuilder, lifted: Lifted) -> None:
+    """Refuse noises that enter through f with a variance below zero."""
+    variances = ca.vertsplit(lifted.variances) if lifted.variances.numel() else []
+    builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
 
 
 def evaluated(
@@ -70,5 +81,5 @@ def _evaluated(
             own = [getattr(plant.lifted, letter) for letter in letters]
             values += ca.substitute(own, [plant.lifted.x, plant.lifted.u], [state, u])
     with builder.titled("linearisation"):
-        ready = iter(builder.name_all(name, values))
+        ready = iter(builder.name_distinct(name, values))
     return [None if plant.lifted is None else [next(ready) for _ in letters] for plant in plants]

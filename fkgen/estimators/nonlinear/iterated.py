@@ -26,7 +26,7 @@ from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.lifting.equations import Lifted, box_plus, normalised, turned_by
+from fkgen.symbolic.lifting.equations import Lifted, shifted, turned_by
 from fkgen.symbolic.linalg import column, congruence, is_zero, pack, reduced, sparse, total, unpack
 from fkgen.symbolic.linearise import evaluated, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
@@ -174,8 +174,8 @@ class Search:
         weights = zip(ca.vertsplit(target - along), ca.vertsplit(along), strict=True)
         inverses = self.independent.inverses
         price = total(a * b * w for (a, b), w in zip(weights, inverses, strict=True))
-        state = box_plus(self.prior[0], found.mean, plant.attitudes)
-        state = builder.define(f"trial{tag}", normalised(state, plant.attitudes))
+        state = shifted(self.prior[0], found.mean, plant.attitudes)
+        state = builder.define(f"trial{tag}", state)
         letters = ("seen",) if last else ("seen", "C")
         seen, *C = evaluated(builder, plant, state, self.u, (f"seen{tag}", letters))
         residual = self._residual(seen, f"residual{tag}")

@@ -30,9 +30,9 @@ from fkgen.estimators.lmmse.kalman import innovation_results, prediction
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.interface import Kind, Status
-from fkgen.symbolic.lifting.equations import Lifted, box_plus, normalised, places, turned_by
-from fkgen.symbolic.lifting.rotations import conjugate, logarithm, product
+from fkgen.symbolic.lifting.equations import Lifted, box_minus, box_plus, shifted, turned_by
 from fkgen.symbolic.linalg import (
+    congruence,
     outer_lower,
     pack,
     reduced,
@@ -41,13 +41,16 @@ from fkgen.symbolic.linalg import (
     total,
     unpack,
 )
-from fkgen.symbolic.linearise import seen_from
+from fkgen.symbolic.linearise import demand_variances, seen_from
 from fkgen.symbolic.plant import Plant, plant_of
 from fkgen.symbolic.ports import innovation_ports, state_ports, symbols_of
 from fkgen.symbolic.recursion import Phase, Recursion
 
 #: A pivot of a covariance below this share of its variance is the zero of a semidefinite one.
 NO_PIVOT = {"double": 1e-14, "float": 1e-6}
+
+#: Below this share of the square of what is seen a variance of its noise is none.
+ROUNDED = {"double": 1e-28, "float": 1e-12}
 
 
 def unscented_filter(spec: Spec, *, source: str) -> Recursion:
@@ -155,25 +158,38 @@ def _seen(
     """Errors in units of the root of the covariance, given y."""
     lifted, (state, root), (y, u) = given
     points = Points.of(builder, root, how[1])
-    errors = points.errors
     with builder.titled("h of the points"):
-        states = _named(builder, "point", [box_plus(state, e, plant.attitudes) for e in errors])
+        each = [box_plus(state, e, plant.attitudes) for e in points.errors]
         by = [lifted.x, lifted.u]
-        values = [ca.substitute([lifted.seen], by, [x, u])[0] for x in states]
-        values = _named(builder, "seen", values)
+        places = builder.name_distinct("point", each)
+        sent = [ca.substitute([lifted.seen], by, [x, u])[0] for x in places]
+        values = builder.name_distinct("seen", sent)
     with builder.titled("moments of y"):
         mean = points.mean(values)
         for i in plant.wraps:
             mean[i] = values[0][i] + points.mean([reduced(z[i] - values[0][i]) for z in values])
         mean = builder.define("expected", mean)
+        builder.demand(Kind.FINITE, ca.vertsplit(mean), Status.RESULT_NOT_FINITE)
         deviations = [_difference(z, mean, plant.wraps) for z in values]
-        M, curved = points.halves(_named(builder, "deviation", deviations))
+        M, curved = points.halves(builder.name_distinct("deviation", deviations))
         M, R = builder.name_all("M", (M, sparse(unpack(pack(plant.R) + curved, plant.ny))))
-    n = plant.ne
-    stated = replace(
-        measurement_of(plant, y=y, C=M, offset=ca.SX.zeros(plant.ny), R=R), predicted=mean
-    )
+    n, S = plant.ne, None
+    if plant.noise_free:  # what rounding leaves of a a' is no noise: only S tells what is none
+        S, R, M = M.T, unpack(congruence(M, ca.SX.eye(n)) + pack(R), plant.ny), ca.SX(*M.shape)
+    elif not plant.R.is_constant():
+        _demand_noise(builder, plant, (M, R, mean))
+    stated = measurement_of(plant, y=y, C=M, offset=ca.SX.zeros(plant.ny), R=R)
+    stated = replace(stated, predicted=mean, S=S)
     return condition(builder, (ca.SX.zeros(n), ca.SX.eye(n)), stated, form=how[0])
+
+
+def _demand_noise(builder: PhaseBuilder, plant: Plant, moments: tuple[ca.SX, ca.SX, ca.SX]) -> None:
+    """Refuse rows of which a parameter takes the noise away: rounding would be in its place."""
+    M, R, mean = moments
+    for i in range(plant.ny if plant.ny > 1 else 0):
+        least = ROUNDED[plant.scalar] * (mean[i] * mean[i] + ca.sumsqr(M[i, :]))
+        with builder.if_present(i):
+            builder.demand(Kind.POSITIVE, [R[i, i] - least], Status.NOT_POSITIVE_DEFINITE)
 
 
 def _corrected(
@@ -181,7 +197,7 @@ def _corrected(
 ) -> tuple[ca.SX, ca.SX]:
     """The state moved by errors, and its packed covariance, turned with it."""
     errors = builder.define("correction", root @ found.mean)
-    state = normalised(box_plus(state, errors, plant.attitudes), plant.attitudes)
+    state = shifted(state, errors, plant.attitudes)
     if plant.attitudes:
         (root,) = builder.name_all("turned", (turned_by(plant.attitudes, errors) @ root,))
     return state, row_congruence(root, unpack(found.covariance, plant.ne))
@@ -192,27 +208,24 @@ def _predict(plant: Plant, symbols: dict[str, ca.SX], lifted: Lifted, kappa: flo
     plant = bound(builder, plant, "Q")
     x, u = symbols["filtered_state"], symbols["u"]
     root = lower_root(builder, symbols["filtered_covariance"], NO_PIVOT[plant.scalar])
-    variances = ca.vertsplit(lifted.variances) if lifted.variances.numel() else []
-    builder.demand(Kind.NONNEGATIVE, variances, Status.PARAMETER_OUT_OF_RANGE)
+    demand_variances(builder, lifted)
     deviations = sparse(ca.diag(ca.sqrt(lifted.variances)))
     points = Points.of(builder, ca.diagcat(root, deviations), kappa)
     n = plant.ne
     with builder.titled("f of the points"):
-        states = [box_plus(x, e[:n], plant.attitudes) for e in points.errors]
-        states = _named(builder, "point", states)
-        values = [
-            ca.substitute(
-                [lifted.stirred], [lifted.x, lifted.u, lifted.w], [state, u, ca.densify(e[n:])]
-            )[0]
-            for state, e in zip(states, points.errors, strict=True)
-        ]
-        values = _named(builder, "moved", values)
+        each = [box_plus(x, e[:n], plant.attitudes) for e in points.errors]
+        by = [lifted.x, lifted.u, lifted.w]
+        places = zip(builder.name_distinct("point", each), points.errors, strict=True)
+        given = [[state, u, ca.densify(e[n:])] for state, e in places]
+        sent = [ca.substitute([lifted.stirred], by, values)[0] for values in given]
+        values = builder.name_distinct("moved", sent)
     first = values[0]
     with builder.titled("moments of the next state"):
-        shift = points.mean([_apart(z, first, lifted) for z in values])
-        mean = normalised(box_plus(first, shift, plant.attitudes), plant.attitudes)
+        shift = points.mean([box_minus(z, first, lifted) for z in values])
+        mean = shifted(first, shift, plant.attitudes)
         mean = builder.define("mean", mean)
-        spread = _named(builder, "deviation", [_apart(z, mean, lifted) for z in values])
+        apart = [box_minus(z, mean, lifted) for z in values]
+        spread = builder.name_distinct("deviation", apart)
         covariance = points.covariance(spread) + pack(plant.Q)
     with builder.titled("prediction of the next sample"):
         builder.assign(
@@ -222,44 +235,12 @@ def _predict(plant: Plant, symbols: dict[str, ca.SX], lifted: Lifted, kappa: flo
     return builder.phase()
 
 
-def _apart(state: ca.SX, other: ca.SX, lifted: Lifted) -> ca.SX:
-    """The errors of a state about another one."""
-    parts = []
-    for at, error, turns in places(state.numel(), lifted.attitudes):
-        if turns:
-            q = product(conjugate(other[at : at + 4]), state[at : at + 4])
-            parts.append(logarithm(q))
-        else:
-            apart = state[at] - other[at]
-            parts.append(reduced(apart) if error in lifted.angles else apart)
-    return ca.vertcat(*parts)
-
-
 def _difference(value: ca.SX, other: ca.SX, wraps: Sequence[int]) -> ca.SX:
     """Of measurements, that of angles reduced."""
     apart = value - other
     for i in wraps:
         apart[i] = reduced(apart[i])
     return apart
-
-
-def _named(builder: PhaseBuilder, name: str, vectors: Sequence[ca.SX]) -> list[ca.SX]:
-    """Vectors whose entries are computed once, where they are the same in several as well."""
-    flat = ca.cse(ca.densify(ca.vertcat(*vectors)))
-    known: dict[int, ca.SX] = {}
-    for value in ca.vertsplit(flat):
-        if not (value.is_constant() or value.is_leaf()):
-            known.setdefault(value.element_hash(), value)
-    if not known:
-        return list(vectors)
-    symbols = builder.define(name, ca.densify(ca.vertcat(*known.values())))
-    which = {key: symbols[k] for k, key in enumerate(known)}
-    entries = [which.get(value.element_hash(), value) for value in ca.vertsplit(flat)]
-    whole = ca.vertcat(*entries)
-    ends = [0]
-    for vector in vectors:
-        ends.append(ends[-1] + vector.numel())
-    return ca.vertsplit(whole, ends)
 
 
 def lower_root(builder: PhaseBuilder, packed: ca.SX, tolerance: float) -> ca.SX:

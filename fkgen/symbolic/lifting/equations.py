@@ -9,7 +9,7 @@ R(q * exp(d)) = R(q) exp(d x): their derivatives are entries of R(q) again.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -201,7 +201,7 @@ class _Lifting:
             elif any(isinstance(e, Increment) and e.at == at for e in self.equations.f):
                 by = next(values)
                 turn = rotations.exponential(by)
-                moved.append(rotations.normalised(rotations.product(self.x[at : at + 4], turn)))
+                moved.append(rotations.renewed(rotations.product(self.x[at : at + 4], turn)))
                 J = rotations.right_jacobian(by)
                 own = [J @ each for each in self._derivatives(by)]
                 own[0][:, error : error + 3] += rotations.matrix(turn).T
@@ -239,21 +239,35 @@ class _Lifting:
 
     def _applied(self, x: ca.SX, rates: ca.SX, step: ca.SX) -> ca.SX:
         """The state that rates lead to."""
-        return box_plus(x, step * rates, self.equations.attitudes)
+        exponential = rotations.smooth_exponential
+        return box_plus(x, step * rates, self.equations.attitudes, exponential)
 
 
-def box_plus(x: ca.SX, errors: ca.SX, attitudes: Sequence[int]) -> ca.SX:
+def box_plus(
+    x: ca.SX,
+    errors: ca.SX,
+    attitudes: Sequence[int],
+    exponential: Callable[[ca.SX], ca.SX] = rotations.exponential,
+) -> ca.SX:
     """The state that lies off by errors, quaternions not normalised."""
     if not attitudes:
         return x + errors
     parts = []
     for at, error, turns in places(x.numel(), attitudes):
         if turns:
-            turn = rotations.exponential(errors[error : error + 3])
+            turn = exponential(errors[error : error + 3])
             parts.append(rotations.product(x[at : at + 4], turn))
         else:
             parts.append(x[at] + errors[error])
     return ca.vertcat(*parts)
+
+
+def shifted(x: ca.SX, errors: ca.SX, attitudes: Sequence[int]) -> ca.SX:
+    """The same with unit quaternions whose w is not negative."""
+    found = box_plus(x, errors, attitudes)
+    for at in attitudes:
+        found[at : at + 4] = rotations.renewed(found[at : at + 4])
+    return found
 
 
 def box_minus(x: ca.SX, origin: ca.SX, lifted: Lifted) -> ca.SX:
