@@ -9,7 +9,17 @@ from typing import Any
 from fkgen.backend.elementary import FORMATS
 from fkgen.backend.execute import MARKED, self_test_vectors
 from fkgen.backend.expressions import joined
-from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
+from fkgen.backend.ir import (
+    CopyArray,
+    CProgram,
+    Element,
+    Operator,
+    Phase,
+    Scalar,
+    Space,
+    every,
+    read,
+)
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import Outline, outline
@@ -141,7 +151,8 @@ def _given(c: Printer, verb: str) -> dict[str, str]:
     if phase.reads_parameters:
         given["params"] = f"const {c.name}_params_t *params"
     if verb == "begin":
-        return given | {name: f"const {c.real} *{name}" for name in ("x", "P")}
+        told = {each.name for each in read(Element, phase.body) if each.space is Space.INPUT}
+        return given | {name: f"const {c.real} *{name}" for name in ("x", "P") if name in told}
     if phase.reads_input:
         given["u"] = f"const {c.real} *u"
     if verb == "correct":
