@@ -171,9 +171,7 @@ def simulate(
     return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
 
 
-def _parameters(
-    spec: Spec, params: Mapping[str, ArrayLike] | None, steps: int
-) -> dict[str, Array]:
+def _parameters(spec: Spec, params: Mapping[str, ArrayLike] | None, steps: int) -> dict[str, Array]:
     """Run-time parameters by name, (1,) or (T,)."""
     named = {item.name: item.default for item in spec.stated_parameters}
     values = record.values_of(tuple(named.items()), params, steps, np.float64)

@@ -149,13 +149,13 @@ CASES = {
 }  # fmt: skip
 
 
-def spec(case, seed=0, scalar="double"):
-    """A spec of a case."""
+def spec(case, seed=0, scalar="double", **changed):
+    """A spec of a case, with what is changed of its model."""
     import fkgen
 
     family, has, sections = CASES[case]
     rng = np.random.default_rng([seed, list(CASES).index(case)])
-    plant = model(rng, **has)
+    plant = model(rng, **has) | changed
     said = {"filter": {}} | sections(rng, plant)
     said["filter"] = {"family": family} | said["filter"]
     given = {"dt": 0.3, "gain": {"default": 0.8, "min": 0.1, "max": 1.2}}
