@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -318,9 +317,10 @@ class CProgram:
     source: str
     notes: tuple[str, ...]
     digest: str
-    states: tuple[Signal, ...]
+    states: tuple[Signal, ...]  # Of an attitude its four numbers
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
+    attitudes: tuple[int, ...]  # Where quaternions begin in x
     sample_time: float | str | None  # seconds, or the parameter that holds them
     parameters: tuple[tuple[str, float], ...]
     ports: tuple[Port, ...]
@@ -338,15 +338,21 @@ class CProgram:
     shares_functions: bool = False
 
     @property
-    def errors(self) -> int:
-        """Rows of the covariance of x: fewer than there are numbers where x holds attitudes."""
-        return (math.isqrt(8 * len(self.prior[1]) + 1) - 1) // 2
+    def errors(self) -> tuple[Signal, ...]:
+        """Rows of the covariance of x: of an attitude ``q`` the angles ``q[x]`` and so on."""
+        found = list(self.states)
+        for at in reversed(self.attitudes):
+            stem = found[at].name.removesuffix("[0]")
+            found[at : at + 4] = [Signal(f"{stem}[{axis}]", "rad") for axis in "xyz"]
+        return tuple(found)
 
     @property
     def statuses(self) -> tuple[Status, ...]:
         """What its functions can return."""
         told = {outcome.status for outcome in self.outcomes}
-        return tuple(status for status in Status if status not in VERDICTS or status in told)
+        told |= {Status.NOT_A_ROTATION} if self.attitudes else set()
+        special = {*VERDICTS, Status.NOT_A_ROTATION}
+        return tuple(status for status in Status if status not in special or status in told)
 
     @property
     def verbs(self) -> dict[str, Phase]:

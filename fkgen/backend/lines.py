@@ -129,13 +129,28 @@ def filled_lines(items: Iterable[str], indent: str) -> str:
 
 
 def units_of(model: Any) -> dict[str, str]:
-    """Units of the states, inputs and outputs of a model or program, such as ``[m, m/s]``."""
-    return {"x": _units(model.states), "u": _units(model.inputs), "y": _units(model.outputs)}
+    """Units of the states, inputs and outputs of a model or program, such as ``[m, m/s]``.
+
+    ``e`` are those of the errors of the states: of an attitude three angles.
+    """
+    numbers: list[str] = []
+    for (
+        each
+    ) in model.states:  # one state of a model has four numbers, each of them one in a program
+        numbers += [""] * 4 if getattr(each, "manifold", "") else [each.unit]
+    errors = list(numbers)
+    for at in reversed(model.attitudes):
+        errors[at : at + 4] = ["rad"] * 3
+    others = {
+        letter: [each.unit for each in signals]
+        for letter, signals in (("u", model.inputs), ("y", model.outputs))
+    }
+    return {letter: _units(each) for letter, each in {"x": numbers, "e": errors, **others}.items()}
 
 
-def _units(signals: Iterable[Any]) -> str:
+def _units(stated: Iterable[str]) -> str:
     """Empty if no unit is stated, or they are too many."""
-    units = [signal.unit or "-" for signal in signals]
+    units = [unit or "-" for unit in stated]
     if not set(units) - {"-"}:
         return ""
     text = f"[{', '.join(units if len(set(units)) > 1 else units[:1])}]"
@@ -144,9 +159,9 @@ def _units(signals: Iterable[Any]) -> str:
 
 def unit_text(units: Mapping[str, str], unit: str) -> str:
     """A unit in those of the signals, such as ``[m, m/s] squared``; empty if none is stated."""
-    match tuple(unit):
-        case (letter,) if units[letter]:
-            return units[letter]
+    if len(unit) == 1:
+        return units[unit]
+    match tuple(unit.replace("x", "e")):
         case (letter, _) if units[letter]:
             return f"{units[letter]} squared"
         case (above, "/", below) if units[above] and units[below]:

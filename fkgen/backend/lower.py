@@ -70,7 +70,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
         kind: tuple(ir.Signal(s.name, s.unit) for s in getattr(model, kind))
         for kind in ("inputs", "outputs")
     }
-    named = ((name, s.unit) for s in model.states for name in coordinates(s))
+    named = ((name, "" if s.manifold else s.unit) for s in model.states for name in coordinates(s))
     signals["states"] = tuple(ir.Signal(*each) for each in named)
     lowered: dict[str, Any] = {
         name: lower_phase(recursion.ports, phase)
@@ -95,6 +95,7 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
             notes=(*form, *recursion.notes),
             digest=hashlib.sha256(f"{API_VERSION}\n{spec.canonical()}".encode()).hexdigest()[:16],
             sample_time=model.sample_time,
+            attitudes=model.attitudes,
             parameters=tuple((p.name, p.default) for p in spec.parameters),
             ports=ports,
             outcomes=recursion.outcomes,

@@ -9,7 +9,17 @@ from typing import Any
 from fkgen.backend.elementary import FORMATS
 from fkgen.backend.execute import MARKED, self_test_vectors
 from fkgen.backend.expressions import joined
-from fkgen.backend.ir import CopyArray, CProgram, Operator, Phase, Scalar, every
+from fkgen.backend.ir import (
+    CopyArray,
+    CProgram,
+    Element,
+    Operator,
+    Phase,
+    Scalar,
+    Space,
+    every,
+    read,
+)
 from fkgen.backend.lines import filled, filled_lines, unit_text, units_of
 from fkgen.backend.printer import SHARED_PREFIX, Printer, StatementPrinter, combined
 from fkgen.backend.routines import Outline, outline
@@ -52,56 +62,63 @@ def _context(program: CProgram) -> dict[str, object]:
     outlined = joined(outline(program), (c := Printer(program)).fits)
     c.take(outlined.routines)
     units = units_of(program)
-    vectors, starts = self_test_vectors(program), _starts(program)
+    starts = _starts(program)
     form = FORMATS[program.scalar]
     infinite = (2 * form.bias + 1) << form.mantissa
     modes = (port.shape[0] for port in program.ports if port.name == "mode_probability")
-    return elementary_context(c, program.functions) | {
-        "program": program,
-        "version": __version__,
-        "api": API_VERSION,
-        "title": _title(program),
-        "modes": next(modes, 0),
-        "cost": cost(program),
-        "padded": c.padded,
-        "flags": [port for port in program.ports if port.flags],
-        "scalars": sum(port.size for port in program.ports),
-        "bytes": _bytes(program, outlined, starts),
-        "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
-        "statuses": program.statuses,
-        "positive": [c.status(status) for status in program.statuses if status.value >= 0],
-        "Status": Status,
-        "shape": _shape_text,
-        "unit": lambda port: f", {text}" if (text := unit_text(units, port.unit)) else "",
-        "ranges": dict(program.stated.ranges),
-        "listed": filled_lines,
-        "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
-        "starts": starts,
-        "tables": {owner: values for values, owner in starts.values()}
-        | dict(zip(("x", "P"), program.prior, strict=True)),
-        "period": dict(zip(("x", "P"), map(len, program.prior), strict=True)),
-        "full": lambda port: math.prod(port.shape),
-        "initial": dict(program.initial),
-        "phases": _phases(c, outlined.phases),
-        "routines": outlined.routines,
-        "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
-        "inlined": program.flops <= INLINED,
-        "functions": _functions(c),
-        "order": _order(c),
+    return (
+        elementary_context(c, program.functions)
+        | _self_test(c)
+        | {
+            "program": program,
+            "version": __version__,
+            "api": API_VERSION,
+            "title": _title(program),
+            "modes": next(modes, 0),
+            "cost": cost(program),
+            "padded": c.padded,
+            "flags": [port for port in program.ports if port.flags],
+            "scalars": sum(port.size for port in program.ports),
+            "bytes": _bytes(program, outlined, starts),
+            "members": sum(port.size for port in program.ports) + 1 + len(program.repeats or ()),
+            "statuses": program.statuses,
+            "positive": [c.status(status) for status in program.statuses if status.value >= 0],
+            "Status": Status,
+            "shape": _shape_text,
+            "unit": lambda port: f", {text}" if (text := unit_text(units, port.unit)) else "",
+            "ranges": dict(program.stated.ranges),
+            "listed": filled_lines,
+            "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
+            "starts": starts,
+            "tables": {owner: values for values, owner in starts.values()}
+            | dict(zip(("x", "P"), program.prior, strict=True)),
+            "period": dict(zip(("x", "P"), map(len, program.prior), strict=True)),
+            "full": lambda port: math.prod(port.shape),
+            "initial": dict(program.initial),
+            "phases": _phases(c, outlined.phases),
+            "routines": outlined.routines,
+            "copies": any(copy for body in outlined.bodies for copy in every(CopyArray, body)),
+            "inlined": program.flops <= INLINED,
+            "functions": _functions(c),
+            "order": _order(c),
+            "infinite": infinite,
+            "not_a_number": infinite | (1 << (form.mantissa - 1)),
+        }
+    )
+
+
+def _self_test(c: Printer) -> dict[str, object]:
+    """What the self-test is given, and what it compares."""
+    ports, vectors = c.program.ports, self_test_vectors(c.program)
+    final = dict(vectors.final)
+    return {
         "vectors": vectors,
         "compared": [
-            f"{{ {'' if port.shape else '&'}filter.{port.member}, {port.size} }}"
-            for port in program.ports
+            f"{{ {'' if port.shape else '&'}filter.{port.member}, {port.size} }}" for port in ports
         ],
         "masks": [_mask(c, row, k) for k, row in enumerate(vectors.y)],
-        "flag_words": [
-            (port.name, _words(c, dict(vectors.final)[port.name]))
-            for port in program.ports
-            if port.flags
-        ],
+        "flag_words": [(p.name, _words(c, final[p.name])) for p in ports if p.flags],
         "marked": MARKED,
-        "infinite": infinite,
-        "not_a_number": infinite | (1 << (form.mantissa - 1)),
     }
 
 
@@ -141,7 +158,8 @@ def _given(c: Printer, verb: str) -> dict[str, str]:
     if phase.reads_parameters:
         given["params"] = f"const {c.name}_params_t *params"
     if verb == "begin":
-        return given | {name: f"const {c.real} *{name}" for name in ("x", "P")}
+        told = {each.name for each in read(Element, phase.body) if each.space is Space.INPUT}
+        return given | {name: f"const {c.real} *{name}" for name in ("x", "P") if name in told}
     if phase.reads_input:
         given["u"] = f"const {c.real} *u"
     if verb == "correct":

@@ -528,9 +528,15 @@ def _places(
             places[key] = replace(private[1], name=name), 0
             continue
         single = key not in written | passed and len(indices[key]) == 1
+        single &= not any(_may_be_absent(*variable) for variable, _ in each)
         low = min((i for i in indices[key] if i is not None), default=0)
         places[key] = ir.Argument(name, key in written, single), low
     return places
+
+
+def _may_be_absent(space: Space, name: str) -> bool:
+    """Whether it is y, which is NULL where a prediction passes a sample: no caller reads it."""
+    return space in {Space.INPUT, Space.ARGUMENT} and name.split("_", maxsplit=1)[0] == "y"
 
 
 def _shared(names: list[str]) -> str:

@@ -51,9 +51,10 @@ def milder(spec: Spec) -> Spec:
         for key, size in sizes.items():
             if size is not None:
                 plant[key] = (np.array(plant[key], float) / np.outer(size, size)).tolist()
-    table["model"]["x0"] = [
-        float(np.sign(x)) if isinstance(x, int | float) else x for x in table["model"]["x0"]
-    ]
+    if spec.model.equations is None:  # f and h may have no values elsewhere
+        table["model"]["x0"] = [
+            float(np.sign(x)) if isinstance(x, int | float) else x for x in table["model"]["x0"]
+        ]
     return Spec.from_dict(table, file=spec.file)
 
 

@@ -21,9 +21,11 @@ class Layout:
     spec: str  # Digest of what the filter was built from
     family: str
     scalar: str
-    states: tuple[str, ...]  # states, inputs, outputs: Names of the signals
+    states: tuple[str, ...]  # states, inputs, outputs: Names of the numbers in x, u and y
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    errors: tuple[str, ...]  # The same of the rows of covariances of x
+    attitudes: tuple[int, ...]  # Where quaternions begin in x
     parameters: tuple[tuple[str, float], ...]  # Run-time parameters with their defaults
     ports: tuple[Port, ...]  # Members of the C instance, in order
     prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed
@@ -79,9 +81,9 @@ class Layout:
 
 def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
     """The layout of a program."""
-    same = ("name", "family", "scalar", "parameters", "ports", "prior", "flops")
+    same = ("name", "family", "scalar", "parameters", "ports", "prior", "attitudes", "flops")
     facts: dict[str, Any] = {key: getattr(program, key) for key in same}
     facts["spec"] = program.digest
-    for key in ("states", "inputs", "outputs"):
+    for key in ("states", "inputs", "outputs", "errors"):
         facts[key] = tuple(signal.name for signal in getattr(program, key))
     return Layout(claims=claims, groups=len(program.repeats or ()), **facts)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.errors import DataError
 from fkgen.problem.covariance import SEMIDEFINITE, negative_direction
+from fkgen.problem.functions.named import UNIT_TOLERANCE
 from fkgen.runtime import record
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Snapshot
@@ -25,7 +26,7 @@ ASYMMETRY = 64.0
 
 
 def priors(layout: Layout, start: Any, records: int | None = None) -> tuple[Array, Array]:
-    """Means (K, n) and packed covariances (K, n(n+1)/2); K is 1 or the number of records.
+    """Means (K, n) and packed covariances (K, ne(ne+1)/2); K is 1 or the number of records.
 
     Raises
     ------
@@ -40,14 +41,15 @@ def priors(layout: Layout, start: Any, records: int | None = None) -> tuple[Arra
             expected = record.choice(str(key), KEYS)
             raise DataError(f"start.{key}", given="an unknown key", expected=expected)
     x0, P0 = (start.get(key) for key in KEYS)
-    n, kind = len(layout.states), layout.dtype
+    n, ne, kind = len(layout.states), len(layout.errors), layout.dtype
     means = np.array([layout.prior[0]], kind)
     if x0 is not None:
         means = _stacked("x0", x0, (n,), layout, records)
+        _check_rotations(layout, np.asarray(means, float))
     packed = np.array([layout.prior[1]], kind)
     if P0 is not None:
-        covariances = _stacked("P0", P0, (n, n), layout, records)
-        rows, columns = np.tril_indices(n)
+        covariances = _stacked("P0", P0, (ne, ne), layout, records)
+        rows, columns = np.tril_indices(ne)
         packed = np.ascontiguousarray(covariances[:, rows, columns])
         for m, covariance in enumerate(covariances):
             name = f"P0[{m}]" if len(covariances) > 1 else "P0"
@@ -63,12 +65,27 @@ def _stacked(
     several = () if records is None else ((records, *shape),)
     if array.shape not in (shape, *several):
         expected = " or ".join(f"shape {each}" for each in (shape, *several))
+        if layout.attitudes:
+            names = ", ".join(layout.errors if len(shape) > 1 else layout.states)
+            expected += f": {names}"
         raise DataError(what, given=f"shape {array.shape}", expected=expected)
     if not np.isfinite(array).all():
         at = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
         place = "".join(f"[{i}]" for i in at)
         raise DataError(f"{what}{place}", given=str(array[at]), expected="a finite number")
     return array.reshape(-1, *shape)
+
+
+def _check_rotations(layout: Layout, means: NDArray[np.float64]) -> None:
+    """Refuse quaternions that are far from unit length; C scales the others."""
+    for at in layout.attitudes:
+        lengths = np.linalg.norm(means[:, at : at + 4], axis=1)
+        for m in np.flatnonzero(~(np.abs(lengths - 1.0) <= UNIT_TOLERANCE)).tolist():
+            name = layout.states[at].removesuffix("[0]")
+            expected = f"a unit quaternion (w, x, y, z) for {name}, to within {UNIT_TOLERANCE:g}"
+            place = f"x0[{m}, {at}]" if len(means) > 1 else f"x0[{at}]"
+            given = f"four numbers of length {lengths[m]:.6g}"
+            raise DataError(place, given=given, expected=expected)
 
 
 def _check(what: str, covariance: NDArray[np.float64], kind: type[np.floating]) -> None:

@@ -45,6 +45,7 @@ class Status(Enum):
     RESULT_NOT_FINITE = -5, "the result would not be finite"
     SELFTEST_FAILED = -6, "the self-test does not give the recorded bits on this target"
     WRONG_ORDER = -7, "a second update of this sample, which this filter cannot take: predict first"
+    NOT_A_ROTATION = -8, "a quaternion to start from is not of unit length, to within 1e-3"
 
 
 #: Members of an instance beside its ports: 1 after an update and 0 after a prediction, which tells

@@ -8,7 +8,7 @@ from typing import Literal
 
 import casadi as ca
 
-from fkgen.problem import Spec
+from fkgen.problem import Model, Spec
 from fkgen.symbolic.interface import Port, Role, triangle
 from fkgen.symbolic.plant import Plant
 
@@ -98,9 +98,9 @@ def prior_of(spec: Spec) -> tuple[Start, Start]:
     return state, tuple(float(P0[i, j]) for i, j in triangle(spec.model.ne))
 
 
-def prior_symbols(n: int) -> dict[str, ca.SX]:
+def prior_symbols(model: Model | Plant) -> dict[str, ca.SX]:
     """What the phase that starts a filter reads: mean and packed covariance of the prior."""
-    return {"x": ca.SX.sym("x", n), "P": ca.SX.sym("P", len(triangle(n)))}
+    return {"x": ca.SX.sym("x", model.nx), "P": ca.SX.sym("P", len(triangle(model.ne)))}
 
 
 def symbols_of(spec: Spec, plant: Plant, ports: Sequence[Port]) -> dict[str, ca.SX]:

@@ -16,10 +16,12 @@ import casadi as ca
 import numpy as np
 
 from fkgen.problem import Matrix, Number, Spec
+from fkgen.problem.functions.named import UNIT_TOLERANCE
 from fkgen.problem.table.place import Place, suggestion
 from fkgen.symbolic.domain import demands
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status, triangle
-from fkgen.symbolic.ports import PARAMETER, prior_of
+from fkgen.symbolic.lifting.rotations import scaled_to_unit, within
+from fkgen.symbolic.ports import PARAMETER, prior_of, prior_symbols
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,14 +124,16 @@ class Recursion:
             for port in self.ports
             if port.prior or port.start
         }
-        computed = {} if self.start is None else _evaluated(self.start, prior)
-        object.__setattr__(self, "initial", {**starts, **computed, **self.initial})
         bounded = all(_is_bounded(getattr(plant, x)) for plant in self.spec.plants for x in "QR")
         for name in ("update", "predict", "closing", "start"):
             phase = getattr(self, name)
             if phase is not None:
                 sound = _guarded(phase, self.ports, bounded=bounded)
                 object.__setattr__(self, name, sound)
+        if attitudes := self.spec.model.attitudes:
+            object.__setattr__(self, "start", _from_rotations(self, attitudes))
+        computed = {} if self.start is None else _evaluated(self.start, prior)
+        object.__setattr__(self, "initial", {**starts, **computed, **self.initial})
         for name in ("update", "predict"):
             object.__setattr__(self, name, _within_domain(self.spec, getattr(self, name)))
         names = [port.name for port in self.ports]
@@ -167,6 +171,39 @@ def _within_domain(spec: Spec, phase: Phase) -> Phase:
     used = {each.name() for guard in guards for each in ca.symvar(guard.values)}
     reads = tuple(sorted(PARAMETER + name for name in used))
     return replace(phase, blocks=(Block(_DOMAIN, {}, None, guards, reads), *phase.blocks))
+
+
+#: The mean of a prior, its quaternions of unit length.
+_UNIT = "unit_x"
+#: Quaternions so near to unit length are left as they are: an estimate is taken up bit by bit.
+ROUNDED = {"double": 1e-15, "float": 5e-7}
+
+
+def _from_rotations(recursion: Recursion, attitudes: tuple[int, ...]) -> Phase:
+    """The phase that starts a filter, which takes quaternions near unit length and scales them."""
+    given, own = prior_symbols(recursion.spec.model), recursion.start
+    if own is not None and _UNIT in own.symbols:
+        return own
+    x, limits, scaled = given["x"], [], ca.SX(given["x"])
+    for at in attitudes:
+        limits += within(x[at : at + 4], UNIT_TOLERANCE)
+        scaled[at : at + 4] = scaled_to_unit(x[at : at + 4], ROUNDED[recursion.spec.code.scalar])
+    guard = Guard(ca.vertcat(*limits), Kind.NONNEGATIVE, Status.NOT_A_ROTATION)
+    blocks = [Block("quaternions of unit length", {_UNIT: scaled}, None, (guard,), ("x",))]
+    symbols = {port.name: ca.SX.sym(port.name, port.size) for port in recursion.ports} | given
+    if own is None:
+        symbols[_UNIT], written = ca.SX.sym(_UNIT, x.numel()), set()
+    else:
+        symbols |= {**own.symbols, _UNIT: own.symbols["x"], "x": x}
+        written = {name for block in own.blocks for name in block.assign}
+        for block in own.blocks:
+            reads = tuple(_UNIT if name == "x" else name for name in block.reads)
+            blocks.append(replace(block, reads=reads))
+    priors = [p for p in recursion.ports if p.prior == "x" and p.name not in written]
+    means = {p.name: ca.repmat(symbols[_UNIT], p.size // x.numel()) for p in priors}
+    blocks.append(Block("every mean", means, None, (), (_UNIT,)))
+    variables = (*(() if own is None else own.variables), Variable(_UNIT, x.numel()))
+    return Phase(tuple(blocks), variables, symbols)
 
 
 def _evaluated(

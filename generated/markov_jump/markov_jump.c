@@ -294,7 +294,7 @@ MARKOV_JUMP_INLINE void markov_jump_every_mode_s_step(const double *augmented_fi
 }
 
 /* innovation, row by row. */
-MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
+MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double *y,
     const double *augmented_state, double *innovation_0, double *mean,
     const double *augmented_covariance, double *covariance, const double mean_noise,
     double *pivot_0, double *quadratic, double *log_constant, double *determinant_0,
@@ -312,7 +312,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
     /* innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        innovation_0[0] = y - augmented_state[6];
+        innovation_0[0] = y[0] - augmented_state[6];
     }
     markov_jump_part_2(augmented_state, mean, augmented_covariance, covariance);
 
@@ -406,7 +406,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_innovation(const double y,
     /* test for a loss: llr: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        innovation_lost_0 = y;
+        innovation_lost_0 = y[0];
     }
 
     /* test for a loss: llr: row 0 of y, measured_position */
@@ -548,9 +548,9 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const
         (markov_jump_defect(carried_11[8]) + markov_jump_defect(carried_11[16]))) +
         ((markov_jump_defect(t36) + markov_jump_defect(t38)) + markov_jump_defect(t44)))) +
         ((((markov_jump_defect(t54) + markov_jump_defect(carried_9[0])) +
-        (markov_jump_defect(carried_9[6]) + markov_jump_defect(carried_9[12]))) +
-        ((markov_jump_defect(carried_9[2]) + markov_jump_defect(carried_9[5])) +
-        markov_jump_defect(carried_9[8]))) + (((markov_jump_defect(carried_9[11]) +
+        (markov_jump_defect(carried_9[2]) + markov_jump_defect(carried_9[5]))) +
+        ((markov_jump_defect(carried_9[6]) + markov_jump_defect(carried_9[8])) +
+        markov_jump_defect(carried_9[11]))) + (((markov_jump_defect(carried_9[12]) +
         markov_jump_defect(carried_9[14])) + markov_jump_defect(carried_9[17])) +
         ((markov_jump_defect(carried_9[18]) + markov_jump_defect(carried_9[19])) +
         markov_jump_defect(carried_9[20]))))))
@@ -1004,7 +1004,7 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     mean_noise = t0 + (2.25 * self->predicted_mode_law[2]);
 
     /* innovation, row by row */
-    status = markov_jump_innovation(y[0], self->augmented_state, &innovation_0, mean,
+    status = markov_jump_innovation(y, self->augmented_state, &innovation_0, mean,
         self->augmented_covariance, covariance, mean_noise, &pivot_0, &quadratic, &log_constant,
         &determinant_0, &rows_present, &statistic, &threshold, &declared,
         self->consecutive_rejections, &rejections, present);
@@ -1414,7 +1414,7 @@ markov_jump_status_t markov_jump_start(markov_jump_t *self, const double x[3], c
     {
         return MARKOV_JUMP_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < MARKOV_JUMP_NX; ++i)
+    for (i = 0; i < MARKOV_JUMP_NE; ++i)
     {
         if (P[MARKOV_JUMP_P(i, i)] < 0.0) { return MARKOV_JUMP_NOT_POSITIVE_DEFINITE; }
     }

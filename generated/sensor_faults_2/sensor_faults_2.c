@@ -235,7 +235,7 @@ static const double sensor_faults_2_mode_numbers[2][1] = {
 };
 
 /* mode 0: signal, R: innovation, row by row; mode 1: signal, noise x 10: innovation, row by row. */
-SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_mode(const double y,
+SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_mode(const double *y,
     const double predicted_state, double *innovation_0, double *mean,
     const double predicted_covariance, double *covariance, double *pivot_0, double *log_density,
     const double *numbers, uint32_t present)
@@ -248,7 +248,7 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_mode(const doubl
     /* mode 0: signal, R: innovation, row by row */
     if ((present & 0x1u) != 0u)
     {
-        innovation_0[0] = y - predicted_state;
+        innovation_0[0] = y[0] - predicted_state;
     }
 
     /* mode 0: signal, R */
@@ -317,13 +317,13 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     if (!(self->predicted_covariance[0] >= 0.0)) { return SENSOR_FAULTS_2_NOT_POSITIVE_DEFINITE; }
 
     /* mode 0: signal, R: innovation, row by row */
-    status = sensor_faults_2_mode(y[0], self->predicted_state[0], &innovation_m0_0, &mean_m0,
+    status = sensor_faults_2_mode(y, self->predicted_state[0], &innovation_m0_0, &mean_m0,
         self->predicted_covariance[0], &covariance_m0, &pivot_m0_0, &log_density_m0,
         sensor_faults_2_mode_numbers[0], present);
     if (status != SENSOR_FAULTS_2_OK) { return status; }
 
     /* mode 1: signal, noise x 10: innovation, row by row */
-    status = sensor_faults_2_mode(y[0], self->predicted_state[0], &innovation_m1_0, &mean_m1,
+    status = sensor_faults_2_mode(y, self->predicted_state[0], &innovation_m1_0, &mean_m1,
         self->predicted_covariance[0], &covariance_m1, &pivot_m1_0, &log_density_m1,
         sensor_faults_2_mode_numbers[1], present);
     if (status != SENSOR_FAULTS_2_OK) { return status; }
@@ -539,7 +539,7 @@ sensor_faults_2_status_t sensor_faults_2_start(sensor_faults_2_t *self, const do
     {
         return SENSOR_FAULTS_2_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < SENSOR_FAULTS_2_NX; ++i)
+    for (i = 0; i < SENSOR_FAULTS_2_NE; ++i)
     {
         if (P[SENSOR_FAULTS_2_P(i, i)] < 0.0) { return SENSOR_FAULTS_2_NOT_POSITIVE_DEFINITE; }
     }

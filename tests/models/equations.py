@@ -73,4 +73,5 @@ def table(model, parameters=None, family="equations:FAMILY", **sections):
 
 
 def read(model, parameters=None, **sections):
-    return fkgen.Spec.from_dict(table(model, parameters, **sections))
+    family = sections.pop("family", "equations:FAMILY")
+    return fkgen.Spec.from_dict(table(model, parameters, family, **sections))

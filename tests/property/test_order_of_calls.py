@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 import partial_plants
 import pytest
+import random_equations
 import sensor_specs
 import soft_plants
 import spread
@@ -26,6 +27,8 @@ from toolchain import needs_compiler
 from fkgen.errors import StepRefused
 from fkgen.families import family
 from fkgen.oracle.claims.claim import Record
+from fkgen.oracle.plants.equations import system_of
+from fkgen.oracle.textbook.nonlinear import Extended
 
 pytestmark = needs_compiler()
 
@@ -40,6 +43,9 @@ DIAGONAL = random_model(302, 2, 3, 1, direct=True)
 UNDRIVEN = random_model(303, 3, 3, 1)  # y says nothing of the input
 STAGES = ("filtered", "predicted")
 GATE = 0.9
+#: Random plants by equations: a second update of a sample linearises anew, so it is no part of one.
+BY_EQUATIONS = ("ekf_attitude", "mkf", "mkf_attitude", "mme_attitude", "mme_sensed", "imm_jump")
+BY_EQUATIONS += ("imm_attitude", "imm_three", "one_step_attitude", "genie_attitude")
 LAW = sensor_specs.PROBLEMS["4"] | {"rows": [0, 1]}
 
 
@@ -133,12 +139,15 @@ def plants():
             spread.TWO, family="compression_full", host=[], window=3
         ),
         "cpcf": soft_plants.soft(spread.TWO_ALONE, family="cpcf", host=[1], window=2),
-    }
+    } | {f"nonlinear_{case}": random_equations.spec(case) for case in BY_EQUATIONS}
 
 
 #: Plants that take several updates of one sample; the others refuse the second one.
 TAKES = {"kf", "kf_joseph", "kf_functions", "mkf", "mme", "mme_no_floor", "genie", "imm"}
 TAKES |= {"imm_jump", "kf_gated"}
+TAKES |= {f"nonlinear_{case}" for case in BY_EQUATIONS} - {
+    f"nonlinear_{case}" for case in ("mkf_attitude", "mme_sensed", "imm_three", "one_step_attitude")
+}
 #: Rows of y that only one of several updates may take, together.
 TOGETHER = {name: [{1, 3}] for name in ("kf", "kf_joseph", "genie")} | {"kf_functions": [{0, 1}]}
 
@@ -175,7 +184,7 @@ def planned(name, rng):
         kind = rng.choice(["step", "predict", "update", "updates"])
         rows = [i for i in range(p) if rng.random() < 0.7]
         parts = {"step": [rows], "predict": [], "update": [rows]}.get(kind)
-        if parts is None and name in TAKES:
+        if parts is None and name in TAKES and not name.startswith("nonlinear_"):
             where = rng.integers(0, 3, p)
             if name == "kf_gated":  # which rows it rejects depends on their order
                 where.sort()
@@ -335,3 +344,39 @@ def test_three_hundred_orders_of_calls_a_family_are_the_records_that_they_make(n
     kin = [each for each in plants().values() if each.filter.family == plants()[name].filter.family]
     for seed in range(100, 100 + -(-300 // len(kin))):
         assert_follows(name, seed)
+
+
+SENSORS = {"ekf_attitude": 1, "imm_jump": 3, "imm_attitude": 3}
+
+
+@pytest.mark.parametrize("case", SENSORS)
+def test_sensors_of_one_sample_linearise_one_after_the_other(case):
+    """Each mode is corrected twice, at its own estimate; its weight keeps the density of both."""
+    model = random_equations.spec(case).model
+    diagonal = np.diag(np.diag(model.R.values({"gain": 0.8}))).tolist()
+    plant = random_equations.spec(case, R=diagonal)
+    record = random_equations.record(plant, seed=3)
+    faults = plant.faults.jump
+    modes = [None] if faults is None else faults.modes
+    systems = [system_of(plant, 8, record.parameters, mode) for mode in modes]
+    prior = np.ones(1) if faults is None else np.array(faults.initial)
+    found, now = built(plant), {name: float(v[0]) for name, v in record.parameters.items()}
+    found.reset()
+    held, logs = [(each.space.normal(each.x0), each.P0) for each in systems], np.log(prior)
+    for row in range(plant.model.ny):
+        y = np.full(plant.model.ny, np.nan)
+        y[row] = record.y[0, row] if np.isfinite(record.y[0, row]) else 0.3
+        told = found.update(y, record.u[0], now)
+        for i, each in enumerate(systems):
+            one = Extended(system=each)
+            corrected = one.update(0, held[i], y, record.u[0])
+            held[i] = one.filtered(held[i], corrected)
+            logs[i] += corrected.agreement[1]
+        weights = np.exp(logs - np.logaddexp.reduce(logs))
+        x, P = systems[0].space.mixture(
+            weights, *(np.array(each) for each in zip(*held, strict=True))
+        )
+        np.testing.assert_allclose(told.filtered_state, x, atol=1e-12)
+        np.testing.assert_allclose(told.filtered_covariance, P, atol=1e-12)
+        if len(prior) > 1:
+            np.testing.assert_allclose(told.mode_probability, weights, atol=1e-12)

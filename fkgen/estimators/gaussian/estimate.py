@@ -98,37 +98,14 @@ def correct(
     A plant with f and h is linearised there. ``as_errors`` leaves the corrections of a state with
     attitudes as errors about the prediction.
     """
-    whole, packed = prior
-    n, covariance, C = plant.ne, unpack(packed, plant.ne), plant.C
-    state = ca.SX.zeros(n) if plant.attitudes else whole
-    if actuation.size and plant.D.nnz():  # y depends on the random part of the input
-        state = ca.vertcat(state, ca.SX.zeros(actuation.size))
-        covariance = ca.diagcat(covariance, actuation.covariance)
-        C = ca.horzcat(C, plant.D @ actuation.through)
-    offset, S = plant.D @ actuation.mean + plant.d, None
-    if plant.seen is not None:  # h has all of it
-        offset = ca.SX(plant.ny, 1)
-    if moved := moved_by_noise(plant):  # the noise of x that v tells of is estimated with x
-        state, C = (
-            ca.vertcat(state, ca.SX.zeros(len(moved))),
-            ca.horzcat(C, ca.SX(plant.ny, len(moved))),
-        )
-        covariance = ca.diagcat(covariance, plant.Q[moved, moved])
-        S = ca.vertcat(ca.SX(n, plant.ny), plant.S[moved, :])
-    measurement = replace(measurement_of(plant, y=y, C=C, offset=offset, R=plant.R), S=S)
+    joint, measurement = _augmented(plant, actuation, prior, y)
     found = condition(
-        builder,
-        (state, covariance),
-        measurement,
-        tag=tag,
-        form=form,
-        with_gain=with_gain,
-        gate=gate,
+        builder, joint, measurement, tag=tag, form=form, with_gain=with_gain, gate=gate
     )
-    turns = bool(plant.attitudes) and not as_errors
+    n, turns = plant.ne, bool(plant.attitudes) and not as_errors
     if turns:
-        found = _turned(builder, plant, whole, found, tag)
-    P, count = unpack(found.covariance, state.numel()), plant.nx if turns else n
+        found = _turned(builder, plant, prior[0], found, tag)
+    P, count = unpack(found.covariance, joint[0].numel()), plant.nx if turns else n
     posterior = Posterior(
         state=found.mean[:count, 0],
         covariance=pack(P[:n, :n]),
@@ -137,6 +114,28 @@ def correct(
         cross_covariance=P[n:, :n],
     )
     return found, posterior
+
+
+def _augmented(
+    plant: Plant, actuation: Actuation, prior: tuple[ca.SX, ca.SX], y: ca.SX
+) -> tuple[tuple[ca.SX, ca.SX], Measurement]:
+    """What y[k] is about, mean and covariance, and how: x, gamma - xi and noise that v tells of."""
+    n, covariance, C = plant.ne, unpack(prior[1], plant.ne), plant.C
+    state = ca.SX.zeros(n) if plant.attitudes else prior[0]
+    if actuation.size and plant.D.nnz():  # y depends on the random part of the input
+        state = ca.vertcat(state, ca.SX.zeros(actuation.size))
+        covariance = ca.diagcat(covariance, actuation.covariance)
+        C = ca.horzcat(C, plant.D @ actuation.through)
+    offset, S = plant.D @ actuation.mean + plant.d, None
+    if plant.seen is not None:  # h has all of it
+        offset = ca.SX(plant.ny, 1)
+    if moved := moved_by_noise(plant):  # the noise of x that v tells of is estimated with x
+        state = ca.vertcat(state, ca.SX.zeros(len(moved)))
+        C = ca.horzcat(C, ca.SX(plant.ny, len(moved)))
+        covariance = ca.diagcat(covariance, plant.Q[moved, moved])
+        S = ca.vertcat(ca.SX(n, plant.ny), plant.S[moved, :])
+    measurement = measurement_of(plant, y=y, C=C, offset=offset, R=plant.R)
+    return (state, covariance), replace(measurement, S=S)
 
 
 def _turned(

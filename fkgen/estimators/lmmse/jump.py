@@ -201,7 +201,7 @@ def ports_of(z: AugmentedState, *, covariances: bool) -> tuple[Port, ...]:
 
 def start_of(z: AugmentedState, ports: Sequence[Port], symbols: dict[str, ca.SX]) -> Phase:
     """The prior, shared out by the law of the mode: x has P, every part its share of it."""
-    given, law = prior_symbols(z.base.nx), np.array(z.chain.initial)
+    given, law = prior_symbols(z.base), np.array(z.chain.initial)
     builder, x, P = PhaseBuilder({**symbols, **given}), given["x"], unpack(given["P"], z.base.nx)
     groups = np.array([law[list(group)].sum() for group in z.groups])
     share, inner = np.kron(z.shares, groups)[:-1], z.own.start

@@ -75,7 +75,7 @@ class UncertainFilter:
 
     def start(self) -> Phase:
         """The moments of the prior; without a constant term its mean has to be 0."""
-        prior = prior_symbols(self.plant.nx)
+        prior = prior_symbols(self.plant)
         builder, x = PhaseBuilder({**self.symbols, **prior}), prior["x"]
         if not self.white:
             squares = [-x[i] * x[i] for i in range(self.plant.nx)]

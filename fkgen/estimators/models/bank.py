@@ -181,19 +181,8 @@ def _update(bank: Bank) -> Phase:
     for _, packed in priors:
         demand_positive(builder, packed)
     bank = replace(bank, plant=bound(builder, bank.plant, "CDRd"))
-    found, posteriors = [], []
-    plants = []
-    for i, prior in enumerate(priors):
-        with builder.titled(f"hypothesis {i}"):
-            inputs, tag = bank.actuation(i), f"_h{i}"
-            (plant,) = seen_from(builder, [bank.plant], [prior[0]], inputs.mean, tag)
-            conditioned, posterior = correct(
-                builder, plant, inputs, prior, y=y, form=bank.form, tag=tag
-            )
-        plants.append(plant)
-        demand_finite(builder, posterior.state)
-        found.append(conditioned)
-        posteriors.append(posterior)
+    each = [_corrected(builder, bank, i, prior) for i, prior in enumerate(priors)]
+    plants, found, posteriors = zip(*each, strict=True)
     with builder.titled("weights of the hypotheses"):
         logs = [
             _log_likelihood(builder, replace(bank, plant=plants[i]), i, priors[i], each)
@@ -226,6 +215,19 @@ def _update(bank: Bank) -> Phase:
             results["log_weight_unfloored"] = weights.unfloored
         builder.assign({name: value for name, value in results.items() if value.numel()})
     return builder.phase()
+
+
+def _corrected(
+    builder: PhaseBuilder, bank: Bank, i: int, prior: Gaussian
+) -> tuple[Plant, Conditioned, Posterior]:
+    """What hypothesis i makes of y[k], and the plant where it is."""
+    inputs, tag = bank.actuation(i), f"_h{i}"
+    with builder.titled(f"hypothesis {i}"):
+        (plant,) = seen_from(builder, [bank.plant], [prior[0]], inputs.mean, tag)
+        y = bank.symbols["y"]
+        found, posterior = correct(builder, plant, inputs, prior, y=y, form=bank.form, tag=tag)
+    demand_finite(builder, posterior.state)
+    return plant, found, posterior
 
 
 def _log_likelihood(

@@ -107,7 +107,7 @@ def combined_innovation(
     builder: PhaseBuilder,
     held: ca.SX,
     predicted: list[ca.SX],
-    found: list[Conditioned],
+    found: Sequence[Conditioned],
     angles: tuple[tuple[int, ...], ca.SX],
 ) -> dict[str, ca.SX]:
     """Innovation of a mixture of predictions of y, its covariance, its NIS over the rows present.

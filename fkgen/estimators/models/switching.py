@@ -489,7 +489,7 @@ def interacting_models(spec: Spec) -> Recursion:
 
 def _start(filtering: Switching, faults: JumpFaults) -> Phase:
     """The prior under each mode: 0, known, in place of the states that it does not have."""
-    given = prior_symbols(filtering.spec.model.nx)
+    given = prior_symbols(filtering.spec.model)
     builder = PhaseBuilder({**filtering.symbols, **given})
     priors = [_of_states((given["x"], given["P"]), mode.kept) for mode in faults.modes]
     states, covariances = zip(*priors, strict=True)

@@ -45,11 +45,11 @@ _STATUS = "status"
 #: What the last axes of a port are, by its name or the last word of it.
 _AXES = {
     "innovation_covariance": ("outputs", "outputs"),
-    "gain": ("states", "outputs"),
-    "filtered_gain": ("states", "outputs"),
+    "gain": ("errors", "outputs"),
+    "filtered_gain": ("errors", "outputs"),
     "success_rate_estimate": ("inputs",),
     "state": ("states",),
-    "covariance": ("states", "states"),
+    "covariance": ("errors", "errors"),
 }
 
 
@@ -91,7 +91,7 @@ def columns_of(layout: Layout, run: Run, selection: Selection) -> Iterator[tuple
     for name in selection.shown:
         if name in DEVIATIONS:
             values = deviation(run, name)
-            yield from ((f"{name}.{s}", values[:, i]) for i, s in enumerate(layout.states))
+            yield from ((f"{name}.{s}", values[:, i]) for i, s in enumerate(layout.errors))
             continue
         port, entries = ports[name], np.moveaxis(run[name], 0, -1)
         axes = _labels(layout, port)

@@ -16,12 +16,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fkgen.faults import SoftFaults
-from fkgen.problem import Signal, Spec
+from fkgen.problem import Name, Signal, Spec
 from fkgen.runtime.results import Run
 from fkgen.study.records.files import refuse_format, write_whole
 from fkgen.study.records.record import Table
 from fkgen.study.records.summary import GAP, usual_pause
 from fkgen.symbolic.interface import VERDICTS
+from fkgen.symbolic.lifting.equations import places
 
 Array = NDArray[np.floating]
 
@@ -86,8 +87,11 @@ def gaps_of(time: Array, silent: NDArray[np.bool_]) -> list[tuple[float, float]]
 
 
 def _read_by(spec: Spec) -> tuple[tuple[int, ...], ...]:
-    """Per state the rows of y that read this state alone, as it is."""
-    model = spec.model
+    """Per number of x the rows of y that read it alone, as it is."""
+    model, equations = spec.model, spec.model.equations
+    if equations is not None:
+        seen = [[i for i, h in enumerate(equations.h) if h == Name(x)] for x in equations.states]
+        return tuple(map(tuple, seen))
     rows = np.asarray(model.C.values(spec.defaults))
     others = [m.values(spec.defaults) for m in (model.D, model.d)]
     alone = (np.count_nonzero(rows, axis=1) == 1) & (rows.max(axis=1) == 1.0)
@@ -104,13 +108,13 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     ``mode_probability``, and ``test_statistic``, ``test_dof`` and ``fault_declared`` are drawn if
     they are there.
     """
-    states, outputs, soft = spec.model.states[:LARGEST], spec.model.outputs, spec.faults.soft
+    states, outputs, soft = _panels_of(spec)[:LARGEST], spec.model.outputs, spec.faults.soft
     units = {one.unit: [i for i, s in enumerate(outputs) if s.unit == one.unit] for one in outputs}
     time, label = np.asarray(table.time, dtype=float), table.time_label or "sample"
     if not table.time_name and spec.period is not None:
         time, label = time * spec.period, "time (s)"
     sheet = _Sheet(spec, run, time, np.asarray(table.y, dtype=float), _read_by(spec))
-    draws = [partial(_draw_state, sheet=sheet, i=i) for i in range(len(states))]
+    draws = [partial(draw_one, sheet=sheet) for draw_one in states]
     if "innovation" in run.ports:
         draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
     if "nis" in run.ports:
@@ -167,12 +171,50 @@ def label_of(signal: Signal) -> str:
     return signal.name.replace("_", " ") + unit
 
 
-def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
+def _panels_of(spec: Spec) -> list[Callable[..., None]]:
+    """What draws each state, from where it stands in x and in covariances."""
+    found: list[Callable[..., None]] = []
+    at = places(spec.model.nx, spec.model.attitudes)
+    for signal, (i, error, turns) in zip(spec.model.states, at, strict=True):
+        drawn = partial(_draw_attitude, i=i) if turns else partial(_draw_state, i=i, error=error)
+        found.append(partial(drawn, signal=signal))
+    return found
+
+
+def _draw_attitude(axis: Axes, sheet: _Sheet, signal: Signal, i: int) -> None:
+    """The four numbers of a filtered unit quaternion; q or -q, whichever is nearer to the last."""
+    q = sheet.run["filtered_state"][:, i : i + 4]
+    turned = np.einsum("ki,ki->k", q[1:], q[:-1]) < 0.0
+    drawn = np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))]) * q.T
+    for values, name, colour in zip(drawn, "wxyz", _SHADES):  # noqa: B905
+        axis.plot(sheet.time, values, color=colour, lw=1.2, label=name)
+    axis.set_ylabel(label_of(Signal(signal.name)))
+    axis.set_ylim(-1.05, 1.05)
+    _mark_refused(axis, sheet)
+    axis.legend(**_RIGHT)
+    if i == 0:
+        _entitle(axis, sheet)
+
+
+def _mark_refused(axis: Axes, sheet: _Sheet) -> None:
+    stopped, across = sheet.time[sheet.run.refused], axis.get_xaxis_transform()
+    if stopped.size:
+        foot = np.full(stopped.shape, 0.03)
+        axis.plot(stopped, foot, "|", ms=5, color=ORANGE, transform=across, label="refused")
+
+
+def _entitle(axis: Axes, sheet: _Sheet) -> None:
+    samples, refused = len(sheet.time), int(sheet.run.refused.sum())
+    text = f"{sheet.spec.name}: {sheet.spec.filter.family}, {samples} samples"
+    axis.set_title(text + (f", {refused} refused" if refused else ""), fontsize=10)
+
+
+def _draw_state(axis: Axes, sheet: _Sheet, signal: Signal, i: int, error: int) -> None:
     """One filtered state within three of its standard deviations."""
     mean = sheet.run["filtered_state"][:, i]
     band = np.zeros_like(mean)
     if "filtered_covariance" in sheet.run.ports:
-        band = 3.0 * np.sqrt(np.maximum(sheet.run["filtered_covariance"][:, i, i], 0.0))
+        band = 3.0 * np.sqrt(np.maximum(sheet.run["filtered_covariance"][:, error, error], 0.0))
         area = (sheet.time, mean - band, mean + band)
         axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
     for at, row in enumerate(sheet.read_by[i]):
@@ -180,11 +222,8 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
         label = None if at else "measured"
         axis.plot(sheet.time[used], sheet.y[used, row], ".", ms=2.0, color=GREY, label=label)
     axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
-    stopped, across = sheet.time[sheet.run.refused], axis.get_xaxis_transform()
-    if stopped.size:
-        foot = np.full(stopped.shape, 0.03)
-        axis.plot(stopped, foot, "|", ms=5, color=ORANGE, transform=across, label="refused")
-    axis.set_ylabel(label_of(sheet.spec.model.states[i]))
+    _mark_refused(axis, sheet)
+    axis.set_ylabel(label_of(signal))
     # room for the state and its usual band: a vague start does not set the scale
     typical = np.minimum(band, 3.0 * np.nanmedian(band))
     low, high = float(np.nanmin(mean - typical)), float(np.nanmax(mean + typical))
@@ -192,9 +231,7 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
     finite = np.isfinite([low, high]).all()
     axis.set_ylim(*((low - margin, high + margin) if finite else (-1.0, 1.0)))
     if i == 0:
-        samples, refused = len(sheet.time), int(sheet.run.refused.sum())
-        text = f"{sheet.spec.name}: {sheet.spec.filter.family}, {samples} samples"
-        axis.set_title(text + (f", {refused} refused" if refused else ""), fontsize=10)
+        _entitle(axis, sheet)
         axis.legend(**_RIGHT)
 
 

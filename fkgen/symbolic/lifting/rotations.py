@@ -101,6 +101,19 @@ def renewed(q: ca.SX) -> ca.SX:
     return (1.5 - 0.5 * length) * (1 - 2 * (q[0] < 0)) * q
 
 
+def within(q: ca.SX, tolerance: float) -> list[ca.SX]:
+    """What is not negative where four numbers are so near to unit length."""
+    apart = ca.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]) - 1
+    return [tolerance - apart, apart + tolerance]
+
+
+def scaled_to_unit(q: ca.SX, rounded: float) -> ca.SX:
+    """`normalised`, but for what is unit but for rounding: as it is, or the opposite."""
+    near = ca.fmax(*(-each for each in within(q, rounded)))
+    sign = _below(q[0], 0.0, ca.SX(-1), ca.SX(1))
+    return _below(near, 0.0, sign * q, normalised(q))
+
+
 def matrix(q: ca.SX) -> ca.SX:
     """The rotation matrix, (3, 3), from body to world."""
     w, x, y, z = ca.vertsplit(q)

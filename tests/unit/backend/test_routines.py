@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
+import sensor_specs
 import spread
-from plants import motor
+from plants import generated, motor, random_model
 
 from fkgen.backend import routines
 from fkgen.backend.expressions import joined
@@ -176,3 +178,12 @@ def test_a_heading_between_two_blocks_that_do_the_same_does_not_hide_it():
     phase = Phase((), body, reads_input=False, reads_parameters=False, chunks=starts)
     outlined = outline(replace(program_of(motor("kf")), update=phase))
     assert len(calls_of(outlined.phases[0].body)) == 2
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_no_caller_reads_y_which_a_prediction_does_not_have(rows):
+    """Where a prediction passes a sample y is NULL: calls of routines are given its address."""
+    law = sensor_specs.PROBLEMS["4"] | {"rows": [0]}
+    plant = sensor_specs.sensed(random_model(7, 3, rows), law, family="imm")
+    text = generated(plant).files["plant.c"]
+    assert not re.findall(r"(?<!double )(?<!&)\by\[\d\][,)]", text)
