@@ -488,7 +488,7 @@ car_speed_status_t car_speed_start(car_speed_t *self, const double x[2], const d
     {
         return CAR_SPEED_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < CAR_SPEED_NX; ++i)
+    for (i = 0; i < CAR_SPEED_NE; ++i)
     {
         if (P[CAR_SPEED_P(i, i)] < 0.0) { return CAR_SPEED_NOT_POSITIVE_DEFINITE; }
     }

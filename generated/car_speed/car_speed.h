@@ -63,6 +63,7 @@ extern "C" {
 #define CAR_SPEED_API_VERSION 1
 #define CAR_SPEED_SPEC_HASH "4b03318208aa83d7"
 #define CAR_SPEED_NX 2
+#define CAR_SPEED_NE 2
 #define CAR_SPEED_NY 6
 #define CAR_SPEED_NU 1
 

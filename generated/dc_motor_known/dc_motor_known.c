@@ -322,7 +322,7 @@ dc_motor_known_status_t dc_motor_known_start(dc_motor_known_t *self, const doubl
     {
         return DC_MOTOR_KNOWN_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < DC_MOTOR_KNOWN_NX; ++i)
+    for (i = 0; i < DC_MOTOR_KNOWN_NE; ++i)
     {
         if (P[DC_MOTOR_KNOWN_P(i, i)] < 0.0) { return DC_MOTOR_KNOWN_NOT_POSITIVE_DEFINITE; }
     }

@@ -991,7 +991,7 @@ dc_motor_unknown_status_t dc_motor_unknown_start(dc_motor_unknown_t *self, const
     {
         return DC_MOTOR_UNKNOWN_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < DC_MOTOR_UNKNOWN_NX; ++i)
+    for (i = 0; i < DC_MOTOR_UNKNOWN_NE; ++i)
     {
         if (P[DC_MOTOR_UNKNOWN_P(i, i)] < 0.0) { return DC_MOTOR_UNKNOWN_NOT_POSITIVE_DEFINITE; }
     }

@@ -356,7 +356,7 @@ fault_effect_a_status_t fault_effect_a_start(fault_effect_a_t *self, const doubl
     {
         return FAULT_EFFECT_A_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < FAULT_EFFECT_A_NX; ++i)
+    for (i = 0; i < FAULT_EFFECT_A_NE; ++i)
     {
         if (P[FAULT_EFFECT_A_P(i, i)] < 0.0) { return FAULT_EFFECT_A_NOT_POSITIVE_DEFINITE; }
     }

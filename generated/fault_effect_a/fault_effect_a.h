@@ -60,6 +60,7 @@ extern "C" {
 #define FAULT_EFFECT_A_API_VERSION 1
 #define FAULT_EFFECT_A_SPEC_HASH "5f93bdc598e0c10a"
 #define FAULT_EFFECT_A_NX 3
+#define FAULT_EFFECT_A_NE 3
 #define FAULT_EFFECT_A_NY 2
 #define FAULT_EFFECT_A_NU 1
 

@@ -1274,7 +1274,7 @@ gps_glitch_status_t gps_glitch_start(gps_glitch_t *self, const double x[3], cons
     {
         return GPS_GLITCH_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < GPS_GLITCH_NX; ++i)
+    for (i = 0; i < GPS_GLITCH_NE; ++i)
     {
         if (P[GPS_GLITCH_P(i, i)] < 0.0) { return GPS_GLITCH_NOT_POSITIVE_DEFINITE; }
     }

@@ -66,6 +66,7 @@ extern "C" {
 #define GPS_GLITCH_API_VERSION 1
 #define GPS_GLITCH_SPEC_HASH "2287aac5afc5e0e5"
 #define GPS_GLITCH_NX 3
+#define GPS_GLITCH_NE 3
 #define GPS_GLITCH_NY 3
 #define GPS_GLITCH_NU 0
 #define GPS_GLITCH_NMODES 4

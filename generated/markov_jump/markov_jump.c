@@ -548,9 +548,9 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const
         (markov_jump_defect(carried_11[8]) + markov_jump_defect(carried_11[16]))) +
         ((markov_jump_defect(t36) + markov_jump_defect(t38)) + markov_jump_defect(t44)))) +
         ((((markov_jump_defect(t54) + markov_jump_defect(carried_9[0])) +
-        (markov_jump_defect(carried_9[6]) + markov_jump_defect(carried_9[12]))) +
-        ((markov_jump_defect(carried_9[2]) + markov_jump_defect(carried_9[5])) +
-        markov_jump_defect(carried_9[8]))) + (((markov_jump_defect(carried_9[11]) +
+        (markov_jump_defect(carried_9[2]) + markov_jump_defect(carried_9[5]))) +
+        ((markov_jump_defect(carried_9[6]) + markov_jump_defect(carried_9[8])) +
+        markov_jump_defect(carried_9[11]))) + (((markov_jump_defect(carried_9[12]) +
         markov_jump_defect(carried_9[14])) + markov_jump_defect(carried_9[17])) +
         ((markov_jump_defect(carried_9[18]) + markov_jump_defect(carried_9[19])) +
         markov_jump_defect(carried_9[20]))))))
@@ -1414,7 +1414,7 @@ markov_jump_status_t markov_jump_start(markov_jump_t *self, const double x[3], c
     {
         return MARKOV_JUMP_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < MARKOV_JUMP_NX; ++i)
+    for (i = 0; i < MARKOV_JUMP_NE; ++i)
     {
         if (P[MARKOV_JUMP_P(i, i)] < 0.0) { return MARKOV_JUMP_NOT_POSITIVE_DEFINITE; }
     }

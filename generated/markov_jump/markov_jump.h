@@ -81,6 +81,7 @@ extern "C" {
 #define MARKOV_JUMP_API_VERSION 1
 #define MARKOV_JUMP_SPEC_HASH "05ec54432ede3087"
 #define MARKOV_JUMP_NX 3
+#define MARKOV_JUMP_NE 3
 #define MARKOV_JUMP_NY 1
 #define MARKOV_JUMP_NU 0
 

@@ -539,7 +539,7 @@ sensor_faults_1_status_t sensor_faults_1_start(sensor_faults_1_t *self, const do
     {
         return SENSOR_FAULTS_1_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < SENSOR_FAULTS_1_NX; ++i)
+    for (i = 0; i < SENSOR_FAULTS_1_NE; ++i)
     {
         if (P[SENSOR_FAULTS_1_P(i, i)] < 0.0) { return SENSOR_FAULTS_1_NOT_POSITIVE_DEFINITE; }
     }

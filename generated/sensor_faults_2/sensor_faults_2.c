@@ -539,7 +539,7 @@ sensor_faults_2_status_t sensor_faults_2_start(sensor_faults_2_t *self, const do
     {
         return SENSOR_FAULTS_2_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < SENSOR_FAULTS_2_NX; ++i)
+    for (i = 0; i < SENSOR_FAULTS_2_NE; ++i)
     {
         if (P[SENSOR_FAULTS_2_P(i, i)] < 0.0) { return SENSOR_FAULTS_2_NOT_POSITIVE_DEFINITE; }
     }

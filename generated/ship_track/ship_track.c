@@ -1428,7 +1428,7 @@ ship_track_status_t ship_track_start(ship_track_t *self, const double x[4], cons
     {
         return SHIP_TRACK_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < SHIP_TRACK_NX; ++i)
+    for (i = 0; i < SHIP_TRACK_NE; ++i)
     {
         if (P[SHIP_TRACK_P(i, i)] < 0.0) { return SHIP_TRACK_NOT_POSITIVE_DEFINITE; }
     }

@@ -93,6 +93,7 @@ extern "C" {
 #define SHIP_TRACK_API_VERSION 1
 #define SHIP_TRACK_SPEC_HASH "a02885879ff3ea97"
 #define SHIP_TRACK_NX 4
+#define SHIP_TRACK_NE 4
 #define SHIP_TRACK_NY 4
 #define SHIP_TRACK_NU 0
 #define SHIP_TRACK_NMODES 3

@@ -523,7 +523,7 @@ soft_fault_cpcf_status_t soft_fault_cpcf_start(soft_fault_cpcf_t *self, const do
     {
         return SOFT_FAULT_CPCF_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < SOFT_FAULT_CPCF_NX; ++i)
+    for (i = 0; i < SOFT_FAULT_CPCF_NE; ++i)
     {
         if (P[SOFT_FAULT_CPCF_P(i, i)] < 0.0) { return SOFT_FAULT_CPCF_NOT_POSITIVE_DEFINITE; }
     }

@@ -531,7 +531,7 @@ soft_fault_dfcf_status_t soft_fault_dfcf_start(soft_fault_dfcf_t *self, const do
     {
         return SOFT_FAULT_DFCF_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < SOFT_FAULT_DFCF_NX; ++i)
+    for (i = 0; i < SOFT_FAULT_DFCF_NE; ++i)
     {
         if (P[SOFT_FAULT_DFCF_P(i, i)] < 0.0) { return SOFT_FAULT_DFCF_NOT_POSITIVE_DEFINITE; }
     }

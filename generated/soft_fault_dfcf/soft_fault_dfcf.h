@@ -54,6 +54,7 @@ extern "C" {
 #define SOFT_FAULT_DFCF_API_VERSION 1
 #define SOFT_FAULT_DFCF_SPEC_HASH "47b2c0ecf6aea9db"
 #define SOFT_FAULT_DFCF_NX 2
+#define SOFT_FAULT_DFCF_NE 2
 #define SOFT_FAULT_DFCF_NY 2
 #define SOFT_FAULT_DFCF_NU 0
 

@@ -1854,7 +1854,7 @@ wheel_drift_status_t wheel_drift_start(wheel_drift_t *self, const double x[2], c
     {
         return WHEEL_DRIFT_INPUT_NOT_FINITE;
     }
-    for (i = 0; i < WHEEL_DRIFT_NX; ++i)
+    for (i = 0; i < WHEEL_DRIFT_NE; ++i)
     {
         if (P[WHEEL_DRIFT_P(i, i)] < 0.0) { return WHEEL_DRIFT_NOT_POSITIVE_DEFINITE; }
     }

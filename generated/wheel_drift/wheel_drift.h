@@ -68,6 +68,7 @@ extern "C" {
 #define WHEEL_DRIFT_API_VERSION 1
 #define WHEEL_DRIFT_SPEC_HASH "070183f2f836605c"
 #define WHEEL_DRIFT_NX 2
+#define WHEEL_DRIFT_NE 2
 #define WHEEL_DRIFT_NY 6
 #define WHEEL_DRIFT_NU 1
 
