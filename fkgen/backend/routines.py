@@ -13,11 +13,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, combinations, count, groupby
-from typing import Any
+from typing import Any, get_args
 
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Space
 from fkgen.errors import InternalError
+from fkgen.symbolic.index import Index, Whole
 
 #: Fewer lines than this are not worth a call.
 SHORTEST = 8
@@ -77,8 +78,11 @@ def form_of(statements: Sequence[ir.Statement]) -> Form:
             case Element(Space.PARAMETER):
                 return part
             case Element(space, name, index):
-                slot, base = variables.setdefault((space, name), (len(variables), index))
+                own = 0 if isinstance(index, Index) else index  # loops count from the first element
+                slot, base = variables.setdefault((space, name), (len(variables), own))
                 return slot, (index or 0) - (base or 0)
+            case Index():
+                return part
         given[_kind(part)].append(part.value if isinstance(part, ir.Literal) else part)
         return "given"
 
@@ -122,7 +126,7 @@ class _Function:
         at = 0
         while at < len(self.blocks):
             chunk = self.blocks[at].statements
-            if len(chunk) > LONGEST and not any(isinstance(n, ir.Condition) for n in chunk):
+            if len(chunk) > LONGEST and not any(isinstance(n, ir.Nested) for n in chunk):
                 name = f"carried_{len(self.locals)}"
                 pieces, size = _halves(chunk, name)
                 self.locals.append(ir.Local(name, size, None))
@@ -232,7 +236,7 @@ def _function(verb: str, phase: ir.Phase) -> _Function:
 
 def _apart(chunk: ir.Body) -> list[ir.Body]:
     """What a chunk does several times with other numbers, one after the other."""
-    if any(isinstance(node, ir.Copy | ir.Condition) for node in chunk):
+    if any(isinstance(node, ir.Copy | ir.Nested) for node in chunk):
         return [chunk]
     written = {node.target for node in ir.every(ir.Assign, chunk)}
     computed = (o for node in ir.every(ir.Operate, chunk) for o in node.arguments)
@@ -271,7 +275,7 @@ def _independent(chunk: ir.Body) -> list[ir.Body]:
 
 def lines_of(statements: ir.Body) -> int:
     """About how many lines statements take in C."""
-    braced = (ir.Require, ir.IfPresent, ir.IfPositive)
+    braced = (ir.Require, *get_args(ir.Nested))
     return sum(
         4 if isinstance(n, braced) else 5 + len(n.arguments) // 3 if isinstance(n, ir.Call) else 1
         for n in ir.walk(statements)
@@ -472,7 +476,7 @@ def _drafted(
 
     def part(part: Any) -> Any:
         match part:
-            case ir.Temp() | Element(Space.PARAMETER):
+            case ir.Temp() | Element(Space.PARAMETER) | Index():
                 return part
             case Element(space, own, index):
                 place, low = places[space, own]
@@ -526,8 +530,9 @@ def _places(
         if len(own) == 1 and (private := own.pop()):
             places[key] = replace(private[1], name=name), 0
             continue
-        single = key not in written | passed and len(indices[key]) == 1
-        low = min((i for i in indices[key] if i is not None), default=0)
+        moves = any(isinstance(i, Index) for i in indices[key])
+        single = key not in written | passed and len(indices[key]) == 1 and not moves
+        low = 0 if moves else min((i for i in indices[key] if isinstance(i, int)), default=0)
         places[key] = ir.Argument(name, key in written, single), low
     return places
 
@@ -583,9 +588,9 @@ def expanded(routine: ir.Routine, call: ir.Call, locals_: Mapping[str, str]) -> 
 
 def _uses(
     statements: ir.Body, known: Mapping[str, tuple[ir.Argument, ...]]
-) -> tuple[dict[Variable, set[int | None]], set[Variable], set[Variable]]:
+) -> tuple[dict[Variable, set[Whole | None]], set[Variable], set[Variable]]:
     """The elements of each variable that are used; what is written; what is passed on as array."""
-    indices: dict[Variable, set[int | None]] = defaultdict(set)
+    indices: dict[Variable, set[Whole | None]] = defaultdict(set)
     for element in ir.elements(statements):
         indices[element.space, element.name].add(element.index)
     written = {(n.target.space, n.target.name) for n in ir.every(ir.Assign, statements)}
