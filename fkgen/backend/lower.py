@@ -57,7 +57,11 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
         ports, lowered = selected(ports, lowered, shown)
     names, phases = {port.name for port in ports}, list(lowered.values())
-    form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
+    form: tuple[str, ...] = (
+        () if recursion.form is None else (f"covariance update: {recursion.form} form",)
+    )
+    if any(True for phase in phases for _ in ir.every(ir.For, phase.body)):
+        form += ("form of the code: loops over rows of y, straight lines elsewhere",)
     return verify(
         ir.CProgram(
             name=spec.name,

@@ -76,6 +76,15 @@ class PhaseBuilder:
             self._owner[symbol.element_hash()] = place
         return self._symbols[place]
 
+    def array(self, name: str, value: ca.SX) -> str:
+        """The variable that a column is, for loops to read it, or a new one with its values."""
+        owner = self._owner.get(value[0].element_hash())
+        if isinstance(owner, str) and ca.is_equal(self._symbols[owner], value, 1):
+            return owner
+        self.local(name, value.numel())
+        self.assign({name: value})
+        return name
+
     def table(self, name: str, values: Sequence[float]) -> None:
         """Declare an array of constants that loops read."""
         self.local(name, len(values))

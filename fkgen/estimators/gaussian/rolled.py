@@ -14,18 +14,13 @@ from itertools import pairwise
 
 import casadi as ca
 
-from fkgen.estimators.gaussian.decorrelation import Measurement, Row
+from fkgen.estimators.gaussian.decorrelation import Measurement, Row, are_many
 from fkgen.estimators.gaussian.gate import HALF, Gate
 from fkgen.estimators.gaussian.rows import Form, SequentialUpdate
 from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.index import At, Index, Whole, packed, variable
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column, pack
-
-#: Operations of one conditioning beyond which loops take the place of straight lines. So many fill
-#: half of an instruction cache of 32 kB; from here on loops are as fast within a fifth (twice as
-#: fast at three times as many), and their text does not grow with further rows.
-STRAIGHT = 1400
 
 #: Loops know no zeros. Where they compute more than so many times what is needed, straight lines
 #: are kept up to a multiple of that limit.
@@ -37,11 +32,11 @@ def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
     (p, m), at, R = measurement.C.shape, measurement.at, measurement.R
     if p < 2 or len({b - a for a, b in pairwise(at)}) > 1:
         return False  # rows of y without a rule
-    coupled = R.nnz() / p - 1.0
+    coupled = max(R.nnz() / p - 1.0, 0.0)
     seen = m if coupled > 0.0 else measurement.C.nnz() / p
     needed = operations(p, m, seen, coupled, with_gain=with_gain)
     dense = operations(p, m, m, p - 1.0 if coupled > 0.0 else 0.0, with_gain=with_gain)
-    return needed > STRAIGHT * (1 if dense <= DENSER * needed else LONGEST)
+    return are_many(needed, 1.0 if dense <= DENSER * needed else LONGEST)
 
 
 def operations(p: int, m: int, seen: float, coupled: float, *, with_gain: bool) -> float:
@@ -68,6 +63,10 @@ class Arrays:
     tag: str
     with_gain: bool
 
+    def name(self, what: str) -> str:
+        """The variable of an array."""
+        return f"rows_{what}{self.tag}"
+
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of rows and of what they measure."""
@@ -77,15 +76,17 @@ class Arrays:
     @property
     def is_coupled(self) -> bool:
         """Whether noises of rows are correlated."""
-        return not self.measurement.R.sparsity().is_diag()
+        return any(
+            i != j for i, j in zip(*self.measurement.R.sparsity().get_triplet(), strict=True)
+        )
 
     def __getitem__(self, place: tuple[str, Whole]) -> ca.SX:
         """An element as it is read."""
-        return self.builder.at(f"{place[0]}{self.tag}", place[1])
+        return self.builder.at(self.name(place[0]), place[1])
 
     def place(self, what: str, index: Whole) -> At:
         """An element as it is assigned."""
-        return At(f"{what}{self.tag}", index)
+        return At(self.name(what), index)
 
     def column(self, what: str, j: Whole) -> ca.SX:
         """Row j of an array with rows side by side."""
@@ -107,7 +108,7 @@ class Arrays:
 
     def fill(self, what: str, values: Sequence[ca.SX], *, changes: bool = True) -> None:
         """Declare an array of these values; one of constants that never changes is a table."""
-        builder, name, size = self.builder, f"{what}{self.tag}", len(values)
+        builder, name, size = self.builder, self.name(what), len(values)
         known = [value.is_constant() for value in values]
         numbers = [float(v) if k else 0.0 for v, k in zip(values, known, strict=True)]
         if all(known) and not changes:
@@ -141,9 +142,9 @@ class Arrays:
             entries = [S[k, i] for k in range(m) for i in range(p)]
             self.fill("shared_noise", entries, changes=coupled)
         for what in ("coupling", "share"):
-            builder.local(f"{what}{self.tag}", p)
+            builder.local(self.name(what), p)
         if self.with_gain:
-            builder.local(f"combined{self.tag}", p * p)
+            builder.local(self.name("combined"), p * p)
             with builder.loop("i", 0, p) as i:
                 with builder.loop("k", 0, p) as k:
                     builder.assign({self.place("combined", p * i + k): ca.SX(0)})
@@ -152,7 +153,7 @@ class Arrays:
     def innovation_covariance(self, covariance: ca.SX) -> ca.SX:
         """S = C P C' + R, packed, before noise is eliminated."""
         builder, (p, _) = self.builder, self.shape
-        S = builder.local(f"variance{self.tag}", p * (p + 1) // 2)
+        S = builder.local(self.name("variance"), p * (p + 1) // 2)
         with builder.loop("i", 0, p) as i:
             product = covariance @ self.column("sensed", i)
             product = builder.define(f"sensed_covariance{self.tag}", product)
@@ -238,10 +239,10 @@ class RolledUpdate(SequentialUpdate):
             return
         k = builder.define(f"row_gain{self.tag}", cross * builder.symbol(f"inverse{self.label(i)}"))
         with builder.loop("i", 0, j + 1) as q:
-            old = column([arrays["update_gain", p * a + q] for a in range(m)])
+            old = column([arrays["gain", p * a + q] for a in range(m)])
             rest = arrays["combined", p * j + q] - ca.mtimes(seen.T, old)
             new = old + k * rest
-            builder.assign({arrays.place("update_gain", p * a + q): new[a] for a in range(m)})
+            builder.assign({arrays.place("gain", p * a + q): new[a] for a in range(m)})
 
 
 def taken_in_loops(
@@ -252,7 +253,7 @@ def taken_in_loops(
     gate: Gate | None,
 ) -> SequentialUpdate:
     """The prior with all rows, taken in by loops; with a gate their noise leaves once they pass."""
-    builder, tag, measurement, (p, m) = arrays.builder, arrays.tag, arrays.measurement, arrays.shape
+    builder, measurement, (p, m) = arrays.builder, arrays.measurement, arrays.shape
     with builder.titled("rows of y as arrays"):
         arrays.fill_all(innovation)
     with builder.titled("covariance of the innovation"):
@@ -263,12 +264,12 @@ def taken_in_loops(
             builder.loop("j", 0, p - 1) as j,
         ):
             arrays.eliminate(j)
-    builder.local(f"pivots{tag}", p)
+    builder.local(arrays.name("pivots"), p)
     if arrays.with_gain:
-        builder.local(f"update_gain{tag}", m * p)
+        builder.local(arrays.name("gain"), m * p)
         with builder.loop("i", 0, m * p) as i:
-            builder.assign({arrays.place("update_gain", i): ca.SX(0)})
-    rejected = builder.local(f"rows_rejected{tag}", p, initial=0.0) if gate else None
+            builder.assign({arrays.place("gain", i): ca.SX(0)})
+    rejected = builder.local(arrays.name("rejected"), p, initial=0.0) if gate else None
     with builder.titled("every row of y"):
         update = _begun(arrays, prior, form, gate)
         with builder.loop("j", 0, p) as j:
@@ -277,10 +278,10 @@ def taken_in_loops(
             update.update_row(0)
             if gate is not None:
                 flag = update.rejected[0]
-                builder.assign({arrays.place("rows_rejected", j): flag})
+                builder.assign({arrays.place("rejected", j): flag})
                 if arrays.is_coupled:
                     arrays.eliminate(j, HALF - flag)
-    pivots = ca.vertsplit(builder.symbol(f"pivots{tag}"))
+    pivots = ca.vertsplit(builder.symbol(arrays.name("pivots")))
     chunks = -(-p // measurement.pivots_per_log)
     update.determinant = [ca.SX(1)] * chunks
     for at, pivot in enumerate(pivots):
@@ -289,7 +290,7 @@ def taken_in_loops(
     update.variance = S
     update.rejected = [] if rejected is None else ca.vertsplit(rejected)
     if arrays.with_gain:
-        update.gain = ca.reshape(builder.symbol(f"update_gain{tag}"), p, m).T
+        update.gain = ca.reshape(builder.symbol(arrays.name("gain")), p, m).T
     return update
 
 
