@@ -103,9 +103,15 @@ class _Block:
     statements: ir.Body
     section: str
     form: Form = field(init=False)
+    key: int = field(init=False)  # other for most other shapes
+    names: frozenset[Variable] = field(init=False)
+    lines: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.form = form_of(self.statements)
+        self.key = hash(self.form.shape)
+        self.names = frozenset(key for key, _ in self.form.variables)
+        self.lines = lines_of(self.statements)
 
 
 @dataclass(slots=True, eq=False)
@@ -119,7 +125,7 @@ class _Function:
     def users(self, name: str) -> set[int]:
         """Which blocks use a local."""
         key = (Space.LOCAL, name)
-        return {i for i, block in enumerate(self.blocks) if key in dict(block.form.variables)}
+        return {i for i, block in enumerate(self.blocks) if key in block.names}
 
     def split(self) -> None:
         """Cut blocks that are too long; what later statements read is carried in an array."""
@@ -293,12 +299,17 @@ class _Book:
         """The runs whose outlining saves most; none if nothing is worth it."""
         best: tuple[int, list[_Run]] = (0, [])
         seen: set[_Run] = set()
+        alike = Counter(block.key for function in self.functions for block in function.blocks)
         for run in self._candidates():
             if run in seen:
                 continue
+            lines, most = sum(block.lines for block in run.blocks), alike[run.blocks[0].key]
+            if (most - 1) * lines - OVERHEAD - 2 * most <= best[0]:
+                continue  # it cannot save more
             runs = self._like(run)
             seen |= set(runs)
-            lines = lines_of(run.statements)
+            if (len(runs) - 1) * lines - OVERHEAD - 2 * len(runs) <= best[0]:
+                continue
             call = 2 + len(form_of(run.statements).variables) // 3
             saved = (len(runs) - 1) * lines - OVERHEAD - len(runs) * call
             enough = len(runs) > 1 and lines >= SHORTEST and not run.is_call
@@ -327,11 +338,13 @@ class _Book:
     def _like(self, run: _Run) -> list[_Run]:
         """All runs like this one that do not overlap."""
         blocks, found = run.blocks, []
+        wanted = [block.key for block in blocks]
         for function in self.functions:
-            at = 0
+            keys, at = [block.key for block in function.blocks], 0
             while at + len(blocks) <= len(function.blocks):
                 other = _Run(function, at, at + len(blocks))
-                same = _alike(blocks, other.blocks) == len(blocks) and other.is_whole()
+                same = keys[at : at + len(blocks)] == wanted
+                same = same and _alike(blocks, other.blocks) == len(blocks) and other.is_whole()
                 found += [other] if same else []
                 at += len(blocks) if same else 1
         return found
@@ -448,7 +461,7 @@ def _alike(one: Sequence[_Block], other: Sequence[_Block]) -> int:
     back: dict[Variable, Variable] = {}
     for length, (block, twin) in enumerate(zip(one, other, strict=False)):
         a, b = block.form, twin.form
-        if a.shape != b.shape:
+        if block.key != twin.key or a.shape != b.shape:
             return length
         for (key, base), (name, at) in zip(a.variables, b.variables, strict=True):
             shifted = name, (at or 0) - (base or 0)

@@ -176,7 +176,7 @@ class Whitened:
 def whiten(builder: PhaseBuilder, packed: ca.SX, columns: ca.SX, tag: str) -> Whitened:
     """Write the blocks that eliminate S (packed) from ``columns`` (p, c)."""
     p = columns.shape[0]
-    if are_many(p**3 / 3.0 + p**2 * columns.shape[1]):
+    if are_many(p**4 / 3.0):  # each step in line goes through those before it again
         return _whiten_in_loops(builder, packed, columns, tag)
     S = ca.SX(unpack(packed, p))
     rows = [columns[i, :] for i in range(p)]

@@ -23,8 +23,9 @@ from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column, pack
 
 #: Loops know no zeros. Where they compute more than so many times what is needed, straight lines
-#: are kept up to a multiple of that limit.
-DENSER, LONGEST = 1.5, 20
+#: are kept up to a multiple of the limit: of zeros in C, which thin out every row, a larger one
+#: than of zeros in R, which save nothing but a part of the elimination.
+DENSER, SPARSE, APART = 1.5, 20.0, 6.0
 
 
 def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
@@ -36,7 +37,8 @@ def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
     seen = m if coupled > 0.0 else measurement.C.nnz() / p
     needed = operations(p, m, seen, coupled, with_gain=with_gain)
     dense = operations(p, m, m, p - 1.0 if coupled > 0.0 else 0.0, with_gain=with_gain)
-    return are_many(needed, 1.0 if dense <= DENSER * needed else LONGEST)
+    kept = 1.0 if dense <= DENSER * needed else APART if coupled else SPARSE
+    return are_many(needed, kept)
 
 
 def operations(p: int, m: int, seen: float, coupled: float, *, with_gain: bool) -> float:

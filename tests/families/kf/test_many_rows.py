@@ -10,6 +10,7 @@ from plants import covariance
 from toolchain import needs_compiler
 
 import fkgen
+from fkgen.errors import StepRefused
 
 pytestmark = needs_compiler()
 
@@ -95,3 +96,40 @@ def test_any_rows_may_be_missing(n, p, scalar):
     assert sum(map(len, source.files.values())) < SIZE
     innovation = y[0] - plant(n, p)["C"] @ plant(n, p)["x0"]
     np.testing.assert_allclose(found.innovation[0], innovation, rtol=1e-5, atol=1e-5)
+
+
+def test_calls_in_any_order():
+    """Updates, predictions and steps at random; a second update of correlated rows is refused."""
+    n, p = 4, 40
+    built_filter, book = fkgen.compile(built(n, p, "double")), Textbook(plant(n, p))
+    rng, updated = np.random.default_rng(11), False
+    for verb in rng.choice(["update", "predict", "step"], 40):
+        y = rng.standard_normal(p) * 3.0
+        y[rng.random(p) < rng.random()] = np.nan
+        y[rng.integers(p)] = 0.5
+        if verb != "predict" and updated:
+            with pytest.raises(StepRefused):
+                getattr(built_filter, verb)(y)
+        elif verb == "predict":
+            built_filter.predict()
+            book.predict()
+            updated = False
+        else:
+            getattr(built_filter, verb)(y)
+            book.update(y)
+            filtered = book.x, book.P[np.tril_indices(n)]
+            updated = verb == "update"
+            if verb == "step":
+                book.predict()
+            for name, value in zip(
+                ("filtered_state", "filtered_covariance"), filtered, strict=True
+            ):
+                np.testing.assert_allclose(built_filter.state(name), value, rtol=0, atol=1e-10)
+        if not updated:
+            np.testing.assert_allclose(built_filter.state("predicted_state"), book.x, atol=1e-10)
+
+
+def test_the_header_says_the_form():
+    source = built(4, 40, "double")
+    assert "loops over rows of y" in source.files["many.h"]
+    assert "for (int j = 0; j < 40; ++j)" in source.files["many.c"]
