@@ -227,12 +227,12 @@ class _Lowering:
             for i, value in enumerate(column)
         ]
         overwritten = {target for target, _ in targets}
+        moving = {target for target in overwritten if target.moves}
         kept: dict[Operand, Temp] = {}
         for target, value in targets:
             lost = value in overwritten
             if isinstance(value, Element) and not lost:  # or may be overwritten
-                near = (each for each in overwritten if value.moves or each.moves)
-                lost = any(value.may_be(each) for each in near)
+                lost = any(value.may_be(each) for each in (overwritten if value.moves else moving))
             if lost and value != target and value not in kept:
                 kept[value] = Temp(next(self.temps))
                 out.append(Copy(kept[value], value))
