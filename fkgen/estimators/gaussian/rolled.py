@@ -22,10 +22,12 @@ from fkgen.symbolic.index import At, Index, Whole, packed, variable
 from fkgen.symbolic.interface import Kind, Status
 from fkgen.symbolic.linalg import column, pack
 
-#: Loops know no zeros. Where they compute more than so many times what is needed, straight lines
-#: are kept up to a multiple of the limit: of zeros in C, which thin out every row, a larger one
-#: than of zeros in R, which save nothing but a part of the elimination.
-DENSER, SPARSE, APART = 1.5, 20.0, 6.0
+#: Rows with noises of their own need no elimination, and no S beside their updates: straight lines
+#: are kept up to so many times the limit.
+APART = 20.0
+#: Loops know no zeros. Where they compute more than so many times what R needs, straight lines are
+#: kept up to so many times the limit.
+DENSER, SPARSE = 1.5, 6.0
 
 
 def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
@@ -37,7 +39,7 @@ def is_rolled(measurement: Measurement, *, with_gain: bool) -> bool:
     seen = m if coupled > 0.0 else measurement.C.nnz() / p
     needed = operations(p, m, seen, coupled, with_gain=with_gain)
     dense = operations(p, m, m, p - 1.0 if coupled > 0.0 else 0.0, with_gain=with_gain)
-    kept = 1.0 if dense <= DENSER * needed else APART if coupled else SPARSE
+    kept = APART if not coupled else 1.0 if dense <= DENSER * needed else SPARSE
     return are_many(needed, kept)
 
 
