@@ -23,8 +23,8 @@ from fkgen.symbolic.linalg import column, is_zero, sparse, total, unpack
 LOG_TWO_PI = math.log(2.0 * math.pi)
 
 #: Operations of one conditioning beyond which loops take the place of straight lines. So many fill
-#: half of an instruction cache of 32 kB; from here on loops are as fast within a fifth (twice as
-#: fast at six times as many), and their text does not grow with further rows.
+#: half of an instruction cache of 32 kB; from here on loops are as fast within a fifth (1.6
+#: times as fast at six times as many), and their text does not grow with further rows.
 STRAIGHT = 1400
 
 
