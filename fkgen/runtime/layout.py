@@ -30,6 +30,7 @@ class Layout:
     groups: int  # Of rows with correlated noises, one more member for each
     flops: int  # Operations per step
     claims: tuple[str, ...]  # What was proved before the code was generated
+    statements: int = 0  # Operations as they stand in the text, where loops repeat them
 
     @property
     def dtype(self) -> type[np.floating]:
@@ -79,7 +80,7 @@ class Layout:
 
 def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
     """The layout of a program."""
-    same = ("name", "family", "scalar", "parameters", "ports", "prior", "flops")
+    same = ("name", "family", "scalar", "parameters", "ports", "prior", "flops", "statements")
     facts: dict[str, Any] = {key: getattr(program, key) for key in same}
     facts["spec"] = program.digest
     for key in ("states", "inputs", "outputs"):

@@ -30,7 +30,8 @@ from fkgen.estimators.gaussian.estimate import (
     measurement_of,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.lmmse.kalman import constant, innovation_results
 from fkgen.estimators.lmmse.loss_tests import LossTest, judges, loss_outcomes, loss_ports
 from fkgen.faults.sensor import EQUAL

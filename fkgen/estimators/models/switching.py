@@ -33,7 +33,8 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.models.merge import Gaussian, Mixer, combined_innovation, mixture_covariance
 from fkgen.estimators.models.weights import (
     Kernel,
