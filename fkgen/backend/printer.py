@@ -11,7 +11,7 @@ import numpy as np
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Expression, Operator, Space
 from fkgen.backend.lines import WIDTH
-from fkgen.errors import InternalError, UnfitError
+from fkgen.errors import UnfitError
 from fkgen.symbolic.index import Index
 from fkgen.symbolic.interface import Kind, Port, Status
 
