@@ -52,9 +52,7 @@ def _context(program: CProgram) -> dict[str, object]:
     outlined = joined(outline(program), (c := Printer(program)).fits)
     c.take(outlined.routines)
     units = units_of(program)
-    vectors, starts = self_test_vectors(program), _starts(program)
-    form = FORMATS[program.scalar]
-    infinite = (2 * form.bias + 1) << form.mantissa
+    starts = _starts(program)
     modes = (port.shape[0] for port in program.ports if port.name == "mode_probability")
     return elementary_context(c, program.functions) | {
         "program": program,
@@ -88,6 +86,15 @@ def _context(program: CProgram) -> dict[str, object]:
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
         "order": _order(c),
+        **_selftest(c),
+    }
+
+
+def _selftest(c: Printer) -> dict[str, object]:
+    """What the self-test gives the filter, and what it compares."""
+    program, form = c.program, FORMATS[c.program.scalar]
+    vectors, infinite = self_test_vectors(program), (2 * form.bias + 1) << form.mantissa
+    return {
         "vectors": vectors,
         "compared": [
             f"{{ {'' if port.shape else '&'}filter.{port.member}, {port.size} }}"

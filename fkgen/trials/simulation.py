@@ -163,14 +163,19 @@ def simulate(
     request = Request(spec, runs, steps, seed, first)
     told = _inputs(spec, u, runs, steps)
     driving = _added("input", told, input, (runs, steps, spec.model.nu))
-    named = {item.name: item.default for item in spec.stated_parameters}
-    values = record.values_of(tuple(named.items()), params, steps, np.float64)
-    given = {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
+    given = _parameters(spec, params, steps)
     request = replace(request, spec=_with_laws(spec, given))
     trials = _drawn(request, driving, tuple(given.values()), shown=progress)
     trials = replace(trials, measurement=_measured(spec, trials, present))
     y = _added("sensor", trials.measurement, sensor, trials.measurement.shape)
     return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
+
+
+def _parameters(spec: Spec, params: Mapping[str, ArrayLike] | None, steps: int) -> dict[str, Array]:
+    """Run-time parameters by name, (1,) or (T,)."""
+    named = {item.name: item.default for item in spec.stated_parameters}
+    values = record.values_of(tuple(named.items()), params, steps, np.float64)
+    return {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
 
 
 def _with_laws(spec: Spec, given: Mapping[str, Array]) -> Spec:
