@@ -19,7 +19,7 @@ from fkgen.backend.stated import constants_of, stated
 from fkgen.errors import InternalError
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.ports import PARAMETER, prior_of
+from fkgen.symbolic.ports import PARAMETER, prior_of, prior_ports
 from fkgen.symbolic.validated import Validated
 from fkgen.version import API_VERSION
 
@@ -55,6 +55,8 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     if spec.code.ports is not None:
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
         ports, lowered = selected(ports, lowered, shown)
+    if recursion.prior is not None:
+        lowered["origin"] = lower_phase(prior_ports(model.nx), recursion.prior)
     names, phases = {port.name for port in ports}, list(lowered.values())
     form = () if recursion.form is None else (f"covariance update: {recursion.form} form",)
     return verify(

@@ -16,7 +16,7 @@ from fkgen.runtime import cache, record
 from fkgen.runtime.blocks import in_blocks
 from fkgen.runtime.layout import Layout
 from fkgen.runtime.results import Run, Snapshot
-from fkgen.runtime.start import own_bytes, priors
+from fkgen.runtime.start import Priors, own_bytes, priors
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.floating]
@@ -50,6 +50,8 @@ class CompiledFilter:
         self._record = self._function("record", pointer, ctypes.c_int64, *[pointer] * 7)
         self._record.restype = None
         self._init, self._start = (self._call("init"), self._call("start", pointer, pointer))
+        if layout.own_prior:
+            self._prior = self._call("prior", pointer, pointer)
         self._step, self._update, self._predict = map(self._call, ("step", "update", "predict"))
         self._type = layout.structure()
         if self._function("record_size")() != ctypes.sizeof(self._type):
@@ -265,8 +267,7 @@ class CompiledFilter:
         """
         self._place_parameters(params or {})
         given = {name: value for name, value in (("x0", x0), ("P0", P0)) if value is not None}
-        prior = tuple(each[0] for each in priors(self.layout, given)) if given else None
-        self._begin(self._at, prior)
+        self._begin(self._at, priors(self.layout, given), 0)
         self._place_parameters({})
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -334,9 +335,9 @@ class CompiledFilter:
         """Instances to start from: one, or one for each record."""
         if isinstance(start, Snapshot):
             return [own_bytes(self.layout, start)]
-        prior = None if start is None else priors(self.layout, start, records)
-        of_each = [len(values) for values in parameters if values.ndim == 2]
-        count = max([1, *map(len, prior or ()), *of_each])
+        prior = priors(self.layout, {} if start is None else start, records)
+        of_each = [len(each) for each in prior if each is not None]
+        count = max([1, *of_each, *(len(values) for values in parameters if values.ndim == 2)])
         instance, first = self._type(), self._parameters.copy()
         call = (ctypes.c_void_p * 4)(ctypes.addressof(instance), first.ctypes.data)
         found = []
@@ -344,15 +345,23 @@ class CompiledFilter:
             for i, values in enumerate(parameters):
                 of_m = values[m] if values.ndim == 2 else values
                 first[i : i + 1] = of_m[:1]
-            own = None if prior is None else tuple(each[m % len(each)] for each in prior)
-            self._begin(ctypes.addressof(call), own)
+            self._begin(ctypes.addressof(call), prior, m)
             found.append(bytes(instance))
         return found
 
-    def _begin(self, call: int, prior: tuple[Array, ...] | None) -> None:
-        """Start the instance of a call from the prior of the spec, or from another one."""
-        places = () if prior is None else tuple(each.ctypes.data for each in prior)
-        self._told(self._start(call, *places) if places else self._init(call))
+    def _begin(self, call: int, prior: Priors, m: int) -> None:
+        """Start the instance of a call from the prior of the spec, or from that of a record."""
+        if all(each is None for each in prior):
+            self._told(self._init(call))
+            return
+        own = [np.array(each, self._dtype) for each in self.layout.prior]
+        places = [each.ctypes.data for each in own]
+        if self.layout.own_prior and any(each is None for each in prior):
+            self._told(self._prior(call, *places))
+        for place, each in zip(own, prior, strict=True):
+            if each is not None:
+                place[:] = each[m % len(each)]
+        self._told(self._start(call, *places))
 
     def _filter(
         self, start: bytes, data: tuple[Array, Array], parameters: list[Array], found: Run

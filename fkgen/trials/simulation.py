@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import progressing
 from fkgen.errors import DataError
-from fkgen.problem import Spec
+from fkgen.problem import Matrix, Spec
+from fkgen.problem.covariance import SEMIDEFINITE, negative_direction
 from fkgen.problem.spec import as_spec
 from fkgen.runtime import record
 from fkgen.runtime.blocks import in_blocks
@@ -163,14 +164,34 @@ def simulate(
     request = Request(spec, runs, steps, seed, first)
     told = _inputs(spec, u, runs, steps)
     driving = _added("input", told, input, (runs, steps, spec.model.nu))
-    named = {item.name: item.default for item in spec.stated_parameters}
-    values = record.values_of(tuple(named.items()), params, steps, np.float64)
-    given = {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
-    request = replace(request, spec=_with_laws(spec, given))
+    given = _parameters(spec, params, steps)
+    request = replace(request, spec=_with_laws(_with_start(spec, given), given))
     trials = _drawn(request, driving, tuple(given.values()), shown=progress)
     trials = replace(trials, measurement=_measured(spec, trials, present))
     y = _added("sensor", trials.measurement, sensor, trials.measurement.shape)
     return Simulation(request, y=y, u=told, driving=driving, params=given, trials=trials)
+
+
+def _parameters(spec: Spec, params: Mapping[str, ArrayLike] | None, steps: int) -> dict[str, Array]:
+    """Every parameter of the file, one number or (T,)."""
+    named = {item.name: item.default for item in spec.stated_parameters}
+    values = record.values_of(tuple(named.items()), params, steps, np.float64)
+    return {name: np.asarray(v, float) for name, v in zip(named, values, strict=True)}
+
+
+def _with_start(spec: Spec, given: Mapping[str, Array]) -> Spec:
+    """The spec whose prior has the parameters of sample 0."""
+    model = spec.model
+    if model.x0.is_constant and model.P0.is_constant:
+        return spec
+    at = spec.defaults | {name: float(values.flat[0]) for name, values in given.items()}
+    try:
+        x0, P0 = (Matrix.of(each.values(at)) for each in (model.x0, model.P0))
+    except ArithmeticError as fault:
+        raise DataError("params", given=str(fault), expected="values that x0 and P0 have") from None
+    if found := negative_direction(P0.values()):
+        raise DataError("params", given=f"P0 with {found}", expected=SEMIDEFINITE)
+    return replace(spec, model=replace(model, x0=x0, P0=P0))
 
 
 def _with_laws(spec: Spec, given: Mapping[str, Array]) -> Spec:

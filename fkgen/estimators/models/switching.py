@@ -43,6 +43,7 @@ from fkgen.estimators.models.weights import (
     drawn_anew,
     log_prior,
     log_sum_exp,
+    logarithm_of,
     prior_of_sample,
     reweigh,
 )
@@ -65,11 +66,13 @@ from fkgen.symbolic.ports import (
     carried,
     innovation_ports,
     mode_estimate_ports,
+    prior_symbols,
     state_ports,
     symbols_of,
     twins,
 )
 from fkgen.symbolic.recursion import Phase, Recursion
+from fkgen.symbolic.start import first_law
 
 #: How many covariances of one_step run beside the estimate, as if no signal were ever lost.
 RICCATIS = {"moment_matched": 0, "weighted": 0, "paper": 2, "paper_nominal": 1}
@@ -160,7 +163,8 @@ class Modes:
         Unreachable modes reuse a reachable one so that their covariance cannot overflow.
         """
         constant = self.chain.law is None
-        possible = visited(self.kernel if constant else self.chain.possible, self.initial)
+        begun = self.initial if self.chain.first is None else self.chain.begun
+        possible = visited(self.kernel if constant else self.chain.possible, begun)
         first = int(np.argmax(possible))
         return tuple(j if seen else first for j, seen in enumerate(possible))
 
@@ -229,6 +233,20 @@ class Switching:
             form=update_form(spec, plants[0], augmented=False),
         )
 
+    def start(self) -> Phase | None:
+        """The law of the mode at sample 0, where it depends on parameters."""
+        chain, scalar = self.modes.chain, self.spec.code.scalar
+        if chain.first is None:
+            return None
+        builder = PhaseBuilder({**self.symbols, **prior_symbols(self.spec.model.nx)})
+        law = first_law(builder, self.spec, chain, self.plants[0].parameters)
+        logs = column([logarithm_of(each, scalar) for each in ca.vertsplit(law)])
+        values = {"mode_probability": law, "log_weight": logs}
+        builder.assign(
+            {f"{of}{name}": v for name, v in values.items() for of in ("", "predicted_")}
+        )
+        return builder.phase()
+
     def recursion(
         self,
         source: str,
@@ -241,6 +259,7 @@ class Switching:
             spec=self.spec,
             source=source,
             ports=self.ports,
+            start=self.start(),
             update=phases[0],
             predict=phases[1],
             form=self.form,
