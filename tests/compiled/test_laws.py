@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from laws import ARRIVALS, JUMP, MODES, RATE, SENSOR, ports_of, record, spec
+from laws import ARRIVALS, JUMP, MODEL, MODES, RATE, SENSOR, ports_of, record, spec
 from plants import assert_agree, built
 from scipy.stats import norm
 from toolchain import needs_compiler
@@ -93,6 +93,9 @@ def test_a_rate_is_that_of_its_own_sample_and_a_kernel_that_of_the_step_to_the_n
     found = own.run(y, params={"p": p, "c": c})
     first = posterior(np.kron([p[0], 1 - p[0]], [0.75, 0.25]), 1.0, 0.8, 0.3, c[0])
     np.testing.assert_allclose(found.mode_probability[0], first, rtol=1e-12)
+    gamma, delta = np.array([1, 1, 0, 0]), np.array([1, c[0], 1, c[0]])
+    said = norm.logpdf(0.3, gamma * 1.0, np.sqrt(gamma * 0.8 + 0.2 * delta))
+    np.testing.assert_allclose(found.mode_evidence[0], said, rtol=1e-12)
     # Sample 1 has one Gaussian before it, for the modes say nothing about each other.
     x, P = found.predicted_state[0, 0], found.predicted_covariance[0, 0, 0]
     second = posterior(np.kron([p[1], 1 - p[1]], [0.75, 0.25]), x, P, 1.4, c[1])
@@ -165,3 +168,41 @@ def test_what_has_no_meaning_with_parameters_is_refused(name):
         spec(*faults, options, p=0.7, q=0.05)
     assert caught.value.key == key
     assert expected in caught.value.expected
+
+
+@pytest.mark.parametrize("name", ["imm 1", "imm 2", "imm 3", "imm 4", "imm jump"])
+def test_two_updates_with_laws_of_the_sample_are_one_with_both_rows(name):
+    model = MODEL | {"R": [[0.5, 0.0], [0.0, 0.3]]}
+    family, faults, *options = CASES[name][0]
+    filtering = built(spec(family, faults, *options, model=model, p=0.7, q=0.05))
+    y, p, q = record(), 0.7 + 0.1 * np.sin(np.arange(14)), np.full(14, 0.08)
+    y[4:7] = [[0.4, -1.0], [1.5, 0.2], [-2.0, 0.7]]
+    whole = filtering.run(y, params={"p": p, "q": q})
+    filtering.reset(params={"p": p[0], "q": q[0]})
+    for k in range(14):
+        now = {"p": p[k], "q": q[k]}
+        first = filtering.update([y[k, 0], np.nan], params=now)
+        found = filtering.update([np.nan, y[k, 1]], params=now)
+        for port in ("filtered_state", "filtered_covariance", "mode_probability"):
+            np.testing.assert_allclose(found[port], whole[port][k], rtol=1e-11, atol=1e-13)
+        if "mode_evidence" in filtering.ports:
+            evidence = whole.mode_evidence[k]
+            np.testing.assert_allclose(found.mode_evidence, evidence, rtol=1e-10, atol=1e-10)
+        added = first.log_likelihood + found.log_likelihood
+        np.testing.assert_allclose(added, whole.log_likelihood[k], rtol=1e-10, atol=1e-10)
+        filtering.predict(params=now)
+
+
+def test_a_mean_that_an_offset_moves_starts_at_x0():
+    y, gamma, c = np.array([0.5, -0.4, 1.1]), 0.7, 0.5
+    model = SCALAR | {"x0": [3.0], "c": [c]}
+    fault = {"sensor": {"problem": 1, "gamma_rate": gamma}}
+    found = built(spec("linear_optimal", fault, model=model)).run(y[:, None])
+    x, P, mean, second = 3.0, 0.8, 3.0, 9.8  # Nahi 1969, with E[x] for E[x^2] of the next sample
+    for k in range(3):
+        gain = gamma * P / (gamma**2 * P + gamma * (1.0 - gamma) * second + 0.2)
+        x, P = x + gain * (y[k] - gamma * x), P - gain * gamma * P
+        assert found.filtered_state[k, 0] == pytest.approx(x, rel=1e-12)
+        x, P = 0.9 * x + c, 0.81 * P + 0.3
+        second = 0.81 * second + 2.0 * 0.9 * mean * c + c**2 + 0.3
+        mean = 0.9 * mean + c
