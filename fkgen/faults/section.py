@@ -70,6 +70,17 @@ class Faults:
             self.soft,
         )
 
+    def begun(self, parameters: Mapping[str, float]) -> Faults:
+        """The same laws, which begin with these parameters."""
+        found = self.at(parameters)
+        sensor, jump = self.sensor, self.jump
+        if sensor is not None and found.sensor is not None:
+            factor, law, independent = sensor.factor, sensor.law, sensor.independent
+            sensor = replace(found.sensor, factor=factor, law=law, independent=independent)
+        if jump is not None and found.jump is not None:
+            jump = replace(found.jump, law=jump.law, rate=jump.rate, arrivals=jump.arrivals)
+        return replace(self, sensor=sensor, jump=jump)
+
     def in_domain(self, parameters: Mapping[str, float]) -> bool:
         """Whether the laws are probabilities, and the noise factor positive, with these."""
         if not self.law_names:

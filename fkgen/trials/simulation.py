@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fkgen.console import progressing
 from fkgen.errors import DataError
-from fkgen.problem import Matrix, Spec
+from fkgen.problem import Matrix, Spec, evaluate
 from fkgen.problem.covariance import SEMIDEFINITE, negative_direction
 from fkgen.problem.spec import as_spec
 from fkgen.runtime import record
@@ -98,7 +98,13 @@ class Simulation:
     @cached_property
     def delta(self) -> Array | None:
         """(M, T): noise variance over R of the rows that can fail, 1 or C, for sensor faults."""
-        return self._condition(1)
+        sensor, mode = self.spec.faults.sensor, self.mode
+        if sensor is None or sensor.factor is None or mode is None:
+            return self._condition(1)
+        given = {k: np.broadcast_to(v, self.request.steps).tolist() for k, v in self.params.items()}
+        samples = (dict(zip(given, row, strict=True)) for row in zip(*given.values(), strict=True))
+        factor = np.array([evaluate(sensor.factor, sample) for sample in samples])
+        return np.where(mode % 2 == 1, factor, 1.0)
 
     def _condition(self, part: int) -> Array | None:
         if self.mode is None or self.spec.faults.sensor is None:
@@ -195,20 +201,17 @@ def _with_start(spec: Spec, given: Mapping[str, Array]) -> Spec:
 
 
 def _with_laws(spec: Spec, given: Mapping[str, Array]) -> Spec:
-    """The spec whose laws have the parameters of all samples, which have to be the same."""
+    """The spec whose laws have the parameters of all samples, or begin with those of sample 0."""
     wanted = spec.faults.law_names
     if not wanted:
         return spec
-    for name in sorted(wanted & given.keys()):
-        if np.ptp(given[name]) > 0.0:
-            expected = "one number for all samples: probabilities of faults depend on it"
-            raise DataError(f"params.{name}", given="several values", expected=expected)
     at = spec.defaults | {name: float(values.flat[0]) for name, values in given.items()}
     if not spec.faults.in_domain(at):
         values = ", ".join(f"{name} = {at[name]:g}" for name in sorted(wanted))
         expected = "values with which faults have probabilities, and a positive noise_factor"
         raise DataError("params", given=values, expected=expected)
-    return replace(spec, faults=spec.faults.at(at))
+    moving = any(np.ptp(given[name]) > 0.0 for name in wanted & given.keys())
+    return replace(spec, faults=spec.faults.begun(at) if moving else spec.faults.at(at))
 
 
 def counted(what: str, value: object, beyond: int = LARGEST_TRIAL, *, least: int = 1) -> int:

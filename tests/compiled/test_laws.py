@@ -11,6 +11,8 @@ from toolchain import needs_compiler
 
 import fkgen
 from fkgen.errors import DataError, SpecError
+from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.oracle.plants.sensor import SensorLaw
 
 pytestmark = needs_compiler()
 
@@ -148,8 +150,11 @@ def test_trials_are_drawn_with_the_law_of_the_parameters(name):
     expected = fkgen.simulate(spec(*numbers), 3, 50, seed=5)
     found = fkgen.simulate(varying, 3, 50, seed=5, params={"p": 0.8, "q": 0.1})
     np.testing.assert_allclose(found.y, expected.y, rtol=1e-12)
-    with pytest.raises(DataError, match=r"params.p: given several values; expected one number"):
-        fkgen.simulate(varying, 3, 2, params={"p": [0.7, 0.8]})
+    steady = {"p": np.full(50, 0.8), "q": np.full(50, 0.1)}
+    same = fkgen.simulate(varying, 3, 50, seed=5, params=steady)
+    np.testing.assert_array_equal(same.y, found.y)
+    with pytest.raises(DataError, match=r"params: given out of range.* at sample 1 of trial 0"):
+        fkgen.simulate(varying, 3, 2, params={"p": [0.7, 1.2]})
     with pytest.raises(DataError, match=r"params: given p = 1.2, q = 0.05; expected values with"):
         fkgen.simulate(varying, 3, 2, params={"p": 1.2})
 
@@ -206,3 +211,49 @@ def test_a_mean_that_an_offset_moves_starts_at_x0():
         x, P = 0.9 * x + c, 0.81 * P + 0.3
         second = 0.81 * second + 2.0 * 0.9 * mean * c + c**2 + 0.3
         mean = 0.9 * mean + c
+
+
+DRAWN = {
+    "one_step 1": {"p": [0.9, 0.2, 0.6, 1.0, 0.05, 0.5], "q": 0.1},
+    "imm 2": {"p": [0.8, 0.3, 0.5, 0.7, 0.2, 0.85], "q": [0.1, 0.2, 0.0, 0.15, 0.1, 0.05]},
+    "imm 3": {"p": [0.9, 0.2, 0.6, 1.0, 0.1, 0.5], "q": [0.1, 0.8, 0.0, 1.0, 0.3, 0.5]},
+    "imm 4": {"p": [0.9, 0.2, 0.6, 0.8, 0.1, 0.5], "q": [0.1, 0.02, 0.0, 0.05, 0.03, 0.1]},
+    "imm jump": {"p": [0.9, 0.2, 0.6, 1.0, 0.0, 0.5], "q": [0.1, 0.3, 0.0, 0.2, 0.3, 0.1]},
+    "mjls rate": {"p": [0.9, 0.2, 0.6, 1.0, 0.0, 0.5], "q": 0.1},
+    "mjls arrivals": {"p": [0.9, 0.2, 0.6, 1.0, 0.0, 0.5], "q": [0.1, 0.3, 0.0, 0.2, 0.3, 0.1]},
+}
+
+
+@pytest.mark.parametrize("name", list(DRAWN))
+def test_trials_follow_the_law_of_every_sample(name):
+    plant, params = spec(*CASES[name][0], p=0.7, q=0.05), DRAWN[name]
+    runs, T = 40_000, 6
+    found = fkgen.simulate(plant, runs, T, seed=3, params=params)
+    arrays = {key: np.broadcast_to(value, T) for key, value in params.items()}
+    if plant.faults.jump is None:
+        law = SensorLaw.over(plant, T, arrays)
+        steps, expected = law.steps(T), [law.initial]
+        np.testing.assert_allclose(np.unique(found.delta[:, 2]), sorted({1.0, 5 * arrays["p"][2]}))
+        noise = found.y - found.gamma[..., None] * (found.state @ np.array(MODEL["C"]).T)
+        share = (noise**2 / np.diag(MODEL["R"]) / found.delta[..., None]).mean(axis=(0, 2))
+        np.testing.assert_allclose(share, 1.0, atol=0.04)  # of chi-square: 8 deviations
+    else:
+        system = JumpSystem.from_spec(plant, T, arrays)
+        steps, expected = system.transitions, [system.initial]
+        arriving = [system.arrival_initial]
+        for P in system.channel[:-1]:
+            arriving.append(arriving[-1] @ P)
+        if found.arrival is not None:
+            rate = found.arrival.mean(axis=0)
+            np.testing.assert_allclose(rate, np.array(arriving)[:, 1], atol=0.015)
+    for P in steps[:-1]:
+        expected.append(expected[-1] @ P)
+    shares = (found.mode[..., None] == np.arange(len(expected[0]))).mean(axis=0)
+    np.testing.assert_allclose(shares, expected, atol=0.015)  # 6 deviations of 40,000 trials
+    assert not shares[np.array(expected) < 1e-15].any()
+    for k in range(T - 1):  # pairs: which sample a step has its parameters from
+        for i in range(len(expected[0])):
+            of = found.mode[:, k] == i
+            if of.sum() > 2000:
+                ahead = (found.mode[of, k + 1][:, None] == np.arange(len(expected[0]))).mean(axis=0)
+                np.testing.assert_allclose(ahead, steps[k][i], atol=3.0 / np.sqrt(of.sum()))
