@@ -144,23 +144,44 @@ def _members(port: Port) -> list[tuple[int, str]]:
 
 
 def python_steps(settings: Settings) -> Table:
-    """Cost of one call of `step`."""
+    """Cost of one call of `step`, and of `update` and `predict` in its place."""
     table = Table(
         "`step` from Python",
-        ["filter", "step, us", f"target {_STEP * 1e6:.0f} us"],
-        "One call per sample with NumPy rows; the snapshot that it returns is not read.",
+        ["filter", "rows", "step, us", f"target {_STEP * 1e6:.0f} us", "step / C", "both / step"],
+        "One call per sample; the snapshot that it returns is not read. C is the same step called "
+        "through ctypes with the same arguments in place; both are `update` and `predict`, which "
+        "return a snapshot each.",
     )
     for title in ("kf n2 p1, C = [0 1]", "kf n6 p3, full", "mkf motor"):
         spec = models.all_models()[title]
         motor = fkgen.build(fkgen.Spec.from_dict(spec))
         y, u = models.record(spec, 500)
-        rows = list(zip(y, u, strict=True)) if u.shape[1] else [(row,) for row in y]
-        taken = clock.take_turns({"step": lambda m=motor, r=rows: _all(m, r)}, settings.rounds)
-        each = taken.best("step") / len(y)
-        table.add(title, f"{each * 1e6:.2f}", verdict(each, _STEP))
+        arrays = list(zip(y, u, strict=True)) if u.shape[1] else [(row,) for row in y]
+        lists = [tuple(part.tolist() for part in row) for row in arrays]
+        for held, rows in (("arrays", arrays), ("lists", lists)):
+            taken = clock.take_turns(_calls(motor, rows), settings.rounds, settings.seconds)
+            each = taken.best("step") / len(y)
+            ratios = taken.ratio("step", "C"), taken.ratio("both", "step")
+            table.add(title, held, f"{each * 1e6:.2f}", verdict(each, _STEP), *map(times, ratios))
     return table
 
 
-def _all(motor: fkgen.CompiledFilter, rows: Sequence[tuple[models.Array, ...]]) -> None:
-    for row in rows:
-        motor.step(*row)
+def _calls(
+    motor: fkgen.CompiledFilter, rows: Sequence[tuple[object, ...]]
+) -> dict[str, Callable[[], None]]:
+    """A record in steps, in updates and predictions, and in bare calls of the same C."""
+
+    def step() -> None:
+        for row in rows:
+            motor.step(*row)
+
+    def both() -> None:
+        for row in rows:
+            motor.update(*row)
+            motor.predict(*row[1:])
+
+    def bare() -> None:
+        for _ in rows:
+            motor._step(motor._call)  # noqa: SLF001
+
+    return {"step": step, "both": both, "C": bare}

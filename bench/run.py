@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # works with and without an installation
 
 import clock  # noqa: E402
+import files  # noqa: E402
 import memory  # noqa: E402
 import rates  # noqa: E402
 import records  # noqa: E402
@@ -37,6 +38,7 @@ PARTS = {
     "startup": startup.waiting,
     "stages": startup.stages,
     "memory": memory.peak,
+    "files": files.files,
     "sizes": sizes.generated,
     "trials": trials.trials,
 }

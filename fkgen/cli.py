@@ -299,7 +299,7 @@ def fault_effect(
     """Say what a fault of a sensor or an input does to the estimate of SPEC, and for how long."""
     from fkgen.study.effects.report import Options, report_of
 
-    found = report_of(spec, Options(**options), plot=plot, force=force)
+    found = report_of(spec, Options(**options), plot=plot, force=force, say=_say)
     _tell(found, (found.head, found.rows), found.sentences, as_json=as_json)
     _say("note", found.notes)
 
@@ -337,7 +337,7 @@ def simulate(spec: Spec, *, output: Path | None, force: bool, **options: Any) ->
     from fkgen.study.records.files import refuse_targets
 
     refuse_targets(output, force=force)
-    text, then = drawn(spec, **options), f"fkgen run {spec.file} {output}"
+    text, then = drawn(spec, say=_say, **options), f"fkgen run {spec.file} {output}"
     _write(text, output, then, force=force, err=True)
 
 
@@ -365,7 +365,7 @@ def compare(specs: tuple[Spec, ...], *, as_json: bool, **options: Any) -> None:
     from fkgen.study.comparisons.comparison import compared
     from fkgen.study.comparisons.report import table_of
 
-    found = compared(specs, **options)
+    found = compared(specs, say=_say, **options)
     lines = [*(f"note: {note}" for note in found.notes), f"\n{found.recommendation}"]
     _tell(found, table_of(found), lines, as_json=as_json)
 

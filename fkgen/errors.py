@@ -36,6 +36,20 @@ class InternalError(FkgenError):
     """fkgen contradicts itself. Please report it, with the spec that shows it."""
 
 
+class UnfitError(InternalError):
+    """A program cannot run with the numbers that it was given; who knows the spec says it there.
+
+    Attributes
+    ----------
+    what : str
+        What it does with them.
+    """
+
+    def __init__(self, name: str, what: str) -> None:
+        self.what = what
+        super().__init__(f"{name}: {what}")
+
+
 class SpecError(UserError):
     """A spec says something that cannot be, or does not say what it must.
 

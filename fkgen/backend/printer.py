@@ -11,7 +11,8 @@ import numpy as np
 from fkgen.backend import ir
 from fkgen.backend.ir import Element, Expression, Operator, Space
 from fkgen.backend.lines import WIDTH
-from fkgen.errors import InternalError
+from fkgen.errors import UnfitError
+from fkgen.symbolic.index import Index
 from fkgen.symbolic.interface import Kind, Port, Status
 
 _INFIX = {Operator.ADD: "+", Operator.SUB: "-", Operator.MUL: "*", Operator.DIV: "/"}
@@ -44,7 +45,7 @@ class StatementPrinter:
         """A constant that reads back as the same bits."""
         number: Any = float(value) if self.real == "double" else np.float32(value)
         if not np.isfinite(number):
-            raise InternalError(f"{self.name}: constant {value} is not finite as {self.real}")
+            raise UnfitError(self.name, f"the constant {value} is not finite as {self.real}")
         text = np.format_float_scientific(number, trim="0", unique=True)
         if 1e-4 <= abs(number) < 1e16 or number == 0.0:
             text = np.format_float_positional(number, trim="0", unique=True)
@@ -98,6 +99,10 @@ class StatementPrinter:
         """Test whether a row of y is present."""
         if isinstance(row, ir.RowArgument):
             return f"row_{row.index} != 0"
+        if isinstance(row, Index):
+            at = row if self.words == 1 else f"({row}) % {_WORD_BITS}"
+            word = f"[({row}) / {_WORD_BITS}]" if self.words > 1 else ""
+            return f"((present{word} >> ({at})) & 1u) != 0u"
         word = f"[{row // _WORD_BITS}]" if self.words > 1 else ""
         return f"(present{word} & {hex(1 << row % _WORD_BITS)}u) != 0u"
 
@@ -132,6 +137,9 @@ class StatementPrinter:
             case ir.IfPresent(row, body):
                 one = 0 if row is None and self.rows == 1 else row
                 return _under(self.any_row if one is None else self.row(one), self.block(body))
+            case ir.For(index, begin, end, body):
+                head = f"for (int {index} = {begin}; {index} < {end}; ++{index})"
+                return f"{head}\n{{\n{self.block(body)}\n}}"
             case ir.IfPositive(positive, body):
                 return _under(f"{self.operand(positive)} > {self.literal(0.0)}", self.block(body))
             case ir.Call():

@@ -53,9 +53,7 @@ def _context(program: CProgram) -> dict[str, object]:
     outlined = joined(outline(program), (c := Printer(program)).fits)
     c.take(outlined.routines)
     units = units_of(program)
-    vectors, starts = self_test_vectors(program), _starts(program)
-    form = FORMATS[program.scalar]
-    infinite = (2 * form.bias + 1) << form.mantissa
+    starts = _starts(program)
     modes = (port.shape[0] for port in program.ports if port.name == "mode_probability")
     return elementary_context(c, program.functions) | {
         "program": program,
@@ -89,12 +87,26 @@ def _context(program: CProgram) -> dict[str, object]:
         "inlined": program.flops <= INLINED,
         "functions": _functions(c),
         "order": _order(c),
+        **_selftest(c),
+    }
+
+
+def _selftest(c: Printer) -> dict[str, object]:
+    """What the self-test gives the filter, and what it compares."""
+    program, form = c.program, FORMATS[c.program.scalar]
+    vectors, infinite = self_test_vectors(program), (2 * form.bias + 1) << form.mantissa
+    return {
         "vectors": vectors,
         "compared": [
             f"{{ {'' if port.shape else '&'}filter.{port.member}, {port.size} }}"
             for port in program.ports
         ],
         "masks": [_mask(c, row, k) for k, row in enumerate(vectors.y)],
+        "flag_words": [
+            (port.name, _words(c, dict(vectors.final)[port.name]))
+            for port in program.ports
+            if port.flags
+        ],
         "marked": MARKED,
         "infinite": infinite,
         "not_a_number": infinite | (1 << (form.mantissa - 1)),
@@ -290,10 +302,15 @@ def _calls(program: CProgram) -> dict[str, int]:
 
 def _mask(c: Printer, row: tuple[float, ...], k: int) -> str:
     """Bits of the rows that are measured; row 0 of one sample is marked although it is not."""
-    bits = sum(1 << i for i, value in enumerate(row) if not math.isnan(value))
-    bits |= int(k == MARKED)
-    words = [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
+    marked = [not math.isnan(value) or (k == MARKED and i == 0) for i, value in enumerate(row)]
+    words = _words(c, marked)
     return words[0] if c.words == 1 else "{ " + ", ".join(words) + " }"
+
+
+def _words(c: Printer, rows: Iterable[float]) -> list[str]:
+    """Rows that are 1 as bits of words."""
+    bits = sum(1 << i for i, value in enumerate(rows) if value > 0)
+    return [f"{(bits >> (32 * w)) & 0xFFFFFFFF:#x}u" for w in range(c.words)]
 
 
 def _shape_text(port: Port) -> str:

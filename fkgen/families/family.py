@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, fields
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fkgen.problem import Model, Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.filter import Options, Traits
@@ -114,6 +117,18 @@ class Family:
                 )
             )
         self.check(spec)
+
+
+def demand_stationary(at: Place, *system: NDArray[np.float64]) -> None:
+    """Refuse a stationary gain of a plant A, C, Q, R, and S if there is one, that has none."""
+    from fkgen.oracle.textbook.riccati import stationary_prediction
+
+    if stationary_prediction(*system) is None:
+        raise at.error(
+            "'stationary' for a plant without a stabilising solution of the Riccati equation",
+            "every state that does not die away by itself to be seen by y, and every one on the"
+            " unit circle to be moved by Q; use gain = 'time_varying'",
+        )
 
 
 def demand_noise(spec: Spec, compares: str) -> None:

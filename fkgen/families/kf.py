@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, Self, get_args
 
-from fkgen.families.family import Family, built_by, proved_by
+from fkgen.families.family import Family, built_by, demand_stationary, proved_by
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Traits
 from fkgen.problem.gate import GateOptions, read_gate
@@ -54,31 +54,15 @@ def check(spec: Spec) -> None:
     """Refuse a stationary gain that does not exist."""
     if spec.filter.option("gain", None) != "stationary":
         return
-    from fkgen.oracle.textbook.riccati import stationary_prediction
-
-    place, model, instead = Place(spec.file), spec.model, "use gain = 'time_varying'"
+    at, model = Place(spec.file).entry("filter").entry("gain"), spec.model
     for letter in "ACQRS":
         if not getattr(model, letter).is_constant:
             moving = ", ".join(sorted(getattr(model, letter).names))
-            raise (
-                place.entry("filter")
-                .entry("gain")
-                .error(
-                    f"'stationary' with a model.{letter} that depends on {moving}",
-                    f"constant A, C, Q, R and S; {instead}",
-                )
+            raise at.error(
+                f"'stationary' with a model.{letter} that depends on {moving}",
+                "constant A, C, Q, R and S; use gain = 'time_varying'",
             )
-    found = stationary_prediction(*(getattr(model, letter).values() for letter in "ACQRS"))
-    if found is None:
-        raise (
-            place.entry("filter")
-            .entry("gain")
-            .error(
-                "'stationary' for a plant without a stabilising solution of the Riccati equation",
-                "every state that does not die away by itself to be seen by y, and every one on the"
-                f" unit circle to be moved by Q; {instead}",
-            )
-        )
+    demand_stationary(at, *(getattr(model, letter).values() for letter in "ACQRS"))
 
 
 FAMILY = Family(

@@ -10,12 +10,22 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal, Self, get_args
 
-from fkgen.families.family import Family, built_by, by_option, demand_noise, proved_by
+import numpy as np
+
+from fkgen.families.family import (
+    Family,
+    built_by,
+    by_option,
+    demand_noise,
+    demand_stationary,
+    proved_by,
+)
 from fkgen.faults import Faults, JumpFaults
 from fkgen.faults.chain import MARGIN, is_ergodic, mean_square_radius
 from fkgen.faults.jump import read_jump_faults
 from fkgen.problem import Model, Spec
 from fkgen.problem.filter import Options, Traits
+from fkgen.problem.probability import stationary_law
 from fkgen.problem.table.place import Place
 from fkgen.problem.table.section import Section
 
@@ -120,10 +130,13 @@ def _check_stationary(spec: Spec, faults: JumpFaults) -> None:
         raise at.error(
             f"{given} with probabilities that depend on parameters", f"numbers; {instead}"
         )
-    if spec.model.nu:
+    tested = spec.filter.options.detector != "none"
+    alone = faults.gain_needs_no_moments(tested=tested)
+    if spec.model.nu and not alone:
         raise at.error(
             f"{given} with inputs",
-            f"a plant without B: an input moves the second moments at will; {instead}",
+            f"a plant without B, or modes that differ in Q and R only and no sample that may be"
+            f" lost unseen: an input moves the second moments at will; {instead}",
         )
     if not is_ergodic(faults.transition):
         raise at.error(
@@ -135,12 +148,21 @@ def _check_stationary(spec: Spec, faults: JumpFaults) -> None:
         raise at.error(
             f"{given} with an arrival_chain that alternates", f"a chain with a limit; {instead}"
         )
+    if alone:
+        law, first = np.array(stationary_law(faults.transition)), faults.modes[0]
+        Q, R = (
+            np.einsum("i,iab->ab", law, [getattr(mode, x).values() for mode in faults.modes])
+            for x in "QR"
+        )
+        demand_stationary(at, first.A.values(), first.C.values(), Q, R)
+        return
     dynamics = [mode.A.values(spec.defaults) for mode in faults.modes]
     radius = mean_square_radius(faults.transition, dynamics)
     if radius >= 1.0 - MARGIN:
         raise at.error(
             f"{given} where the second moments grow: the mean-square radius is {radius:.9g}",
-            f"a mean-square stable plant, radius below 1; {instead}, its gain follows the moments",
+            "a mean-square stable plant, radius below 1, or modes that differ in Q and R only and"
+            f" no sample that may be lost unseen; {instead}, its gain follows the moments",
         )
 
 

@@ -5,7 +5,7 @@ Mode and sample go together: mode[k] drives y[k] and the step from x[k] to x[k+1
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -42,8 +42,9 @@ _ARRIVAL_KEYS = ("arrival", "arrival_rate", "arrival_chain")
 KEYS = ("transition", "initial", "modes", *_ARRIVAL_KEYS)
 _ORDER = "(lost, arrived)"
 
-#: Parameter of a filter that is told the mode.
-INDICATOR = "in_mode_{}"
+#: Parameters of a filter that is told the mode: of the sample, and, where modes have states of
+#: their own, of the step that leads into the next one.
+INDICATOR, ENTERED = "in_mode_{}", "into_mode_{}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,22 +104,52 @@ class JumpFaults:
             first=None,
         )
 
+    def gain_needs_no_moments(self, *, tested: bool) -> bool:
+        """Whether modes differ in noise alone, and whoever filters takes every sample for good."""
+        alike = len({tuple(getattr(mode, x) for x in "ABCDcd") for mode in self.modes}) == 1
+        return alike and (tested or self.arrival != "unknown")
+
+    @property
+    def unequal(self) -> bool:
+        """Whether modes have states of their own; then mode k drives the step into sample k."""
+        return any(mode.kept is not None for mode in self.modes)
+
+    @property
+    def held(self) -> tuple[tuple[int, ...], ...]:
+        """Mode by mode, 1 for the states that it has and 0 for those that it leaves out."""
+        states = range(len(self.modes[0].A.rows))
+        return tuple(
+            tuple(int(mode.kept is None or i in mode.kept) for i in states) for mode in self.modes
+        )
+
     def told(self) -> Mode:
-        """The plant of one who is told the mode: parameters are 1 in it and 0 in the others."""
-        indicators = [Name(INDICATOR.format(i)) for i in range(len(self.modes))]
+        """The plant of one who is told the mode: parameters are 1 in it and 0 in the others.
+
+        In continuous time, if the plant is stated so and modes have the same states.
+        """
+        now = [Name(INDICATOR.format(i)) for i in range(len(self.modes))]
+        entered = [Name(ENTERED.format(i)) for i in range(len(self.modes))]
 
         def chosen(letter: str) -> Matrix:
-            matrices: list[Matrix] = [getattr(mode, letter) for mode in self.modes]
+            stated = (
+                mode if self.unequal or letter not in OF_TIME else mode.source or mode
+                for mode in self.modes
+            )
+            matrices: list[Matrix] = [getattr(each, letter) for each in stated]
+            indicators = entered if self.unequal and letter in OF_TIME else now
 
-            def entry(i: int, j: int, first: Expression) -> Expression:
-                values = [matrix.rows[i][j] for matrix in matrices]
-                terms = [operation("*", *each) for each in zip(indicators, values, strict=True)]
-                return first if len(set(values)) == 1 else total(terms)
+            def entry(i: int, j: int, _: Expression) -> Expression:
+                value = _by(indicators, [matrix.rows[i][j] for matrix in matrices])
+                if letter == "A" and self.unequal:  # what the mode before leaves out was 0
+                    return operation(
+                        "*", value, _by(now, [Number(float(has[j])) for has in self.held])
+                    )
+                return value
 
             return matrices[0].mapped(entry)
 
         told: dict[str, Any] = {letter: chosen(letter) for letter in LETTERS}
-        return replace(self.modes[0], title="", source=None, **told)
+        return replace(self.modes[0], title="", source=None, kept=None, **told)
 
     @property
     def channel(self) -> Channel | None:
@@ -137,6 +168,12 @@ def _title(mode: Mode, model: Model) -> str:
     """What tells a mode from the model."""
     own = [letter for letter in LETTERS if getattr(mode, letter) != getattr(model, letter)]
     return "with its own " + ", ".join(own) if own else "the model"
+
+
+def _by(indicators: Sequence[Expression], values: Sequence[Expression]) -> Expression:
+    """The value whose indicator is 1."""
+    terms = [operation("*", *each) for each in zip(indicators, values, strict=True)]
+    return values[0] if len(set(values)) == 1 else total(terms)
 
 
 def read_jump_faults(
@@ -242,7 +279,7 @@ def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
     }
     if kept is not None:
         found |= {letter: _narrowed(found[letter], letter, kept) for letter in "ABCQc"}
-    _state_own(section, found)
+    _state_own(section, found, model.nx if kept is None else len(kept))
     if kept is not None:
         found |= {letter: _widened(found[letter], letter, kept, model.nx) for letter in "ABCQc"}
     if source is not None:
@@ -255,10 +292,12 @@ def _mode(section: Section, model: Model, kept: tuple[int, ...] | None) -> Mode:
     return Mode(**found, kept=kept, source=source)
 
 
-def _state_own(section: Section, found: dict[str, Matrix]) -> None:
+def _state_own(section: Section, found: dict[str, Matrix], states: int) -> None:
     """Put what the mode states in place of what is the model's."""
     for key, own in found.items():
         because = f"all modes share the states, inputs and rows of y; so is model.{key}"
+        if "states" in section:
+            because = f"the mode has {states} of the states, and the inputs and rows of the model"
         if key in {"c", "d"} and key in section:
             of = "state" if key == "c" else "measurement"
             found[key] = offset(section, key, len(own.rows), of)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fkgen.errors import ValidationError
 from fkgen.families import family
 from fkgen.families.family import Family
 from fkgen.oracle.claims.claim import Array, ClosedForm, Record
@@ -16,6 +17,7 @@ from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.problem.model import joint_noise
+from fkgen.proof.mild import without_digits
 from fkgen.symbolic.interpreter import Interpreter
 from fkgen.symbolic.recursion import Recursion
 from fkgen.symbolic.validated import Claim, Validated
@@ -41,7 +43,25 @@ _COVARIANCE = {
 
 
 def validate(spec: Spec) -> Validated:
-    """Build the recursion of a spec and run every closed form of its family; all have to hold."""
+    """Build the recursion of a spec and run every closed form of its family; all have to hold.
+
+    Raises
+    ------
+    ValidationError
+        If one does not: a defect of fkgen.
+    SpecError
+        If one does not because the numbers of the spec leave no digits.
+    """
+    try:
+        return _proved(spec)
+    except ValidationError as wrong:
+        told = without_digits(spec, wrong, _proved)
+        if told is None:
+            raise
+        raise told from None
+
+
+def _proved(spec: Spec) -> Validated:
     found = family(spec.filter.family)
     caveats = found.caveats(spec)
     recursion = found.build(spec)
@@ -60,7 +80,10 @@ def confront(tested: Family, recursion: Recursion) -> Validated:
 
 def _try(form: ClosedForm, recursion: Recursion, record: Record) -> Claim | None:
     spec = recursion.spec
-    expected = form.expected(spec, record)
+    try:
+        expected = form.expected(spec, record)
+    except np.linalg.LinAlgError:  # rounding has left a singular matrix
+        return Claim(claim=form.claim, source=form.source, error=float("inf"), tolerance=0.0)
     if expected is None:
         return None
     instance = Interpreter(recursion)
@@ -98,8 +121,11 @@ def _start_of(recursion: Recursion) -> Claim:
     found = model.x0.values(defaults).ravel(), model.P0.values(defaults)
     priors = dict(zip(("state", "covariance"), found, strict=True))
     values = Interpreter(recursion).values
+    faults = recursion.spec.faults.jump
+    held = np.ones((1, model.nx)) if faults is None else np.array(faults.held, float)
+    kept = {"mode_state": held, "mode_covariance": held[:, :, None] * held[:, None, :]}
     errors = [
-        np.abs(port.unpacked(values[port.name]) - prior).max()
+        np.abs(port.unpacked(values[port.name]) - kept.get(port.name, 1.0) * prior).max()
         for port in recursion.ports
         for what, prior in priors.items()
         if port.name in {f"predicted_{what}", f"mode_{what}"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,8 @@ from fkgen.runtime.start import Priors, own_bytes, priors
 from fkgen.symbolic.interface import Status
 
 Array = NDArray[np.floating]
+
+_NUMBERS = frozenset((float, int))
 
 #: Samples that one thread filters at a stretch.
 BLOCK = 50_000
@@ -45,43 +47,42 @@ class CompiledFilter:
         self.name, self.family, self.scalar = layout.name, layout.family, layout.scalar
         self.ports = tuple(port.name for port in layout.ports)
         self.claims = layout.claims
-        self._library = ctypes.CDLL(str(entry / cache.LIBRARY))
-        pointer = ctypes.c_void_p
-        self._record = self._function("record", pointer, ctypes.c_int64, *[pointer] * 7)
+        path, pointer = str(entry / cache.LIBRARY), ctypes.c_void_p
+        whole, short = ctypes.CDLL(path), ctypes.PyDLL(path)  # a short call keeps Python's lock
+        self._record = whole[f"{layout.name}_record"]
+        self._record.argtypes = (pointer, ctypes.c_int64, *[pointer] * 7)
         self._record.restype = None
-        self._init, self._start = (self._call("init"), self._call("start", pointer, pointer))
+        calls = ("init", "start", "step", "update", "predict")
+        found = [short[f"{layout.name}_call_{name}"] for name in calls]
+        self._init, self._start, self._step, self._update, self._predict = found
         if layout.own_prior:
-            self._prior = self._call("prior", pointer, pointer)
-        self._step, self._update, self._predict = map(self._call, ("step", "update", "predict"))
+            self._prior = short[f"{layout.name}_call_prior"]
         self._type = layout.structure()
-        if self._function("record_size")() != ctypes.sizeof(self._type):
+        if short[f"{layout.name}_record_size"]() != ctypes.sizeof(self._type):
             raise InternalError(f"{layout.name}: the C instance has another size than its layout")
         self._dtype = layout.dtype
+        self._largest, self._defaults = float(np.finfo(layout.dtype).max), dict(layout.parameters)
         self._prepare()
         self.reset()
 
-    def _function(self, name: str, *arguments: Any) -> Any:
-        """A function of the library."""
-        function = self._library[f"{self.name}_{name}"]
-        function.argtypes = arguments
-        return function
-
-    def _call(self, name: str, *arguments: Any) -> Any:
-        """A function that works on one instance."""
-        return self._function(f"call_{name}", ctypes.c_void_p, *arguments)
-
     def _prepare(self) -> None:
-        """An instance, and buffers that stay where they are, so that a call has one argument."""
-        layout = self.layout
+        """An instance, and what its calls are given, which stays where it is."""
+        layout, real = self.layout, self.layout.real
         self._instance = self._type()
-        self._y = np.zeros(len(layout.outputs), self._dtype)
-        self._u = np.zeros(len(layout.inputs), self._dtype)
-        self._parameters = np.array([value for _, value in layout.parameters], self._dtype)
-        arrays = self._parameters, self._u, self._y
-        addresses = [ctypes.addressof(self._instance), *(each.ctypes.data for each in arrays)]
-        self._given = (ctypes.c_void_p * len(addresses))(*addresses)
-        self._at = ctypes.addressof(self._given)
-        self._varied = False
+        self._image = np.frombuffer(memoryview(self._instance), np.uint8).tobytes
+        self._y = (real * len(layout.outputs))()
+        self._u = (real * len(layout.inputs))()
+        self._parameters = (real * len(layout.parameters))()
+        self._place_parameters({})
+        self._driven = bool(layout.inputs)
+        self._call = ctypes.byref(self._given(self._instance, self._parameters))
+
+    def _given(self, instance: Any, parameters: Any) -> Any:
+        """What one call is given: the addresses of four objects that live as long as it does."""
+        given: Any = (instance, parameters, self._u, self._y)
+        places: Any = (ctypes.c_void_p * 4)(*map(ctypes.addressof, given))
+        places.given = given
+        return places
 
     def run(
         self,
@@ -215,11 +216,11 @@ class CompiledFilter:
         DataError
             If shapes or names do not fit.
         """
-        self._measure(y)
-        if u is not None or params is not None or self._varied or self._u.size:
+        self._place("y", y, self._y)
+        if self._driven or u is not None or params is not None or self._varied:
             self._drive(u, params)
-        status = self._told(self._step(self._at))
-        return Snapshot(self.layout, bytes(self._instance), status)
+        status = self._step(self._call)
+        return Snapshot(self.layout, self._image(), status) if status >= 0 else self._refuse(status)
 
     def update(
         self,
@@ -232,11 +233,11 @@ class CompiledFilter:
         Parameters and errors are those of `step`. A filter that can take one update per sample
         refuses the second one.
         """
-        self._measure(y)
-        if u is not None or params is not None or self._varied or self._u.size:
+        self._place("y", y, self._y)
+        if self._driven or u is not None or params is not None or self._varied:
             self._drive(u, params)
-        status = self._told(self._update(self._at))
-        return Snapshot(self.layout, bytes(self._instance), status)
+        status = self._update(self._call)
+        return Snapshot(self.layout, self._image(), status) if status >= 0 else self._refuse(status)
 
     def predict(
         self, u: ArrayLike | None = None, params: Mapping[str, float] | None = None
@@ -245,10 +246,10 @@ class CompiledFilter:
 
         Parameters and errors are those of `step`.
         """
-        if u is not None or params is not None or self._varied or self._u.size:
+        if self._driven or u is not None or params is not None or self._varied:
             self._drive(u, params)
-        status = self._told(self._predict(self._at))
-        return Snapshot(self.layout, bytes(self._instance), status)
+        status = self._predict(self._call)
+        return Snapshot(self.layout, self._image(), status) if status >= 0 else self._refuse(status)
 
     def reset(
         self,
@@ -267,7 +268,7 @@ class CompiledFilter:
         """
         self._place_parameters(params or {})
         given = {name: value for name, value in (("x0", x0), ("P0", P0)) if value is not None}
-        self._begin(self._at, priors(self.layout, given), 0)
+        self._begin(self._call, priors(self.layout, given), 0)
         self._place_parameters({})
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -283,7 +284,7 @@ class CompiledFilter:
 
     def snapshot(self) -> Snapshot:
         """The instance as it is now."""
-        return Snapshot(self.layout, bytes(self._instance), 0)
+        return Snapshot(self.layout, self._image(), 0)
 
     def __copy__(self) -> CompiledFilter:
         """A filter with an instance of its own, where this one is."""
@@ -338,30 +339,33 @@ class CompiledFilter:
         prior = priors(self.layout, {} if start is None else start, records)
         of_each = [len(each) for each in prior if each is not None]
         count = max([1, *of_each, *(len(values) for values in parameters if values.ndim == 2)])
-        instance, first = self._type(), self._parameters.copy()
-        call = (ctypes.c_void_p * 4)(ctypes.addressof(instance), first.ctypes.data)
-        found = []
+        instance, first = self._type(), type(self._parameters)()
+        call, found = ctypes.byref(self._given(instance, first)), []
         for m in range(count):
             for i, values in enumerate(parameters):
                 of_m = values[m] if values.ndim == 2 else values
-                first[i : i + 1] = of_m[:1]
-            self._begin(ctypes.addressof(call), prior, m)
+                first[i] = of_m[0] if len(of_m) else self.layout.parameters[i][1]
+            self._begin(call, prior, m)
             found.append(bytes(instance))
         return found
 
-    def _begin(self, call: int, prior: Priors, m: int) -> None:
+    def _begin(self, call: Any, prior: Priors, m: int) -> None:
         """Start the instance of a call from the prior of the spec, or from that of a record."""
         if all(each is None for each in prior):
-            self._told(self._init(call))
+            self._accepted(self._init(call))
             return
         own = [np.array(each, self._dtype) for each in self.layout.prior]
-        places = [each.ctypes.data for each in own]
+        places = [ctypes.c_void_p(each.ctypes.data) for each in own]
         if self.layout.own_prior and any(each is None for each in prior):
-            self._told(self._prior(call, *places))
+            self._accepted(self._prior(call, *places))
         for place, each in zip(own, prior, strict=True):
             if each is not None:
                 place[:] = each[m % len(each)]
-        self._told(self._start(call, *places))
+        self._accepted(self._start(call, *places))
+
+    def _accepted(self, status: int) -> None:
+        if status < 0:
+            self._refuse(status)
 
     def _filter(
         self, start: bytes, data: tuple[Array, Array], parameters: list[Array], found: Run
@@ -383,39 +387,45 @@ class CompiledFilter:
         )
         return bytes(instance)
 
-    def _told(self, status: int) -> int:
-        """The status of a call, unless it is a refusal."""
-        if status < 0:
-            found = Status(status)
-            raise StepRefused(status, f"{self.name.upper()}_{found.name}", found.meaning)
-        return status
-
-    def _measure(self, y: ArrayLike) -> None:
-        """Put a sample where C reads it."""
-        place = self._y
-        if type(y) is np.ndarray and y.dtype is place.dtype and y.shape == place.shape:
-            place[:] = y  # the fast way: nothing to check
-        else:
-            self._place("y", y, place)
+    def _refuse(self, status: int) -> NoReturn:
+        found = Status(status)
+        raise StepRefused(status, f"{self.name.upper()}_{found.name}", found.meaning)
 
     def _drive(self, u: ArrayLike | None, params: Mapping[str, float] | None) -> None:
-        """The same with inputs and parameters."""
-        place = self._u
-        if type(u) is np.ndarray and u.dtype is place.dtype and u.shape == place.shape:
-            place[:] = u
-        elif u is not None or place.size:
-            self._place("u", u, place)
+        """Put inputs and parameters where C reads them."""
+        if self._driven or u is not None:
+            self._place("u", u, self._u)
         if params is not None or self._varied:
             self._place_parameters(params or {})
 
-    def _place(self, what: str, value: Any, place: Array) -> None:
-        """Copy one sample to where C reads it."""
+    def _place(self, what: str, value: Any, place: Any) -> None:
+        """Put a sample where C reads it; plain numbers in the right shape without a detour."""
+        kind = type(value)
+        if kind is np.ndarray:
+            quick = value.dtype.kind in "fiu"
+        else:
+            quick = (kind is list or kind is tuple) and _NUMBERS.issuperset(map(type, value))
+        if quick:
+            try:
+                place[:] = value.tolist() if kind is np.ndarray else value
+            except (TypeError, ValueError, OverflowError):
+                pass  # it has another shape: below
+            else:
+                return
         names = self.layout.outputs if what == "y" else self.layout.inputs
-        place[:] = record.sample(what, value, names, place)
+        place[:] = record.sample(what, value, names, self._dtype).tolist()
 
     def _place_parameters(self, given: Mapping[str, float]) -> None:
         """Parameters of this sample; those not given take their defaults."""
         self._varied = bool(given)
-        values = record.values_of(self.layout.parameters, given, 1, self._dtype)
-        for i, value in enumerate(values):
-            self._parameters[i] = value[0]
+        if type(given) is dict and self._defaults.keys() >= given.keys():
+            values = [*(self._defaults | given).values()]
+            if _NUMBERS.issuperset(map(type, values)) and all(map(self._in_range, values)):
+                self._parameters[:] = values  # the fast way: nothing to convert
+                return
+        arrays = record.values_of(self.layout.parameters, given, 1, self._dtype)
+        self._parameters[:] = [value[0] for value in arrays]
+
+    def _in_range(self, value: float) -> bool:
+        """Whether it is a finite number of the filter's scalar."""
+        return -self._largest <= value <= self._largest

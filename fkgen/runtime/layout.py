@@ -31,11 +31,17 @@ class Layout:
     groups: int  # Of rows with correlated noises, one more member for each
     flops: int  # Operations per step
     claims: tuple[str, ...]  # What was proved before the code was generated
+    statements: int = 0  # Operations as they stand in the text, where loops repeat them
 
     @property
     def dtype(self) -> type[np.floating]:
         """The NumPy scalar."""
         return np.float64 if self.scalar == "double" else np.float32
+
+    @property
+    def real(self) -> Any:
+        """The same in ctypes."""
+        return ctypes.c_double if self.scalar == "double" else ctypes.c_float
 
     def dtype_of(self, port: Port) -> type[np.generic]:
         """The NumPy scalar of a port in Python."""
@@ -43,7 +49,7 @@ class Layout:
 
     def structure(self) -> type[ctypes.Structure]:
         """The C instance as a ctypes structure."""
-        real: Any = ctypes.c_double if self.scalar == "double" else ctypes.c_float
+        real = self.real
         fields = [(port.member, real * port.size if port.shape else real) for port in self.ports]
         fields.append((UPDATED, real))
         fields += [(CORRELATED, real * self.groups)] if self.groups else []
@@ -75,7 +81,7 @@ class Layout:
 
 def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
     """The layout of a program."""
-    same = ("name", "family", "scalar", "parameters", "ports", "prior", "flops")
+    same = ("name", "family", "scalar", "parameters", "ports", "prior", "flops", "statements")
     facts: dict[str, Any] = {key: getattr(program, key) for key in same}
     facts["spec"] = program.digest
     for key in ("states", "inputs", "outputs"):

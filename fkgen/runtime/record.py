@@ -103,22 +103,21 @@ def batch(layout: Layout, y: Any, u: Any) -> tuple[Array, Array | None]:
     return records, driven
 
 
-def sample(what: str, value: Any, names: Sequence[str], shown: Array) -> Array:
-    """One sample in the shape and type of ``shown``; of y all of it may be missing."""
+def sample(what: str, value: Any, names: Sequence[str], dtype: type[np.floating]) -> Array:
+    """One sample of signals of these names; of y all of it may be missing."""
     measured, width = what == "y", len(names)
+    shape = f"shape ({width},){_listed(names)}"
     if measured and (value is None or value is np.ma.masked):
-        return np.full(width, np.nan, shown.dtype)
+        return np.full(width, np.nan, dtype)
     if value is None:
-        expected = f"numbers of shape {shown.shape}{_listed(names)}"
-        raise DataError(what, given="nothing", expected=expected)
+        raise DataError(what, given="nothing", expected=f"numbers of {shape}")
     labels = getattr(value, "index", None)
     if labels is not None and not callable(labels) and set(names) <= set(labels):
         value = {name: value[name] for name in names}  # a row of a frame
     role = "" if measured else _INPUT
-    array = numbers(what, value, shown.dtype.type, names, role=role)
+    array = numbers(what, value, dtype, names, role=role)
     if array.size != width or sorted(array.shape)[:-1] != [1] * (array.ndim - 1):
-        expected = f"shape {shown.shape}{_listed(names)}"
-        raise DataError(what, given=f"shape {array.shape}", expected=expected)
+        raise DataError(what, given=f"shape {array.shape}", expected=shape)
     return array.reshape(width)
 
 

@@ -18,6 +18,7 @@ from fkgen.problem import Matrix, Spec
 from fkgen.problem.probability import Distribution
 from fkgen.problem.table.place import Place
 from fkgen.symbolic.domain import law_of
+from fkgen.symbolic.linalg import column, sparse
 from fkgen.symbolic.plant import Plant, lift, lift_expression
 
 _COUNTED = 255  # codes of conditions and hypotheses fit a byte
@@ -44,7 +45,9 @@ class Conditions:
     indicators: tuple[tuple[float, ...], ...] = ()  # what each condition hands to the plant
     modes: tuple[int, ...] = ()  # the mode of each condition: several if their past matters
     lost: tuple[int, ...] = ()  # whether the sample is lost, by condition
-    plants: int = 0  # N: the first N indicators say which plant moves; 0 if there is one
+    plants: int = 0  # N: the first N indicators say which plant measures; 0 if there is one
+    entering: bool = False  # the last N say which plant moves, otherwise the first
+    held: tuple[tuple[int, ...], ...] = ()  # by condition, 1 for each state that is not 0 in it
     rows: tuple[int, ...] = ()  # of y: signal times the next indicator, noise times the one after
 
 
@@ -81,6 +84,8 @@ def _of_actuators(spec: Spec, faults: ActuatorFaults) -> Conditions:
 
 def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
     """The modes; with a channel both states of it in every mode, a lost sample first."""
+    if faults.unequal:
+        return _of_pairs(spec, faults)
     chain, channel, count = faults.chain(spec.model), faults.channel, len(faults.modes)
     order = np.arange(count)
     if channel is not None:
@@ -96,6 +101,25 @@ def _of_jumps(spec: Spec, faults: JumpFaults) -> Conditions:
         lost=() if channel is None else tuple((order >= count).astype(int).tolist()),
         plants=count,
         rows=tuple(range(spec.model.ny)),
+    )
+
+
+def _of_pairs(spec: Spec, faults: JumpFaults) -> Conditions:
+    """Pairs of a mode and the next one, which drives the step: what it leaves out is 0 after it."""
+    P, N = np.array(faults.transition), len(faults.modes)
+    now, after = (each.ravel() for each in np.indices((N, N)))
+    measured = np.column_stack([np.eye(N)[now], np.ones((N * N, 2))])
+    follows = after[:, np.newaxis] == now
+    return Conditions(
+        initial=tuple((np.array(faults.initial)[now] * P[now, after]).tolist()),
+        kernel=tuple(map(tuple, (follows * P[now, after]).tolist())),
+        indicators=tuple(map(tuple, np.hstack([measured, np.eye(N)[after]]).tolist())),
+        modes=tuple(now.tolist()),
+        plants=N,
+        rows=tuple(range(spec.model.ny)),
+        moving=faults.law is not None,
+        entering=True,
+        held=tuple(faults.held[mode] for mode in now),
     )
 
 
@@ -129,7 +153,13 @@ def moving_kernel(spec: Spec, before: Mapping[str, ca.SX], now: Mapping[str, ca.
         return law_of(sensor.law, now if sensor.independent else before)
     if jump is None:
         raise InternalError("no chain with a kernel of each sample")
-    P = law_of(jump.law or Matrix.of(jump.transition), before)
+    P = law_of(jump.law or Matrix.of(jump.transition), now if jump.unequal else before)
+    if jump.unequal:  # the next mode is part of the pair
+        first, second = (each.ravel() for each in np.indices(P.shape))
+        following = [P[int(i), int(j)] for i, j in zip(first, second, strict=True)]
+        return sparse(
+            ca.DM(second[:, np.newaxis] == first) * ca.repmat(column(following).T, second.size, 1)
+        )
     channel, count = jump.channel, len(jump.modes)
     if channel is None:
         return P

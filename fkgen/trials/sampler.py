@@ -127,7 +127,7 @@ def sampler(spec: Spec) -> CompiledSampler:
         source = render_sampler(spec)
         text = folder / f"{spec.name}_sampler.c"
         text.write_text(source.text, encoding="utf-8")
-        compile_shared(compiler, text, folder / cache.LIBRARY, flops=source.operations)
+        compile_shared(compiler, text, folder / cache.LIBRARY, statements=source.operations)
         (folder / cache.LAYOUT).write_text(source.facts, encoding="utf-8")
 
     laws = repr(spec.faults) if spec.faults.law_names else ""  # with their numbers at sample 0

@@ -195,6 +195,8 @@ def _sample(
     """y[k] = s (C x + D u + d) + f root(R) v, or x[k+1] = A x + B u + c + root(Q) w."""
     builder, indicator = PhaseBuilder(symbols), symbols["indicator"]
     root_factor = _root_factor(spec, plants[0])
+    if conditions.entering and port == "state":
+        indicator = indicator[-conditions.plants :]
     letters, noise = ("CDRd", "v") if port == "measurement" else ("ABQc", "w")
     M, N, covariances, offsets = ([getattr(p, letter) for p in plants] for letter in letters)
     for covariance in covariances:

@@ -416,14 +416,9 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_correct(const car_speed_t *self, c
     /* results of the update */
     const double t6 = log_constant + car_speed_log(determinant_0) + car_speed_log(determinant_1);
     const double t7 = -0.5 * (quadratic + t6);
-    if (!car_speed_finite((((car_speed_defect(covariance[0]) + car_speed_defect(covariance[2])) +
-        (car_speed_defect(innovation_0) + car_speed_defect(innovation_1))) +
-        ((car_speed_defect(innovation_2) + car_speed_defect(innovation_3)) +
-        (car_speed_defect(innovation_4) + car_speed_defect(innovation_5)))) +
-        (((car_speed_defect(variance[0]) + car_speed_defect(variance[2])) +
-        (car_speed_defect(variance[5]) + car_speed_defect(variance[9]))) +
-        ((car_speed_defect(variance[14]) + car_speed_defect(variance[20])) +
-        (car_speed_defect(quadratic) + car_speed_defect(t7))))))
+    if (!car_speed_finite(((car_speed_defect(covariance[0]) + car_speed_defect(covariance[2])) +
+        (car_speed_defect(variance[0]) + car_speed_defect(variance[5]))) +
+        ((car_speed_defect(variance[14]) + car_speed_defect(variance[20])) + car_speed_defect(t7))))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
@@ -461,8 +456,7 @@ CAR_SPEED_INLINE car_speed_status_t car_speed_propagate(const car_speed_t *self,
     const double t4 = self->filtered_covariance[2] * A;
     next->predicted_covariance[1] = self->filtered_covariance[1] + t4;
     const double t5 = self->filtered_covariance[2] + Q[1];
-    if (!car_speed_finite((car_speed_defect(t0) + car_speed_defect(self->filtered_state[1])) +
-        (car_speed_defect(t3) + car_speed_defect(t5))))
+    if (!car_speed_finite((car_speed_defect(t0) + car_speed_defect(t3)) + car_speed_defect(t5)))
     {
         return CAR_SPEED_RESULT_NOT_FINITE;
     }
@@ -541,17 +535,27 @@ static car_speed_status_t car_speed_pass(const car_speed_t *self, car_speed_t *n
     return car_speed_correct(self, NULL, 0u, next);
 }
 
+/* The instance before another update: the filtered estimate in the place of the prediction. */
+static void car_speed_reopen(const car_speed_t *self, car_speed_t *prior)
+{
+    *prior = *self;
+    car_speed_keep(self->filtered_state, prior->predicted_state, 2);
+    car_speed_keep(self->filtered_covariance, prior->predicted_covariance, 3);
+}
+
 /* Correct the latest estimate: after an update, the filtered one. */
 static car_speed_status_t car_speed_renew(const car_speed_t *self, const double *y,
     uint32_t present, car_speed_t *next)
 {
     car_speed_status_t status;
     const int again = self->updated > 0.0;
-    *next = *self;
     if (again)
     {
-        car_speed_keep(self->filtered_state, next->predicted_state, 2);
-        car_speed_keep(self->filtered_covariance, next->predicted_covariance, 3);
+        car_speed_reopen(self, next);
+    }
+    else
+    {
+        *next = *self;
     }
     status = car_speed_correct(next, y, present, next);
     if (again)
@@ -609,7 +613,9 @@ car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *p
     const double u[1], const double y[6], uint32_t valid)
 {
     car_speed_t next;
+    car_speed_t prior;
     uint32_t present;
+    const car_speed_t *latest = self;
     car_speed_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL) || (y == NULL))
     {
@@ -620,12 +626,10 @@ car_speed_status_t car_speed_step(car_speed_t *self, const car_speed_params_t *p
     if (!car_speed_present_rows(y, valid, &present)) { return CAR_SPEED_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        status = car_speed_renew(self, y, present, &next);
+        car_speed_reopen(self, &prior);
+        latest = &prior;
     }
-    else
-    {
-        status = car_speed_correct(self, y, present, &next);
-    }
+    status = car_speed_correct(latest, y, present, &next);
     if (status != CAR_SPEED_OK) { return status; }
     status = car_speed_propagate(&next, params, u, &next);
     if (status != CAR_SPEED_OK) { return status; }

@@ -234,10 +234,9 @@ DC_MOTOR_KNOWN_INLINE dc_motor_known_status_t dc_motor_known_correct(const dc_mo
     /* results of the update */
     const double t4 = -0.5 * (quadratic + (log_constant + dc_motor_known_log(determinant_0)));
     if (!dc_motor_known_finite(((dc_motor_known_defect(covariance[0]) +
-        dc_motor_known_defect(covariance[2])) + (dc_motor_known_defect(innovation_0) +
-        dc_motor_known_defect(pivot_0))) + ((dc_motor_known_defect(quadratic) +
-        dc_motor_known_defect(t4)) + (dc_motor_known_defect(update_gain[0]) +
-        dc_motor_known_defect(update_gain[1])))))
+        dc_motor_known_defect(covariance[2])) + dc_motor_known_defect(pivot_0)) +
+        ((dc_motor_known_defect(t4) + dc_motor_known_defect(update_gain[0])) +
+        dc_motor_known_defect(update_gain[1]))))
     {
         return DC_MOTOR_KNOWN_RESULT_NOT_FINITE;
     }
@@ -373,6 +372,14 @@ static dc_motor_known_status_t dc_motor_known_pass(const dc_motor_known_t *self,
     return dc_motor_known_correct(self, params, NULL, 0u, next);
 }
 
+/* The instance before another update: the filtered estimate in the place of the prediction. */
+static void dc_motor_known_reopen(const dc_motor_known_t *self, dc_motor_known_t *prior)
+{
+    *prior = *self;
+    dc_motor_known_keep(self->filtered_state, prior->predicted_state, 2);
+    dc_motor_known_keep(self->filtered_covariance, prior->predicted_covariance, 3);
+}
+
 /* Correct the latest estimate: after an update, the filtered one. */
 static dc_motor_known_status_t dc_motor_known_renew(const dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double *y, uint32_t present,
@@ -380,11 +387,13 @@ static dc_motor_known_status_t dc_motor_known_renew(const dc_motor_known_t *self
 {
     dc_motor_known_status_t status;
     const int again = self->updated > 0.0;
-    *next = *self;
     if (again)
     {
-        dc_motor_known_keep(self->filtered_state, next->predicted_state, 2);
-        dc_motor_known_keep(self->filtered_covariance, next->predicted_covariance, 3);
+        dc_motor_known_reopen(self, next);
+    }
+    else
+    {
+        *next = *self;
     }
     status = dc_motor_known_correct(next, params, y, present, next);
     if (again)
@@ -452,7 +461,9 @@ dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
     const dc_motor_known_params_t *params, const double u[1], const double y[1], uint32_t valid)
 {
     dc_motor_known_t next;
+    dc_motor_known_t prior;
     uint32_t present;
+    const dc_motor_known_t *latest = self;
     dc_motor_known_status_t status;
     if ((self == NULL) || (params == NULL) || (u == NULL) || (y == NULL))
     {
@@ -469,12 +480,10 @@ dc_motor_known_status_t dc_motor_known_step(dc_motor_known_t *self,
     }
     if (self->updated > 0.0)
     {
-        status = dc_motor_known_renew(self, params, y, present, &next);
+        dc_motor_known_reopen(self, &prior);
+        latest = &prior;
     }
-    else
-    {
-        status = dc_motor_known_correct(self, params, y, present, &next);
-    }
+    status = dc_motor_known_correct(latest, params, y, present, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }
     status = dc_motor_known_propagate(&next, params, u, &next);
     if (status != DC_MOTOR_KNOWN_OK) { return status; }

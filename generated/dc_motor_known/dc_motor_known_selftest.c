@@ -133,7 +133,18 @@ dc_motor_known_status_t dc_motor_known_selftest(void)
             y[i] = ((k == MARKED) && (i == 0)) ? number(UINT64_C(0x7ff8000000000000))
                 : measurement[k][i];
         }
-        status = dc_motor_known_step(&filter, &params, input[k], y, valid[k]);
+        if ((k % 2) == 0)
+        {
+            status = dc_motor_known_step(&filter, &params, input[k], y, valid[k]);
+        }
+        else
+        {
+            status = dc_motor_known_update(&filter, &params, input[k], y, valid[k]);
+            if ((int)status >= 0)
+            {
+                status = dc_motor_known_predict(&filter, &params, input[k]);
+            }
+        }
         if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], DC_MOTOR_KNOWN_NX))
         {

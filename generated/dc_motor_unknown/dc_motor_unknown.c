@@ -417,23 +417,6 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_hypothesis_2(
     return DC_MOTOR_UNKNOWN_OK;
 }
 
-/* combined prediction. */
-DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combined_prediction(const double
-    *moved_state, const double *moved_covariance, double *mode_state, double *mode_covariance)
-{
-    if (!dc_motor_unknown_finite((dc_motor_unknown_defect(moved_state[0]) +
-        dc_motor_unknown_defect(moved_state[1])) + (dc_motor_unknown_defect(moved_covariance[0]) +
-        dc_motor_unknown_defect(moved_covariance[2]))))
-    {
-        return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
-    }
-    mode_state[0] = moved_state[0];
-    mode_state[1] = moved_state[1];
-    mode_covariance[0] = moved_covariance[0];
-    mode_covariance[2] = moved_covariance[2];
-    return DC_MOTOR_UNKNOWN_OK;
-}
-
 /* combination. */
 DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combination(const double
     *combined_innovation, const double whitening_inverse_combined_0,
@@ -502,35 +485,24 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_combination(c
     const double t49 = t48 + (weight[4] * mode_state[9]);
     const double t50 = (0.1 * weight[0]) + (0.3 * weight[1]) + (0.5 * weight[2]);
     const double t51 = t50 + (0.7 * weight[3]) + (0.9 * weight[4]);
-    if (!dc_motor_unknown_finite((((((dc_motor_unknown_defect(combined_innovation[0]) +
-        dc_motor_unknown_defect(combined_innovation[1])) +
-        (dc_motor_unknown_defect(combined_variance[0]) +
-        dc_motor_unknown_defect(combined_variance[2]))) + ((dc_motor_unknown_defect(t3) +
-        dc_motor_unknown_defect(t6)) + dc_motor_unknown_defect(t9))) +
-        (((dc_motor_unknown_defect(t22) + dc_motor_unknown_defect(t43)) +
-        (dc_motor_unknown_defect(t46) + dc_motor_unknown_defect(t49))) +
-        ((dc_motor_unknown_defect(t51) + dc_motor_unknown_defect(covariance_h0[0])) +
-        dc_motor_unknown_defect(covariance_h0[2])))) +
-        ((((dc_motor_unknown_defect(covariance_h1[0]) + dc_motor_unknown_defect(covariance_h1[2])) +
-        (dc_motor_unknown_defect(covariance_h2[0]) + dc_motor_unknown_defect(covariance_h2[2]))) +
-        ((dc_motor_unknown_defect(covariance_h3[0]) + dc_motor_unknown_defect(covariance_h3[2])) +
-        dc_motor_unknown_defect(covariance_h4[0]))) + (((dc_motor_unknown_defect(covariance_h4[2]) +
-        dc_motor_unknown_defect(mean_h0[2])) + dc_motor_unknown_defect(mean_h1[2])) +
-        ((dc_motor_unknown_defect(mean_h2[2]) + dc_motor_unknown_defect(mean_h3[2])) +
-        dc_motor_unknown_defect(mean_h4[2]))))) + (((((dc_motor_unknown_defect(covariance_h0[5]) +
-        dc_motor_unknown_defect(covariance_h1[5])) + (dc_motor_unknown_defect(covariance_h2[5]) +
-        dc_motor_unknown_defect(covariance_h3[5]))) + ((dc_motor_unknown_defect(covariance_h4[5]) +
-        dc_motor_unknown_defect(covariance_h0[3])) + dc_motor_unknown_defect(covariance_h0[4]))) +
-        (((dc_motor_unknown_defect(covariance_h1[3]) + dc_motor_unknown_defect(covariance_h1[4])) +
-        dc_motor_unknown_defect(covariance_h2[3])) + ((dc_motor_unknown_defect(covariance_h2[4]) +
-        dc_motor_unknown_defect(covariance_h3[3])) + dc_motor_unknown_defect(covariance_h3[4])))) +
-        ((((dc_motor_unknown_defect(covariance_h4[3]) + dc_motor_unknown_defect(covariance_h4[4])) +
-        (dc_motor_unknown_defect(weight[0]) + dc_motor_unknown_defect(weight[1]))) +
-        ((dc_motor_unknown_defect(weight[2]) + dc_motor_unknown_defect(weight[3])) +
-        dc_motor_unknown_defect(weight[4]))) + (((dc_motor_unknown_defect(log_weight_now[0]) +
-        dc_motor_unknown_defect(log_weight_now[1])) + dc_motor_unknown_defect(log_weight_now[2])) +
-        ((dc_motor_unknown_defect(log_weight_now[3]) + dc_motor_unknown_defect(log_weight_now[4])) +
-        dc_motor_unknown_defect(log_evidence)))))))
+    if (!dc_motor_unknown_finite((((((dc_motor_unknown_defect(combined_variance[0]) +
+        dc_motor_unknown_defect(combined_variance[2])) + dc_motor_unknown_defect(t3)) +
+        (dc_motor_unknown_defect(t22) + dc_motor_unknown_defect(t43))) +
+        ((dc_motor_unknown_defect(t46) + dc_motor_unknown_defect(t49)) +
+        (dc_motor_unknown_defect(t51) + dc_motor_unknown_defect(mean_h0[2])))) +
+        (((dc_motor_unknown_defect(mean_h1[2]) + dc_motor_unknown_defect(mean_h2[2])) +
+        (dc_motor_unknown_defect(mean_h3[2]) + dc_motor_unknown_defect(mean_h4[2]))) +
+        ((dc_motor_unknown_defect(covariance_h0[5]) + dc_motor_unknown_defect(covariance_h1[5])) +
+        (dc_motor_unknown_defect(covariance_h2[5]) + dc_motor_unknown_defect(covariance_h3[5]))))) +
+        (((((dc_motor_unknown_defect(covariance_h4[5]) +
+        dc_motor_unknown_defect(covariance_h0[3])) + dc_motor_unknown_defect(covariance_h0[4])) +
+        (dc_motor_unknown_defect(covariance_h1[3]) + dc_motor_unknown_defect(covariance_h1[4]))) +
+        ((dc_motor_unknown_defect(covariance_h2[3]) + dc_motor_unknown_defect(covariance_h2[4])) +
+        (dc_motor_unknown_defect(covariance_h3[3]) + dc_motor_unknown_defect(covariance_h3[4])))) +
+        (((dc_motor_unknown_defect(covariance_h4[3]) + dc_motor_unknown_defect(covariance_h4[4])) +
+        (dc_motor_unknown_defect(log_weight_now[0]) + dc_motor_unknown_defect(log_weight_now[1]))) +
+        ((dc_motor_unknown_defect(log_weight_now[2]) + dc_motor_unknown_defect(log_weight_now[3])) +
+        (dc_motor_unknown_defect(log_weight_now[4]) + dc_motor_unknown_defect(log_evidence)))))))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
@@ -910,7 +882,6 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     double moved_state[10];
     double moved_covariance[15];
     double combined_state[2];
-    dc_motor_unknown_status_t status;
     dc_motor_unknown_propagate_3(self->mode_filtered_state, u[0], self->mode_deviation[0],
         moved_state, dc_motor_unknown_propagate_3_numbers[0]);
     dc_motor_unknown_propagate_3(&self->mode_filtered_state[2], u[0], self->mode_deviation[1],
@@ -985,36 +956,16 @@ DC_MOTOR_UNKNOWN_INLINE dc_motor_unknown_status_t dc_motor_unknown_propagate(con
     const double t46 = t45 + (self->mode_probability[4] * moved_covariance[14]);
     const double t47 = (t29 * t28) + (t32 * t31) + (t35 * t34) + (t38 * t37);
     const double t48 = t46 + (t47 + (t41 * t40));
-    if (!dc_motor_unknown_finite((dc_motor_unknown_defect(combined_state[0]) +
-        dc_motor_unknown_defect(combined_state[1])) + (dc_motor_unknown_defect(t22) +
-        dc_motor_unknown_defect(t48))))
+    if (!dc_motor_unknown_finite(dc_motor_unknown_defect(t22) + dc_motor_unknown_defect(t48)))
     {
         return DC_MOTOR_UNKNOWN_RESULT_NOT_FINITE;
     }
-    next->mode_covariance[1] = moved_covariance[1];
-    next->mode_covariance[4] = moved_covariance[4];
-    next->mode_covariance[7] = moved_covariance[7];
-    next->mode_covariance[10] = moved_covariance[10];
-    next->mode_covariance[13] = moved_covariance[13];
+    dc_motor_unknown_copy(moved_state, next->mode_state, 10);
+    dc_motor_unknown_copy(moved_covariance, next->mode_covariance, 15);
     next->predicted_state[0] = combined_state[0];
     next->predicted_state[1] = combined_state[1];
     next->predicted_covariance[0] = t22;
     next->predicted_covariance[2] = t48;
-    status = dc_motor_unknown_combined_prediction(moved_state, moved_covariance, next->mode_state,
-        next->mode_covariance);
-    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    status = dc_motor_unknown_combined_prediction(&moved_state[2], &moved_covariance[3],
-        &next->mode_state[2], &next->mode_covariance[3]);
-    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    status = dc_motor_unknown_combined_prediction(&moved_state[4], &moved_covariance[6],
-        &next->mode_state[4], &next->mode_covariance[6]);
-    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    status = dc_motor_unknown_combined_prediction(&moved_state[6], &moved_covariance[9],
-        &next->mode_state[6], &next->mode_covariance[9]);
-    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
-    status = dc_motor_unknown_combined_prediction(&moved_state[8], &moved_covariance[12],
-        &next->mode_state[8], &next->mode_covariance[12]);
-    if (status != DC_MOTOR_UNKNOWN_OK) { return status; }
     return DC_MOTOR_UNKNOWN_OK;
 }
 

@@ -170,7 +170,18 @@ dc_motor_unknown_status_t dc_motor_unknown_selftest(void)
             y[i] = ((k == MARKED) && (i == 0)) ? number(UINT64_C(0x7ff8000000000000))
                 : measurement[k][i];
         }
-        status = dc_motor_unknown_step(&filter, input[k], y, valid[k]);
+        if ((k % 2) == 0)
+        {
+            status = dc_motor_unknown_step(&filter, input[k], y, valid[k]);
+        }
+        else
+        {
+            status = dc_motor_unknown_update(&filter, input[k], y, valid[k]);
+            if ((int)status >= 0)
+            {
+                status = dc_motor_unknown_predict(&filter, input[k]);
+            }
+        }
         if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], DC_MOTOR_UNKNOWN_NX))
         {

@@ -272,11 +272,9 @@ FAULT_EFFECT_A_INLINE fault_effect_a_status_t fault_effect_a_correct(const fault
     /* results of the update */
     const double t8 = pivot_1 + (coupling_0 * factor_0);
     const double t9 = -0.5 * (quadratic + (log_constant + fault_effect_a_log(determinant_0)));
-    if (!fault_effect_a_finite((((fault_effect_a_defect(covariance[0]) +
+    if (!fault_effect_a_finite(((fault_effect_a_defect(covariance[0]) +
         fault_effect_a_defect(covariance[2])) + fault_effect_a_defect(covariance[5])) +
-        (fault_effect_a_defect(innovation_0) + fault_effect_a_defect(innovation_1))) +
-        ((fault_effect_a_defect(pivot_0) + fault_effect_a_defect(t8)) +
-        (fault_effect_a_defect(quadratic) + fault_effect_a_defect(t9)))))
+        ((fault_effect_a_defect(pivot_0) + fault_effect_a_defect(t8)) + fault_effect_a_defect(t9))))
     {
         return FAULT_EFFECT_A_RESULT_NOT_FINITE;
     }
@@ -399,17 +397,27 @@ static fault_effect_a_status_t fault_effect_a_pass(const fault_effect_a_t *self,
     return fault_effect_a_correct(self, NULL, 0u, next);
 }
 
+/* The instance before another update: the filtered estimate in the place of the prediction. */
+static void fault_effect_a_reopen(const fault_effect_a_t *self, fault_effect_a_t *prior)
+{
+    *prior = *self;
+    fault_effect_a_keep(self->filtered_state, prior->predicted_state, 3);
+    fault_effect_a_keep(self->filtered_covariance, prior->predicted_covariance, 6);
+}
+
 /* Correct the latest estimate: after an update, the filtered one. */
 static fault_effect_a_status_t fault_effect_a_renew(const fault_effect_a_t *self, const double *y,
     uint32_t present, fault_effect_a_t *next)
 {
     fault_effect_a_status_t status;
     const int again = self->updated > 0.0;
-    *next = *self;
     if (again)
     {
-        fault_effect_a_keep(self->filtered_state, next->predicted_state, 3);
-        fault_effect_a_keep(self->filtered_covariance, next->predicted_covariance, 6);
+        fault_effect_a_reopen(self, next);
+    }
+    else
+    {
+        *next = *self;
     }
     status = fault_effect_a_correct(next, y, present, next);
     if (again)
@@ -470,7 +478,9 @@ fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double
     const double y[2], uint32_t valid)
 {
     fault_effect_a_t next;
+    fault_effect_a_t prior;
     uint32_t present;
+    const fault_effect_a_t *latest = self;
     fault_effect_a_status_t status;
     if ((self == NULL) || (u == NULL) || (y == NULL)) { return FAULT_EFFECT_A_NULL_POINTER; }
     if (!fault_effect_a_all_finite(u, FAULT_EFFECT_A_NU))
@@ -483,12 +493,10 @@ fault_effect_a_status_t fault_effect_a_step(fault_effect_a_t *self, const double
     }
     if (self->updated > 0.0)
     {
-        status = fault_effect_a_renew(self, y, present, &next);
+        fault_effect_a_reopen(self, &prior);
+        latest = &prior;
     }
-    else
-    {
-        status = fault_effect_a_correct(self, y, present, &next);
-    }
+    status = fault_effect_a_correct(latest, y, present, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }
     status = fault_effect_a_propagate(&next, u, &next);
     if (status != FAULT_EFFECT_A_OK) { return status; }

@@ -128,7 +128,18 @@ fault_effect_a_status_t fault_effect_a_selftest(void)
             y[i] = ((k == MARKED) && (i == 0)) ? number(UINT64_C(0x7ff8000000000000))
                 : measurement[k][i];
         }
-        status = fault_effect_a_step(&filter, input[k], y, valid[k]);
+        if ((k % 2) == 0)
+        {
+            status = fault_effect_a_step(&filter, input[k], y, valid[k]);
+        }
+        else
+        {
+            status = fault_effect_a_update(&filter, input[k], y, valid[k]);
+            if ((int)status >= 0)
+            {
+                status = fault_effect_a_predict(&filter, input[k]);
+            }
+        }
         if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], FAULT_EFFECT_A_NX))
         {

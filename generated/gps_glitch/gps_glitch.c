@@ -1019,39 +1019,17 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_correct(const gps_glitch_t *sel
     const double t4 = combined_innovation[2] - (whitening_combined_0_2 * combined_innovation[0]);
     const double t5 = t4 - (whitening_combined_1_2 * t2);
     const double t6 = t3 + (t5 * t5 * whitening_inverse_combined_2);
-    if (!gps_glitch_finite((((((gps_glitch_defect(combined_innovation[0]) +
-        gps_glitch_defect(combined_innovation[1])) + (gps_glitch_defect(combined_innovation[2]) +
-        gps_glitch_defect(combined_variance[0]))) + ((gps_glitch_defect(combined_variance[1]) +
-        gps_glitch_defect(combined_variance[2])) + (gps_glitch_defect(combined_variance[3]) +
-        gps_glitch_defect(combined_variance[4])))) + (((gps_glitch_defect(combined_variance[5]) +
-        gps_glitch_defect(t6)) + (gps_glitch_defect(weight[0]) + gps_glitch_defect(weight[1]))) +
-        ((gps_glitch_defect(weight[2]) + gps_glitch_defect(weight[3])) +
-        (gps_glitch_defect(log_weight_now[0]) + gps_glitch_defect(log_weight_now[1]))))) +
-        ((((gps_glitch_defect(log_weight_now[2]) + gps_glitch_defect(log_weight_now[3])) +
-        (gps_glitch_defect(log_evidence) + gps_glitch_defect(combined_0_3_covariance[0]))) +
-        ((gps_glitch_defect(combined_0_3_covariance[1]) +
-        gps_glitch_defect(combined_0_3_covariance[2])) +
-        (gps_glitch_defect(combined_0_3_covariance[3]) +
-        gps_glitch_defect(combined_0_3_covariance[4])))) +
-        (((gps_glitch_defect(combined_0_3_covariance[5]) + gps_glitch_defect(mean_m0[0])) +
-        (gps_glitch_defect(mean_m0[1]) + gps_glitch_defect(mean_m0[2]))) +
-        ((gps_glitch_defect(mean_m1[0]) + gps_glitch_defect(mean_m1[1])) +
-        gps_glitch_defect(mean_m1[2]))))) + (((((gps_glitch_defect(mean_m2[0]) +
-        gps_glitch_defect(mean_m2[1])) + (gps_glitch_defect(mean_m2[2]) +
-        gps_glitch_defect(mean_m3[0]))) + ((gps_glitch_defect(mean_m3[1]) +
-        gps_glitch_defect(mean_m3[2])) + (gps_glitch_defect(covariance_m0[0]) +
-        gps_glitch_defect(covariance_m0[1])))) + (((gps_glitch_defect(covariance_m0[2]) +
-        gps_glitch_defect(covariance_m0[3])) + (gps_glitch_defect(covariance_m0[4]) +
-        gps_glitch_defect(covariance_m0[5]))) + ((gps_glitch_defect(covariance_m1[0]) +
-        gps_glitch_defect(covariance_m1[1])) + gps_glitch_defect(covariance_m1[2])))) +
-        ((((gps_glitch_defect(covariance_m1[3]) + gps_glitch_defect(covariance_m1[4])) +
-        (gps_glitch_defect(covariance_m1[5]) + gps_glitch_defect(covariance_m2[0]))) +
-        ((gps_glitch_defect(covariance_m2[1]) + gps_glitch_defect(covariance_m2[2])) +
-        (gps_glitch_defect(covariance_m2[3]) + gps_glitch_defect(covariance_m2[4])))) +
-        (((gps_glitch_defect(covariance_m2[5]) + gps_glitch_defect(covariance_m3[0])) +
-        (gps_glitch_defect(covariance_m3[1]) + gps_glitch_defect(covariance_m3[2]))) +
-        ((gps_glitch_defect(covariance_m3[3]) + gps_glitch_defect(covariance_m3[4])) +
-        gps_glitch_defect(covariance_m3[5])))))))
+    if (!gps_glitch_finite((((gps_glitch_defect(combined_variance[0]) +
+        gps_glitch_defect(combined_variance[2])) + (gps_glitch_defect(combined_variance[5]) +
+        gps_glitch_defect(t6))) + ((gps_glitch_defect(log_weight_now[0]) +
+        gps_glitch_defect(log_weight_now[1])) + (gps_glitch_defect(log_weight_now[2]) +
+        gps_glitch_defect(log_weight_now[3])))) + (((gps_glitch_defect(log_evidence) +
+        gps_glitch_defect(combined_0_3_covariance[0])) +
+        (gps_glitch_defect(combined_0_3_covariance[1]) +
+        gps_glitch_defect(combined_0_3_covariance[2]))) +
+        ((gps_glitch_defect(combined_0_3_covariance[3]) +
+        gps_glitch_defect(combined_0_3_covariance[4])) +
+        gps_glitch_defect(combined_0_3_covariance[5])))))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1225,31 +1203,25 @@ GPS_GLITCH_INLINE gps_glitch_status_t gps_glitch_propagate(const gps_glitch_t *s
     const double t21 = self->filtered_covariance[2] + params->dt;
     const double t22 = self->filtered_covariance[3] + (self->filtered_covariance[4] * params->dt);
     const double t23 = self->filtered_covariance[5] + Q[3];
-    if (!gps_glitch_finite((((((gps_glitch_defect(mode_prediction_0) +
-        gps_glitch_defect(mode_prediction_1)) + (gps_glitch_defect(mode_prediction_2) +
-        gps_glitch_defect(mode_prediction_3))) + ((gps_glitch_defect(t11) +
-        gps_glitch_defect(t12)) + gps_glitch_defect(t13))) + (((gps_glitch_defect(t14) +
-        gps_glitch_defect(moved_state_0[0])) + gps_glitch_defect(moved_state_0[1])) +
-        ((gps_glitch_defect(moved_state_0[2]) + gps_glitch_defect(moved_state_1[0])) +
-        gps_glitch_defect(moved_state_1[1])))) + ((((gps_glitch_defect(moved_state_1[2]) +
-        gps_glitch_defect(moved_state_2[0])) + gps_glitch_defect(moved_state_2[1])) +
-        ((gps_glitch_defect(moved_state_2[2]) + gps_glitch_defect(moved_state_3[0])) +
-        gps_glitch_defect(moved_state_3[1]))) + (((gps_glitch_defect(moved_state_3[2]) +
-        gps_glitch_defect(moved_covariance_0[0])) + gps_glitch_defect(moved_covariance_0[1])) +
-        ((gps_glitch_defect(moved_covariance_0[2]) + gps_glitch_defect(moved_covariance_0[3])) +
-        gps_glitch_defect(moved_covariance_0[4]))))) +
-        (((((gps_glitch_defect(moved_covariance_0[5]) + gps_glitch_defect(moved_covariance_1[0])) +
-        (gps_glitch_defect(moved_covariance_1[1]) + gps_glitch_defect(moved_covariance_1[2]))) +
-        ((gps_glitch_defect(moved_covariance_1[3]) + gps_glitch_defect(moved_covariance_1[4])) +
-        gps_glitch_defect(moved_covariance_1[5]))) + (((gps_glitch_defect(moved_covariance_2[0]) +
-        gps_glitch_defect(moved_covariance_2[1])) + gps_glitch_defect(moved_covariance_2[2])) +
-        ((gps_glitch_defect(moved_covariance_2[3]) + gps_glitch_defect(moved_covariance_2[4])) +
-        gps_glitch_defect(moved_covariance_2[5])))) + ((((gps_glitch_defect(moved_covariance_3[0]) +
-        gps_glitch_defect(moved_covariance_3[1])) + gps_glitch_defect(moved_covariance_3[2])) +
-        ((gps_glitch_defect(moved_covariance_3[3]) + gps_glitch_defect(moved_covariance_3[4])) +
-        gps_glitch_defect(moved_covariance_3[5]))) + (((gps_glitch_defect(t15) +
-        gps_glitch_defect(t18)) + gps_glitch_defect(t20)) + ((gps_glitch_defect(t21) +
-        gps_glitch_defect(t22)) + gps_glitch_defect(t23)))))))
+    if (!gps_glitch_finite((((((gps_glitch_defect(mode_prediction_3) + gps_glitch_defect(t11)) +
+        gps_glitch_defect(t12)) + (gps_glitch_defect(t13) + gps_glitch_defect(t14))) +
+        (((gps_glitch_defect(moved_state_0[0]) + gps_glitch_defect(moved_state_0[2])) +
+        gps_glitch_defect(moved_state_1[0])) + (gps_glitch_defect(moved_state_1[2]) +
+        gps_glitch_defect(moved_state_2[0])))) + ((((gps_glitch_defect(moved_state_2[2]) +
+        gps_glitch_defect(moved_state_3[0])) + gps_glitch_defect(moved_state_3[2])) +
+        (gps_glitch_defect(moved_covariance_0[0]) + gps_glitch_defect(moved_covariance_0[1]))) +
+        (((gps_glitch_defect(moved_covariance_0[2]) + gps_glitch_defect(moved_covariance_0[3])) +
+        gps_glitch_defect(moved_covariance_0[5])) + (gps_glitch_defect(moved_covariance_1[0]) +
+        gps_glitch_defect(moved_covariance_1[1]))))) +
+        (((((gps_glitch_defect(moved_covariance_1[2]) + gps_glitch_defect(moved_covariance_1[3])) +
+        gps_glitch_defect(moved_covariance_1[5])) + (gps_glitch_defect(moved_covariance_2[0]) +
+        gps_glitch_defect(moved_covariance_2[1]))) + (((gps_glitch_defect(moved_covariance_2[2]) +
+        gps_glitch_defect(moved_covariance_2[3])) + gps_glitch_defect(moved_covariance_2[5])) +
+        (gps_glitch_defect(moved_covariance_3[0]) + gps_glitch_defect(moved_covariance_3[1])))) +
+        ((((gps_glitch_defect(moved_covariance_3[2]) + gps_glitch_defect(moved_covariance_3[3])) +
+        gps_glitch_defect(moved_covariance_3[5])) + (gps_glitch_defect(t15) +
+        gps_glitch_defect(t18))) + ((gps_glitch_defect(t20) + gps_glitch_defect(t21)) +
+        (gps_glitch_defect(t22) + gps_glitch_defect(t23)))))))
     {
         return GPS_GLITCH_RESULT_NOT_FINITE;
     }
@@ -1357,21 +1329,31 @@ static gps_glitch_status_t gps_glitch_pass(const gps_glitch_t *self, gps_glitch_
     return gps_glitch_correct(self, NULL, 0u, next);
 }
 
+/* The instance before another update: the filtered estimate in the place of the prediction. */
+static void gps_glitch_reopen(const gps_glitch_t *self, gps_glitch_t *prior)
+{
+    *prior = *self;
+    gps_glitch_keep(self->filtered_state, prior->predicted_state, 3);
+    gps_glitch_keep(self->filtered_covariance, prior->predicted_covariance, 6);
+    gps_glitch_keep(self->mode_probability, prior->predicted_mode_probability, 4);
+    gps_glitch_keep(self->log_weight, prior->predicted_log_weight, 4);
+    gps_glitch_keep(self->mode_filtered_state, prior->mode_state, 12);
+    gps_glitch_keep(self->mode_filtered_covariance, prior->mode_covariance, 24);
+}
+
 /* Correct the latest estimate: after an update, the filtered one. */
 static gps_glitch_status_t gps_glitch_renew(const gps_glitch_t *self, const double *y,
     uint32_t present, gps_glitch_t *next)
 {
     gps_glitch_status_t status;
     const int again = self->updated > 0.0;
-    *next = *self;
     if (again)
     {
-        gps_glitch_keep(self->filtered_state, next->predicted_state, 3);
-        gps_glitch_keep(self->filtered_covariance, next->predicted_covariance, 6);
-        gps_glitch_keep(self->mode_probability, next->predicted_mode_probability, 4);
-        gps_glitch_keep(self->log_weight, next->predicted_log_weight, 4);
-        gps_glitch_keep(self->mode_filtered_state, next->mode_state, 12);
-        gps_glitch_keep(self->mode_filtered_covariance, next->mode_covariance, 24);
+        gps_glitch_reopen(self, next);
+    }
+    else
+    {
+        *next = *self;
     }
     status = gps_glitch_correct(next, y, present, next);
     if (again)
@@ -1431,19 +1413,19 @@ gps_glitch_status_t gps_glitch_step(gps_glitch_t *self, const gps_glitch_params_
     const double y[3], uint32_t valid)
 {
     gps_glitch_t next;
+    gps_glitch_t prior;
     uint32_t present;
+    const gps_glitch_t *latest = self;
     gps_glitch_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return GPS_GLITCH_NULL_POINTER; }
     if (!gps_glitch_finite_params(params)) { return GPS_GLITCH_PARAMETER_OUT_OF_RANGE; }
     if (!gps_glitch_present_rows(y, valid, &present)) { return GPS_GLITCH_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        status = gps_glitch_renew(self, y, present, &next);
+        gps_glitch_reopen(self, &prior);
+        latest = &prior;
     }
-    else
-    {
-        status = gps_glitch_correct(self, y, present, &next);
-    }
+    status = gps_glitch_correct(latest, y, present, &next);
     if (status != GPS_GLITCH_OK) { return status; }
     status = gps_glitch_propagate(&next, params, &next);
     if (status != GPS_GLITCH_OK) { return status; }

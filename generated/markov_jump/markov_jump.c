@@ -458,8 +458,8 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const
     *moved_covariance, const double *moved_moment_0, const double *moved_moment_1,
     const double *moved_moment_2, const double *plant_noise_1, const double *carried_10,
     const double *plant_noise_0, const double *carried_11, const double *plant_noise_2,
-    const double *carried_9, const double *moved_state, double *predicted_mode_second_moment,
-    double *predicted_mode_law, double *augmented_state, double *augmented_covariance,
+    const double *carried_9, double *predicted_mode_second_moment, double *predicted_mode_law,
+    double *augmented_state, const double *moved_state, double *augmented_covariance,
     double *predicted_state, double *predicted_covariance)
 {
     const double t0 = (-0.04 * moved_covariance[0]) + (0.8200000000000001 * moved_covariance[12]);
@@ -540,23 +540,20 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next(const
     const double t52 = moved_covariance[40] + t51;
     const double t53 = plant_noise_0[5] + plant_noise_1[5] + plant_noise_2[5];
     const double t54 = moved_covariance[41] + t53;
-    if (!markov_jump_finite((((((markov_jump_defect(carried_9[21]) +
-        markov_jump_defect(carried_9[22])) + markov_jump_defect(carried_9[23])) +
-        (markov_jump_defect(carried_9[24]) + markov_jump_defect(carried_9[25]))) +
-        ((markov_jump_defect(carried_10[0]) + markov_jump_defect(moved_state[0])) +
-        (markov_jump_defect(moved_state[1]) + markov_jump_defect(moved_state[2])))) +
-        (((markov_jump_defect(carried_10[2]) + markov_jump_defect(carried_10[6])) +
-        (markov_jump_defect(carried_11[1]) + markov_jump_defect(carried_11[8]))) +
-        ((markov_jump_defect(carried_11[16]) + markov_jump_defect(t36)) + (markov_jump_defect(t38) +
-        markov_jump_defect(t44))))) + ((((markov_jump_defect(t54) +
-        markov_jump_defect(carried_9[0])) + (markov_jump_defect(carried_9[0]) +
-        markov_jump_defect(carried_9[6]))) + ((markov_jump_defect(carried_9[6]) +
-        markov_jump_defect(carried_9[12])) + (markov_jump_defect(carried_9[12]) +
-        markov_jump_defect(carried_9[2])))) + (((markov_jump_defect(carried_9[5]) +
-        markov_jump_defect(carried_9[8])) + (markov_jump_defect(carried_9[11]) +
-        markov_jump_defect(carried_9[14]))) + ((markov_jump_defect(carried_9[17]) +
-        markov_jump_defect(carried_9[18])) + (markov_jump_defect(carried_9[19]) +
-        markov_jump_defect(carried_9[20])))))))
+    if (!markov_jump_finite(((((markov_jump_defect(carried_9[21]) +
+        markov_jump_defect(carried_9[22])) + (markov_jump_defect(carried_9[23]) +
+        markov_jump_defect(carried_9[24]))) + ((markov_jump_defect(carried_9[25]) +
+        markov_jump_defect(carried_10[0])) + markov_jump_defect(carried_10[2]))) +
+        (((markov_jump_defect(carried_10[6]) + markov_jump_defect(carried_11[1])) +
+        (markov_jump_defect(carried_11[8]) + markov_jump_defect(carried_11[16]))) +
+        ((markov_jump_defect(t36) + markov_jump_defect(t38)) + markov_jump_defect(t44)))) +
+        ((((markov_jump_defect(t54) + markov_jump_defect(carried_9[0])) +
+        (markov_jump_defect(carried_9[6]) + markov_jump_defect(carried_9[12]))) +
+        ((markov_jump_defect(carried_9[2]) + markov_jump_defect(carried_9[5])) +
+        markov_jump_defect(carried_9[8]))) + (((markov_jump_defect(carried_9[11]) +
+        markov_jump_defect(carried_9[14])) + markov_jump_defect(carried_9[17])) +
+        ((markov_jump_defect(carried_9[18]) + markov_jump_defect(carried_9[19])) +
+        markov_jump_defect(carried_9[20]))))))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
@@ -968,8 +965,8 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_prediction_of_the_next_4(con
         moved_moment_1, moved_moment_2, plant_noise_0[5], plant_noise_1, carried_11);
     status = markov_jump_prediction_of_the_next(&moved_covariance[3], &moved_moment_0[3],
         &moved_moment_1[3], &moved_moment_2[3], plant_noise_1, carried_10, plant_noise_0,
-        carried_11, plant_noise_2, carried_9, &moved_state[6], predicted_mode_second_moment,
-        predicted_mode_law, augmented_state, augmented_covariance, predicted_state,
+        carried_11, plant_noise_2, carried_9, predicted_mode_second_moment, predicted_mode_law,
+        augmented_state, &moved_state[6], augmented_covariance, predicted_state,
         predicted_covariance);
     if (status != MARKOV_JUMP_OK) { return status; }
     return MARKOV_JUMP_OK;
@@ -1028,18 +1025,17 @@ MARKOV_JUMP_INLINE markov_jump_status_t markov_jump_correct(const markov_jump_t 
     /* results of the update */
     const double t2 = -0.5 * (quadratic + (log_constant + markov_jump_log(determinant_0)));
     if (!markov_jump_finite(((((markov_jump_defect(declared) + markov_jump_defect(statistic)) +
-        (markov_jump_defect(threshold) + markov_jump_defect(rows_present))) +
-        ((markov_jump_defect(rejections) + markov_jump_defect(kept_state[0])) +
-        markov_jump_defect(kept_state[1]))) + (((markov_jump_defect(kept_state[2]) +
-        markov_jump_defect(kept_state[3])) + (markov_jump_defect(kept_state[4]) +
-        markov_jump_defect(kept_state[5]))) + ((markov_jump_defect(kept_state[6]) +
-        markov_jump_defect(kept_state[7])) + markov_jump_defect(kept_state[8])))) +
-        ((((markov_jump_defect(kept_covariance[0]) + markov_jump_defect(kept_covariance[2])) +
-        (markov_jump_defect(kept_covariance[5]) + markov_jump_defect(kept_covariance[9]))) +
-        ((markov_jump_defect(kept_covariance[14]) + markov_jump_defect(kept_covariance[20])) +
-        markov_jump_defect(kept_covariance[27]))) + (((markov_jump_defect(kept_covariance[35]) +
-        markov_jump_defect(kept_covariance[44])) + markov_jump_defect(innovation_0)) +
-        ((markov_jump_defect(pivot_0) + markov_jump_defect(quadratic)) + markov_jump_defect(t2))))))
+        markov_jump_defect(rows_present)) + ((markov_jump_defect(rejections) +
+        markov_jump_defect(kept_state[0])) + markov_jump_defect(kept_state[1]))) +
+        (((markov_jump_defect(kept_state[2]) + markov_jump_defect(kept_state[3])) +
+        markov_jump_defect(kept_state[4])) + ((markov_jump_defect(kept_state[5]) +
+        markov_jump_defect(kept_state[6])) + markov_jump_defect(kept_state[7])))) +
+        ((((markov_jump_defect(kept_state[8]) + markov_jump_defect(kept_covariance[0])) +
+        markov_jump_defect(kept_covariance[2])) + ((markov_jump_defect(kept_covariance[5]) +
+        markov_jump_defect(kept_covariance[9])) + markov_jump_defect(kept_covariance[14]))) +
+        (((markov_jump_defect(kept_covariance[20]) + markov_jump_defect(kept_covariance[27])) +
+        markov_jump_defect(kept_covariance[35])) + ((markov_jump_defect(kept_covariance[44]) +
+        markov_jump_defect(pivot_0)) + markov_jump_defect(t2))))))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;
     }
@@ -1257,14 +1253,12 @@ static markov_jump_status_t markov_jump_begin(const double *x, const double *P, 
     const double t61 = 0.1 * t47;
     const double t62 = 0.1 * t49;
     if (!markov_jump_finite(((((markov_jump_defect(t0) + markov_jump_defect(t1)) +
-        (markov_jump_defect(t2) + markov_jump_defect(t3))) + ((markov_jump_defect(t4) +
-        markov_jump_defect(t5)) + markov_jump_defect(x[0]))) + (((markov_jump_defect(x[1]) +
-        markov_jump_defect(x[2])) + (markov_jump_defect(t8) + markov_jump_defect(t14))) +
-        ((markov_jump_defect(t23) + markov_jump_defect(t27)) + markov_jump_defect(t32)))) +
-        ((((markov_jump_defect(t38) + markov_jump_defect(P[0])) + (markov_jump_defect(P[2]) +
-        markov_jump_defect(P[5]))) + ((markov_jump_defect(t40) + markov_jump_defect(t44)) +
-        markov_jump_defect(t50))) + (((markov_jump_defect(t51) + markov_jump_defect(t53)) +
-        markov_jump_defect(t56)) + ((markov_jump_defect(t57) + markov_jump_defect(t59)) +
+        markov_jump_defect(t2)) + ((markov_jump_defect(t3) + markov_jump_defect(t4)) +
+        markov_jump_defect(t5))) + (((markov_jump_defect(t8) + markov_jump_defect(t14)) +
+        markov_jump_defect(t23)) + (markov_jump_defect(t27) + markov_jump_defect(t32)))) +
+        ((((markov_jump_defect(t38) + markov_jump_defect(t40)) + markov_jump_defect(t44)) +
+        (markov_jump_defect(t50) + markov_jump_defect(t51))) + (((markov_jump_defect(t53) +
+        markov_jump_defect(t56)) + markov_jump_defect(t57)) + (markov_jump_defect(t59) +
         markov_jump_defect(t62))))))
     {
         return MARKOV_JUMP_RESULT_NOT_FINITE;

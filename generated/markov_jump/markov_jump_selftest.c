@@ -179,7 +179,18 @@ markov_jump_status_t markov_jump_selftest(void)
             y[i] = ((k == MARKED) && (i == 0)) ? number(UINT64_C(0x7ff8000000000000))
                 : measurement[k][i];
         }
-        status = markov_jump_step(&filter, y, valid[k]);
+        if ((k % 2) == 0)
+        {
+            status = markov_jump_step(&filter, y, valid[k]);
+        }
+        else
+        {
+            status = markov_jump_update(&filter, y, valid[k]);
+            if ((int)status >= 0)
+            {
+                status = markov_jump_predict(&filter);
+            }
+        }
         if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], MARKOV_JUMP_NX))
         {

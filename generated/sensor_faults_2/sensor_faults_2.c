@@ -437,10 +437,6 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     const double t22 = (weight[0] * mean_m0) + (weight[1] * mean_m1);
     const double t23 = t22 + (weight[2] * self->predicted_state[0]);
     combined_state = t23 + (weight[3] * self->predicted_state[0]);
-    if (!sensor_faults_2_finite(sensor_faults_2_defect(combined_state)))
-    {
-        return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
-    }
     const double t24 = combined_innovation * combined_innovation * whitening_inverse_combined_0;
     const double t25 = (weight[0] * covariance_m0) + (weight[1] * covariance_m1);
     const double t26 = t25 + (weight[2] * self->predicted_covariance[0]);
@@ -453,13 +449,11 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_correct(const se
     const double t33 = t31 + (weight[2] * t32 * t32);
     const double t34 = self->predicted_state[0] - combined_state;
     const double t35 = t27 + (t33 + (weight[3] * t34 * t34));
-    if (!sensor_faults_2_finite((((sensor_faults_2_defect(combined_innovation) +
-        sensor_faults_2_defect(combined_variance)) + (sensor_faults_2_defect(t24) +
-        sensor_faults_2_defect(weight[0]))) + ((sensor_faults_2_defect(weight[1]) +
-        sensor_faults_2_defect(weight[2])) + sensor_faults_2_defect(weight[3]))) +
-        (((sensor_faults_2_defect(log_weight_now[0]) + sensor_faults_2_defect(log_weight_now[1])) +
-        sensor_faults_2_defect(log_weight_now[2])) + ((sensor_faults_2_defect(log_weight_now[3]) +
-        sensor_faults_2_defect(log_evidence)) + sensor_faults_2_defect(t35)))))
+    if (!sensor_faults_2_finite(((sensor_faults_2_defect(combined_variance) +
+        sensor_faults_2_defect(t24)) + (sensor_faults_2_defect(log_weight_now[0]) +
+        sensor_faults_2_defect(log_weight_now[1]))) + ((sensor_faults_2_defect(log_weight_now[2]) +
+        sensor_faults_2_defect(log_weight_now[3])) + (sensor_faults_2_defect(log_evidence) +
+        sensor_faults_2_defect(t35)))))
     {
         return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
     }
@@ -504,11 +498,9 @@ SENSOR_FAULTS_2_INLINE sensor_faults_2_status_t sensor_faults_2_propagate(const 
     const double t11 = t10 + -1.3862943611198906;
     const double t12 = -0.8 * self->filtered_state[0];
     const double t13 = (0.6400000000000001 * self->filtered_covariance[0]) + 1.0;
-    if (!sensor_faults_2_finite((((sensor_faults_2_defect(t12) + sensor_faults_2_defect(t13)) +
-        sensor_faults_2_defect(mode_prediction_0)) + (sensor_faults_2_defect(t6) +
-        sensor_faults_2_defect(mode_prediction_1))) + (((sensor_faults_2_defect(t7) +
-        sensor_faults_2_defect(t8)) + sensor_faults_2_defect(t9)) + (sensor_faults_2_defect(t10) +
-        sensor_faults_2_defect(t11)))))
+    if (!sensor_faults_2_finite(((sensor_faults_2_defect(t12) + sensor_faults_2_defect(t13)) +
+        sensor_faults_2_defect(t6)) + ((sensor_faults_2_defect(t7) + sensor_faults_2_defect(t9)) +
+        sensor_faults_2_defect(t11))))
     {
         return SENSOR_FAULTS_2_RESULT_NOT_FINITE;
     }

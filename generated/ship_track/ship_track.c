@@ -1242,48 +1242,21 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_correct(const ship_track_t *sel
     const double t12 = combined_innovation[3] - (whitening_combined_0_3 * combined_innovation[0]);
     const double t13 = (t12 - (whitening_combined_1_3 * t7)) - (whitening_combined_2_3 * t10);
     const double t14 = t11 + (t13 * t13 * whitening_inverse_combined_3);
-    if (!ship_track_finite(((((((ship_track_defect(combined_innovation[0]) +
-        ship_track_defect(combined_innovation[1])) + ship_track_defect(combined_innovation[2])) +
-        (ship_track_defect(combined_innovation[3]) + ship_track_defect(combined_variance[0]))) +
-        (((ship_track_defect(combined_variance[1]) + ship_track_defect(combined_variance[2])) +
-        ship_track_defect(combined_variance[3])) + (ship_track_defect(combined_variance[4]) +
-        ship_track_defect(combined_variance[5])))) + ((((ship_track_defect(combined_variance[6]) +
-        ship_track_defect(combined_variance[7])) + ship_track_defect(combined_variance[8])) +
+    if (!ship_track_finite(((((ship_track_defect(combined_variance[0]) +
+        ship_track_defect(combined_variance[2])) + ship_track_defect(combined_variance[5])) +
         (ship_track_defect(combined_variance[9]) + ship_track_defect(t14))) +
-        ((ship_track_defect(weight[0]) + ship_track_defect(weight[1])) +
-        (ship_track_defect(weight[2]) + ship_track_defect(log_weight_now[0]))))) +
-        (((((ship_track_defect(log_weight_now[1]) + ship_track_defect(log_weight_now[2])) +
-        ship_track_defect(log_evidence)) + (ship_track_defect(combined_0_2_covariance[0]) +
-        ship_track_defect(combined_0_2_covariance[1]))) +
-        ((ship_track_defect(combined_0_2_covariance[2]) +
+        (((ship_track_defect(log_weight_now[0]) + ship_track_defect(log_weight_now[1])) +
+        ship_track_defect(log_weight_now[2])) + (ship_track_defect(log_evidence) +
+        ship_track_defect(combined_0_2_covariance[0])))) +
+        ((((ship_track_defect(combined_0_2_covariance[1]) +
+        ship_track_defect(combined_0_2_covariance[2])) +
         ship_track_defect(combined_0_2_covariance[3])) +
         (ship_track_defect(combined_0_2_covariance[4]) +
-        ship_track_defect(combined_0_2_covariance[5])))) +
-        ((((ship_track_defect(combined_0_2_covariance[6]) +
+        ship_track_defect(combined_0_2_covariance[5]))) +
+        ((ship_track_defect(combined_0_2_covariance[6]) +
         ship_track_defect(combined_0_2_covariance[7])) +
-        ship_track_defect(combined_0_2_covariance[8])) +
-        (ship_track_defect(combined_0_2_covariance[9]) + ship_track_defect(mean_m0[0]))) +
-        ((ship_track_defect(mean_m0[1]) + ship_track_defect(mean_m0[2])) +
-        (ship_track_defect(mean_m0[3]) + ship_track_defect(mean_m1[0])))))) +
-        ((((((ship_track_defect(mean_m1[1]) + ship_track_defect(mean_m1[2])) +
-        ship_track_defect(mean_m1[3])) + (ship_track_defect(mean_m2[0]) +
-        ship_track_defect(mean_m2[1]))) + (((ship_track_defect(mean_m2[2]) +
-        ship_track_defect(mean_m2[3])) + ship_track_defect(covariance_m0[0])) +
-        (ship_track_defect(covariance_m0[1]) + ship_track_defect(covariance_m0[2])))) +
-        ((((ship_track_defect(covariance_m0[3]) + ship_track_defect(covariance_m0[4])) +
-        ship_track_defect(covariance_m0[5])) + (ship_track_defect(covariance_m0[6]) +
-        ship_track_defect(covariance_m0[7]))) + ((ship_track_defect(covariance_m0[8]) +
-        ship_track_defect(covariance_m0[9])) + (ship_track_defect(covariance_m1[0]) +
-        ship_track_defect(covariance_m1[1]))))) + (((((ship_track_defect(covariance_m1[2]) +
-        ship_track_defect(covariance_m1[3])) + ship_track_defect(covariance_m1[4])) +
-        (ship_track_defect(covariance_m1[5]) + ship_track_defect(covariance_m1[6]))) +
-        ((ship_track_defect(covariance_m1[7]) + ship_track_defect(covariance_m1[8])) +
-        (ship_track_defect(covariance_m1[9]) + ship_track_defect(covariance_m2[0])))) +
-        ((((ship_track_defect(covariance_m2[1]) + ship_track_defect(covariance_m2[2])) +
-        ship_track_defect(covariance_m2[3])) + (ship_track_defect(covariance_m2[4]) +
-        ship_track_defect(covariance_m2[5]))) + ((ship_track_defect(covariance_m2[6]) +
-        ship_track_defect(covariance_m2[7])) + (ship_track_defect(covariance_m2[8]) +
-        ship_track_defect(covariance_m2[9]))))))))
+        (ship_track_defect(combined_0_2_covariance[8]) +
+        ship_track_defect(combined_0_2_covariance[9]))))))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
@@ -1400,43 +1373,20 @@ SHIP_TRACK_INLINE ship_track_status_t ship_track_propagate(const ship_track_t *s
     const double t15 = ship_track_log(mode_prediction_0);
     const double t16 = log_path_largest_1 + ship_track_log(path_share_total_1);
     const double t17 = log_path_largest_2 + ship_track_log(path_share_total_2);
-    if (!ship_track_finite((((((ship_track_defect(mode_prediction_0) +
-        ship_track_defect(mode_prediction_1)) + (ship_track_defect(mode_prediction_2) +
-        ship_track_defect(t15))) + ((ship_track_defect(t16) + ship_track_defect(t17)) +
-        (ship_track_defect(moved_state_0[0]) + ship_track_defect(moved_state_0[1])))) +
-        (((ship_track_defect(moved_state_0[2]) + ship_track_defect(moved_state_0[3])) +
-        (ship_track_defect(moved_state_1[0]) + ship_track_defect(moved_state_1[1]))) +
-        ((ship_track_defect(moved_state_1[2]) + ship_track_defect(moved_state_1[3])) +
-        (ship_track_defect(moved_state_2[0]) + ship_track_defect(moved_state_2[1]))))) +
-        ((((ship_track_defect(moved_state_2[2]) + ship_track_defect(moved_state_2[3])) +
-        (ship_track_defect(moved_covariance_0[0]) + ship_track_defect(moved_covariance_0[1]))) +
-        ((ship_track_defect(moved_covariance_0[2]) + ship_track_defect(moved_covariance_0[3])) +
-        (ship_track_defect(moved_covariance_0[4]) + ship_track_defect(moved_covariance_0[5])))) +
-        (((ship_track_defect(moved_covariance_0[6]) + ship_track_defect(moved_covariance_0[7])) +
-        (ship_track_defect(moved_covariance_0[8]) + ship_track_defect(moved_covariance_0[9]))) +
-        ((ship_track_defect(moved_covariance_1[0]) + ship_track_defect(moved_covariance_1[1])) +
-        ship_track_defect(moved_covariance_1[2]))))) +
-        (((((ship_track_defect(moved_covariance_1[3]) + ship_track_defect(moved_covariance_1[4])) +
-        (ship_track_defect(moved_covariance_1[5]) + ship_track_defect(moved_covariance_1[6]))) +
-        ((ship_track_defect(moved_covariance_1[7]) + ship_track_defect(moved_covariance_1[8])) +
-        (ship_track_defect(moved_covariance_1[9]) + ship_track_defect(moved_covariance_2[0])))) +
-        (((ship_track_defect(moved_covariance_2[1]) + ship_track_defect(moved_covariance_2[2])) +
-        (ship_track_defect(moved_covariance_2[3]) + ship_track_defect(moved_covariance_2[4]))) +
-        ((ship_track_defect(moved_covariance_2[5]) + ship_track_defect(moved_covariance_2[6])) +
-        (ship_track_defect(moved_covariance_2[7]) + ship_track_defect(moved_covariance_2[8]))))) +
-        ((((ship_track_defect(moved_covariance_2[9]) + ship_track_defect(predicted_0_2_mean[0])) +
-        (ship_track_defect(predicted_0_2_mean[1]) + ship_track_defect(predicted_0_2_mean[2]))) +
-        ((ship_track_defect(predicted_0_2_mean[3]) +
-        ship_track_defect(predicted_0_2_covariance[0])) +
-        (ship_track_defect(predicted_0_2_covariance[1]) +
-        ship_track_defect(predicted_0_2_covariance[2])))) +
-        (((ship_track_defect(predicted_0_2_covariance[3]) +
-        ship_track_defect(predicted_0_2_covariance[4])) +
-        (ship_track_defect(predicted_0_2_covariance[5]) +
-        ship_track_defect(predicted_0_2_covariance[6]))) +
-        ((ship_track_defect(predicted_0_2_covariance[7]) +
-        ship_track_defect(predicted_0_2_covariance[8])) +
-        ship_track_defect(predicted_0_2_covariance[9])))))))
+    if (!ship_track_finite(((((ship_track_defect(t15) + ship_track_defect(t16)) +
+        ship_track_defect(t17)) + (ship_track_defect(predicted_0_2_mean[0]) +
+        ship_track_defect(predicted_0_2_mean[1]))) + ((ship_track_defect(predicted_0_2_mean[2]) +
+        ship_track_defect(predicted_0_2_mean[3])) +
+        (ship_track_defect(predicted_0_2_covariance[0]) +
+        ship_track_defect(predicted_0_2_covariance[1])))) +
+        (((ship_track_defect(predicted_0_2_covariance[2]) +
+        ship_track_defect(predicted_0_2_covariance[3])) +
+        (ship_track_defect(predicted_0_2_covariance[4]) +
+        ship_track_defect(predicted_0_2_covariance[5]))) +
+        ((ship_track_defect(predicted_0_2_covariance[6]) +
+        ship_track_defect(predicted_0_2_covariance[7])) +
+        (ship_track_defect(predicted_0_2_covariance[8]) +
+        ship_track_defect(predicted_0_2_covariance[9]))))))
     {
         return SHIP_TRACK_RESULT_NOT_FINITE;
     }
@@ -1534,21 +1484,31 @@ static ship_track_status_t ship_track_pass(const ship_track_t *self, ship_track_
     return ship_track_correct(self, NULL, 0u, next);
 }
 
+/* The instance before another update: the filtered estimate in the place of the prediction. */
+static void ship_track_reopen(const ship_track_t *self, ship_track_t *prior)
+{
+    *prior = *self;
+    ship_track_keep(self->filtered_state, prior->predicted_state, 4);
+    ship_track_keep(self->filtered_covariance, prior->predicted_covariance, 10);
+    ship_track_keep(self->mode_probability, prior->predicted_mode_probability, 3);
+    ship_track_keep(self->log_weight, prior->predicted_log_weight, 3);
+    ship_track_keep(self->mode_filtered_state, prior->mode_state, 12);
+    ship_track_keep(self->mode_filtered_covariance, prior->mode_covariance, 30);
+}
+
 /* Correct the latest estimate: after an update, the filtered one. */
 static ship_track_status_t ship_track_renew(const ship_track_t *self, const double *y,
     uint32_t present, ship_track_t *next)
 {
     ship_track_status_t status;
     const int again = self->updated > 0.0;
-    *next = *self;
     if (again)
     {
-        ship_track_keep(self->filtered_state, next->predicted_state, 4);
-        ship_track_keep(self->filtered_covariance, next->predicted_covariance, 10);
-        ship_track_keep(self->mode_probability, next->predicted_mode_probability, 3);
-        ship_track_keep(self->log_weight, next->predicted_log_weight, 3);
-        ship_track_keep(self->mode_filtered_state, next->mode_state, 12);
-        ship_track_keep(self->mode_filtered_covariance, next->mode_covariance, 30);
+        ship_track_reopen(self, next);
+    }
+    else
+    {
+        *next = *self;
     }
     status = ship_track_correct(next, y, present, next);
     if (again)
@@ -1608,19 +1568,19 @@ ship_track_status_t ship_track_step(ship_track_t *self, const ship_track_params_
     const double y[4], uint32_t valid)
 {
     ship_track_t next;
+    ship_track_t prior;
     uint32_t present;
+    const ship_track_t *latest = self;
     ship_track_status_t status;
     if ((self == NULL) || (params == NULL) || (y == NULL)) { return SHIP_TRACK_NULL_POINTER; }
     if (!ship_track_finite_params(params)) { return SHIP_TRACK_PARAMETER_OUT_OF_RANGE; }
     if (!ship_track_present_rows(y, valid, &present)) { return SHIP_TRACK_INPUT_NOT_FINITE; }
     if (self->updated > 0.0)
     {
-        status = ship_track_renew(self, y, present, &next);
+        ship_track_reopen(self, &prior);
+        latest = &prior;
     }
-    else
-    {
-        status = ship_track_correct(self, y, present, &next);
-    }
+    status = ship_track_correct(latest, y, present, &next);
     if (status != SHIP_TRACK_OK) { return status; }
     status = ship_track_propagate(&next, params, &next);
     if (status != SHIP_TRACK_OK) { return status; }

@@ -311,11 +311,10 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_correct(const so
     const double t12 = -0.5 * (quadratic + (log_constant + soft_fault_cpcf_log(determinant_0)));
     if (!soft_fault_cpcf_finite((((soft_fault_cpcf_defect(covariance[0]) +
         soft_fault_cpcf_defect(covariance[2])) + soft_fault_cpcf_defect(innovation_0)) +
-        ((soft_fault_cpcf_defect(innovation_1) + soft_fault_cpcf_defect(t10)) +
-        soft_fault_cpcf_defect(t11))) + (((soft_fault_cpcf_defect(quadratic) +
-        soft_fault_cpcf_defect(t12)) + soft_fault_cpcf_defect(new_compressed_noise)) +
-        ((soft_fault_cpcf_defect(new_compressed_cross_covariance[0]) +
-        soft_fault_cpcf_defect(new_compressed_cross_covariance[1])) +
+        (soft_fault_cpcf_defect(t10) + soft_fault_cpcf_defect(t11))) +
+        (((soft_fault_cpcf_defect(t12) + soft_fault_cpcf_defect(new_compressed_noise)) +
+        soft_fault_cpcf_defect(new_compressed_cross_covariance[0])) +
+        (soft_fault_cpcf_defect(new_compressed_cross_covariance[1]) +
         soft_fault_cpcf_defect(collecting_0)))))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
@@ -437,9 +436,9 @@ static soft_fault_cpcf_status_t soft_fault_cpcf_close_window(const soft_fault_cp
     const double t7 = quadratic_taken * self->collecting;
     const double t8 = rank * self->collecting;
     if (!soft_fault_cpcf_finite(((soft_fault_cpcf_defect(closed_state[0]) +
-        soft_fault_cpcf_defect(closed_state[1])) + (soft_fault_cpcf_defect(closed_covariance[0]) +
-        soft_fault_cpcf_defect(closed_covariance[2]))) + ((soft_fault_cpcf_defect(t7) +
-        soft_fault_cpcf_defect(t8)) + soft_fault_cpcf_defect(rejected))))
+        soft_fault_cpcf_defect(closed_state[1])) + soft_fault_cpcf_defect(closed_covariance[0])) +
+        ((soft_fault_cpcf_defect(closed_covariance[2]) + soft_fault_cpcf_defect(t7)) +
+        soft_fault_cpcf_defect(t8))))
     {
         return SOFT_FAULT_CPCF_RESULT_NOT_FINITE;
     }
@@ -482,8 +481,7 @@ SOFT_FAULT_CPCF_INLINE soft_fault_cpcf_status_t soft_fault_cpcf_propagate(const 
     const double t11 = (-0.2 * self->filtered_covariance[1]) + self->compressed_cross_covariance[0];
     const double t12 = t11 + (0.2 * t7) + -0.01;
     const double t13 = t7 + -0.1;
-    if (!soft_fault_cpcf_finite((((soft_fault_cpcf_defect(t1) +
-        soft_fault_cpcf_defect(self->filtered_state[1])) + soft_fault_cpcf_defect(t4)) +
+    if (!soft_fault_cpcf_finite(((soft_fault_cpcf_defect(t1) + soft_fault_cpcf_defect(t4)) +
         (soft_fault_cpcf_defect(t6) + soft_fault_cpcf_defect(self->compressed_measurement[0]))) +
         ((soft_fault_cpcf_defect(t10) + soft_fault_cpcf_defect(t12)) +
         (soft_fault_cpcf_defect(t13) + soft_fault_cpcf_defect(left)))))

@@ -324,13 +324,11 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_correct(const so
     const double t31 = self->predicted_covariance[2] + 0.01;
     const double t32 = log_constant_host + soft_fault_dfcf_log(determinant_host_0);
     const double t33 = -0.5 * (quadratic_host + t32);
-    if (!soft_fault_dfcf_finite((((soft_fault_dfcf_defect(covariance_host[0]) +
+    if (!soft_fault_dfcf_finite(((soft_fault_dfcf_defect(covariance_host[0]) +
         soft_fault_dfcf_defect(covariance_host[2])) +
-        soft_fault_dfcf_defect(covariance_compression[0])) +
-        ((soft_fault_dfcf_defect(covariance_compression[2]) +
-        soft_fault_dfcf_defect(innovation_0)) + soft_fault_dfcf_defect(innovation_1))) +
-        (((soft_fault_dfcf_defect(t30) + soft_fault_dfcf_defect(t31)) +
-        soft_fault_dfcf_defect(quadratic_host)) + (soft_fault_dfcf_defect(t33) +
+        (soft_fault_dfcf_defect(covariance_compression[0]) +
+        soft_fault_dfcf_defect(covariance_compression[2]))) + ((soft_fault_dfcf_defect(t30) +
+        soft_fault_dfcf_defect(t31)) + (soft_fault_dfcf_defect(t33) +
         soft_fault_dfcf_defect(collecting_0)))))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
@@ -446,9 +444,9 @@ static soft_fault_dfcf_status_t soft_fault_dfcf_close_window(const soft_fault_df
 
     /* results of the window */
     if (!soft_fault_dfcf_finite(((soft_fault_dfcf_defect(closed_state[0]) +
-        soft_fault_dfcf_defect(closed_state[1])) + (soft_fault_dfcf_defect(closed_covariance[0]) +
-        soft_fault_dfcf_defect(closed_covariance[2]))) + ((soft_fault_dfcf_defect(statistic_0) +
-        soft_fault_dfcf_defect(dof_0)) + soft_fault_dfcf_defect(rejected_0))))
+        soft_fault_dfcf_defect(closed_state[1])) + soft_fault_dfcf_defect(closed_covariance[0])) +
+        ((soft_fault_dfcf_defect(closed_covariance[2]) + soft_fault_dfcf_defect(statistic_0)) +
+        soft_fault_dfcf_defect(dof_0))))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }
@@ -492,11 +490,9 @@ SOFT_FAULT_DFCF_INLINE soft_fault_dfcf_status_t soft_fault_dfcf_propagate(const 
     const double t11 = self->compression_covariance[1] + (0.2 * self->compression_covariance[2]);
     next->predicted_compression_covariance[1] = t11 + 0.1;
     const double t12 = self->compression_covariance[2] + 1.0;
-    if (!soft_fault_dfcf_finite((((soft_fault_dfcf_defect(t1) +
-        soft_fault_dfcf_defect(self->filtered_state[1])) + soft_fault_dfcf_defect(t4)) +
-        (soft_fault_dfcf_defect(t6) + soft_fault_dfcf_defect(t7))) +
-        ((soft_fault_dfcf_defect(self->compression_deviation[1]) + soft_fault_dfcf_defect(t10)) +
-        (soft_fault_dfcf_defect(t12) + soft_fault_dfcf_defect(left)))))
+    if (!soft_fault_dfcf_finite(((soft_fault_dfcf_defect(t1) + soft_fault_dfcf_defect(t4)) +
+        (soft_fault_dfcf_defect(t6) + soft_fault_dfcf_defect(t7))) + ((soft_fault_dfcf_defect(t10) +
+        soft_fault_dfcf_defect(t12)) + soft_fault_dfcf_defect(left))))
     {
         return SOFT_FAULT_DFCF_RESULT_NOT_FINITE;
     }

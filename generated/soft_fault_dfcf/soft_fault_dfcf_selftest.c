@@ -149,7 +149,18 @@ soft_fault_dfcf_status_t soft_fault_dfcf_selftest(void)
             y[i] = ((k == MARKED) && (i == 0)) ? number(UINT64_C(0x7ff8000000000000))
                 : measurement[k][i];
         }
-        status = soft_fault_dfcf_step(&filter, y, valid[k]);
+        if ((k % 2) == 0)
+        {
+            status = soft_fault_dfcf_step(&filter, y, valid[k]);
+        }
+        else
+        {
+            status = soft_fault_dfcf_update(&filter, y, valid[k]);
+            if ((int)status >= 0)
+            {
+                status = soft_fault_dfcf_predict(&filter);
+            }
+        }
         if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], SOFT_FAULT_DFCF_NX))
         {

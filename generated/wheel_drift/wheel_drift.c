@@ -1307,38 +1307,23 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_prediction_of_the_next(const
     const double t92 = compression_covariance[44] * A;
     predicted_compression_covariance[43] = compression_covariance[43] + t92;
     const double t93 = compression_covariance[44] + Q[1];
-    if (!wheel_drift_finite(((((((wheel_drift_defect(t0) + wheel_drift_defect(filtered_state[1])) +
-        wheel_drift_defect(t2)) + (wheel_drift_defect(t3) + wheel_drift_defect(t4))) +
-        ((wheel_drift_defect(compression_deviation[1]) + wheel_drift_defect(t21)) +
-        (wheel_drift_defect(t23) + wheel_drift_defect(t5)))) +
-        (((wheel_drift_defect(compression_deviation[3]) + wheel_drift_defect(t26)) +
-        (wheel_drift_defect(t28) + wheel_drift_defect(t6))) +
-        ((wheel_drift_defect(compression_deviation[5]) + wheel_drift_defect(t31)) +
-        (wheel_drift_defect(t33) + wheel_drift_defect(t7))))) +
-        ((((wheel_drift_defect(compression_deviation[7]) + wheel_drift_defect(t36)) +
-        (wheel_drift_defect(t38) + wheel_drift_defect(t8))) +
-        ((wheel_drift_defect(compression_deviation[9]) + wheel_drift_defect(t41)) +
-        (wheel_drift_defect(t43) + wheel_drift_defect(t9)))) +
-        (((wheel_drift_defect(compression_deviation[11]) + wheel_drift_defect(t46)) +
-        (wheel_drift_defect(t48) + wheel_drift_defect(t10))) +
-        ((wheel_drift_defect(compression_deviation[13]) + wheel_drift_defect(t51)) +
-        (wheel_drift_defect(t53) + wheel_drift_defect(t11)))))) +
-        (((((wheel_drift_defect(compression_deviation[15]) + wheel_drift_defect(t56)) +
-        (wheel_drift_defect(t58) + wheel_drift_defect(t12))) +
-        ((wheel_drift_defect(compression_deviation[17]) + wheel_drift_defect(t61)) +
-        (wheel_drift_defect(t63) + wheel_drift_defect(t13)))) +
-        (((wheel_drift_defect(compression_deviation[19]) + wheel_drift_defect(t66)) +
-        (wheel_drift_defect(t68) + wheel_drift_defect(t14))) +
-        ((wheel_drift_defect(compression_deviation[21]) + wheel_drift_defect(t71)) +
-        (wheel_drift_defect(t73) + wheel_drift_defect(t15))))) +
-        ((((wheel_drift_defect(compression_deviation[23]) + wheel_drift_defect(t76)) +
-        (wheel_drift_defect(t78) + wheel_drift_defect(t16))) +
-        ((wheel_drift_defect(compression_deviation[25]) + wheel_drift_defect(t81)) +
-        (wheel_drift_defect(t83) + wheel_drift_defect(t17)))) +
-        (((wheel_drift_defect(compression_deviation[27]) + wheel_drift_defect(t86)) +
-        (wheel_drift_defect(t88) + wheel_drift_defect(t18))) +
-        ((wheel_drift_defect(compression_deviation[29]) + wheel_drift_defect(t91)) +
-        (wheel_drift_defect(t93) + wheel_drift_defect(left))))))))
+    if (!wheel_drift_finite((((((wheel_drift_defect(t0) + wheel_drift_defect(t2)) +
+        (wheel_drift_defect(t3) + wheel_drift_defect(t4))) + ((wheel_drift_defect(t21) +
+        wheel_drift_defect(t23)) + wheel_drift_defect(t5))) + (((wheel_drift_defect(t26) +
+        wheel_drift_defect(t28)) + wheel_drift_defect(t6)) + ((wheel_drift_defect(t31) +
+        wheel_drift_defect(t33)) + wheel_drift_defect(t7)))) + ((((wheel_drift_defect(t36) +
+        wheel_drift_defect(t38)) + wheel_drift_defect(t8)) + ((wheel_drift_defect(t41) +
+        wheel_drift_defect(t43)) + wheel_drift_defect(t9))) + (((wheel_drift_defect(t46) +
+        wheel_drift_defect(t48)) + wheel_drift_defect(t10)) + ((wheel_drift_defect(t51) +
+        wheel_drift_defect(t53)) + wheel_drift_defect(t11))))) + (((((wheel_drift_defect(t56) +
+        wheel_drift_defect(t58)) + wheel_drift_defect(t12)) + ((wheel_drift_defect(t61) +
+        wheel_drift_defect(t63)) + wheel_drift_defect(t13))) + (((wheel_drift_defect(t66) +
+        wheel_drift_defect(t68)) + wheel_drift_defect(t14)) + ((wheel_drift_defect(t71) +
+        wheel_drift_defect(t73)) + wheel_drift_defect(t15)))) + ((((wheel_drift_defect(t76) +
+        wheel_drift_defect(t78)) + wheel_drift_defect(t16)) + ((wheel_drift_defect(t81) +
+        wheel_drift_defect(t83)) + wheel_drift_defect(t17))) + (((wheel_drift_defect(t86) +
+        wheel_drift_defect(t88)) + wheel_drift_defect(t18)) + ((wheel_drift_defect(t91) +
+        wheel_drift_defect(t93)) + wheel_drift_defect(left)))))))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -1570,64 +1555,61 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     /* results of the update */
     const double t0 = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
     next->innovation_covariance[1] = 0.9843852771361035 * self->predicted_covariance[0];
-    const double t1 = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
+    next->innovation_covariance[2] = (0.9843852771361035 * self->predicted_covariance[0]) + 0.04;
     next->innovation_covariance[3] = 0.9826304058883615 * self->predicted_covariance[0];
     next->innovation_covariance[4] = 0.9826304058883615 * self->predicted_covariance[0];
-    const double t2 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
+    const double t1 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
     next->innovation_covariance[6] = 0.9826304058883615 * self->predicted_covariance[0];
     next->innovation_covariance[7] = 0.9826304058883615 * self->predicted_covariance[0];
     next->innovation_covariance[8] = 0.9808786630631667 * self->predicted_covariance[0];
-    const double t3 = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
+    next->innovation_covariance[9] = (0.9808786630631667 * self->predicted_covariance[0]) + 0.04;
     next->innovation_covariance[10] = 0.9921619208254787 * self->predicted_covariance[0];
     next->innovation_covariance[11] = 0.9921619208254787 * self->predicted_covariance[0];
     next->innovation_covariance[12] = 0.9903931860948796 * self->predicted_covariance[0];
     next->innovation_covariance[13] = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t4 = self->predicted_covariance[0] + 0.25;
+    const double t2 = self->predicted_covariance[0] + 0.25;
     next->innovation_covariance[15] = 0.9921619208254787 * self->predicted_covariance[0];
     next->innovation_covariance[16] = 0.9921619208254787 * self->predicted_covariance[0];
     next->innovation_covariance[17] = 0.9903931860948796 * self->predicted_covariance[0];
     next->innovation_covariance[18] = 0.9903931860948796 * self->predicted_covariance[0];
-    const double t5 = self->predicted_covariance[0] + 9.0;
-    const double t6 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
-    const double t7 = -0.5 * t6;
+    const double t3 = self->predicted_covariance[0] + 9.0;
+    const double t4 = quadratic_host + (log_constant_host + wheel_drift_log(determinant_host_0));
+    const double t5 = -0.5 * t4;
     if (!wheel_drift_finite((((((wheel_drift_defect(covariance_host[0]) +
-        wheel_drift_defect(covariance_host[2])) + (wheel_drift_defect(covariance_compression[0]) +
-        wheel_drift_defect(covariance_compression[2]))) +
-        ((wheel_drift_defect(covariance_compression1[0]) +
-        wheel_drift_defect(covariance_compression1[2])) +
-        wheel_drift_defect(covariance_compression2[0]))) +
-        (((wheel_drift_defect(covariance_compression2[2]) +
+        wheel_drift_defect(covariance_host[2])) + wheel_drift_defect(covariance_compression[0])) +
+        ((wheel_drift_defect(covariance_compression[2]) +
+        wheel_drift_defect(covariance_compression1[0])) +
+        wheel_drift_defect(covariance_compression1[2]))) +
+        (((wheel_drift_defect(covariance_compression2[0]) +
+        wheel_drift_defect(covariance_compression2[2])) +
         wheel_drift_defect(covariance_compression3[0])) +
-        wheel_drift_defect(covariance_compression3[2])) +
-        ((wheel_drift_defect(covariance_compression4[0]) +
-        wheel_drift_defect(covariance_compression4[2])) +
-        wheel_drift_defect(covariance_compression5[0])))) +
-        ((((wheel_drift_defect(covariance_compression5[2]) +
-        wheel_drift_defect(covariance_compression6[0])) +
-        wheel_drift_defect(covariance_compression6[2])) +
-        ((wheel_drift_defect(covariance_compression7[0]) +
+        (wheel_drift_defect(covariance_compression3[2]) +
+        wheel_drift_defect(covariance_compression4[0])))) +
+        ((((wheel_drift_defect(covariance_compression4[2]) +
+        wheel_drift_defect(covariance_compression5[0])) +
+        wheel_drift_defect(covariance_compression5[2])) +
+        (wheel_drift_defect(covariance_compression6[0]) +
+        wheel_drift_defect(covariance_compression6[2]))) +
+        (((wheel_drift_defect(covariance_compression7[0]) +
         wheel_drift_defect(covariance_compression7[2])) +
-        wheel_drift_defect(covariance_compression8[0]))) +
-        (((wheel_drift_defect(covariance_compression8[2]) +
-        wheel_drift_defect(covariance_compression9[0])) +
-        wheel_drift_defect(covariance_compression9[2])) +
-        ((wheel_drift_defect(covariance_compression10[0]) +
+        wheel_drift_defect(covariance_compression8[0])) +
+        (wheel_drift_defect(covariance_compression8[2]) +
+        wheel_drift_defect(covariance_compression9[0]))))) +
+        (((((wheel_drift_defect(covariance_compression9[2]) +
+        wheel_drift_defect(covariance_compression10[0])) +
         wheel_drift_defect(covariance_compression10[2])) +
-        wheel_drift_defect(covariance_compression11[0]))))) +
-        (((((wheel_drift_defect(covariance_compression11[2]) +
-        wheel_drift_defect(covariance_compression12[0])) +
-        (wheel_drift_defect(covariance_compression12[2]) +
-        wheel_drift_defect(covariance_compression13[0]))) +
-        ((wheel_drift_defect(covariance_compression13[2]) +
-        wheel_drift_defect(covariance_compression14[0])) +
-        wheel_drift_defect(covariance_compression14[2]))) + (((wheel_drift_defect(innovation_0) +
-        wheel_drift_defect(innovation_1)) + wheel_drift_defect(innovation_2)) +
-        ((wheel_drift_defect(innovation_3) + wheel_drift_defect(innovation_4)) +
-        wheel_drift_defect(innovation_5)))) + ((((wheel_drift_defect(t0) + wheel_drift_defect(t1)) +
-        wheel_drift_defect(t2)) + ((wheel_drift_defect(t3) + wheel_drift_defect(t4)) +
-        wheel_drift_defect(t5))) + (((wheel_drift_defect(quadratic_host) + wheel_drift_defect(t7)) +
-        wheel_drift_defect(collecting_0)) + ((wheel_drift_defect(collecting_1) +
-        wheel_drift_defect(collecting_2)) + wheel_drift_defect(collecting_3)))))))
+        (wheel_drift_defect(covariance_compression11[0]) +
+        wheel_drift_defect(covariance_compression11[2]))) +
+        (((wheel_drift_defect(covariance_compression12[0]) +
+        wheel_drift_defect(covariance_compression12[2])) +
+        wheel_drift_defect(covariance_compression13[0])) +
+        (wheel_drift_defect(covariance_compression13[2]) +
+        wheel_drift_defect(covariance_compression14[0])))) +
+        ((((wheel_drift_defect(covariance_compression14[2]) + wheel_drift_defect(t0)) +
+        wheel_drift_defect(t1)) + (wheel_drift_defect(t2) + wheel_drift_defect(t3))) +
+        (((wheel_drift_defect(t5) + wheel_drift_defect(collecting_0)) +
+        wheel_drift_defect(collecting_1)) + (wheel_drift_defect(collecting_2) +
+        wheel_drift_defect(collecting_3)))))))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }
@@ -1686,14 +1668,12 @@ WHEEL_DRIFT_INLINE wheel_drift_status_t wheel_drift_correct(const wheel_drift_t 
     next->innovation[4] = innovation_4;
     next->innovation[5] = innovation_5;
     next->innovation_covariance[0] = t0;
-    next->innovation_covariance[2] = t1;
-    next->innovation_covariance[5] = t2;
-    next->innovation_covariance[9] = t3;
-    next->innovation_covariance[14] = t4;
+    next->innovation_covariance[5] = t1;
+    next->innovation_covariance[14] = t2;
     next->innovation_covariance[19] = self->predicted_covariance[0];
-    next->innovation_covariance[20] = t5;
+    next->innovation_covariance[20] = t3;
     next->nis = quadratic_host;
-    next->log_likelihood = t7;
+    next->log_likelihood = t5;
     next->window_left = self->predicted_window_left;
     next->collecting[0] = collecting_0;
     next->collecting[1] = collecting_1;
@@ -1747,13 +1727,11 @@ static wheel_drift_status_t wheel_drift_close_window(const wheel_drift_t *self, 
 
     /* results of the window */
     if (!wheel_drift_finite((((wheel_drift_defect(closed_state[0]) +
-        wheel_drift_defect(closed_state[1])) + (wheel_drift_defect(closed_covariance[0]) +
-        wheel_drift_defect(closed_covariance[2]))) + ((wheel_drift_defect(statistic_0) +
-        wheel_drift_defect(statistic_1)) + (wheel_drift_defect(statistic_2) +
-        wheel_drift_defect(statistic_3)))) + (((wheel_drift_defect(dof_0) +
-        wheel_drift_defect(dof_1)) + (wheel_drift_defect(dof_2) + wheel_drift_defect(dof_3))) +
-        ((wheel_drift_defect(rejected_0) + wheel_drift_defect(rejected_1)) +
-        (wheel_drift_defect(rejected_2) + wheel_drift_defect(rejected_3))))))
+        wheel_drift_defect(closed_state[1])) + wheel_drift_defect(closed_covariance[0])) +
+        ((wheel_drift_defect(closed_covariance[2]) + wheel_drift_defect(statistic_0)) +
+        wheel_drift_defect(statistic_1))) + (((wheel_drift_defect(statistic_2) +
+        wheel_drift_defect(statistic_3)) + wheel_drift_defect(dof_0)) +
+        ((wheel_drift_defect(dof_1) + wheel_drift_defect(dof_2)) + wheel_drift_defect(dof_3)))))
     {
         return WHEEL_DRIFT_RESULT_NOT_FINITE;
     }

@@ -52,7 +52,7 @@
  * a window 190 more.
  * An instance is 212 doubles, 1696 bytes; nothing else is kept. Tables of constants: 544 bytes. No
  * heap, no globals that change, no I/O, no libm.
- * Stack of one call, interrupts left out: at most 30448 bytes at -O0, 4256 at -Os.
+ * Stack of one call, interrupts left out: at most 30432 bytes at -O0, 4240 at -Os.
  * Compile with -ffp-contract=off and without -ffast-math: then every IEEE target gives the same
  * bits.
  */

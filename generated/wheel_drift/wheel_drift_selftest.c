@@ -199,7 +199,18 @@ wheel_drift_status_t wheel_drift_selftest(void)
             y[i] = ((k == MARKED) && (i == 0)) ? number(UINT64_C(0x7ff8000000000000))
                 : measurement[k][i];
         }
-        status = wheel_drift_step(&filter, &params, input[k], y, valid[k]);
+        if ((k % 2) == 0)
+        {
+            status = wheel_drift_step(&filter, &params, input[k], y, valid[k]);
+        }
+        else
+        {
+            status = wheel_drift_update(&filter, &params, input[k], y, valid[k]);
+            if ((int)status >= 0)
+            {
+                status = wheel_drift_predict(&filter, &params, input[k]);
+            }
+        }
         if ((int)status < 0) { return status; }
         if (!same(filter.filtered_state, trace[k], WHEEL_DRIFT_NX))
         {

@@ -36,9 +36,15 @@ def jump(family, *more, **options):
     return found
 
 
+#: The second one has the first state alone.
+UNEQUAL = [{}, {"states": [0], "A": [[0.9]]}]
 CASES = {
     **{f"{f} {n}": sensor(f, n) for f in ("one_step", "imm", "linear_optimal") for n in SENSOR},
     "imm jump": jump("imm"),
+    "imm unequal": [
+        ("imm", {"jump": {"modes": UNEQUAL, "initial": [0.6, 0.4], "transition": P}}, {})
+        for P in ([["p", "1 - p"], ["q", "1 - q"]], [[0.8, 0.2], [0.1, 0.9]])
+    ],
     "mjls": jump("mjls_lmmse"),
     "mjls rate": jump("mjls_lmmse", RATE),
     "mjls chain": jump("mjls_lmmse", ({"arrival_chain": [[0.4, 0.6], [0.1, 0.9]]},) * 2),
@@ -219,6 +225,7 @@ DRAWN = {
     "imm 3": {"p": [0.9, 0.2, 0.6, 1.0, 0.1, 0.5], "q": [0.1, 0.8, 0.0, 1.0, 0.3, 0.5]},
     "imm 4": {"p": [0.9, 0.2, 0.6, 0.8, 0.1, 0.5], "q": [0.1, 0.02, 0.0, 0.05, 0.03, 0.1]},
     "imm jump": {"p": [0.9, 0.2, 0.6, 1.0, 0.0, 0.5], "q": [0.1, 0.3, 0.0, 0.2, 0.3, 0.1]},
+    "imm unequal": {"p": [0.9, 0.2, 0.6, 1.0, 0.0, 0.5], "q": [0.1, 0.3, 0.0, 0.2, 0.3, 0.1]},
     "mjls rate": {"p": [0.9, 0.2, 0.6, 1.0, 0.0, 0.5], "q": 0.1},
     "mjls arrivals": {"p": [0.9, 0.2, 0.6, 1.0, 0.0, 0.5], "q": [0.1, 0.3, 0.0, 0.2, 0.3, 0.1]},
 }
@@ -257,3 +264,11 @@ def test_trials_follow_the_law_of_every_sample(name):
             if of.sum() > 2000:
                 ahead = (found.mode[of, k + 1][:, None] == np.arange(len(expected[0]))).mean(axis=0)
                 np.testing.assert_allclose(ahead, steps[k][i], atol=3.0 / np.sqrt(of.sum()))
+
+
+def test_a_rate_that_is_certain_at_the_default_is_one_at_run_time():
+    faults = {"jump": {"transition": [[1.0]], "modes": [{}], "arrival_rate": "p"}}
+    rates = {"p": 0.5}
+    half, whole = (built(spec("mjls_lmmse", faults, model=SCALAR, p=p)) for p in (0.5, 1.0))
+    expected, found = (each.run([[0.5], [1.0]], params=rates) for each in (half, whole))
+    np.testing.assert_array_equal(found.filtered_state, expected.filtered_state)

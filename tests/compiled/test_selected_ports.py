@@ -18,6 +18,7 @@ from fkgen.backend.execute import Machine
 from fkgen.errors import SpecError
 from fkgen.families import NAMES
 from fkgen.study.records import filtering
+from fkgen.study.records.reading import Reading
 from fkgen.study.reports.starters import starter
 
 SPECS = spread.specs() | sensor_specs.every()
@@ -167,7 +168,7 @@ def test_who_looks_into_a_filter_sees_all_of_it(tmp_path):
     (tmp_path / "r.csv").write_text(record.replace("y0,y1,u0,u1", ",".join(names)))
     text, _, _ = filtering.run(
         spec,
-        tmp_path / "r.csv",
+        Reading(path=tmp_path / "r.csv"),
         output=None,
         plot=tmp_path / "a.svg",
         keep="",

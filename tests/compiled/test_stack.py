@@ -61,7 +61,7 @@ def test_no_call_takes_more_stack_than_the_header_says(name, scalar, target, tmp
     for level in ("-O0", "-Os"):
         found = deepest(TARGETS[target], level, tmp_path, source.program.name)
         bound = stated[f"stack_{level[1:]}"]
-        assert found <= bound, level
+        assert found <= bound, (level, found, bound)
         # a bound that says nothing is none: at -Os arrays that never live together share a place
         assert bound <= 3.0 * found + 450, level
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
+import shlex
 import tomllib
 from contextlib import redirect_stdout
 from io import StringIO
+from textwrap import dedent
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import fkgen
+from fkgen.cli import main
 from fkgen.families import NAMES, family
 from fkgen.study.reports.starters import resource, starter
 
@@ -89,3 +94,33 @@ MORE = {"imm": "one_step", "compression_full": "dfcf"}
 def test_every_port_of_a_filter_for_faults_is_on_a_page(name):
     shared = named(PAGES[MORE[name]]) if name in MORE else set()
     assert ports_of(name) <= named(PAGES[name]) | named(PAGES["kf"]) | shared
+
+
+def test_the_page_about_records_says_what_happens(tmp_path, monkeypatch):
+    """Its first section by the letter: files are saved, commands run, what they say compared."""
+    monkeypatch.chdir(tmp_path)
+    section = resource("docs/records.md").read_text(encoding="utf-8").split("\n## ")[1]
+    log, *plain = re.findall(r"(?:^    .*\n)+", section, re.MULTILINE)
+    (tmp_path / "log.csv").write_text(dedent(log), encoding="utf-8")
+    said, expected, told = list[str](), list[str](), list[str]()
+    for block in plain:
+        lines = dedent(block).splitlines()
+        if not lines[0].startswith("fkgen "):
+            expected += lines
+            continue
+        for line in lines:
+            if "climb.toml" in line:
+                (text,) = re.findall(r"^```toml\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)
+                (tmp_path / "climb.toml").write_text(text, encoding="utf-8")
+            result = CliRunner().invoke(main, shlex.split(line)[1:], prog_name="fkgen")
+            assert result.exit_code == 0, result.output
+            told.append(line)
+            said += [] if line.startswith("fkgen check") else result.output.splitlines()
+    assert len(told) == 4
+    assert said == expected
+    for name, deviation in (("filtered", 0.4), ("climb", 0.1)):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        table = np.genfromtxt(tmp_path / f"{name}.csv", delimiter=",", names=True, dtype=None)
+        height = "filtered_sdheight" if name == "climb" else "filtered_sdGPS_height"
+        assert table["Time_ms"][-1] == 1714564802612
+        assert round(float(table[height][-1]), 1) == deviation

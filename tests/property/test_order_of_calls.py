@@ -19,10 +19,10 @@ import soft_plants
 import spread
 from imm_plants import ALIKE, any_modes, jumping
 from jump_plants import EXAMPLE_A, EXAMPLE_S, random_table, spec_of
-from plants import PARAMETERS, VARYING, independent, random_model, spec
+from plants import PARAMETERS, VARYING, built, independent, random_model, spec
+from scipy.stats import chi2
 from toolchain import needs_compiler
 
-import fkgen
 from fkgen.errors import StepRefused
 from fkgen.families import family
 from fkgen.oracle.claims.claim import Record
@@ -38,6 +38,8 @@ FOUR = random_model(301, 3, 4, 1, direct=True)
 FOUR["R"][1][3] = FOUR["R"][3][1] = 0.1
 DIAGONAL = random_model(302, 2, 3, 1, direct=True)
 UNDRIVEN = random_model(303, 3, 3, 1)  # y says nothing of the input
+STAGES = ("filtered", "predicted")
+GATE = 0.9
 LAW = sensor_specs.PROBLEMS["4"] | {"rows": [0, 1]}
 
 
@@ -58,11 +60,36 @@ def hand_made(table, y, u, params):
         numbers["filtered"].append((x, P))
         x, P = A @ x + B @ u[k], A @ P @ A.T + Q
         numbers["predicted"].append((x, P))
-    found = {"log_likelihood": ll, "nis": nis}
-    for of, pairs in numbers.items():
-        for name, values in zip(("state", "covariance"), zip(*pairs, strict=True), strict=True):
-            found[f"{of}_{name}"] = np.array(values)
-    return found
+    return {"log_likelihood": ll, "nis": nis} | stacked(numbers)
+
+
+def hand_gated(table, y, u):
+    """The Kalman filter row by row, R diagonal; a row outside of 90 % of its law is left out."""
+    A, B, C, D, Q, R, x, P = (np.asarray(table[key]) for key in (*"ABCDQR", "x0", "P0"))
+    limit, found = chi2.ppf(GATE, 1), {"rejected": np.zeros(y.shape, bool)}
+    ll, nis = np.zeros(len(y)), np.zeros(len(y))
+    numbers = {name: [] for name in STAGES}
+    for k, i in np.ndindex(y.shape):
+        s, e = C[i] @ P @ C[i] + R[i, i], y[k, i] - C[i] @ x - D[i] @ u[k]
+        found["rejected"][k, i] = e * e > limit * s
+        if e * e <= limit * s:
+            x, P = x + P @ C[i] * e / s, P - np.outer(P @ C[i], P @ C[i]) / s
+            nis[k] += e * e / s
+            ll[k] -= 0.5 * (e * e / s + np.log(2.0 * np.pi * s))
+        if i == y.shape[1] - 1:
+            numbers["filtered"].append((x, P))
+            x, P = A @ x + B @ u[k], A @ P @ A.T + Q
+            numbers["predicted"].append((x, P))
+    return found | {"log_likelihood": ll, "nis": nis} | stacked(numbers)
+
+
+def stacked(numbers):
+    """Ports from pairs of means and covariances."""
+    return {
+        f"{of}_{name}": np.array(values)
+        for of, pairs in numbers.items()
+        for name, values in zip(("state", "covariance"), zip(*pairs, strict=True), strict=True)
+    }
 
 
 @cache
@@ -76,6 +103,7 @@ def plants():
     return {
         "kf": spec(FOUR, family="kf"),
         "kf_joseph": spec(FOUR, family="kf", code={"update": "joseph"}),
+        "kf_gated": spec(DIAGONAL, family="kf", gate=GATE),
         "kf_functions": spec(VARYING, family="kf", parameters=PARAMETERS),
         "mkf": spec(UNDRIVEN, family="mkf", actuator={"success_rate": 0.7}),
         "mkf_sensed": spec(spread.TWO_ALONE, family="mkf", actuator=independent([0.7, 0.4])),
@@ -110,7 +138,7 @@ def plants():
 
 #: Plants that take several updates of one sample; the others refuse the second one.
 TAKES = {"kf", "kf_joseph", "kf_functions", "mkf", "mme", "mme_no_floor", "genie", "imm"}
-TAKES |= {"imm_jump"}
+TAKES |= {"imm_jump", "kf_gated"}
 #: Rows of y that only one of several updates may take, together.
 TOGETHER = {name: [{1, 3}] for name in ("kf", "kf_joseph", "genie")} | {"kf_functions": [{0, 1}]}
 
@@ -129,7 +157,6 @@ def oracle(plant, y, u, params):
     raise AssertionError(plant.filter.family)
 
 
-STAGES = ("filtered", "predicted")
 NAMES = tuple(plants())
 
 
@@ -150,6 +177,8 @@ def planned(name, rng):
         parts = {"step": [rows], "predict": [], "update": [rows]}.get(kind)
         if parts is None and name in TAKES:
             where = rng.integers(0, 3, p)
+            if name == "kf_gated":  # which rows it rejects depends on their order
+                where.sort()
             for group in TOGETHER.get(name, ()):
                 where[list(group)] = where[min(group)]
             parts = [[i for i in rows if where[i] == part] for part in range(3)]
@@ -173,7 +202,8 @@ class Player:
 
     def __init__(self, name, rng):
         self.name, self.rng, self.plant = name, rng, plants()[name]
-        self.found = fkgen.build(self.plant)
+        self.found = copy.copy(built(self.plant))
+        self.found.reset()
 
     def refused(self, status, call, *arguments):
         before = self.found.snapshot()
@@ -226,7 +256,10 @@ class Judge:
         self.plant = player.plant
         self.windows = self.plant.filter.traits.windows != "none"
         self.sums = ("log_likelihood", "nis")[: 1 + self.plant.filter.traits.linear]
-        self.sources = [oracle(self.plant, record, u, params)]
+        if player.name == "kf_gated":
+            self.sources = [hand_gated(DIAGONAL, record, u)]
+        else:
+            self.sources = [oracle(self.plant, record, u, params)]
         if player.name in {"kf", "kf_joseph"}:
             self.sources.append(hand_made(FOUR, record, u, params))
 
@@ -240,6 +273,9 @@ class Judge:
     def updated(self, k, told):
         """Several updates of one sample are one with all of their rows."""
         self.same(k, told[-1], is_filtered)
+        for rejected in (each["rejected"][k] for each in self.sources if "rejected" in each):
+            shown = np.any([each["rejected"] for each in told], axis=0)
+            np.testing.assert_array_equal(shown, rejected)
         for source in (each for each in self.sources if "log_likelihood" in each):
             for port in self.sums:
                 total = sum(float(each[port]) for each in told)

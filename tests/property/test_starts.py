@@ -181,7 +181,7 @@ def test_a_filter_comes_back_from_its_text_where_the_cache_is_empty(tmp_path, mo
 BAD = [
     ({"x0": [1.0]}, r"x0: given shape \(1,\); expected shape \(2,\)"),
     ({"x0": [1.0, np.nan]}, r"x0\[1\]: given nan; expected a finite number"),
-    ({"x0": ["a", "b"]}, r"x0\[0\]: given text"),
+    ({"x0": ["a", "b"]}, r"x0\[0\]: given text 'a'"),
     ({"P0": np.eye(3)}, r"P0: given shape \(3, 3\)"),
     ({"P0": [[1.0, np.inf], [np.inf, 1.0]]}, r"P0\[0\]\[1\]: given inf"),
     ({"P0": [[1.0, 0.5], [0.1, 1.0]]}, r"P0: given \[0\]\[1\] = 0.5 and \[1\]\[0\] = 0.1"),

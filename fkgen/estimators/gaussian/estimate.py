@@ -15,11 +15,11 @@ import numpy as np
 from fkgen.estimators.gaussian.actuation import Actuation
 from fkgen.estimators.gaussian.decorrelation import Measurement
 from fkgen.estimators.gaussian.gate import Gate
+from fkgen.estimators.gaussian.rows import Form
 from fkgen.estimators.gaussian.sequential import (
     PIVOTS_PER_LOG,
     RANK_TOLERANCE,
     Conditioned,
-    Form,
     condition,
 )
 from fkgen.problem import Spec

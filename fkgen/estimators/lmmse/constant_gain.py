@@ -31,7 +31,7 @@ from fkgen.estimators.gaussian.gate import (
 from fkgen.estimators.gaussian.sequential import condition
 from fkgen.estimators.lmmse.jump import Array
 from fkgen.estimators.lmmse.kalman import constant, innovation_results
-from fkgen.estimators.lmmse.stationary import riccati
+from fkgen.estimators.lmmse.stationary import stabilising
 from fkgen.problem import Spec
 from fkgen.problem.covariance import is_singular
 from fkgen.symbolic.builder import PhaseBuilder
@@ -58,12 +58,9 @@ class AtRest:
 
     @classmethod
     def of(cls, spec: Spec) -> AtRest:
-        """Refine SciPy's solution, which has some ten digits, by Newton's method."""
-        from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - slow to import
-
+        """Solve the Riccati equation."""
         A, C, Q, R, cross = (getattr(spec.model, letter).values() for letter in "ACQRS")
-        P = np.asarray(solve_discrete_are(A.T, C.T, Q, R, s=cross), float)
-        P = 0.5 * (P + P.T) if cross.any() else riccati(A, C, Q, R, P)
+        P = stabilising(A, C, Q, R, cross)
         S = C @ P @ C.T + R
         inverse = np.linalg.pinv(S, hermitian=True)
         gain, noise_gain = P @ C.T @ inverse, cross @ inverse

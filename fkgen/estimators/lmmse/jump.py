@@ -30,10 +30,12 @@ from fkgen.estimators.gaussian.estimate import (
     measurement_of,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form, condition
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.lmmse.kalman import constant, innovation_results
 from fkgen.estimators.lmmse.loss_tests import LossTest, judges, loss_outcomes, loss_ports
-from fkgen.faults.chain import Channel
+from fkgen.estimators.models.start import first_law
+from fkgen.faults.chain import Channel, Lumping
 from fkgen.faults.sensor import EQUAL
 from fkgen.problem import Spec
 from fkgen.symbolic.builder import PhaseBuilder
@@ -61,7 +63,6 @@ from fkgen.symbolic.ports import (
     symbols_of,
 )
 from fkgen.symbolic.recursion import Phase, Recursion
-from fkgen.symbolic.start import first_law
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,9 @@ class AugmentedState:
     """The augmented state of one spec: its parts, their chain, and what is carried along.
 
     A part belongs to a group of modes that differ in nothing but R; where losses are a Markov
-    chain that is not observed, to such a pair of both, first all that arrive.
+    chain that is not observed, to such a pair of both, first all that arrive. With a stationary
+    gain modes that differ in noise alone are one part: the gain of x needs no second moments then,
+    which may grow.
     """
 
     def __init__(self, spec: Spec) -> None:
@@ -89,18 +92,16 @@ class AugmentedState:
         self.arrival = np.eye(1)  # transition of (arrived, lost), if losses are part of the mode
         self.shares: tuple[float, ...] = (1.0,)  # its stationary law
         self.channel: Channel | None = None  # the same where it depends on parameters
-        if faults is not None and faults.arrival == "unknown" and not judges(spec):
-            if faults.arrival_rate is not None:
-                self.rate = faults.arrival_rate
-            elif faults.channel is not None:
-                self.arrival = np.array(faults.channel.transition)[::-1, ::-1]
-                self.shares = faults.channel.initial[::-1]
-                self.channel = faults.channel if faults.arrivals is not None else None
-                modes = chain.times(faults.channel).modes
-        lumping = chain.lumped(tuple((i,) for i in range(len(chain.modes))))
-        if faults is None:  # modes of jump faults are the user's: each has its part
-            lumped = chain.lumped(chain.alike("ABCDQcd"))
-            lumping = lumped if lumped.unequal_successors <= EQUAL else lumping
+        guesses = faults is not None and faults.arrival == "unknown" and not judges(spec)
+        channel = faults.channel if faults is not None and guesses else None
+        if faults is not None and channel is not None and faults.arrival_rate is not None:
+            self.rate = faults.arrival_rate
+        elif channel is not None:
+            self.arrival = np.array(channel.transition)[::-1, ::-1]
+            self.shares = channel.initial[::-1]
+            self.channel = channel if channel.law is not None else None
+            modes = chain.times(channel).modes
+        lumping = self._lumping()
         self.groups = lumping.groups  # the modes that share a part
         self.kernel = np.array(lumping.transition)  # (N, N), of the groups
         self.plants = mode_plants(spec, modes)  # of every mode, then of every mode without a signal
@@ -110,26 +111,43 @@ class AugmentedState:
         #: Parts are (x, 1) 1{mode}: something known is added to the state, or to y
         self.ones = bool(spec.model.nu) or any(p.c.nnz() or p.d.nnz() for p in self.plants)
         parameters = self.base.parameters
-        if faults is not None and faults.rate is not None and self.rate != 1.0:
+        if faults is not None and faults.rate is not None and guesses:
             self.rate = lift_expression(faults.rate, parameters)
         #: The chain of the modes where it depends on parameters; then no part is shared
         self.varying = None if chain.law is None else law_of(chain.law, parameters)
+        law = None if self.channel is None else self.channel.law
         #: That of (arrived, lost)
-        self.arrivals = constant(self.arrival)
-        if self.channel is not None and self.channel.law is not None:
-            self.arrivals = law_of(self.channel.law, parameters)[::-1, ::-1]
+        self.arrivals = (
+            constant(self.arrival) if law is None else law_of(law, parameters)[::-1, ::-1]
+        )
         self.modes = len(self.groups)  # N
         self.parts = len(self.shares) * self.modes
         self.width = self.base.nx + int(self.ones)  # of a part
         inner = (self.parts - 1) * self.width
         self.size = inner + self.base.nx
         self.own = slice(inner, self.size)  # where x stands in the augmented state
-        constant_law = self.varying is None and chain.first is None
-        self.settled = constant_law and is_settled(chain.initial, chain.transition)
-        #: A lock-out starts the filter again
-        self.restarts = judges(spec) and bool(spec.filter.options.reinitialise)
+        moving = (chain.law or chain.first) is not None
+        self.settled = not moving and is_settled(chain.initial, chain.transition)
         self.means = self.ones or self.restarts  # first moments of the parts are carried along
         self.T, self.E, self.e = (constant(each) for each in self._coordinates())
+
+    @property
+    def restarts(self) -> bool:
+        """Whether a lock-out starts the filter again."""
+        return judges(self.spec) and bool(self.spec.filter.options.reinitialise)
+
+    def _lumping(self) -> Lumping:
+        """The modes that share a part."""
+        faults = self.spec.faults.jump
+        lumping = self.chain.lumped(tuple((i,) for i in range(len(self.chain.modes))))
+        if faults is None:  # modes of jump faults are the user's: each has its part
+            lumped = self.chain.lumped(self.chain.alike("ABCDQcd"))
+            lumping = lumped if lumped.unequal_successors <= EQUAL else lumping
+        elif self.spec.filter.option("gain", None) == "stationary" and faults.gain_needs_no_moments(
+            tested=judges(self.spec)
+        ):
+            lumping = self.chain.lumped((tuple(range(len(self.chain.modes))),))
+        return lumping
 
     def _coordinates(self) -> tuple[Array, Array, Array]:
         """T, E, e: the augmented state is T z for all parts z, and they are E times it plus e."""
@@ -286,8 +304,12 @@ def moments_of(z: AugmentedState, symbols: dict[str, ca.SX], prefix: str) -> Mom
     n, law = z.base.nx, z.law(symbols, prefix)
     second = split_packed(symbols[f"{prefix}mode_second_moment"], n)
     first = ca.vertsplit(symbols[f"{prefix}mode_first_moment"], n) if z.means else ()
-    groups = column([total([law[i] for i in group]) for group in z.groups])
-    return Moments([unpack(each, n) for each in second], first, groups)
+    return Moments([unpack(each, n) for each in second], first, grouped(z, law))
+
+
+def grouped(z: AugmentedState, law: ca.SX) -> ca.SX:
+    """Probabilities of the parts."""
+    return column([total([law[i] for i in group]) for group in z.groups])
 
 
 def next_law(z: AugmentedState, law: ca.SX) -> ca.SX:
@@ -339,11 +361,11 @@ def moved_moments(
 
 
 def moved_means(
-    z: AugmentedState, plants: Sequence[Plant], first: Sequence[ca.SX], law: ca.SX
+    z: AugmentedState, plants: Sequence[Plant], first: Sequence[ca.SX], law: ca.SX, u: ca.SX
 ) -> list[ca.SX]:
-    """E[x 1{mode}] one sample later, without inputs."""
+    """E[x 1{mode}] one sample later."""
     own = [z.plant(plants, i) for i in range(z.modes)]
-    each = [plant.A @ first[i] + law[i] * plant.c for i, plant in enumerate(own)]
+    each = [plant.A @ first[i] + law[i] * offset_of(plant, u) for i, plant in enumerate(own)]
     return [ca.densify(mean) for mean in z.mixed(each)]
 
 
@@ -438,7 +460,7 @@ def _predict(z: AugmentedState, symbols: dict[str, ca.SX]) -> Phase:
         results = {"predicted_mode_second_moment": ca.vertcat(*second)}
         if z.means:
             first = [ca.densify(each[:n, n]) for each in mixed] if z.ones else []
-            first = first or moved_means(z, plants, now.first, now.law)
+            first = first or moved_means(z, plants, now.first, now.law, u)
             results["predicted_mode_first_moment"] = ca.vertcat(*first)
         if not z.settled:
             results["predicted_mode_law"] = law

@@ -30,6 +30,7 @@ from fkgen.estimators.gaussian.estimate import (
 from fkgen.estimators.gaussian.sequential import Conditioned, condition
 from fkgen.estimators.lmmse.jump import STATIONARY, is_settled
 from fkgen.estimators.lmmse.kalman import by_rows, from_rows, innovation_results
+from fkgen.estimators.models.start import first_law
 from fkgen.estimators.models.weights import TINY
 from fkgen.faults.sensor import is_white
 from fkgen.problem import Spec
@@ -47,7 +48,6 @@ from fkgen.symbolic.ports import (
     symbols_of,
 )
 from fkgen.symbolic.recursion import Phase, Recursion
-from fkgen.symbolic.start import first_law
 
 #: Moments that the prediction moves on and y[k] does not change.
 CARRIED = ("state_second_moment", "state_mean", "mode_law", "signal_law")

@@ -2,7 +2,8 @@
 
 What is left at run time is the state: one product with a constant gain and one with F. Exists where
 the second moments have a limit: a mean-square stable plant (Costa, Fragoso & Marques 2005, ch. 3)
-and an ergodic chain.
+and an ergodic chain. Modes that differ in noise alone need no moments: their gain is that of a
+Kalman filter with the mean of Q and R, which integrators have too.
 """
 
 from __future__ import annotations
@@ -74,6 +75,8 @@ def _limit(P: Array, steps: Sequence[NDArray[np.floating]], added: list[Array]) 
 
 def stationary_of(z: AugmentedState) -> Stationary:
     """Solve for the stationary error covariance and its gain."""
+    if z.parts == 1:
+        return _of_one_part(z)
     builder, u, N = PhaseBuilder({}), ca.SX(z.base.nu, 1), z.modes
     now = stationary_moments(z)
     moved = jump.moved_moments(builder, z, z.plants, now, u)
@@ -86,10 +89,33 @@ def stationary_of(z: AugmentedState) -> Stationary:
     doubt = float(z.rate) * (1.0 - float(z.rate))
     signal = _number(unpack(jump.signal_moment(z, z.plants, now, u), z.base.ny))
     R = noise + doubt * signal
-    X = riccati(F, L, W, R)
+    return _solved((F, L, W, R), noise, riccati(F, L, W, R))
+
+
+def _of_one_part(z: AugmentedState) -> Stationary:
+    """The steady state where no second moment of the state is needed, which may have no limit."""
+    law, own = stationary_law(np.array(z.chain.transition)), z.plants[: len(z.chain.modes)]
+    if law is None:
+        raise InternalError("a stationary gain for a chain without a limit")
+    Q, R = (np.einsum("i,iab->ab", law, [_number(getattr(p, x)) for p in own]) for x in "QR")
+    A, C = _number(z.base.A), _number(z.base.C)
+    return _solved((A, C, Q, R), R, stabilising(A, C, Q, R))
+
+
+def _solved(system: tuple[Array, Array, Array, Array], noise: Array, X: Array) -> Stationary:
+    _, L, _, R = system
     S, inverse = _innovation(X, L, R)
     gain = X @ L.T @ inverse
     return Stationary(predicted=X, filtered=X - gain @ L @ X, innovation=S, noise=noise, gain=gain)
+
+
+def stabilising(A: Array, C: Array, Q: Array, R: Array, cross: Array | None = None) -> Array:
+    """Refine SciPy's solution, which has some ten digits, by Newton's method if no S is there."""
+    from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - slow to import
+
+    P = np.asarray(solve_discrete_are(A.T, C.T, Q, R, s=cross), float)
+    P = 0.5 * (P + P.T)
+    return P if cross is not None and cross.any() else riccati(A, C, Q, R, P)
 
 
 def riccati(F: Array, L: Array, W: Array, R: Array, start: Array | None = None) -> Array:
@@ -181,7 +207,8 @@ def _own(z: AugmentedState, matrix: Array) -> ca.SX:
 
 def _means(z: AugmentedState, symbols: dict[str, ca.SX], of: str) -> tuple[list[ca.SX], ca.SX]:
     """E[x 1{mode}] and Pr(mode) without any measurement."""
-    return ca.vertsplit(symbols[f"{of}mode_first_moment"], z.base.nx), z.law(symbols, of)
+    law = jump.grouped(z, z.law(symbols, of))
+    return ca.vertsplit(symbols[f"{of}mode_first_moment"], z.base.nx), law
 
 
 def _predict(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationary) -> Phase:
@@ -193,7 +220,7 @@ def _predict(z: AugmentedState, symbols: dict[str, ca.SX], *, at_rest: Stationar
     if not z.settled:
         results["predicted_mode_law"] = jump.next_law(z, symbols["mode_law"])
     if z.restarts:
-        means = jump.moved_means(z, z.plants, *_means(z, symbols, ""))
+        means = jump.moved_means(z, z.plants, *_means(z, symbols, ""), symbols["u"])
         results["predicted_mode_first_moment"] = ca.vertcat(*means)
     with builder.titled("mixing by the chain, and prediction of the next sample"):
         M, known = jump.mixing(z)

@@ -33,8 +33,10 @@ from fkgen.estimators.gaussian.estimate import (
     propagate,
     update_form,
 )
-from fkgen.estimators.gaussian.sequential import Conditioned, Form
+from fkgen.estimators.gaussian.rows import Form
+from fkgen.estimators.gaussian.sequential import Conditioned
 from fkgen.estimators.models.merge import Gaussian, Mixer, combined_innovation, mixture_covariance
+from fkgen.estimators.models.start import first_law
 from fkgen.estimators.models.weights import (
     Kernel,
     Prediction,
@@ -72,7 +74,6 @@ from fkgen.symbolic.ports import (
     twins,
 )
 from fkgen.symbolic.recursion import Phase, Recursion
-from fkgen.symbolic.start import first_law
 
 #: How many covariances of one_step run beside the estimate, as if no signal were ever lost.
 RICCATIS = {"moment_matched": 0, "weighted": 0, "paper": 2, "paper_nominal": 1}
@@ -234,17 +235,25 @@ class Switching:
         )
 
     def start(self) -> Phase | None:
-        """The law of the mode at sample 0, where it depends on parameters."""
-        chain, scalar = self.modes.chain, self.spec.code.scalar
-        if chain.first is None:
+        """The law of the mode at sample 0 where it depends on parameters, and what each mode has.
+
+        Under a mode 0, known, is in place of the states that it does not have.
+        """
+        chain, scalar, faults = self.modes.chain, self.spec.code.scalar, self.spec.faults.jump
+        given, values = prior_symbols(self.spec.model.nx), dict[str, ca.SX]()
+        builder = PhaseBuilder({**self.symbols, **given})
+        if faults is not None and faults.unequal:
+            priors = [_of_states((given["x"], given["P"]), mode.kept) for mode in faults.modes]
+            states, covariances = (ca.vertcat(*each) for each in zip(*priors, strict=True))
+            values |= {"mode_state": states, "mode_covariance": covariances}
+        if chain.first is not None:
+            law = first_law(builder, self.spec, chain, self.plants[0].parameters)
+            logs = column([logarithm_of(each, scalar) for each in ca.vertsplit(law)])
+            of = {"mode_probability": law, "log_weight": logs}
+            values |= of | {f"predicted_{name}": value for name, value in of.items()}
+        if not values:
             return None
-        builder = PhaseBuilder({**self.symbols, **prior_symbols(self.spec.model.nx)})
-        law = first_law(builder, self.spec, chain, self.plants[0].parameters)
-        logs = column([logarithm_of(each, scalar) for each in ca.vertsplit(law)])
-        values = {"mode_probability": law, "log_weight": logs}
-        builder.assign(
-            {f"{of}{name}": v for name, v in values.items() for of in ("", "predicted_")}
-        )
+        builder.assign(values)
         return builder.phase()
 
     def recursion(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fkgen.faults.sensor import is_white
-from fkgen.oracle.claims.claim import ClosedForm, Ports, Record, ports
+from fkgen.oracle.claims.claim import Array, ClosedForm, Ports, Record, ports
 from fkgen.oracle.claims.gaussian import digits_at_stake, likelihood_tolerance, system_of, undecided
 from fkgen.oracle.exact.enumeration import enumerate_jumps
 from fkgen.oracle.exact.moments import FaultMoments, satisfies_lemma_2
@@ -17,6 +17,9 @@ from fkgen.oracle.plants.sensor import SensorLaw, is_lumpable, sensed_modes
 from fkgen.oracle.textbook.linear_optimal import linear_optimal
 from fkgen.oracle.textbook.switching import Lumping, interacting, silent_lumped, textbook_one_step
 from fkgen.problem import Spec
+
+#: An eigenvalue that is negative by less than this share of the largest entry may be rounding.
+NEGLIGIBLE = 1e-9
 
 PAPER = "Sigalov & Oshman"
 
@@ -92,7 +95,15 @@ def _lemma_2_form(spec: Spec, record: Record) -> Ports | None:
     ranks = np.linalg.matrix_rank(result.innovation_covariance, hermitian=True)
     if (ranks < spec.model.ny).any():  # rows that say the same may share the gain in any way
         unused.append("measurement_gain")
-    return ports(result, *unused)
+    found, sound = ports(result, *unused), _sound_samples(result.predicted_covariance)
+    return {name: values[:sound] for name, values in found.items()}
+
+
+def _sound_samples(predicted: Array) -> int:
+    """How many samples it takes until C - V, which is no covariance without Lemma 2, is none."""
+    least, size = np.linalg.eigvalsh(predicted)[:, 0], np.abs(predicted).max(axis=(1, 2))
+    wrong = np.flatnonzero(least < -NEGLIGIBLE * size)
+    return int(wrong[0]) + 1 if wrong.size else len(predicted)
 
 
 def lemma_2_holds(spec: Spec) -> bool:

@@ -177,11 +177,13 @@ def simulate_jumps(system: JumpSystem, u: Array, rng: np.random.Generator) -> Ju
     x[0] = system.x0 + square_root(system.P0) @ rng.standard_normal(n)
     at = (np.arange(T), mode)
     x[0] *= 1.0 if system.kept is None else system.kept[mode[0]]
-    roots = {name: square_root(getattr(system, name)[at]) for name in ("Q", "R")}
-    for k, i in enumerate(mode):
-        noise = roots["R"][k] @ rng.standard_normal(p)
+    # modes with states of their own are entered by a step of their own
+    moves = mode if system.kept is None or system.kept.all() else np.append(mode[1:], mode[-1])
+    R, Q = square_root(system.R[at]), square_root(system.Q[np.arange(T), moves])
+    for k, (i, j) in enumerate(zip(mode, moves, strict=True)):
+        noise = R[k] @ rng.standard_normal(p)
         y[k] = arrived[k] * (system.C[k, i] @ x[k] + sensed[k, i]) + noise
-        x[k + 1] = system.A[k, i] @ x[k] + added[k, i] + roots["Q"][k] @ rng.standard_normal(n)
+        x[k + 1] = system.A[k, j] @ x[k] + added[k, j] + Q[k] @ rng.standard_normal(n)
     return JumpRecord(y=y, x=x[:T], mode=mode, arrived=arrived)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from fkgen.oracle.exact.gaussian import Array
 from fkgen.oracle.exact.paths import JumpResult
 from fkgen.oracle.plants.actuator import Plant
-from fkgen.oracle.plants.jump import JumpSystem
+from fkgen.oracle.plants.jump import JumpSystem, lasting_law
 from fkgen.oracle.textbook.loss_tests import LossTest, verdict
 from fkgen.oracle.textbook.riccati import stationary_prediction_by_control
 
@@ -210,6 +210,9 @@ def _limiting_moments(system: JumpSystem) -> Array:
 def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | None:
     """Find the limits of moments, covariance and gain; None if the equation has no solution."""
     N, m = system.count, system.nx + 1
+    A = system.A[0, 0]
+    if rate == 1.0 and _noise_alone(system) and np.abs(np.linalg.eigvals(A)).max() >= 1.0:
+        return _without_moments(system)
     moments = _limiting_moments(system)
     split = _split_at(system, np.zeros((1, 0)), 0, moments, moments[:, -1, -1])
     # The indicators sum to one: the last follows from the others, and so does its error.
@@ -231,6 +234,39 @@ def stationary_jumps(system: JumpSystem, rate: float = 1.0) -> SteadyState | Non
         innovation_covariance=S,
         gain=rate * X @ split.L.T @ np.linalg.pinv(S, rcond=1e-13, hermitian=True),
         closed_loop_radius=_radius(system, F - F @ found[0] @ L.T @ np.linalg.pinv(S) @ L),
+    )
+
+
+def _noise_alone(system: JumpSystem) -> bool:
+    """Whether the modes differ in Q and R only."""
+    same = (getattr(system, name)[0] for name in Plant.VARYING if name not in "QR")
+    return all(np.array_equal(each, np.broadcast_to(each[0], each.shape)) for each in same)
+
+
+def _without_moments(system: JumpSystem) -> SteadyState | None:
+    """Modes that differ in noise alone, whose moments need no limit: the sum of the parts is x.
+
+    The estimate of the first part stands for the sum; where the moments have no limit, they are
+    NaN.
+    """
+    n, N, m = system.nx, system.count, system.nx + 1
+    law = lasting_law(system.transition)
+    A, C = system.A[0, 0], system.C[0, 0]
+    Q, R = (np.tensordot(law, each[0], axes=1) for each in (system.Q, system.R))
+    found = stationary_prediction_by_control(A, C, Q, R)
+    if found is None:
+        return None
+    P, place = found[0], np.eye(N * m, n)
+    S = C @ P @ C.T + R
+    gain = P @ C.T @ np.linalg.pinv(S, rcond=1e-13, hermitian=True)
+    unknown = np.full((N, m, m), np.nan)
+    split = _split_at(system, np.zeros((1, system.B.shape[-1])), 0, unknown, law)
+    return SteadyState(
+        split=split,
+        covariance=place @ P @ place.T,
+        innovation_covariance=S,
+        gain=place @ gain,
+        closed_loop_radius=found[1],
     )
 
 

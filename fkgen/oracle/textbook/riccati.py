@@ -27,7 +27,8 @@ def stationary_prediction(
 
     S = np.zeros((len(A), len(C))) if S is None else S
     try:
-        P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+        H, V, cross = _unit_noise(C, R, S)
+        P = solve_discrete_are(A.T, H.T, Q, V, s=cross)
     except (np.linalg.LinAlgError, ValueError):
         return None
     return _accepted(P, A, C, (Q, R, S))
@@ -42,10 +43,18 @@ def stationary_prediction_by_control(
     S = np.zeros((len(A), len(C))) if S is None else S
     Q, R = 0.5 * (Q + Q.T), 0.5 * (R + R.T)  # it refuses what rounding has left unsymmetric
     try:
-        P, _, _ = control.dare(A.T, C.T, Q, R, S, np.eye(len(A)))
+        H, V, cross = _unit_noise(C, R, S)
+        P, _, _ = control.dare(A.T, H.T, Q, V, cross, np.eye(len(A)))
     except (np.linalg.LinAlgError, ValueError, control.ControlArgument, control.ControlDimension):
         return None
     return _accepted(P, A, C, (Q, R, S))
+
+
+def _unit_noise(C: Array, R: Array, S: Array) -> tuple[Array, Array, Array]:
+    """C, R and S in units in which the noise of every row is 1, where solvers keep their digits."""
+    variances = np.diag(R)
+    unit = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    return C / unit[:, None], R / np.outer(unit, unit), S / unit
 
 
 def _accepted(

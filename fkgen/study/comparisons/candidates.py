@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from fkgen.errors import DataError, UserError
 from fkgen.families import ALIASES, NAMES, family
 from fkgen.faults import JumpFaults
-from fkgen.faults.jump import INDICATOR
+from fkgen.faults.jump import ENTERED, INDICATOR
 from fkgen.problem import Spec
+from fkgen.problem.table.place import Place
 from fkgen.trials.simulation import Simulation
 
 Array = NDArray[np.floating]
@@ -63,10 +64,11 @@ def default_families(spec: Spec) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(found), tuple(left_out)
 
 
-def derived(truth: Spec, text: str) -> Spec:
+def derived(truth: Spec, text: str, *, inherits: bool = True) -> Spec:
     """The spec of a family, stated as in `candidates_of`, for the plant of another spec.
 
-    Options of the family are those of the truth if it is of the same family, unless stated. A
+    Options of the family are those of the truth if it is of the same family, unless stated, and
+    where it ``inherits`` them. A
     family that is about no faults is for the same plant with its faults left out: it takes every
     sensor and actuator to be good.
     """
@@ -78,7 +80,7 @@ def derived(truth: Spec, text: str) -> Spec:
         expected = f"of {about}: {', '.join(fitting)}"
         raise DataError("families", given=repr(name), expected=expected)
     found, table = family(name), truth.to_dict()
-    same = family(truth.filter.family) is found
+    same = inherits and family(truth.filter.family) is found
     options = _options([part for part in parts if "=" in part])
     table["filter"] = (truth.filter.plain() if same else {"family": name}) | options
     if not found.accepts:
@@ -111,11 +113,12 @@ def genie_of(truth: Spec) -> Spec:
 
     For sensor faults the family ``genie``; for actuator faults a Kalman filter that is told what
     reaches the plant; for jumps one that is told modes and losses; without faults the Kalman filter
-    itself.
+    itself, without a gate and with a gain that follows the covariance.
     """
     if truth.faults.jump is not None:
         return _mode_aided(truth, truth.faults.jump)
-    return derived(truth, "genie" if truth.faults.sensor is not None else "kf")
+    name = "genie" if truth.faults.sensor is not None else "kf"
+    return derived(truth, name, inherits=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +147,9 @@ def filter_inputs(simulation: Simulation, spec: Spec, *, genie: bool) -> FilterI
             y = np.where(simulation.arrival[..., None], y, np.nan)
         for i in range(len(truth.faults.jump.modes)):
             params[INDICATOR.format(i)] = (simulation.mode == i).astype(float)
+            if truth.faults.jump.unequal:
+                entered = np.roll(simulation.mode, -1, axis=1)  # nothing is asked after the last
+                params[ENTERED.format(i)] = (entered == i).astype(float)
         u = np.concatenate([driving, np.ones((*driving.shape[:-1], 1))], axis=-1)
     elif gamma is not None and delta is not None:
         params |= {"gamma": gamma, "delta": delta}
@@ -151,6 +157,16 @@ def filter_inputs(simulation: Simulation, spec: Spec, *, genie: bool) -> FilterI
     elif u is not None:
         u = driving if gamma is None else gamma * driving
     return FilterInputs(y, u, params, rows)
+
+
+def _demand_sampled(truth: Spec) -> None:
+    """Refuse modes with states of their own whose steps are computed at run time."""
+    if truth.model.source is not None and not truth.model.A.is_constant:
+        moving = ", ".join(sorted(truth.model.A.names))
+        raise Place(truth.file, "model.sample_time").error(
+            f"a step that depends on {moving}, where modes leave states out",
+            "a number, and constants: the filter that is told the mode needs every mode's own step",
+        )
 
 
 def _mode_aided(truth: Spec, faults: JumpFaults) -> Spec:
@@ -168,5 +184,9 @@ def _mode_aided(truth: Spec, faults: JumpFaults) -> Spec:
     kept = {letter: getattr(told, letter).plain() for letter in ("A", "C", "Q", "R")}
     table["model"] |= kept | added
     table["model"].pop("inputs", None)
-    table["parameters"] |= {INDICATOR.format(i): float(i == 0) for i in range(len(faults.modes))}
+    if faults.unequal:  # what is left out does not stay as it is, as continuous time would have it
+        table["model"].pop("time", None)
+        _demand_sampled(truth)
+    for name in (INDICATOR, ENTERED) if faults.unequal else (INDICATOR,):
+        table["parameters"] |= {name.format(i): float(i == 0) for i in range(len(faults.modes))}
     return Spec.from_dict(table | {"faults": {}, "filter": {"family": "kf"}}, file=truth.file)

@@ -33,7 +33,8 @@ from fkgen.study.comparisons.scores import Scores, score
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.filtering import csv_text
 from fkgen.study.records.reading import Reading
-from fkgen.study.records.table import constants_or_record, profile_of
+from fkgen.study.records.record import Table
+from fkgen.study.records.table import Say, constants_or_record, profile_of
 from fkgen.trials.simulation import Simulation, counted, simulate
 
 Array = NDArray[Any]
@@ -158,12 +159,18 @@ def _chunks(
 def drawn(spec: Spec, *, trial: int, **options: Any) -> str:
     """One trial as a CSV text: what a filter is told, then the truth.
 
-    Columns are the measurements, inputs and parameters by name, then ``true.<state>`` and the fault
-    indicators: ``gamma`` and ``delta`` of sensors, ``gamma.<input>`` of actuators.
+    Columns are the times of the record as they stand there, if it has some, the measurements,
+    inputs and parameters by name, then ``true.<state>`` and the fault indicators: ``gamma`` and
+    ``delta`` of sensors, ``gamma.<input>`` of actuators.
     """
-    columns = _columns(spec, simulate(spec, 1, first=trial, **_circumstances(spec, **options)))
+    circumstances, table = _circumstances(spec, **options)
+    columns = _columns(spec, simulate(spec, 1, first=trial, **circumstances))
+    names = list(columns)
     texts = [["" if math.isnan(v) else v for v in values.tolist()] for values in columns.values()]
-    return csv_text(list(columns), texts)
+    if table is not None and table.time_name:
+        names.insert(0, table.time_name)
+        texts.insert(0, list(map(str, table.time_text[: circumstances["steps"]])))
+    return csv_text(names, texts)
 
 
 def compared(
@@ -171,7 +178,7 @@ def compared(
 ) -> Comparison:
     """Compare, and draw the figure if one is asked for; progress is shown on a terminal."""
     refuse_targets(None, plot, force=force)
-    given = _circumstances(specs[0], **options)
+    given, _ = _circumstances(specs[0], **options)
     names = tuple(name.strip() for name in families.split(",") if name.strip())
     found = compare(specs, names or None, progress=sys.stderr.isatty(), **given)
     if plot is not None:
@@ -189,15 +196,19 @@ def _circumstances(
     record: Reading | None,
     inputs: str,
     profile: Path | None,
+    say: Say,
     **sizes: Any,
-) -> dict[str, Any]:
-    """Number of samples, inputs, parameters, missing rows and soft faults, beside other sizes."""
+) -> tuple[dict[str, Any], Table | None]:
+    """Number of samples, inputs, parameters, missing rows and soft faults, beside other sizes.
+
+    The record that they come from, if there is one, is the second.
+    """
     signals: dict[str, Any] = {}
     lengths: dict[int, Path] = {}
     if profile is not None:
         signals["sensor"], signals["input"] = profile_of(spec, profile)
         lengths[len(signals["sensor"])] = profile
-    constants, table = constants_or_record(spec, inputs, record)
+    constants, table = constants_or_record(spec, inputs, record, say)
     params = {} if table is None else table.params
     if table is not None and record is not None:
         lengths[table.samples] = record.path
@@ -212,7 +223,7 @@ def _circumstances(
         raise DataError("--steps", given=str(wanted), expected=expected)
     first = {name: None if each is None else each[:wanted] for name, each in signals.items()}
     over = {name: values[:wanted] for name, values in params.items()}
-    return {"u": constants, "params": over, "steps": wanted, **first, **sizes}
+    return {"u": constants, "params": over, "steps": wanted, **first, **sizes}, table
 
 
 def _columns(spec: Spec, found: Simulation) -> dict[str, Array]:

@@ -21,6 +21,7 @@ _VERDICTS = ("mode_probability", "fault_declared", "test_dof")
 PORTS = ("filtered_state", "filtered_covariance", "nis", *_VERDICTS)
 #: A pivot below this share of its variance is the rounding of a zero, per unit of round-off.
 _ROUNDED = 512.0
+_TINY = float(np.finfo(float).tiny)  # of a smaller pivot there is no inverse
 #: A sensor is declared faulty when it is more probably so than not.
 _DECIDED = 0.5
 
@@ -92,7 +93,7 @@ def normalised(error: Array, covariance: NDArray[np.floating], unit: float) -> A
     total, dimensions = np.zeros(e.shape[:2]), np.zeros(e.shape[:2])
     for j in range(e.shape[2]):
         pivot = left[..., j, j].copy()
-        there = pivot > _ROUNDED * unit * covariance[..., j, j]
+        there = pivot > np.maximum(_ROUNDED * unit * covariance[..., j, j], _TINY)
         inverse = np.divide(1.0, pivot, out=np.zeros_like(pivot), where=there)
         total += e[..., j] ** 2 * inverse
         dimensions += there

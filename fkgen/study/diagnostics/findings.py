@@ -78,6 +78,7 @@ error start.negative: from the prior on, {value} of {samples} samples in float h
 error start.refused: from the prior on, float refuses {value} of {samples} samples that double
     takes, the first is sample {first}: a covariance lost its positivity
     -> scalar = "double", or a smaller P0
+error start.unfit: no code can be generated: with these numbers, in {scalar}, {what} -> {remedy}
 warning float_rounding.used: {bound}
     -> scalar = "double", or states of a smaller range, such as offsets from a reference
 
@@ -144,8 +145,8 @@ note one_hypothesis: nis tests one hypothesis: after rejections its gate opens, 
 warning unused_parameter: nothing uses the parameter{plural} {names}
     -> take out of [parameters], or use in a matrix
 note time_varying: the model changes with its parameters; all figures are for {names}
-warning large_code: one step has {value} operations: as straight-line C that is a large file, slow
-    to compile and slow in the instruction cache
+warning large_code: one step has {value} operations in the text: a large file, slow to compile and
+    slow in the instruction cache
     -> zeros in A and C cost nothing: look for a basis with more of them
 """
 

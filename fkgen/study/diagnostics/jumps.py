@@ -35,11 +35,14 @@ def diagnose(model: Subject) -> None:
     _stability(model, faults, radius)
     trusting = own = None
     if spec.filter.traits.moments:
-        if is_ergodic(faults.transition) and radius < 1.0 - MARGIN:
+        settles = radius < 1.0 - MARGIN
+        alone = faults.gain_needs_no_moments(tested=not _detects_nothing(spec))
+        if is_ergodic(faults.transition) and (settles or alone):
             trusting, own = (_steady(spec, faults, believing=each) for each in (True, False))
         if trusting is not None and own is not None:
             _steady_state(model, trusting, own)
         _innovation(model, own)
+        trusting = trusting if settles else None
     rate = 1.0 if faults.arrival_rate is None else faults.arrival_rate
     if trusting is not None and faults.has_channel and rate < 1.0:
         _visibility(model, trusting)
@@ -87,7 +90,7 @@ def _steady_state(model: Subject, trusting: SteadyState, own: SteadyState) -> No
     model.values |= {
         "closed_loop_radius": own.closed_loop_radius,
         "J1": J1,
-        "J0": J0,
+        **({"J0": J0} if math.isfinite(J0) else {}),
         "stationary_trace": float(np.trace(trusting.covariance[np.ix_(parts, parts)])),
     }
     predicted, filtered = E @ own.covariance @ E.T, E @ own.filtered @ E.T

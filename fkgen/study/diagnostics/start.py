@@ -15,9 +15,10 @@ import numpy as np
 
 from fkgen.backend import ir
 from fkgen.backend.elementary import Number
-from fkgen.backend.execute import ARITHMETIC, HOLDS, Machine
+from fkgen.backend.execute import ARITHMETIC, HOLDS, Machine, self_test_vectors
 from fkgen.backend.ir import Element, Space
-from fkgen.backend.lower import lower
+from fkgen.backend.lower import lower, unfit_spec
+from fkgen.errors import UnfitError
 from fkgen.families import family
 from fkgen.oracle.sampled import draw_record
 from fkgen.problem import Spec
@@ -35,7 +36,12 @@ _SMALL, _LOST = 0.1, 1.0
 
 
 def start(model: Subject) -> None:
-    """Hold the filter in float against itself in double, from the prior on."""
+    """Run the self-test; hold the filter in float against itself in double, from the prior on."""
+    try:
+        self_test_vectors(lower(family(model.spec.filter.family).build(model.spec)))
+    except UnfitError as unfit:
+        remedy = unfit_spec(model.spec, unfit).expected
+        model.add("start.unfit", what=unfit.what, scalar=model.spec.code.scalar, remedy=remedy)
     if not model.is_float:
         return
     record = _drawn(model.spec)

@@ -21,7 +21,8 @@ from fkgen.study.effects.fault_effect import fault_effect
 from fkgen.study.effects.profiles import drift, pulse, ramp, step
 from fkgen.study.records.files import refuse_targets
 from fkgen.study.records.reading import Reading
-from fkgen.study.records.table import constants_or_record, profile_of
+from fkgen.study.records.record import Table
+from fkgen.study.records.table import Say, constants_or_record, profile_of
 from fkgen.study.reports import plots
 from fkgen.study.reports.jsonable import Answer
 from fkgen.study.reports.plots import BAND, BLUE, GREY, ORANGE
@@ -60,13 +61,13 @@ class Options:
     runs: int
 
 
-def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool) -> Answer:
+def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool, say: Say) -> Answer:
     """Find the effect, and draw if a picture is wanted; whatever does not fit is a `UserError`."""
     refuse_targets(None, plot, force=force)
-    constants, table = constants_or_record(spec, options.inputs, options.record)
+    constants, table = constants_or_record(spec, options.inputs, options.record, say)
     u, y, params, notes = None, None, None, list[str]()
     if table is not None:
-        u, y, params, notes = table.u, table.y, table.params, [*table.notes]
+        u, y, params = table.u, table.y, table.params
     sensor, anomaly = _faults(spec, options, options.steps if y is None else len(y))
     if constants is not None:
         length = len(next(each for each in (sensor, anomaly) if each is not None))
@@ -76,7 +77,7 @@ def report_of(spec: Spec, options: Options, *, plot: Path | None, force: bool) -
     )
     over = effect.settled(options.fraction)  # refuses a share that is none, before it draws
     if plot is not None:
-        plots.save(draw(spec, effect, over, options.false_alarm), plot, force=force)
+        plots.save(draw(spec, effect, over, options.false_alarm, table), plot, force=force)
         notes.append(f"{plot}: written")
     head = ("state", "unit", "largest error", "at sample", "in sd", "at the end", "over at")
     rows = [_row(each, effect, i, int(over[i])) for i, each in enumerate(spec.model.states)]
@@ -162,27 +163,45 @@ def _profile(
 
 
 @plots.styled
-def draw(spec: Spec, effect: FaultEffect, over: NDArray[np.int64], false_alarm: float) -> Figure:
-    """One panel per state, then the power of the NIS test (or the change of the NIS)."""
-    states = range(len(spec.model.states[: plots.LARGEST]))
-    draws = [partial(_draw_state, spec=spec, effect=effect, i=i, over=int(over[i])) for i in states]
-    draws.append(partial(_draw_visibility, effect=effect, false_alarm=false_alarm))
-    return plots.panels([plots.HEIGHT] * len(draws), draws, "sample")
+def draw(
+    spec: Spec,
+    effect: FaultEffect,
+    over: NDArray[np.int64],
+    false_alarm: float,
+    table: Table | None = None,
+) -> Figure:
+    """One panel per state, then the power of the NIS test (or the change of the NIS).
+
+    They run over the times of ``table``, the record, where it has some.
+    """
+    time, label = np.arange(float(len(effect.degrees))), "sample"
+    if table is not None and table.time_name:
+        time, label = table.time[: len(time)], table.time_label
+    draws = [
+        partial(_draw_state, spec=spec, effect=effect, time=time, i=i, over=int(over[i]))
+        for i in range(len(spec.model.states[: plots.LARGEST]))
+    ]
+    draws.append(partial(_draw_visibility, effect=effect, time=time, false_alarm=false_alarm))
+    return plots.panels([plots.HEIGHT] * len(draws), draws, label)
 
 
-def _draw_state(axis: Axes, spec: Spec, effect: FaultEffect, i: int, over: int) -> None:
+def _draw_state(
+    axis: Axes, *, spec: Spec, effect: FaultEffect, time: Array, i: int, over: int
+) -> None:
     """Error within one standard deviation of the estimate (and of the mean), and where it ends."""
     error, sd = effect.error_deviation[:, i], effect.state_sd[:, i]
-    time, spread = np.arange(len(error)), 2.0 * effect.standard_error[:, i]
+    spread = 2.0 * effect.standard_error[:, i]
     axis.fill_between(time, -sd, sd, color=BLUE, alpha=BAND, lw=0, label=r"$\pm\sigma$ of x(k|k)")
     if spread.any():
         axis.fill_between(time, error - spread, error + spread, color=ORANGE, alpha=0.3, lw=0)
     axis.plot(time, error, color=BLUE, lw=1.4, label="error by the fault")
     axis.axhline(0.0, color="black", lw=0.6)
     if 0 < over < len(error):
-        axis.axvline(over, color=ORANGE, lw=1.0, ls="--", label="over")
+        axis.axvline(time[over], color=ORANGE, lw=1.0, ls="--", label="over")
         where = ("data", "axes fraction"), "offset points"
-        axis.annotate(f"{over}", (over, 0.04), (3, 0), *where, fontsize=8, color=ORANGE)
+        axis.annotate(
+            f"{time[over]:.6g}", (time[over], 0.04), (3, 0), *where, fontsize=8, color=ORANGE
+        )
     reach = 1.15 * max(float(np.abs(error).max()), min(float(np.median(sd)), 1e3)) or 1.0
     axis.set_ylim(-reach, reach)
     axis.set_ylabel(plots.label_of(spec.model.states[i]))
@@ -193,9 +212,9 @@ def _draw_state(axis: Axes, spec: Spec, effect: FaultEffect, i: int, over: int) 
         axis.legend(ncols=3, loc="upper right")
 
 
-def _draw_visibility(axis: Axes, effect: FaultEffect, false_alarm: float) -> None:
+def _draw_visibility(axis: Axes, *, effect: FaultEffect, time: Array, false_alarm: float) -> None:
     seen = effect.power(false_alarm) if effect.gaussian else effect.noncentrality
-    axis.plot(seen, color=BLUE, lw=1.4)
+    axis.plot(time, seen, color=BLUE, lw=1.4)
     if not effect.gaussian:
         axis.axhline(0.0, color="black", lw=0.6)
         axis.set_ylabel("change of NIS")

@@ -12,10 +12,11 @@ from pyarrow import compute as arrow
 
 from fkgen.errors import DataError
 from fkgen.study.records.csv_files import Piece
-from fkgen.study.records.reading import Reading
+from fkgen.study.records.reading import Reading, as_numpy
 
 _ROWS = 1 << 16  # of a piece
 _PARQUET, _ZIP, _HDF = b"PAR1", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n"
+_BROKEN = (pa.ArrowException, OSError, UnicodeError)  # what a broken Parquet file raises
 _MATLAB = b"MATLAB "
 _HDF_IN_MATLAB = 512  # bytes of text before the HDF file that a MATLAB file of version 7.3 is
 
@@ -24,6 +25,7 @@ class BinaryFile:
     """Columns with names and types; samples are counted from 1 as rows."""
 
     notes: tuple[str, ...] = ()
+    stamps: tuple[int, ...] = ()  # columns that are typed as timestamps
     decimal = "."
 
     def __init__(self, reading: Reading, headings: Sequence[str]) -> None:
@@ -63,7 +65,7 @@ class BinaryFile:
             raise DataError(
                 self.place(column), given=f"type {kind}", expected="a column of numbers"
             )
-        return arrow.cast(values, pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+        return as_numpy(arrow.cast(values, pa.float64(), safe=False))
 
 
 class ParquetFile(BinaryFile):
@@ -74,9 +76,12 @@ class ParquetFile(BinaryFile):
 
         try:
             self._parquet = parquet.ParquetFile(reading.path)
-        except (pa.ArrowException, OSError) as error:
+            schema = self._parquet.schema_arrow
+            names = [str(name) for name in schema.names]
+        except _BROKEN as error:
             raise _unreadable(reading, error) from None
-        super().__init__(reading, self._parquet.schema_arrow.names)
+        super().__init__(reading, names)
+        self.stamps = tuple(i for i, t in enumerate(schema.types) if pa.types.is_timestamp(t))
 
     def pieces(self, columns: Sequence[int], texts: Collection[int]) -> Iterator[Piece]:
         """Pieces of a row group or of less."""
@@ -85,7 +90,7 @@ class ParquetFile(BinaryFile):
             for batch in self._parquet.iter_batches(batch_size=_ROWS, columns=names):
                 found = {i: batch.column(self.headings[i]) for i in columns}
                 yield {i: v if i in texts else self._numbers(i, v) for i, v in found.items()}
-        except (pa.ArrowException, OSError) as error:
+        except _BROKEN as error:
             given = f"a Parquet file that breaks off ({_one_line(error)})"
             raise DataError(self.file, given=given, expected="a whole one") from None
 
@@ -164,7 +169,7 @@ def _npz(reading: Reading) -> BinaryFile:
     try:
         with zipfile.ZipFile(reading.path) as archive:
             names = [name.removesuffix(".npy") for name in archive.namelist() if ".npy" in name]
-    except (zipfile.BadZipFile, OSError) as error:
+    except Exception as error:  # noqa: BLE001 - of a broken file anything may come
         raise _unreadable(reading, error) from None
     if not names:
         given, expected = "an archive without arrays", "a .npz file; of a spreadsheet, its CSV file"
@@ -174,7 +179,7 @@ def _npz(reading: Reading) -> BinaryFile:
         try:
             with np.load(reading.path, allow_pickle=False) as arrays:
                 return arrays[name]
-        except (ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
+        except Exception as error:  # noqa: BLE001 - as above
             raise _unreadable(reading, f"{name}: {error}") from None
 
     return ArrayFile(reading, names, load)
@@ -209,15 +214,16 @@ def _hdf(reading: Reading) -> BinaryFile:
 
     try:
         with h5py.File(reading.path) as file:
-            names = [name for name, item in file.items() if isinstance(item, h5py.Dataset)]
-    except OSError as error:
+            items = [(n, item) for n, item in file.items() if isinstance(n, str)]
+            names = [name for name, item in items if isinstance(item, h5py.Dataset)]
+    except Exception as error:  # noqa: BLE001 - of a broken file anything may come
         raise _unreadable(reading, error) from None
 
     def load(name: str) -> Any:
         try:
             with h5py.File(reading.path) as file:
                 return file[name][()]
-        except OSError as error:
+        except Exception as error:  # noqa: BLE001 - as above
             raise _unreadable(reading, error) from None
 
     return ArrayFile(reading, names, load)

@@ -16,6 +16,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import compute as arrow
 
+from fkgen.study.records.reading import as_numpy
+
 Array = NDArray[np.float64]
 
 _NANO = 10**9
@@ -80,29 +82,39 @@ def read_times(column: Any, unit: Fraction | None, decimal: str = ".") -> Times:
         return _of_texts(texts, unit, decimal)
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind):
         narrow = pa.int64() if kind.bit_width == 64 else pa.int32()
-        ticks, per = np.asarray(column.cast(narrow)).astype(np.int64), _PER_SECOND[kind.unit]
+        ticks, per = as_numpy(column.cast(narrow)).astype(np.int64), _PER_SECOND[kind.unit]
         return Times(ticks, _first(ticks) / per, Fraction(per), texts, "ISO 8601")
     if pa.types.is_integer(kind):
-        ticks = arrow.cast(column, pa.int64()).to_numpy()
+        ticks = as_numpy(arrow.cast(column, pa.int64()))
         return _counted(ticks, 1, texts, unit)
     if pa.types.is_floating(kind):
-        return _counted(_finite(column.to_numpy(zero_copy_only=False), texts), 1, texts, unit)
+        return _counted(_finite(as_numpy(column).astype(np.float64), texts), 1, texts, unit)
     raise Unreadable(0, f"type {kind}")
 
 
 def _of_texts(texts: Any, unit: Fraction | None, decimal: str) -> Times:
-    plain = texts if decimal == "." else arrow.replace_substring(texts, decimal, ".")
+    comma = decimal == "," or _has_commas(texts)
+    plain = arrow.replace_substring(texts, ",", ".") if comma else texts
     with suppress(pa.ArrowInvalid):
-        return _counted(plain.cast(pa.int64()).to_numpy(), 1, texts, unit)
+        return _counted(as_numpy(plain.cast(pa.int64())), 1, texts, unit)
     with suppress(pa.ArrowInvalid):
         exact = plain.cast(_DIGITS)
         ticks = np.frombuffer(exact.buffers()[1], np.int64)[::2][exact.offset :][: len(exact)]
         return _counted(ticks.copy(), _NANO, texts, unit, first=float(exact[0].as_py()))
     with suppress(pa.ArrowInvalid):
-        numbers = plain.cast(pa.float64()).to_numpy(zero_copy_only=False)
+        numbers = as_numpy(plain.cast(pa.float64()))
         return _counted(_finite(numbers, texts), 1, texts, unit)
     ticks = _dated(texts)
     return Times(ticks, _first(ticks) / _NANO, Fraction(_NANO), texts, "ISO 8601")
+
+
+def _has_commas(texts: Any) -> bool:
+    """Whether times have a decimal comma of their own; 1,234 may be a thousand."""
+    if arrow.any(arrow.match_substring(texts, ".")).as_py():
+        return False
+    with_comma = texts.filter(arrow.match_substring(texts, ","))
+    thousands = arrow.match_substring_regex(with_comma, r"^[+-]?[1-9]\d{0,2}(,\d{3})+$")
+    return len(with_comma) > 0 and not arrow.all(thousands).as_py()
 
 
 def _counted(
@@ -139,17 +151,17 @@ def _finite(numbers: Array, texts: Any) -> Array:
 
 def _dated(texts: Any) -> NDArray[np.int64]:
     """Nanoseconds of ISO 8601, all with a zone or all without; or of hours, minutes, seconds."""
-    plain = arrow.replace_substring(texts, ",", ".")
+    plain = arrow.replace_substring_regex(texts, r"(:\d+),(\d+)", r"\1.\2")
     for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
         for prefix in ("", "1970-01-01T"):
             whole = arrow.binary_join_element_wise(prefix, plain, "") if prefix else plain
             try:
-                return np.asarray(whole.cast(kind).cast(pa.int64()).to_numpy())
+                return as_numpy(whole.cast(kind).cast(pa.int64()))
             except pa.ArrowInvalid:
                 continue
     listed = plain.to_pylist()
     if _is_number(listed[0]):  # then the first that is none is what is wrong
-        index = next(i for i, text in enumerate(listed) if not _is_number(text))
+        index = next((i for i, text in enumerate(listed) if not _is_number(text)), 0)
         raise Unreadable(index, repr(listed[index][:40]))
     return np.array([_date(i, text) for i, text in enumerate(listed)], np.int64)
 

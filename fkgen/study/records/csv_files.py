@@ -23,7 +23,7 @@ from pyarrow import csv as arrow_csv
 from fkgen.errors import DataError
 from fkgen.study.records.dialect import HEAD, Dialect, encoding_of, rows_of, sniff
 from fkgen.study.records.headings import counted
-from fkgen.study.records.reading import MARKS, SPACES, Reading
+from fkgen.study.records.reading import MARKS, SPACES, Reading, as_numpy
 
 BLOCK = 1 << 20  # bytes that Arrow reads at a time
 _ROWS = 50_000  # of a piece that is read row by row
@@ -35,6 +35,8 @@ Piece = dict[int, Any]  # columns by number: arrays of numbers, or Arrow arrays 
 
 class CsvFile:
     """A CSV file whose dialect is known."""
+
+    stamps: tuple[int, ...] = ()  # its times are texts
 
     def __init__(self, reading: Reading, names: Collection[str]) -> None:
         self.file, self._path, self._reading = str(reading.path), reading.path, reading
@@ -175,7 +177,12 @@ class CsvFile:
         if encoding is None or codecs.lookup(encoding).name == "utf-8":
             encoding = encoding_of(head) if encoding is None else "utf-8-sig"
         decoder = codecs.getincrementaldecoder(encoding)("replace")
-        text = decoder.decode(head)
+        try:
+            text = decoder.decode(head)
+        except UnicodeError as error:
+            given = f"a file that is not in {encoding} ({error})"
+            expected = "its encoding as --encoding, or none: most are found out"
+            raise DataError(self.file, given=given, expected=expected) from None
         if len(head) == HEAD:
             text = text[: max(text.rfind("\n"), text.rfind("\r")) + 1] or text
         found = sniff(text, encoding, self._reading, names)
@@ -214,4 +221,4 @@ class _Bytes(io.RawIOBase):
 def _column(column: pa.Array, is_text: bool) -> Any:  # noqa: FBT001 - the kind of a column
     if is_text:
         return arrow.utf8_trim_whitespace(column)
-    return column.to_numpy(zero_copy_only=False)
+    return as_numpy(column)

@@ -11,6 +11,7 @@ from fkgen.study.records.headings import counted, positions
 from fkgen.study.records.reading import MARKS, SPACES, Reading
 
 CANDIDATES = (",", ";", "\t", "|", SPACES)
+_OTHERS = ";\t|"  # in a field they say that another delimiter is meant
 HEAD = 1 << 18  # bytes that are looked at
 _ROWS, _AFTER, _LOOKED_AT = 100, 20, 200  # rows that may be the header, after it, for decimals
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
@@ -76,7 +77,10 @@ def sniff(text: str, encoding: str, reading: Reading, names: Collection[str]) ->
     """
     lines = re.split(r"\r\n|\n|\r", text)
     skipped = reading.skip_rows or 0
-    stated = re.fullmatch(r"sep=(.)", lines[skipped].strip() if len(lines) > skipped else "")
+    stated = re.fullmatch(
+        r"sep=([^\w\"\0-\x08\n-\x1f\x7f-\U0010ffff])",
+        lines[skipped].strip() if len(lines) > skipped else "",
+    )
     given = reading.delimiter or (stated[1] if stated else None)
     skipped += bool(stated)
     best: tuple[tuple[int, ...], str, int, list[Row]] | None = None
@@ -86,13 +90,13 @@ def sniff(text: str, encoding: str, reading: Reading, names: Collection[str]) ->
         except csv.Error:
             continue
         for at in range(min(len(rows), _ROWS)):
-            found, words, same, *width = _score(rows, at, names)
-            score = found, words, same, int(delimiter != SPACES), *width
+            found, words, same, pure, *width = _score(rows, at, names)
+            score = found, words, same, pure, int(delimiter != SPACES), *width
             if best is None or score > best[0]:
                 best = score, delimiter, at, rows
     if best is None:
         return None
-    header = best[0][0] > 0 or not all(map(is_value, best[3][0][1]))
+    header = best[0][0] > 0 or not all(map(is_value, best[3][best[2]][1]))
     return _dialect(best[1:], encoding, reading, names, header=header)
 
 
@@ -108,7 +112,7 @@ def _dialect(
     line, fields = rows[at]
     headings, rest = _headings(fields), rows[at + 1 :]
     if not header:
-        headings, rest, line = [str(i + 1) for i in range(len(rows[0][1]))], rows, 0
+        headings, rest, line = [str(i + 1) for i in range(len(fields))], rows[at:], 0
     before = line or rest[0][0] - 1
     units = 0
     if line and len(rest) > 1 and _are_units(rest[0][1], rest[1][1]):
@@ -116,11 +120,12 @@ def _dialect(
         rest = rest[1:]
     if rest and all(len(f) == len(headings) + 1 and not f[-1] for _, f in rest[:_AFTER]):
         headings = [*headings, ""]
-    looked_at = {i for name in names for i in positions(headings, name)} or range(len(headings))
+    named = {i for name in names for i in positions(headings, name)}
+    decimal = _decimal(rest, delimiter, named) or _decimal(rest, delimiter, range(len(headings)))
     return Dialect(
         encoding=encoding,
         delimiter=delimiter,
-        decimal=reading.decimal or _decimal(rest, delimiter, looked_at),
+        decimal=reading.decimal or decimal or ".",
         headings=tuple(headings),
         before=before,
         header=line,
@@ -140,10 +145,18 @@ def is_value(text: str) -> bool:
 def _score(rows: Sequence[Row], at: int, names: Collection[str]) -> tuple[int, ...]:
     fields = _headings(rows[at][1])
     following = [row for _, row in rows[at + 1 : at + 1 + _AFTER]]
-    same = sum(abs(len(row) - len(fields)) <= 1 for row in following) if len(fields) > 1 else 0
+    if len(fields) > 1:
+        same = sum(abs(len(row) - len(fields)) <= 1 for row in following)
+    else:
+        same = sum(len(row) == 1 and is_value(row[0]) for row in following)
     found = 0 if all(map(is_value, fields)) else counted(fields, names)
-    words = not any(map(is_value, filter(None, fields))) and (len(fields) > 1 or found > 0)
-    return found, int(words), min(same, 1), len(fields), same
+    words = not any(map(is_value, filter(None, fields))) and (
+        len(fields) > 1 or found > 0 or same > 0
+    )
+    pure = not any(
+        mark in field for row in (fields, *following) for field in row for mark in _OTHERS
+    )
+    return found, int(words), min(same, 1), int(pure), len(fields), same
 
 
 def _headings(fields: Sequence[str]) -> list[str]:
@@ -165,11 +178,16 @@ def _is_number(text: str) -> bool:
 
 
 def _decimal(rows: Sequence[Row], delimiter: str, columns: Collection[int]) -> str:
-    """A comma where numbers have one and none has a point; 1,234 in quotes may be a thousand."""
+    """A comma where numbers have one and none has a point; 1,234 in quotes may be a thousand.
+
+    Nothing where no number has either.
+    """
     fields = [f for _, row in rows[:_LOOKED_AT] for i, f in enumerate(row) if i in columns]
     commas = [field for field in fields if _COMMA.fullmatch(field)]
-    if not commas or any(map(_POINT.fullmatch, fields)):
+    if any(map(_POINT.fullmatch, fields)):
         return "."
+    if not commas:
+        return ""
     thousands = delimiter == "," and all(map(_THOUSANDS.fullmatch, commas))
     return "." if thousands else ","
 

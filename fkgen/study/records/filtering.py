@@ -25,9 +25,9 @@ from fkgen.runtime.layout import Layout
 from fkgen.runtime.record import choice
 from fkgen.runtime.results import Run
 from fkgen.study.records.files import refuse_targets, write_whole, written_whole
-from fkgen.study.records.reading import Reading
+from fkgen.study.records.reading import Reading, as_arrow
 from fkgen.study.records.record import Record, Table
-from fkgen.study.records.summary import Summary
+from fkgen.study.records.summary import Summary, several
 from fkgen.study.records.table import joined
 from fkgen.symbolic.interface import Port, Status
 
@@ -129,8 +129,8 @@ def to_csv(
         texts = pa.array(table.time_text, pa.string())
         quoted = any(set(text) & set(',"\n') for text in _some(texts))
         columns.append((table.time_name, texts))
-    columns += [(n, pa.array(v, from_pandas=True)) for n, v in columns_of(layout, run, selection)]
-    columns.append((_STATUS, pa.array(run.status)))
+    columns += [(name, as_arrow(v)) for name, v in columns_of(layout, run, selection)]
+    columns.append((_STATUS, as_arrow(run.status)))
     names, arrays = zip(*columns, strict=True)
     out = io.BytesIO(csv_text(names, []).encode() if header else b"")
     out.seek(0, io.SEEK_END)
@@ -199,7 +199,7 @@ def run(
             whole, runs = joined([each for each, _ in done]), Run.joined([r for _, r in done])
             picture = rendered(draw(spec, whole, runs), plot)
             write_whole(plot, picture, force=force)
-    samples = f"written, {summary.samples} samples"
+    samples = f"written, {several(summary.samples, 'sample')}"
     written = [f"{path}: {samples}" for path in (output, plot) if path is not None]
     told = Told([*record.notes, *written], list(record.warnings), [], summary.text(table.file))
     told.refused.extend(refusals.sentences(table))

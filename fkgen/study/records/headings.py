@@ -72,27 +72,36 @@ def column_of(headings: Sequence[str], name: str, renamed: Mapping[str, str]) ->
 
 
 def time_column(
-    headings: Sequence[str], stated: str | None, taken: Collection[int]
+    headings: Sequence[str],
+    stated: str | None,
+    taken: Collection[int],
+    stamps: Sequence[int] = (),
 ) -> tuple[int | None, Fraction | None]:
     """The column of the times and how many of its units a second has, where its heading says it.
 
-    ``stated`` is what the user calls it; an empty text is none.
+    ``stated`` is what the user calls it; an empty text is none. Of ``stamps``, columns that are
+    typed as timestamps, the only one is it under any name.
     """
     if stated == "":
         return None, None
     if stated is not None:
         found = positions(headings, stated)
         if not found:
-            given = f"{stated!r} (there are: {listed(headings)})"
-            raise DataError("--time", given=given, expected=_closest(stated, headings))
-        return found[0], _unit(headings[found[0]])[1]
+            given = f"{stated!r}, which is no heading (there are: {listed(headings)})"
+            raise DataError("time column", given=given, expected=_closest(stated, headings))
+        return found[0], unit_of(headings[found[0]])
     named = [(i, *_unit(heading)) for i, heading in enumerate(headings) if i not in taken]
     for name in TIMES:
         exact = [each for each in named if headings[each[0]] == name]
         for i, plain, unit in (*exact, *named):
             if plain == name:
                 return i, unit
-    return None, None
+    return (stamps[0] if len(stamps) == 1 else None), None
+
+
+def unit_of(heading: str) -> Fraction | None:
+    """How many of the unit of a heading a second has; None where it has none."""
+    return _unit(heading)[1]
 
 
 def _unit(heading: str) -> tuple[str, Fraction | None]:

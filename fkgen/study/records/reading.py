@@ -7,6 +7,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fkgen.errors import DataError
 
@@ -34,16 +38,41 @@ class Reading:
     columns: Mapping[str, str] = field(default_factory=dict)  # Signal or parameter, and heading
     time: str | None = None  # Heading of the time column; empty: there is none
 
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """Marks of missing values that are compared as numbers."""
-        found = (_number(mark) for mark in self.missing)
+    def numbers(self, decimal: str) -> tuple[float, ...]:
+        """Marks of missing values that are compared as numbers, in a file of this decimal mark."""
+        found = (_number(mark.replace(decimal, ".")) for mark in self.missing)
         return tuple(each for each in found if each is not None)
 
 
 def reading_of(path: str | os.PathLike[str] | Reading) -> Reading:
     """A path is read without any options."""
     return path if isinstance(path, Reading) else Reading(path=Path(path))
+
+
+def as_numpy(column: Any) -> NDArray[Any]:
+    """The numbers of an Arrow array; of doubles a null is NaN. Its own way would import pandas."""
+    filled = column.fill_null(_arrow(np.array([np.nan]))[0]) if column.null_count else column
+    return np.from_dlpack(filled)
+
+
+def as_arrow(values: NDArray[Any]) -> Any:
+    """Numbers as an Arrow array, NaN as null. Its own way would import pandas."""
+    from pyarrow import compute, nulls  # noqa: PLC0415 - slow to import
+
+    if values.dtype == np.bool_:
+        return _arrow(values.view(np.uint8)).cast("bool")
+    found = _arrow(values)
+    if not np.isnan(values).any():
+        return found
+    return compute.if_else(compute.is_nan(found), nulls(1, found.type)[0], found)
+
+
+def _arrow(values: NDArray[Any]) -> Any:
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
+
+    whole = np.ascontiguousarray(values)
+    kind = pa.from_numpy_dtype(whole.dtype)
+    return pa.Array.from_buffers(kind, len(whole), [None, pa.py_buffer(whole)])
 
 
 def checked(
@@ -60,7 +89,12 @@ def checked(
     """The options of a command, each refused where it can mean nothing."""
     if delimiter is not None:
         delimiter = (_DELIMITERS | _FEWEST).get(delimiter.lower(), delimiter)
-        if len(delimiter) != 1 or delimiter in '"\r\n' or delimiter.isalnum():
+        if (
+            len(delimiter) != 1
+            or delimiter in '"\r\n'
+            or delimiter.isalnum()
+            or not delimiter.isascii()
+        ):
             expected = "one character, or tab, space, comma, semicolon"
             raise DataError("--delimiter", given=repr(delimiter), expected=expected)
     if decimal not in {None, ".", ","}:

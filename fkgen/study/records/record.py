@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 _AGREE = 1e-6  # relative difference of an interval and a column that states it
 _DOUBTFUL = (-9999.0, -99999.0, -999999.0)  # what many a logger writes where there is no value
+_UNEVEN = 0.5  # of a fixed sample time: an interval may be off by that
 _NEAR = 1000.0  # a value that close to it makes it a number as any other
 _COARSE = 0.05  # of an interval: a last decimal above it is no reason for a difference
 
@@ -88,13 +89,17 @@ class Record:
         try:
             self._columns = self._found(wanted, list(spec.defaults))
             self._time, self._unit = time_column(
-                self.source.headings, self._reading.time, self._columns.values()
+                self.source.headings,
+                self._reading.time,
+                self._columns.values(),
+                self.source.stamps,
             )
         except DataError as error:
             what = self.source.place() + (f": {error.what}" if error.what else "")
             raise DataError(what, given=error.given, expected=error.expected) from None
         self._said, self._warned = list(self._first_notes()), list[str]()
         self._label, self._origin, self._interval = "", 0.0, np.nan
+        self._fixed = spec.model.sample_time if isinstance(spec.model.sample_time, float) else None
 
     @property
     def time_name(self) -> str:
@@ -161,7 +166,7 @@ class Record:
     def _piece(self, columns: dict[int, Any], start: int) -> _Piece:
         """Signals and parameters of a piece; the clock may still have gaps."""
         values = {
-            name: self._without_marks(columns[column], column, start)
+            name: without_marks(self.source, self._reading, columns[column], column, start)
             for name, column in self._columns.items()
         }
         for name, each in values.items():
@@ -186,15 +191,6 @@ class Record:
         table = replace(table, time=seconds, time_label=label, time_text=times.texts)
         return _Piece(table, times, start)
 
-    def _without_marks(self, values: Array, column: int, start: int) -> Array:
-        for mark in self._reading.numbers:
-            values = np.where(values == mark, np.nan, values)
-        if not self._reading.missing and (k := first_doubtful(values)) is not None:
-            given = f"{values[k]:g}"
-            expected = f"--missing {given} if it says that there was no value; else --missing ''"
-            raise DataError(self.source.place(column, start + k), given=given, expected=expected)
-        return values
-
     def _times(self, columns: dict[int, Any], start: int) -> Times | None:
         """The times of a piece, which increase; the first piece says what they are taken for."""
         if self._time is None:
@@ -209,14 +205,29 @@ class Record:
             raise DataError(where, given=error.given, expected=expected) from None
         if start == 0 and times.kind:
             self._origin, self._label = times.first, f"time since {times.texts[0]} (s)"
-            self._said.append(f"column {self.time_name!r} is taken for {times.kind}")
+            if self._time not in self.source.stamps:
+                self._said.append(f"column {self.time_name!r} is taken for {times.kind}")
         elif start == 0:
             self._label = self.time_name if self._unit is None else "time (s)"
+        self._compare(times, start)
         wrong = np.flatnonzero(~(times.intervals > 0.0))
         if wrong.size:
             at = int(wrong[0]) + 1
             raise self._backwards(times.texts[at - 1], times.texts[at], start + at)
         return times
+
+    def _compare(self, times: Times, start: int) -> None:
+        """Warn of the first interval that is not the sample time of a model that has one."""
+        if self._fixed is None or self._warned:
+            return
+        off = np.abs(times.intervals - self._fixed) > _UNEVEN * self._fixed + times.resolution
+        if off.any():
+            k = int(np.argmax(off))
+            where = self.source.place(self._time, start + k)
+            self._warned.append(
+                f"{where}: {times.intervals[k]:.6g} s to the next sample; model.sample_time is "
+                f"{self._fixed:.6g} s, and used (a parameter there takes the times as they are)"
+            )
 
     def _backwards(self, before: object, after: object, sample: int) -> DataError:
         expected = "times that increase; --time '' goes without them"
@@ -269,6 +280,17 @@ class Record:
                 "next sample; the times are used"
             )
         return np.where(there & ~wrong, stated, steps)
+
+
+def without_marks(source: Any, reading: Reading, values: Array, column: int, start: int) -> Array:
+    """A piece of a column with NaN for marks that are numbers; an error asks about -9999."""
+    for mark in reading.numbers(source.decimal):
+        values = np.where(values == mark, np.nan, values)
+    if not reading.missing and (k := first_doubtful(values)) is not None:
+        given = f"{values[k]:g}"
+        expected = f"--missing {given} if it says that there was no value; else --missing ''"
+        raise DataError(source.place(column, start + k), given=given, expected=expected)
+    return values
 
 
 def first_doubtful(values: Array) -> int | None:

@@ -13,6 +13,12 @@ from fkgen.runtime.results import Run
 from fkgen.study.records.record import Table
 from fkgen.symbolic.interface import VERDICTS
 
+#: Times the usual pause between rows of y is a gap: two samples lost in a row, not one.
+GAP = 2.5
+_USUAL = 100_000  # pauses that say what is usual
+
+Array = NDArray[np.float64]
+
 _VERDICTS = [status.value for status in VERDICTS]
 
 
@@ -25,10 +31,10 @@ class Summary:
         self._gated = "rejected" in built.ports
         self._ports = ["nis", *(["rejected"] if self._gated else [])]
         self.ports = tuple(name for name in self._ports if name in built.ports)
-        self.samples = self.rows = self.present = self.gaps = self.rejected = 0
+        self.samples = self.rows = self.present = self.rejected = 0
         self.refused = self.held = 0
-        self._degrees, self._sum, self._silent = 0, 0.0, False
-        self._longest = self._length = 0
+        self._degrees, self._sum, self._pauses = 0, 0.0, _Pauses()
+        self._timed = False
 
     def add(self, table: Table, run: Run) -> None:
         """Count a piece."""
@@ -49,7 +55,8 @@ class Summary:
         self.refused += int((~accepted).sum())
         self.held += int(run.held.sum())
         self.rejected += int(out.any(axis=1).sum() if self._gated else rejected.sum())
-        self._count_gaps(np.asarray(~there.any(axis=1)))
+        self._pauses.add(table.time, np.asarray(there.any(axis=1)))
+        self._timed = bool(table.time_name)
         if "nis" in self.ports:
             counted = (run.status == 0) | (accepted & out.any(axis=1) & self._gated)
             degrees, nis = used[:, self._host].sum(axis=1), run["nis"]
@@ -57,27 +64,14 @@ class Summary:
             self._degrees += int(degrees[counted].sum())
             self._sum += float(nis[counted].sum())
 
-    def _count_gaps(self, silent: NDArray[np.bool_]) -> None:
-        """Stretches of samples without a single row."""
-        edges = np.diff(silent.astype(np.int8), prepend=np.int8(self._silent))
-        starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-        self.gaps += len(starts)
-        opened = -self._length if self._silent else None
-        begins = starts.tolist() if opened is None else [opened, *starts.tolist()]
-        stops = [*ends.tolist(), len(silent)][: len(begins)]
-        lengths = [stop - start for start, stop in zip(begins, stops, strict=True)]
-        self._longest = max([self._longest, *lengths])
-        self._silent = bool(silent[-1])
-        self._length = lengths[-1] if self._silent else 0
-
     def text(self, file: str) -> str:
         """The line."""
-        gaps = _several(self.gaps, "gap")
-        longest = f" (the longest of {_several(self._longest, 'sample')})" if self.gaps else ""
+        count, longest = self._pauses.gaps()
+        size = f"{longest:.6g} s" if self._timed else several(round(longest), "sample")
         parts = [
-            _several(self.samples, "sample"),
-            f"{self.present} of {_several(self.rows, 'row')} used",
-            gaps + longest,
+            several(self.samples, "sample"),
+            f"{self.present} of {several(self.rows, 'row')} used",
+            several(count, "gap") + (f" (the longest of {size})" if count else ""),
             f"{self.refused} refused" + (f" ({self.held} of them held)" if self.held else ""),
             f"{self.rejected} rejected",
         ]
@@ -87,5 +81,57 @@ class Summary:
         return f"{file}: {', '.join(parts)}"
 
 
-def _several(count: int, noun: str) -> str:
+class _Pauses:
+    """Times from one row of y to the next, over the pieces of a record."""
+
+    def __init__(self) -> None:
+        self._heard = self._time = np.nan  # The last time with a row, and the last one
+        self._kept: list[Array] = []
+        self._steps: list[Array] = []
+        self._counted, self._usual, self._most, self._longest = 0, np.nan, 0, 0.0
+
+    def add(self, time: Array, heard: NDArray[np.bool_]) -> None:
+        """Go on with a piece."""
+        before = time[:1] if np.isnan(self._time) else np.array([self._heard])
+        ends = np.concatenate([before, time[heard]])
+        if np.isnan(self._usual):
+            self._steps.append(np.diff(time, prepend=self._time))
+        self._heard, self._time = float(ends[-1]), float(time[-1])
+        self._count(np.diff(ends))
+
+    def gaps(self) -> tuple[int, float]:
+        """How many pauses are above `GAP` times the usual one, and the longest of them."""
+        self._settle()
+        tail = self._time - self._heard
+        over = tail > GAP * self._usual
+        return self._counted + int(over), max(self._longest, tail if over else 0.0)
+
+    def _count(self, pauses: Array) -> None:
+        if np.isnan(self._usual):
+            self._kept.append(pauses)
+            self._most += len(pauses)
+            if self._most > _USUAL:
+                self._settle()
+            return
+        long = pauses[pauses > GAP * self._usual]
+        self._counted += len(long)
+        self._longest = max([self._longest, *long.tolist()])
+
+    def _settle(self) -> None:
+        """Say from the first pauses what is usual, and count those that are not."""
+        if not np.isnan(self._usual):
+            return
+        pauses, steps = np.concatenate(self._kept), np.concatenate(self._steps)
+        self._usual = usual_pause(pauses[1:], steps[np.isfinite(steps)])
+        self._count(pauses)
+        self._kept, self._steps = [], []
+
+
+def usual_pause(pauses: Array, steps: Array) -> float:
+    """The usual time from a row of y to the next: some sensors report now and then."""
+    return max([0.0, *(float(np.median(each)) for each in (pauses, steps) if each.size)])
+
+
+def several(count: int, noun: str) -> str:
+    """A count and what is counted."""
     return f"{count} {noun}{'' if count == 1 else 's'}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from fkgen.study.records.record import Record, Table, nothing_below, opened, ref
 
 Array = NDArray[np.float64]
 Source = str | os.PathLike[str] | Reading
+Say = Callable[[str, Iterable[str]], None]  # Tell "note" or "warning" in sentences
 
 
 def read_table(path: Source, spec: Spec) -> Table:
@@ -77,15 +78,21 @@ def numbers_of(option: str, text: str, count: int) -> Array | None:
 
 
 def constants_or_record(
-    spec: Spec, inputs: str, record: Reading | None
+    spec: Spec, inputs: str, record: Reading | None, say: Say
 ) -> tuple[Array | None, Table | None]:
-    """Constant inputs (q,) from ``--u``, or the table of ``--record``, or neither; not both."""
+    """Constant inputs (q,) from ``--u``, or the table of ``--record``, or neither; not both.
+
+    What there is to say about the record is said.
+    """
     constants = numbers_of("--u", inputs, spec.model.nu)
     if record is None:
         return constants, None
     if constants is not None:
         raise DataError("--u", given="inputs beside --record", expected="one of the two")
-    return None, read_table(record, spec)
+    table = read_table(record, spec)
+    say("note", table.notes)
+    say("warning", table.warnings)
+    return None, table
 
 
 def profile_of(spec: Spec, path: Path) -> tuple[Array, Array | None]:

@@ -18,9 +18,9 @@ from fkgen.errors import DataError, SpecError
 from fkgen.problem.signals import MAX_LENGTH, MAX_UNIT, PREFIX, parameter_words, read_name
 from fkgen.problem.table.place import Place
 from fkgen.runtime.record import choice
-from fkgen.study.records.headings import parted, time_column
+from fkgen.study.records.headings import listed, parted, time_column, unit_of
 from fkgen.study.records.reading import Reading
-from fkgen.study.records.record import opened
+from fkgen.study.records.record import opened, without_marks
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,10 @@ _COUNTERS = {"", "index", "id", "k", "n", "no", "nr", "sample", "count", "counte
 _COMMANDS = re.compile(
     r"u\d*|.*(command|cmd|input|voltage|throttle|torque|force|pwm).*", re.IGNORECASE
 )
+_CLOCKS = re.compile(r".*(time|zeit|stamp|date|datum|clock|epoch|tout|temps).*", re.IGNORECASE)
 _EVEN = 1e-3  # relative spread of the intervals up to which the clock is even
+_DIFFERENCES = 8  # lengths of a lag in a record from which its variance is taken
+_RISING = 10  # steps of a first column without a telling name that make it one of times
 _SMALL = 1e-9  # of the variance of a signal: noise levels are not below it
 
 
@@ -45,8 +48,12 @@ class _Column:
 def first_spec(reading: Reading, inputs: str = "") -> str:
     """The text of a spec of a random walk per output, which loads and runs on the record."""
     source = opened(replace(reading, columns={}), ())
-    at, unit = time_column(source.headings, reading.time, ())
-    columns = list(_columns(source, at))
+    at, unit = time_column(source.headings, reading.time, (), source.stamps)
+    stated = bool(reading.time)
+    if at is None and reading.time is None:
+        at = next((i for i, _ in enumerate(source.headings) if _is_clock(source, i)), None)
+        unit, stated = (None, False) if at is None else (unit_of(source.headings[at]), True)
+    columns = list(_columns(source, reading, at))
     driving = _driving(columns, inputs)
     outputs = [each for each in columns if each not in driving]
     if not outputs:
@@ -54,46 +61,98 @@ def first_spec(reading: Reading, inputs: str = "") -> str:
         raise DataError(source.place(), given="none", expected=expected)
     clock = None if at is None else _clock(source, at, unit)
     name = _identifier(reading.path.stem, "record", set(), PREFIX)
-    heading = "" if at is None else source.headings[at]
-    stated = heading if reading.time and reading.time == heading else ""
-    lines = _lines(name, outputs, driving, clock, stated)
-    return "\n".join([f"# A first guess from {reading.path.name}; read the comments.", *lines, ""])
+    lines = list(_lines(name, outputs, driving, clock))
+    known = {each.heading for each in columns}
+    out = [h for i, h in enumerate(source.headings) if h and i != at and h not in known]
+    first = [f"# A first guess from {reading.path.name}; read the comments."]
+    if out:
+        first.append(
+            f"# Left out, as no columns of numbers or as counters: {listed(list(map(repr, out)))}"
+        )
+    lines += _record_lines(
+        (*outputs, *driving), source.headings[at] if stated and at is not None else ""
+    )
+    return "\n".join([*first, *lines, ""])
 
 
-def _columns(source: Any, time: int | None) -> Iterator[_Column]:
+def _is_clock(source: Any, column: int) -> bool:
+    """Whether a column is one of times: dates, or numbers that rise and are the first or called so.
+
+    Of numbers in the first column only even steps are taken for times.
+    """
+    from fkgen.study.records.clock import Unreadable, read_times  # noqa: PLC0415 - slow
+
+    name = parted(source.headings[column])[0]
+    try:
+        written = next(source.pieces((column,), (column,)))[column]
+        if len(written) < 2:
+            return False
+        times = read_times(written, None, source.decimal)
+    except (Unreadable, DataError, StopIteration):
+        return False
+    steps = times.intervals
+    if not (steps > 0.0).all():
+        return False
+    if times.kind or _CLOCKS.fullmatch(name):
+        return True
+    even = np.ptp(steps) <= _EVEN * steps[0] + times.resolution
+    return column == 0 and len(steps) >= _RISING and bool(even) and name.casefold() not in _COUNTERS
+
+
+def _columns(source: Any, reading: Reading, time: int | None) -> Iterator[_Column]:
     """The columns of numbers: as much of them as the first piece of the file holds."""
     taken: set[str] = {"dt"}
     for i, heading in enumerate(source.headings):
         name, unit = parted(heading)
         if i == time or name.casefold() in _COUNTERS:
             continue
-        with suppress(DataError, StopIteration):
+        try:
             values = np.asarray(next(source.pieces((i,), ()))[i], float)
-            if not np.isfinite(values).any():
-                continue
-            plain = _identifier(name, f"y{i}", taken)
-            taken.add(plain.casefold())
-            kept = unit if unit.isprintable() and len(unit) <= MAX_UNIT else ""
-            yield _Column(plain, heading, kept, values, *_levels(values))
+        except (DataError, StopIteration):  # no numbers
+            continue
+        values = without_marks(source, reading, values, i, 0)
+        if not np.isfinite(values).any():
+            continue
+        plain = _identifier(name, f"y{i}", taken)
+        taken.add(plain.casefold())
+        kept = unit if unit.isprintable() and len(unit) <= MAX_UNIT else ""
+        yield _Column(plain, heading, kept, values, *_levels(values))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of what is not finite there is no guess
 def _levels(values: Array) -> tuple[float, float]:
     """Variances of the steps of a random walk and of white noise on it, by their moments.
 
-    Of the differences d of such a signal Var(d) = q + 2 r and Cov(d[k], d[k+1]) = -r.
+    Of the differences d of such a signal Var(d) = q + 2 r and Cov(d[k], d[k+1]) = -r. A q below r
+    is lost in the scatter of these: then it is that of the differences over m samples, of which
+    Var = m q + 2 r, for the m that finds most.
     """
     there = np.flatnonzero(np.isfinite(values))
-    steps = np.diff(values[there])
-    spread = float(np.var(values[there])) or 1.0
+    heard = values[there]
+    spread = float(np.var(heard)) or 1.0
     least = _SMALL * spread
-    if len(steps) < 3:
+    if len(heard) < 4:
         return least, max(0.01 * spread, least)
-    steps = steps - steps.mean()
-    both = float(np.mean(steps * steps))
+    raw = np.diff(heard)
+    steps = raw - raw.mean()
+    both = _mean_square(steps)
     noise = -float(np.mean(steps[1:] * steps[:-1]))
     noise = min(max(noise, 0.01 * both, least), 0.5 * both) if both else least
+    level = _mean_square(raw) - 2.0 * noise  # a trend is to be followed as well
+    lags = _lags(len(heard))
+    if level < noise and lags:
+        level = max((_mean_square(heard[m:] - heard[:-m]) - 2.0 * noise) / m for m in lags)
     spacing = (there[-1] - there[0]) / (len(there) - 1)
-    return max((both - 2.0 * noise) / spacing, least), noise
+    return max(level / spacing, least), noise
+
+
+def _mean_square(values: Array) -> float:
+    return float(np.mean(values * values))
+
+
+def _lags(samples: int) -> list[int]:
+    """Lags over which slow changes are looked for, as many as have enough differences."""
+    return [m for m in (8, 16, 32, 64, 128, 256, 512, 1024) if _DIFFERENCES * m <= samples]
 
 
 def _driving(columns: Sequence[_Column], inputs: str) -> list[_Column]:
@@ -131,7 +190,6 @@ def _lines(
     outputs: Sequence[_Column],
     inputs: Sequence[_Column],
     clock: tuple[float, bool] | None,
-    time: str,
 ) -> Iterator[str]:
     p, samples = len(outputs), len(outputs[0].values)
     varies = clock is not None and not clock[1]
@@ -156,20 +214,23 @@ def _lines(
         yield f"B = [{', '.join([zeros] * p)}]  # what the inputs do is not known from the record"
     yield f"C = {_diagonal(['1.0'] * p)}"
     yield f"# First guesses, from the differences d of {samples} samples of each, as if it were"
-    yield "# a random walk in white noise: R = -Cov(d[k], d[k+1]), Q = Var(d) - 2 R."
+    yield "# a random walk in white noise: R = -Cov(d[k], d[k+1]), Q = Var(d) - 2 R, or over m"
+    yield "# samples, (Var - 2 R)/m, where that is lost in the noise."
     if clock is not None and varies:
         steps = [f'"{_digits(each.level / clock[0])}*dt"' for each in outputs]
     else:
         steps = [_digits(each.level) for each in outputs]
     yield f"Q = {_diagonal(steps)}"
     yield f"R = {_diagonal([_digits(each.noise) for each in outputs])}"
-    yield f"x0 = [{', '.join(_digits(_first(each)) for each in outputs)}]  # the first values"
+    yield f"x0 = [{', '.join(repr(_first(each)) for each in outputs)}]  # the first values"
     wide = [_digits(100.0 * max(each.noise, each.level)) for each in outputs]
     yield f"P0 = {_diagonal(wide)}  # vague: 100 times the noise"
     yield '\n[filter]\nfamily = "kf"  # see: fkgen families'
-    renamed = [
-        c for c in (*outputs, *inputs) if parted(c.heading)[0].casefold() != c.name.casefold()
-    ]
+
+
+def _record_lines(columns: Sequence[_Column], time: str) -> Iterator[str]:
+    """What the columns of the record are called, where that does not go without saying."""
+    renamed = [c for c in columns if parted(c.heading)[0].casefold() != c.name.casefold()]
     if time:
         yield f"\n[record]\ntime = {json.dumps(time, ensure_ascii=False)}"
     if renamed:

@@ -20,6 +20,7 @@ from fkgen.problem import Signal, Spec
 from fkgen.runtime.results import Run
 from fkgen.study.records.files import refuse_format, write_whole
 from fkgen.study.records.record import Table
+from fkgen.study.records.summary import GAP, usual_pause
 from fkgen.symbolic.interface import VERDICTS
 
 Array = NDArray[np.floating]
@@ -28,11 +29,12 @@ BLUE, ORANGE, GREY, BAND = "#1f5a94", "#d9741a", "#6b6b6b", 0.18
 _SHADES = ("#1f5a94", "#d9741a", "#4c9a6a", "#a14a76", "#c9a227", "#6a7fc1", "#7b5b3a", "#5fa8b8")
 LARGEST = 12  # panels of states; more would be a page nobody reads
 HEIGHT = 1.9  # of a panel, in inches
-_GAP, _SHADE = 2.0, 0.13  # times the usual pause is a gap; how dark it is
+_SHADE = 0.13  # how dark a gap is
 _CONFIDENCE, _LOWEST = 0.95, 1e-3  # smaller ratios of a test to its threshold are drawn there
 _MANY = {"ncols": 8, "markerscale": 3, "handlelength": 1.2}
 #: A legend in one line above the panel, where it hides nothing.
 _ABOVE = _MANY | {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "borderaxespad": 0.0}
+_RIGHT = _ABOVE | {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "markerscale": 2}
 
 #: Plain frames and small texts, on the left: decorates what draws.
 styled = mpl.rc_context(
@@ -53,7 +55,13 @@ class _Sheet:
     spec: Spec
     run: Run
     time: Array
-    present: NDArray[np.bool_]  # (T, p)
+    y: Array  # (T, p); NaN = missing
+    read_by: tuple[tuple[int, ...], ...]  # per state the rows of y that are it in noise
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(T, p): rows that are there."""
+        return np.isfinite(self.y)
 
     @property
     def rejected(self) -> NDArray[np.bool_]:
@@ -69,15 +77,23 @@ class _Sheet:
 def gaps_of(time: Array, silent: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Begin and length of the gaps: times without a row of y for longer than usual.
 
-    Where a sensor reports now and then its pauses are usual; a gap is above twice their median.
+    Where a sensor reports now and then its pauses are usual; a gap is above `GAP` times the median.
     """
     heard = np.concatenate([time[:1], time[~silent], time[-1:]])
     pauses = np.diff(heard)
-    usual = float(np.median(pauses[1:-1])) if len(pauses) > 2 else 0.0
-    steps = np.diff(time)
-    usual = max(usual, float(np.median(steps)) if steps.size else 0.0)
-    long = pauses > _GAP * usual
+    long = pauses > GAP * usual_pause(pauses[1:-1], np.diff(time))
     return list(zip(heard[:-1][long].tolist(), pauses[long].tolist(), strict=True))
+
+
+def _read_by(spec: Spec) -> tuple[tuple[int, ...], ...]:
+    """Per state the rows of y that read this state alone, as it is."""
+    model = spec.model
+    rows = np.asarray(model.C.values(spec.defaults))
+    others = [m.values(spec.defaults) for m in (model.D, model.d)]
+    alone = (np.count_nonzero(rows, axis=1) == 1) & (rows.max(axis=1) == 1.0)
+    for each in others:
+        alone &= ~np.reshape(each, (len(rows), -1)).any(axis=1)
+    return tuple(tuple(np.flatnonzero(alone & (column == 1.0)).tolist()) for column in rows.T)
 
 
 @styled
@@ -93,7 +109,7 @@ def draw(spec: Spec, table: Table, run: Run) -> Figure:
     time, label = np.asarray(table.time, dtype=float), table.time_label or "sample"
     if not table.time_name and spec.period is not None:
         time, label = time * spec.period, "time (s)"
-    sheet = _Sheet(spec, run, time, np.isfinite(table.y))
+    sheet = _Sheet(spec, run, time, np.asarray(table.y, dtype=float), _read_by(spec))
     draws = [partial(_draw_state, sheet=sheet, i=i) for i in range(len(states))]
     if "innovation" in run.ports:
         draws += [partial(_draw_innovation, sheet=sheet, unit=u, rows=units[u]) for u in units]
@@ -159,7 +175,15 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
         band = 3.0 * np.sqrt(np.maximum(sheet.run["filtered_covariance"][:, i, i], 0.0))
         area = (sheet.time, mean - band, mean + band)
         axis.fill_between(*area, color=BLUE, alpha=BAND, lw=0, label=r"$\pm 3\sigma$")
+    for at, row in enumerate(sheet.read_by[i]):
+        used = sheet.present[:, row] & ~sheet.rejected[:, row]
+        label = None if at else "measured"
+        axis.plot(sheet.time[used], sheet.y[used, row], ".", ms=2.0, color=GREY, label=label)
     axis.plot(sheet.time, mean, color=BLUE, lw=1.2, label="filtered")
+    stopped, across = sheet.time[sheet.run.refused], axis.get_xaxis_transform()
+    if stopped.size:
+        foot = np.full(stopped.shape, 0.03)
+        axis.plot(stopped, foot, "|", ms=5, color=ORANGE, transform=across, label="refused")
     axis.set_ylabel(label_of(sheet.spec.model.states[i]))
     # room for the state and its usual band: a vague start does not set the scale
     typical = np.minimum(band, 3.0 * np.nanmedian(band))
@@ -171,7 +195,7 @@ def _draw_state(axis: Axes, sheet: _Sheet, i: int) -> None:
         samples, refused = len(sheet.time), int(sheet.run.refused.sum())
         text = f"{sheet.spec.name}: {sheet.spec.filter.family}, {samples} samples"
         axis.set_title(text + (f", {refused} refused" if refused else ""), fontsize=10)
-        axis.legend(ncols=2, loc="upper right")
+        axis.legend(**_RIGHT)
 
 
 def _draw_innovation(axis: Axes, sheet: _Sheet, unit: str, rows: list[int]) -> None:

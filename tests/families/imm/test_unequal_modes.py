@@ -112,6 +112,16 @@ def test_what_a_mode_leaves_out_is_zero_in_it_at_every_sample(run):
         assert not run[2].mode_filtered_state[:, i, left].any()
         assert not run[2].mode_filtered_covariance[:, i, left].any()
         assert not run[2].mode_state[:, i, left].any()
+    motor = fkgen.build(fkgen.Spec.from_dict(table()))
+    given = {"x0": [3.0, 4.0, 5.0], "P0": np.diag([1.0, 2.0, 3.0]) + 0.1}
+    for x, P in ((MODEL["x0"], MODEL["P0"]), given.values()):
+        motor.reset(x0=x, P0=P)
+        start = motor.snapshot()
+        for i, kept in enumerate(KEPT):
+            both, has = np.ix_(kept, kept), np.isin(range(3), kept)
+            np.testing.assert_array_equal(start.mode_state[i], has * np.array(x))
+            np.testing.assert_array_equal(start.mode_covariance[i][both], np.array(P)[both])
+            assert not start.mode_covariance[i][~has].any()
 
 
 def test_states_may_be_listed_in_any_order_and_are_written_back():

@@ -14,6 +14,7 @@ from jump_plants import (
     random_table,
     record_of,
     spec_of,
+    textbook_of,
 )
 from plants import distance, interpreted, run, spec
 
@@ -221,3 +222,51 @@ def test_covariances_stay_symmetric_and_positive():
         deviation = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
         correlation = P / deviation[:, :, None] / deviation[:, None, :]
         assert np.linalg.eigvalsh(correlation).min() > -1e-9
+
+
+#: Position, velocity and a damped acceleration, driven and with offsets; manoeuvres come and go.
+TRACK = {
+    "name": "track",
+    "model": {
+        "A": [[1.0, 0.1, 0.005], [0.0, 1.0, 0.1], [0.0, 0.0, 0.9]],
+        "B": [[0.0], [0.1], [0.4]],
+        "C": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.3]],
+        "D": [[0.5], [0.0]],
+        "Q": np.diag([0.0, 1e-4, 1e-2]).tolist(),
+        "R": [[0.4, 0.1], [0.1, 0.3]],
+        "c": [0.1, 0.0, -0.2],
+        "d": [0.0, 0.7],
+        "x0": [1.0, -2.0, 0.0],
+        "P0": np.diag([3.0, 1.0, 0.5]).tolist(),
+    },
+    "faults": {
+        "jump": {
+            "transition": [[0.9, 0.1], [0.3, 0.7]],
+            "modes": [{}, {"Q": np.diag([0.01, 0.1, 1.0]).tolist(), "R": np.eye(2).tolist()}],
+        }
+    },
+    "filter": {"family": "mjls_lmmse", "gain": "stationary"},
+}
+#: The chain above is in mode 1 a quarter of the time, whatever its start.
+MEAN = {"Q": np.diag([0.0025, 0.025075, 0.2575]).tolist(), "R": [[0.55, 0.075], [0.075, 0.475]]}
+
+
+@pytest.mark.parametrize("options", [{}, {"initial": [0.1, 0.9]}, {"arrival": "known"}], ids=str)
+def test_modes_that_differ_in_noise_have_the_constant_gain_of_the_mean_noise(options):
+    more = {"arrival_rate": 0.8} if "arrival" in options else {}
+    filtering = spec_of(TRACK, **options, **more)
+    y, u = record_of(filtering, 80, missing=0.2)
+    found = interpreted(filtering, y, u)
+    expected = interpreted(spec(TRACK["model"] | MEAN, gain="stationary"), y, u)
+    assert max(distance(found[name], expected[name]) for name in KALMAN) < EXACT
+
+
+@pytest.mark.parametrize("detector", ["llr", "nis"])
+def test_a_constant_gain_of_integrators_restarts_from_the_mean_that_inputs_move(detector):
+    options = {"detector": detector, "arrival_rate": 0.5, "lock_out": 2, "reinitialise": True}
+    filtering = spec_of(TRACK, **options)
+    y, u = record_of(filtering, 60, missing=0.1)
+    expected, found = textbook_of(filtering, y, u), interpreted(filtering, y, u)
+    assert (expected.consecutive_rejections == 2).sum() > 1
+    assert_same(found, expected, KALMAN)
+    np.testing.assert_array_equal(found["fault_declared"], expected.fault_declared)

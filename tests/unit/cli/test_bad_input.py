@@ -6,12 +6,15 @@ import errno
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from fkgen.cli import main
+from fkgen.errors import SpecError
+from fkgen.problem import Spec
 from fkgen.study.reports.starters import resource, starter
 
 GOOD = "t_s,voltage,speed_measured\n0,1,0.1\n0.01,1,0.2\n0.02,1,\n"
@@ -60,6 +63,66 @@ def test_a_spec_that_is_not_there(refused, command):
 def test_a_spec_that_is_wrong(refused, folder):
     (folder / "w.toml").write_text(starter("mkf").replace('"mkf"', '"mfk"'), encoding="utf-8")
     assert "w.toml: filter.family: given 'mfk'" in refused("check", "w.toml")
+
+
+PLANT = """name = "plant"
+[parameters]
+a = {default = 0.9, min = 0.0, max = 1.0}
+[model]
+states = [{name = "p"}, {name = "v"}]
+A = [["a", 0.1], [0.0, 0.8]]
+C = [[1.0, 0.0]]
+Q = [[0.2, 0.0], [0.0, 0.1]]
+R = [[0.5]]
+x0 = [0.0, 0.0]
+P0 = [[1.0, 0.0], [0.0, 1.0]]
+[filter]
+family = "kf"
+"""
+JUMPS = PLANT.replace("[filter]", "[faults.jump]\ntransition = [[0.9, 0.1], [0.2, 0.8]]\n[filter]")
+JUMPS = JUMPS.replace('"kf"', '"imm"').replace("[filter]", "modes = [{}, MODE]\n[filter]")
+MODE = "faults.jump.modes[1]"
+#: What a spec says of offsets, noises, gates, gains, times, ranges and modes, and cannot mean.
+MODEL = [
+    (PLANT, "model.S", "x0 =", "S = [[5.0], [0.0]]\nx0 =", "expected what Q and R allow"),
+    (JUMPS, "model.S", "x0 =", "S = [[0.1], [0.0]]\nx0 =", "only the family kf"),
+    (PLANT, "model.c", "x0 =", "c = [1.0]\nx0 =", "given 1 entries; expected a list of 2"),
+    (PLANT, "model.d[0]", "x0 =", "d = [inf]\nx0 =", "given inf; expected a finite number"),
+    (PLANT, "model.time", "x0 =", 'time = "cont"\nx0 =', "one of discrete, continuous"),
+    (PLANT, "model.sample_time", "x0 =", 'time = "continuous"\nx0 =', "beside time = "),
+    (PLANT, "filter.gate", '"kf"', '"kf"\ngate = 1.0', "between 0 and 1, both excluded"),
+    (PLANT, "filter.gate_by", '"kf"', '"kf"\ngate = 0.9\ngate_by = "both"', "one of row, sample"),
+    (
+        PLANT,
+        "filter.gain",
+        '"kf"',
+        '"kf"\ngain = "stationary"',
+        "depends on a; expected constant A",
+    ),
+    (PLANT, "parameters.a.default", "0.9,", "1.5,", "a default in the range, 0.0 to 1.0"),
+    (PLANT, "parameters.a.min", "min = 0.0", "min = 3.0", "above max = 1.0"),
+    (JUMPS, f"{MODE}.states[1]", "MODE", '{states = ["p", "x"]}', "some of the states p, v"),
+    (JUMPS, f"{MODE}.A", "MODE", '{states = ["p"], A = [[1, 0], [0, 1]]}', "has 1 of the states"),
+    (JUMPS, f"{MODE}.S", "MODE", "{S = [[0.1], [0.0]]}", "one of A, B, C, D, Q, R, c, d"),
+]
+
+
+@pytest.mark.parametrize(
+    ("base", "key", "old", "new", "expected"), MODEL, ids=lambda text: text[:9]
+)
+def test_a_model_that_cannot_be_meant_is_refused_alike_from_a_file_a_dict_and_every_command(
+    refused, folder, base, key, old, new, expected
+):
+    text = base.replace(old, new).replace("MODE", "{}")
+    (folder / "w.toml").write_text(text, encoding="utf-8")
+    commands = (["check", "w.toml"], ["generate", "w.toml"], ["run", "w.toml", "good.csv"])
+    (line,) = {refused(*command) for command in commands}
+    assert line.startswith(f"error: w.toml: {key}: given ")
+    assert expected in line
+    with pytest.raises(SpecError) as fault:
+        Spec.from_dict(tomllib.loads(text))
+    assert str(fault.value).replace("<dict>", "w.toml") == line.removeprefix("error: ")
+    assert fault.value.key == key
 
 
 def test_an_unknown_family(refused):

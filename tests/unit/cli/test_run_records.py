@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
+import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
 import fkgen
 from fkgen.cli import main
 from fkgen.study.records import csv_files
+from fkgen.study.records.table import read_table
 
 SPEC = """
 name = "walk"
@@ -60,13 +63,16 @@ def text_of(t, y, separator=";"):
     return "\n".join([separator.join(["Time [ms]", "Speed (m/s)", "GPS height [m]"]), *lines])
 
 
-def gaps_of(silent):
-    """Stretches of samples without a row, one by one."""
-    lengths = [0]
-    for each in silent:
-        lengths.append(lengths[-1] + 1 if each else 0)
-    ends = [a for a, b in zip(lengths, [*lengths[1:], 0], strict=True) if a and not b]
-    return len(ends), max(ends, default=0)
+def gaps_of(times, silent):
+    """Pauses between rows that are well above the usual one, sample by sample."""
+    pauses, last = [], times[0]
+    for time, nothing in zip(times, silent, strict=True):
+        if not nothing:
+            pauses.append(time - last)
+            last = time
+    usual = max(np.median(pauses[1:]), np.median(np.diff(times)))
+    long = [each for each in [*pauses, times[-1] - last] if each > 2.5 * usual]
+    return len(long), max(long)
 
 
 @pytest.mark.parametrize("block", [300, 1 << 22])
@@ -87,11 +93,12 @@ def test_a_record_in_pieces_is_filtered_as_the_whole(folder, monkeypatch, block)
         )
     assert [int(row["Time [ms]"]) for row in table] == t.tolist()
     there = np.isfinite(y)
-    count, longest = gaps_of(~there.any(axis=1))
+    count, longest = gaps_of((t / 1000).tolist(), ~there.any(axis=1))
+    assert count > 5
     rms = np.sqrt(expected.nis[there.any(axis=1)].sum() / there.sum())
     assert result.stderr.splitlines()[-1] == (
         f"summary: log.csv: 900 samples, {there.sum()} of 1800 rows used, {count} gaps (the "
-        f"longest of {longest} samples), 0 refused, 0 rejected, rms of normalised "
+        f"longest of {longest:.6g} s), 0 refused, 0 rejected, rms of normalised "
         f"innovations {rms:.3g} (1 where the model is right)"
     )
 
@@ -106,10 +113,27 @@ def test_what_was_refused_is_counted_and_named_by_its_line(folder):
     assert warning.startswith("warning: log.csv: 2 samples refused, the first in line 4: WALK_")
     assert warning.endswith("held: no time passed there")
     assert (
-        "summary: log.csv: 4 samples, 2 of 8 rows used, 1 gap (the longest of 1 sample), 2 ref"
+        "summary: log.csv: 4 samples, 2 of 8 rows used, 0 gaps, 2 refused (2 of them held), 0 rej"
         in (result.stderr)
     )
     assert len((folder / "out.csv").read_text("utf-8").splitlines()) == 5
+
+
+@pytest.mark.parametrize(
+    ("silent", "told"),
+    [
+        ([3], "0 gaps"),
+        ([3, 4], "1 gap (the longest of 3 samples)"),
+        ([0, 1, 2, 7, 8, 9, 10, 11], "2 gaps (the longest of 5 samples)"),
+        (range(12), "1 gap (the longest of 11 samples)"),
+    ],
+)
+def test_gaps_without_times_are_counted_in_samples(folder, monkeypatch, silent, told):
+    rows = ["," if k in silent else "1,2" for k in range(12)]
+    (folder / "log.csv").write_text("\n".join(["gps,speed", *rows, ""]), encoding="utf-8")
+    for block in (30, 1 << 20):
+        monkeypatch.setattr(csv_files, "BLOCK", block)
+        assert f"rows used, {told}, 0 refused" in run("log.csv").stderr
 
 
 def test_an_error_in_the_last_piece_leaves_nothing(folder, monkeypatch):
@@ -132,12 +156,111 @@ def test_times_with_commas_and_quotes_come_out_as_they_were(folder):
     assert [row["time"] for row in table] == times
 
 
-def test_other_commands_read_records_with_the_same_options(folder):
-    t, y = drawn(60)
-    (folder / "log.csv").write_text(text_of(t, y).replace("GPS height", "gps"), encoding="utf-8")
-    options = ["--record", "log.csv", "--delimiter", ";", "--column", "gps=gps"]
-    result = CliRunner().invoke(main, ["simulate", "walk.toml", *options], prog_name="fkgen")
+OTHERS = {
+    "run": ["run", "walk.toml", "log.csv"],
+    "simulate": ["simulate", "walk.toml", "--record", "log.csv"],
+    "compare": [
+        "compare",
+        "walk.toml",
+        *("--families", "kf", "--runs", "2", "--record", "log.csv"),
+    ],
+    "fault-effect": ["fault-effect", "walk.toml", "--sensor", "gps", "--record", "log.csv"],
+}
+
+
+def command(name, *options):
+    return CliRunner().invoke(main, [*OTHERS[name], *options], prog_name="fkgen")
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_every_command_tells_of_a_record_what_run_tells(folder, name):
+    text = "Stamp;Speed;gps [m];dt\n0,00;1;2;0\n0,10;1;-99;0,1\n0,30;1;2;0,2\n0,40;1;2;0,1\n"
+    (folder / "log.csv").write_text(text, encoding="utf-8")
+    result = command(name, "--time", "stamp", "--missing", "-99")
     assert result.exit_code == 0, result.output
-    table = list(csv.DictReader(io.StringIO(result.stdout)))
-    np.testing.assert_allclose([float(r["dt"]) for r in table[:-1]], np.diff(t) / 1000, rtol=1e-12)
-    np.testing.assert_array_equal([r["gps"] == "" for r in table], np.isnan(y[:, 1]))
+    said = [line for line in result.stderr.splitlines() if not line.startswith("summary")]
+    (warning,) = said
+    assert warning == (
+        "warning: log.csv, line 2, column dt: 0 contradicts the times, which say 0.1 to the next "
+        "sample; the times are used"
+    )
+    assert "contradicts" not in result.stdout
+    if name == "simulate":
+        table = list(csv.DictReader(io.StringIO(result.stdout)))
+        assert [row["Stamp"] for row in table] == ["0,00", "0,10", "0,30", "0,40"]
+        assert next(iter(table[0])) == "Stamp"
+        np.testing.assert_allclose([float(row["dt"]) for row in table], [0.1, 0.2, 0.1, 0.1])
+        assert [row["gps"] == "" for row in table] == [False, True, False, False]
+        (folder / "back.csv").write_text(result.stdout, encoding="utf-8")
+        back = CliRunner().invoke(main, ["run", "walk.toml", "back.csv", "--time", "Stamp"])
+        assert back.exit_code == 0, back.output
+
+
+WRONG = {
+    "a signal without a column": ("t,speed\n0,1\n", [], "no column gps (there are: t, speed)"),
+    "times that go back": ("t,gps,speed\n2,1,1\n1,1,1\n", [], "given 1 after 2; expected times"),
+    "a time that is none": ("t,gps,speed\n0,1,1\nnoon,1,1\n", [], "line 3, column t: given 'no"),
+    "a field that is none": ("t,gps,speed\n0,1,1\n1,x,1\n", [], "line 3, column gps: given 'x'"),
+    "too few fields": ("t,gps,speed\n0,1,1\n1,1\n", [], "line 3: given 2 fields; expected 3"),
+    "a missing parameter": ("gps,speed,dt\n1,1,1\n1,1,\n1,1,1\n", [], "line 3, column dt: given"),
+    "a doubtful number": ("gps,speed\n1,1\n-9999,1\n", [], "expected --missing -9999 if"),
+    "nothing below": ("gps,speed\n", [], "given a header and nothing below it"),
+    "an unknown name": ("gps,speed\n1,1\n", ["--column", "gnss=gps"], "--column: given 'gnss'"),
+    "an unknown heading": ("gps,speed\n1,1\n", ["--column", "gps=GNSS"], "'GNSS', which is no"),
+    "no such time": ("gps,speed\n1,1\n", ["--time", "clock"], "time column: given 'clock', which"),
+    "a wide delimiter": ("gps,speed\n1,1\n", ["--delimiter", "ab"], "--delimiter: given 'ab'"),
+    "a wrong decimal": ("gps,speed\n1,1\n", ["--decimal", "x"], "--decimal: given 'x'"),
+    "no encoding": ("gps,speed\n1,1\n", ["--encoding", "x"], "--encoding: given 'x'"),
+    "negative lines": ("gps,speed\n1,1\n", ["--skip-rows", "-1"], "--skip-rows: given -1"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize(("text", "options", "message"), WRONG.values(), ids=WRONG)
+def test_every_command_refuses_a_record_in_one_line_and_loses_nothing(
+    folder, name, text, options, message
+):
+    (folder / "log.csv").write_text(text, encoding="utf-8")
+    (folder / "out.csv").write_text("precious", encoding="utf-8")
+    here = ["-o", "out.csv", "--force"] if name in {"run", "simulate"} else ["--plot", "new.png"]
+    result = command(name, *options, *here)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+    assert (folder / "out.csv").read_text("utf-8") == "precious"
+    assert sorted(p.name for p in folder.iterdir()) == ["log.csv", "out.csv", "walk.toml"]
+
+
+def of_matlab(path):
+    """The first bytes of a MATLAB file of version 7.3, which is all that is looked at."""
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512, b" ") + b"\x89HDF\r\n\x1a\n")
+
+
+OTHER_FILES = {
+    "log.parquet": (
+        lambda path: pd.DataFrame({"t": [0.0], "gps": [1.0]}).to_parquet(path),
+        "log.parquet: given no column speed (there are: t, gps); expected a column for each of: ",
+    ),
+    "log.mat": (of_matlab, "given a MATLAB file of version 7.3; expected h5py to read it: pip"),
+    "log.npz": (lambda path: np.savez(path, gps=[1.0, 2.0], speed=[1, 2, 3]), "given 2 values; ex"),
+    "none.csv": (lambda path: None, "none.csv: given a path that cannot be read (no such file"),  # noqa: ARG005
+}
+
+
+@pytest.mark.parametrize("name", OTHER_FILES)
+def test_other_files_are_refused_in_one_line_and_nothing_is_lost(folder, monkeypatch, name):
+    write, message = OTHER_FILES[name]
+    write(folder / name)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    before = sorted(p.name for p in folder.iterdir())
+    result = run(name, "-o", "out.csv", "--plot", "out.png", status=2)
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+    assert sorted(p.name for p in folder.iterdir()) == before
+    with pytest.raises(fkgen.DataError) as error:
+        read_table(name, fkgen.load("walk.toml"))
+    assert f"error: {error.value}" == line

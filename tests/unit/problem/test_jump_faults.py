@@ -213,7 +213,15 @@ OPTIONS: list[Case] = [
         {MODES: [{}, {"A": [[1.1, 0], [0, 1]]}]},
         GAIN,
         "radius is 1.1",
-        "radius below 1; use",
+        "radius below 1, or modes that differ in Q and R only",
+    ),
+    (
+        STEADY,
+        {RATE: REMOVED, MODES: [{}], T: [[1.0]], "faults.jump.initial": [1.0]}
+        | {"model.A": [[1.0, 0.1], [0.0, 1.0]], "model.Q": np.zeros((2, 2))},
+        GAIN,
+        "without a stabilising solution",
+        "to be moved by Q; use gain = 'time_varying'",
     ),
 ]
 

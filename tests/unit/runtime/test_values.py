@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 from plants import PARAMETERS, VARYING, built, spec
 
-from fkgen.errors import DataError, FkgenError
+from fkgen.errors import DataError, FkgenError, StepRefused
 
 NAMED = VARYING | {
     "inputs": [{"name": "push"}],
@@ -105,6 +105,11 @@ def test_a_batch_takes_masks_and_frames(expected):
         lambda k: FRAMES["polars"].row(k, named=True),
         lambda k: None if np.isnan(Y[k]).all() else Y[k][:, np.newaxis],
         lambda k: np.ma.masked if np.isnan(Y[k]).all() else Y[k : k + 1],
+        lambda k: tuple(Y[k].tolist()),
+        lambda k: list(Y[k]),
+        lambda k: [int(v) if np.isfinite(v) else v for v in Y[k].tolist()],
+        *(lambda k, kind=kind: Y[k].astype(kind) for kind in ("f8", ">f8", "f4", "f2", "O")),
+        lambda k: np.repeat(Y[k], 2)[::2],
     ],
 )
 def test_a_step_takes_a_row_in_all_these_forms(row, expected):
@@ -113,6 +118,26 @@ def test_a_step_takes_a_row_in_all_these_forms(row, expected):
     for k in range(len(Y)):
         snapshot = found.step(row(k), U[k], {"dt": DT[k]})
         np.testing.assert_array_equal(snapshot.filtered_state, expected.filtered_state[k])
+
+
+@pytest.mark.parametrize("scalar", ["double", "float"])
+def test_a_step_rounds_numbers_as_a_run_does_whatever_holds_them(scalar):
+    y = np.array([[0.1, 1e38], [1.0 + 2.0**-24 + 2.0**-50, 2.0], [1e39, 1.0], [0.3, 0.7]])
+    found = built(spec(NAMED, family="kf", parameters=PARAMETERS, code={"scalar": scalar}))
+    expected = found.run(y, U[:4], {"dt": 0.3})
+    shown = (np.asarray, list, tuple, np.ndarray.tolist, lambda row: np.array([row]))
+    for hold in shown:
+        found.reset()
+        for k, row in enumerate(y):
+            if expected.status[k] < 0:
+                with pytest.raises(StepRefused):
+                    found.step(hold(row), hold(U[k]), {"dt": 0.3})
+                found.predict(hold(U[k]), {"dt": np.float64(0.3)})
+            else:
+                found.step(hold(row), hold(U[k]), {"dt": 0.3})
+            snapshot = found.snapshot()
+            np.testing.assert_array_equal(snapshot.predicted_state, expected.predicted_state[k])
+    assert (expected.status < 0).any() == (scalar == "float")
 
 
 @pytest.mark.parametrize("y", [pd.Series([1.0, None, 2.0]), pl.Series([1.0, None, 2.0])])

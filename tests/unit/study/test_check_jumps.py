@@ -17,6 +17,8 @@ from jump_plants import (
 
 import fkgen
 
+#: Position and velocity undamped; modes differ in Q and R.
+NOISE_ALONE = changed(EXAMPLE_U, modes=[{"A": EXAMPLE_U["model"]["A"]}] * 3)
 ALTERNATING = [[0.0, 1.0, 0.0], [0.5, 0.0, 0.5], [0.0, 1.0, 0.0]]
 
 
@@ -43,7 +45,12 @@ def test_the_numbers_of_example_A():
 
 @pytest.mark.parametrize(
     ("plant", "options"),
-    [(EXAMPLE_A, {"arrival_chain": GILBERT}), (EXAMPLE_B, {}), (EXAMPLE_B, {"arrival_rate": 0.8})],
+    [
+        (EXAMPLE_A, {"arrival_chain": GILBERT}),
+        (EXAMPLE_B, {}),
+        (EXAMPLE_B, {"arrival_rate": 0.8}),
+        (NOISE_ALONE, {}),
+    ],
 )
 def test_rest_is_where_the_filter_comes_to(plant, options):
     values = report(plant, **options).values

@@ -13,6 +13,8 @@ from toolchain import needs_compiler
 
 import fkgen
 from fkgen.backend.execute import Machine
+from fkgen.estimators.gaussian import estimate
+from fkgen.estimators.lmmse import kalman
 from fkgen.study.diagnostics import start
 from fkgen.study.diagnostics.start import Replay
 
@@ -120,3 +122,96 @@ def test_jumping_plants_are_held_to_it_as_well():
     assert finding.severity == "note"
     vague = replace(SPECS["imm_jump"].model, P0=fkgen.problem.Matrix.of(1e12 * np.eye(2)))
     assert found(replace(SPECS["imm_jump"], model=vague))[0].severity in {"warning", "error"}
+
+
+LOST = {"noise_factor": 4.0, "problem": 3, "delta_chain": [[0.8, 0.2], [0.8, 0.2]]}
+
+
+def scalar_plant(family, faults, scalar="double", **model):
+    plant = {"A": [[-0.8]], "C": [[1.0]], "Q": [[1.0]], "R": [[1.0]], "x0": [0.0]} | model
+    table = {"name": "plant", "model": plant, "faults": faults, "filter": {"family": family}}
+    return fkgen.Spec.from_dict(table | {"code": {"scalar": scalar}})
+
+
+def alternating(prior, scalar="double"):
+    """A signal that comes and goes in turn: without Lemma 2, C - V need not be a covariance."""
+    faults = {"sensor": LOST | {"gamma_chain": [[0.1, 0.9], [0.9, 0.1]]}}
+    return scalar_plant("linear_optimal", faults, scalar, P0=[[prior]])
+
+
+@pytest.mark.parametrize(
+    ("spec", "key", "remedy"),
+    [
+        (encoder(1e-8, 1e4), "code.scalar", 'scalar = "double"'),
+        (encoder(1e-10, 1e4), "code.scalar", 'scalar = "double"'),
+        (alternating(100.0), "model.P0", 'filter.form = "augmented"'),
+        (alternating(1e8), "model.P0", 'filter.form = "augmented"'),
+        (alternating(1e8, "float"), "code.scalar", 'filter.form = "augmented"'),
+    ],
+)
+def test_numbers_with_which_the_self_test_is_refused_are_said_where_they_stand(spec, key, remedy):
+    with pytest.raises(fkgen.SpecError, match="of the self-test is refused") as fault:
+        fkgen.build(spec)
+    assert fault.value.key == key
+    assert remedy in fault.value.expected
+    assert "\n" not in str(fault.value)
+    report = fkgen.check(spec)
+    assert not report.sound
+    (finding,) = [f for f in report.findings if "no code can be generated" in f.message]
+    assert remedy in finding.remedy
+    assert fault.value.given.removeprefix("numbers with which, ") in finding.message
+
+
+def test_where_the_self_test_passes_nobody_speaks_of_it():
+    assert fkgen.check(alternating(10.0)).sound
+    assert found(alternating(10.0)) == []
+
+
+#: More digits than there are, in the filter and in what it is held against.
+WITHOUT_DIGITS = {
+    "one_step": (
+        scalar_plant(
+            "one_step",
+            {"sensor": LOST | {"gamma_chain": [[0.6, 0.4], [0.2, 0.8]]}},
+            A=[[1.0, 0.01], [0.0, 1.0]],
+            C=[[-0.31, -1.22], [0.69, -1.33]],
+            Q=[[6.1e-13, -1.06e-12], [-1.06e-12, 2.61e-12]],
+            R=[[1e-9, 0.0], [0.0, 1e-15]],
+            x0=[-1.1e5, -3.4e4],
+            P0=[[1e5, 0.0], [0.0, 1e5]],
+        ),
+        "model.P0",
+    ),
+    "float": (
+        scalar_plant(
+            "dfcf",
+            {"soft": {"host": [0], "window": 4}},
+            "float",
+            C=[[1.0], [0.5]],
+            R=[[1e8, 0.0], [0.0, 1e8]],
+            P0=[[1e2]],
+        ),
+        "code.scalar",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WITHOUT_DIGITS)
+def test_numbers_that_leave_nothing_to_prove_with_are_no_defect_of_the_filter(case):
+    spec, key = WITHOUT_DIGITS[case]
+    with pytest.raises(fkgen.SpecError, match="leave no digits to prove the filter") as fault:
+        fkgen.validate(spec)
+    assert fault.value.key == key
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize("spec", [encoder(1e-2, 1.0), encoder(1e-12, 1e6, "double")])
+def test_a_mistake_in_the_filter_is_its_defect_whatever_the_numbers(monkeypatch, spec):
+    right = estimate.propagate
+
+    def wrong(plant, *others):
+        return right(replace(plant, A=plant.A.T), *others)
+
+    monkeypatch.setattr(kalman, "propagate", wrong)
+    with pytest.raises(fkgen.InternalError, match="joint distribution"):
+        fkgen.validate(spec)

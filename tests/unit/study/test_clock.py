@@ -178,6 +178,8 @@ def test_without_times_a_note_names_the_parameter(write):
         ([0, "", 1], "line 3, column t: given nothing; expected a time: seconds, an epoch"),
         ([0, "nan", 1], "line 3, column t: given nothing"),
         ([0, "inf", 1], "line 3, column t: given inf"),
+        (["1_0", "2_0"], "line 2, column t: given '1_0'; expected a time"),
+        (['"1,000"', '"2,000"'], "line 2, column t: given '1,000'; expected a time"),
         ([0, "noon", 1], "line 3, column t: given 'noon'; expected a time"),
         (["2024-05-01", "01.05.2024"], "line 3, column t: given '01.05.2024'"),
         (["2024-05-01T12:00:00Z", "2024-05-01T12:00:00Z"], "2024-05-01T12:00:00Z after 2024"),
@@ -186,6 +188,23 @@ def test_without_times_a_note_names_the_parameter(write):
 def test_times_that_are_none_name_their_line(write, times, message):
     with pytest.raises(DataError, match=message):
         read_table(write("t", times), spec())
+
+
+@pytest.mark.parametrize("times", [["0,00", "0,25", "1"], ["0,000", "0,250", "1,000"]])
+def test_times_may_have_a_decimal_comma_of_their_own(write, times):
+    quoted = [f'"{time}"' for time in times]
+    table = read_table(write("t", quoted, more=",0.25"), spec())
+    assert table.params["dt"][0] == 0.25
+
+
+def test_times_that_are_not_those_of_a_fixed_sample_time_are_told_once(write):
+    fixed = spec(0.5)
+    assert not read_table(write("t", ["0", "0.6", "0.9", "1.4"]), fixed).warnings
+    path = write("t", ["0", "0.5", "1.0", "1.9", "9"])
+    (warning,) = read_table(path, fixed).warnings
+    assert warning.startswith(f"{path}, line 4, column t: 0.9 s to the next sample; model.sample_")
+    assert "is 0.5 s" in warning
+    assert not read_table(path, spec()).warnings
 
 
 def test_a_piece_and_the_next_of_another_form_are_apart_by_what_they_say():

@@ -227,6 +227,48 @@ def test_files_of_one_name_in_two_folders_are_told_apart():
     assert {row.label for row in rows} == {"one_step (1)", "one_step (2)"}
 
 
+@pytest.mark.parametrize("options", [{"gate": 0.8}, {"gain": "stationary"}], ids=str)
+def test_the_genie_of_a_filter_with_a_gate_or_a_constant_gain_has_neither(options):
+    table = fkgen.load(EXAMPLE_1).to_dict() | {"faults": {}}
+    table["model"] |= {"P0": [[3.0]]}
+    plain, spec = (
+        fkgen.Spec.from_dict(table | {"filter": {"family": "kf"} | each}) for each in ({}, options)
+    )
+    found = fkgen.compare(spec, ["kf"], runs=60, steps=30, skip=0)
+    assert found.genie.rmse == fkgen.compare(plain, ["kf"], runs=60, steps=30, skip=0).genie.rmse
+    assert found.row("kf").relative.value > 1.0
+
+
+@pytest.mark.parametrize("time", [0.1, "dt"])
+def test_the_genie_of_a_continuous_jumping_plant_moves_as_its_trials_do(time):
+    table = {
+        "name": "plant",
+        "parameters": {"dt": 0.1},
+        "model": {
+            "time": "continuous",
+            "sample_time": time,
+            "A": [[0.0, 1.0], [0.0, -0.5]],
+            "C": [[1.0, 0.0]],
+            "Q": [[0.0, 0.0], [0.0, 0.2]],
+            "R": [[0.1]],
+            "c": [0.0, 0.3],
+            "x0": [0.0, 1.0],
+            "P0": [[1.0, 0.0], [0.0, 1.0]],
+        },
+        "faults": {
+            "jump": {
+                "transition": [[0.9, 0.1], [0.2, 0.8]],
+                "modes": [{}, {"A": [[0.0, 1.0], [0.0, -2.0]], "Q": [[0.0, 0.0], [0.0, 2.0]]}],
+            }
+        },
+        "filter": {"family": "mjls_lmmse"},
+    }
+    found = fkgen.compare(fkgen.Spec.from_dict(table), ["mjls_lmmse"], runs=200, steps=60)
+    for row in (found.genie, *found.rows):
+        assert abs(row.nees.value - 1.0) < 4.0 * row.nees.error
+        assert abs(row.nis.value - 1.0) < 4.0 * row.nis.error
+
+
 def test_a_spec_of_the_genie_keeps_its_own_row():
     table = fkgen.load(EXAMPLE_1).to_dict()
     told = fkgen.Spec.from_dict(table | {"filter": {"family": "genie"}})
@@ -292,7 +334,8 @@ def test_the_command_simulates_a_record_that_can_be_filtered(tmp_path):
     )
     assert drawn.exit_code == 0, drawn.output
     lines = record.read_text().splitlines()
-    assert lines[0] == "baro,gps_height,gps_climb,dt,true.height,true.climb,true.offset,gamma,delta"
+    heading = "t_s,baro,gps_height,gps_climb,dt,true.height,true.climb,true.offset,gamma,delta"
+    assert lines[0] == heading
     assert len(lines) == 41
     assert any(",," in line for line in lines)  # the GPS is missing where the record lacks it
     done = runner.invoke(main, ["run", spec, str(record)])

@@ -222,10 +222,32 @@ def test_a_unit_that_is_another_is_said(write):
         ({"columns": ("gqs=a",)}, "--column: given 'gqs'; expected 'gps'"),
         ({"columns": ("gps=gqs",)}, "column of gps: given 'gqs', which is no heading.*'gps'"),
         ({"columns": ("gps=9",)}, "column of gps: given '9', which is no heading"),
-        ({"time": "stamp"}, "--time: given 'stamp'"),
+        ({"time": "stamp"}, "time column: given 'stamp', which"),
         ({"time": "gps"}, "line 3, column gps: given nothing; expected a time"),
     ],
 )
 def test_options_that_mean_nothing_are_refused(write, options, message):
     with pytest.raises(DataError, match=message):
         read_table(checked(Path(write(PLAIN)), **options), SPEC)
+
+
+@pytest.mark.parametrize(("header", "first"), [("x\n", ""), ("x\n", "0;"), ("", "0;")])
+def test_a_decimal_comma_is_none_between_columns(tmp_path, header, first):
+    numbers = ["5432109,87", "5432109", "-0,25"]
+    rows = [f"{first}{number}" for number in numbers]
+    path = tmp_path / "a.csv"
+    path.write_text(f"{first and header and 'n;'}{header}" + "\n".join(rows), encoding="utf-8")
+    renamed = () if header else ("x=2",)
+    one = [[1.0]]
+    model = {"A": one, "C": one, "Q": one, "R": one, "x0": [0.0], "P0": one}
+    table = {"name": "a", "model": model | {"outputs": [{"name": "x"}]}, "filter": {"family": "kf"}}
+    read = read_table(checked(path, columns=renamed), fkgen.Spec.from_dict(table))
+    assert read.y[:, 0].tolist() == [5432109.87, 5432109.0, -0.25]
+
+
+@pytest.mark.parametrize("mark", ["-99,9", "-99.9", "-999e-1"])
+def test_a_mark_that_is_a_number_is_one_in_any_spelling(tmp_path, mark):
+    path = tmp_path / "a.csv"
+    path.write_text("t;gps;speed\n0;0,2;0,3\n0,1;-99,90;0,4\n", encoding="utf-8")
+    read = read_table(checked(path, missing=(mark,)), SPEC)
+    np.testing.assert_array_equal(read.y, [[0.2, 0.3], [NAN, 0.4]])

@@ -10,6 +10,8 @@ import fkgen
 from fkgen.oracle.plants.actuator import LinearSystem
 from fkgen.oracle.textbook.fault_effect import after_pulse, after_step, gains, within_step
 from fkgen.profiles import drift, pulse, step
+from fkgen.study.effects.report import draw
+from fkgen.study.records.table import read_table
 
 SEEDED = [(1, "A"), (2, None), (3, None)]
 
@@ -166,3 +168,24 @@ def smoothed_covariance(system, y, at):
         G = found.filtered[k] @ system.A[k].T @ np.linalg.inv(predicted)
         P = found.filtered[k] + G @ (P - predicted) @ G.T
     return P
+
+
+def test_a_picture_runs_over_the_times_of_the_record(tmp_path):
+    one = [[1.0]]
+    model = {"A": [[0.5]], "C": one, "Q": one, "R": one, "x0": [0.0], "P0": one}
+    spec = fkgen.Spec.from_dict({"name": "a", "model": model, "filter": {"family": "kf"}})
+    path = tmp_path / "r.csv"
+    path.write_text("t [ms],y0\n0,1\n250,1\n1000,1\n1250,1\n", encoding="utf-8")
+    table = read_table(path, spec)
+    effect = fkgen.fault_effect(spec, sensor=[[1.0], [0.0], [0.0], [0.0]])
+    over = effect.settled(0.5)
+    for record, times, label in (
+        (table, [0.0, 0.25, 1.0, 1.25], "time (s)"),
+        (None, [0.0, 1.0, 2.0, 3.0], "sample"),
+    ):
+        axes = draw(spec, effect, over, 1e-3, record).axes
+        assert axes[-1].get_xlabel() == label
+        for axis in axes:
+            assert axis.lines[0].get_xdata().tolist() == times
+        (end,) = (line for line in axes[0].lines if line.get_label() == "over")
+        assert end.get_xdata()[0] == times[int(over[0])]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import fkgen
 from fkgen.study.records.filtering import Selection, run_table
 from fkgen.study.records.record import Table
+from fkgen.study.records.summary import Summary
 from fkgen.study.reports.plots import draw, gaps_of, rendered
 from fkgen.study.reports.starters import starter
 
@@ -152,6 +155,56 @@ def test_rows_that_were_rejected_are_crosses_within_the_panel(drawn):
             names = [text.get_text() for text in axis.get_legend().get_texts()]
             assert ("rejected" in names) == bool(crosses)
     assert rejected
+
+
+@pytest.mark.parametrize("family", ["kf", "mkf"])
+@pytest.mark.parametrize("by", ["row", "sample"])
+def test_what_was_not_used_is_seen_and_counted_alike(family, by):
+    one = [[1.0, 0.0], [0.0, 1.0]]
+    model = {"A": [[1.0, 0.1], [0.0, 1.0]], "C": one, "Q": [[1e-3, 0.0], [0.0, 1e-2]], "R": one}
+    model |= {"x0": [0.0, 0.0], "P0": one}
+    if family == "mkf":
+        model |= {"B": [[0.0], [0.1]]}
+    table = {"name": "a", "model": model, "filter": {"family": family, "gate": 0.9999}}
+    table["filter"] |= {"gate_by": by}
+    if family == "mkf":
+        table["faults"] = {"actuator": {"success_rate": 0.5}}
+    spec = fkgen.Spec.from_dict(table)
+    built = fkgen.build(spec)
+    y = 0.3 * noise(80, 2)
+    y[20:31], y[40, 1], y[50, 0] = np.nan, np.inf, 40.0
+    record = table_of(spec, y, "t")
+    record = replace(record, time=record.time + 100.0 * (record.time > 60))
+    run = run_table(built, record, Selection((), (*PORTS, "rejected")))
+    axes = draw(spec, record, run).axes
+    state, innovation = axes[0], axes[2]
+    lines = {line.get_label(): line for line in state.lines}
+    assert lines["refused"].get_xdata().tolist() == [40.0]
+    present = [k for k in range(80) if k not in range(20, 31) and k != 50]
+    assert lines["measured"].get_xdata().tolist() == record.time[present].tolist()
+    assert lines["measured"].get_ydata().tolist() == y[present, 0].tolist()
+    crosses = [line.get_xdata().tolist() for line in innovation.lines if line.get_marker() == "x"]
+    assert [50.0] in crosses
+    (bar,) = (each for each in innovation.collections if each.get_label().startswith("_"))
+    spans = [path.get_extents().intervalx.tolist() for path in bar.get_paths()]
+    assert spans == [[19.0, 31.0], [60.0, 161.0]]
+    summary = Summary(spec, built)
+    summary.add(record, run)
+    rows = 160 - 22 - 2 - (1 if by == "row" else 2)  # the sample that is refused loses both
+    assert summary.text("r").startswith(
+        f"r: 80 samples, {rows} of 160 rows used, 2 gaps (the longest of 101 s), 1 refused, 1 rej"
+    )
+
+
+def test_a_state_that_no_row_reads_as_it_is_has_no_dots():
+    one = [[1.0, 0.0], [0.0, 1.0]]
+    model = {"A": one, "Q": one, "R": one, "x0": [0.0, 0.0], "P0": one, "d": [0.0, 1.0]}
+    model |= {"C": [[2.0, 0.0], [0.0, 1.0]]}
+    spec = fkgen.Spec.from_dict({"name": "a", "model": model, "filter": {"family": "kf"}})
+    record = table_of(spec, noise(9, 2))
+    run = run_table(fkgen.build(spec), record, Selection((), PORTS))
+    for axis in draw(spec, record, run).axes[:2]:
+        assert "measured" not in [line.get_label() for line in axis.lines]
 
 
 @pytest.mark.parametrize("ending", ["png", "pdf"])

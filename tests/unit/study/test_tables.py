@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import fkgen
 from fkgen.errors import DataError
 from fkgen.study.records.filtering import columns_of, run_table, select, to_csv
+from fkgen.study.records.reading import as_arrow, as_numpy
 from fkgen.study.records.table import read_table
 
 SPEC = fkgen.Spec.from_dict(
@@ -226,3 +231,27 @@ def test_a_hundred_thousand_rows_come_out_as_they_went_in(read, cart, tmp_path):
     assert len(lines) == 100_001
     at = lines[0].split(",").index("filtered_state.position")
     assert float(lines[-1].split(",")[at]) == run.filtered_state[-1, 0]
+
+
+@pytest.mark.parametrize("kind", [bool, np.int32, np.float32, np.float64])
+def test_numbers_go_to_arrow_and_back(kind):
+    values = np.array([[1, 0], [0, 5], [1, 0]], kind)[:, 0]
+    there = as_arrow(values)
+    assert there.to_pylist() == values.tolist()
+    assert there.null_count == 0
+    assert as_arrow(np.array([0.5, np.nan, np.inf], np.float32)).to_pylist() == [0.5, None, np.inf]
+    back = as_numpy(pa.chunked_array([[1.0, None], [2.0]]).combine_chunks())
+    np.testing.assert_array_equal(back, [1.0, np.nan, 2.0])
+    assert as_numpy(there.slice(0, 0).cast(pa.float64())).size == 0
+
+
+def test_pandas_is_not_loaded_for_a_csv_file(tmp_path):
+    (tmp_path / "r.csv").write_text("t,y,more\n0,1,a\n0.1,,b\n", encoding="utf-8")
+    work = (
+        "import sys; from pathlib import Path; from fkgen.study.records.reading import *\n"
+        "from fkgen.study.records.record import opened\n"
+        "(piece,) = opened(checked(Path('r.csv')), ('y',)).pieces((0, 1), (0,))\n"
+        "as_arrow(piece[1])\n"
+        "assert 'pandas' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", work], cwd=tmp_path, check=True)
