@@ -69,28 +69,41 @@ class Machine:
         """Start anew with other numbers than the program's: a constructor, functions, operators."""
         self.real, self.elementary, self.arithmetic = real, elementary, arithmetic
         self.code: dict[int, _Code] = {}
-        initial = dict(self.program.initial)
-        self.ports = {
-            port.name: [self.real(v) for v in initial.get(port.name, (0.0,) * port.size)]
-            for port in self.program.ports
+        self.start({})
+
+    def start(self, parameters: Mapping[str, float]) -> None:
+        """Start from the prior of the spec, with the parameters of sample 0."""
+        program, real, initial = self.program, self.real, dict(self.program.initial)
+        told = self._parameters({**dict(program.parameters), **parameters})
+        prior = {
+            name: [real(v) for v in values]
+            for name, values in zip(("x", "P"), program.prior, strict=True)
         }
-        if self.program.start is not None:
-            prior = zip(("x", "P"), self.program.prior, strict=True)
-            given = {
-                Element(Space.INPUT, name, i): self.real(value)
-                for name, values in prior
+        if program.origin is not None:
+            self._run(program.origin, told, prior, [])
+        self.ports = {
+            port.name: [real(v) for v in initial.get(port.name, (0.0,) * port.size)]
+            if not port.prior
+            else prior[port.prior] * (port.size // len(prior[port.prior]))
+            for port in program.ports
+        }
+        if program.start is not None:
+            given: dict[ir.Operand, Number] = {
+                Element(Space.INPUT, name, i): value
+                for name, values in prior.items()
                 for i, value in enumerate(values)
             }
-            self._run(self.program.start, given, self.ports, [])
+            self._run(program.start, {**told, **given}, self.ports, [])
+
+    def _parameters(self, values: Mapping[str, float]) -> dict[ir.Operand, Number]:
+        return {Element(Space.PARAMETER, name, None): self.real(v) for name, v in values.items()}
 
     def step(
         self, u: Sequence[float], y: Sequence[float], parameters: Mapping[str, float]
     ) -> Status:
         """Update, then predict; a refused sample changes nothing."""
         real, state = self.real, {name: list(values) for name, values in self.ports.items()}
-        given: dict[ir.Operand, Number] = {
-            Element(Space.PARAMETER, name, None): real(v) for name, v in parameters.items()
-        }
+        given = self._parameters(parameters)
         for name, values in (("u", u), ("y", y)):
             given |= {Element(Space.INPUT, name, i): real(v) for i, v in enumerate(values)}
         present = [not np.isnan(v) for v in y]

@@ -359,6 +359,8 @@ class CProgram:
     predict: Phase
     closing: Phase | None = None
     start: Phase | None = None
+    #: Computes x and P of the prior, where they depend on parameters
+    origin: Phase | None = None
     outcomes: tuple[Outcome, ...] = ()
     #: Rows with correlated noises; None where an update after an update is refused
     repeats: tuple[tuple[int, ...], ...] | None = None
@@ -374,9 +376,9 @@ class CProgram:
 
     @property
     def verbs(self) -> dict[str, Phase]:
-        """Update, closing, predict and start by the names of their functions, those there are."""
+        """All phases there are by the names of their functions."""
         phases = {"correct": self.update, "close_window": self.closing, "propagate": self.predict}
-        phases["begin"] = self.start
+        phases |= {"prior": self.origin, "begin": self.start}
         return {verb: phase for verb, phase in phases.items() if phase is not None}
 
     @property

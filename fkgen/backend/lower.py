@@ -23,7 +23,7 @@ from fkgen.problem import Spec
 from fkgen.symbolic import recursion as sym
 from fkgen.symbolic.index import At, Target, Whole, name_of, names_in
 from fkgen.symbolic.interface import Port
-from fkgen.symbolic.ports import PARAMETER, prior_of
+from fkgen.symbolic.ports import PARAMETER, prior_of, prior_ports
 from fkgen.symbolic.validated import Validated
 from fkgen.version import API_VERSION
 
@@ -81,6 +81,8 @@ def lower(recursion: sym.Recursion) -> ir.CProgram:
     if spec.code.ports is not None:
         shown = (*spec.code.ports, *(outcome.port for outcome in recursion.outcomes))
         ports, lowered = selected(ports, lowered, shown)
+    if recursion.prior is not None:
+        lowered["origin"] = lower_phase(prior_ports(model.nx), recursion.prior)
     lowered = {name: without_implied(phase) for name, phase in lowered.items()}
     names, phases = {port.name for port in ports}, list(lowered.values())
     form: tuple[str, ...] = (

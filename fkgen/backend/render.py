@@ -27,6 +27,7 @@ _COMMENTS = {
     "close_window": "At the end of a window",
     "propagate": "Move to k + 1",
     "begin": "Compute what follows from a prior",
+    "prior": "Compute the prior of the spec",
 }
 
 
@@ -76,7 +77,7 @@ def _context(program: CProgram) -> dict[str, object]:
         "numbers": lambda values: [c.literal(0.0 if math.isnan(v) else v) for v in values],
         "starts": starts,
         "tables": {owner: values for values, owner in starts.values()}
-        | dict(zip(("x", "P"), program.prior, strict=True)),
+        | ({} if program.origin else dict(zip(("x", "P"), program.prior, strict=True))),
         "period": dict(zip(("x", "P"), map(len, program.prior), strict=True)),
         "full": lambda port: math.prod(port.shape),
         "initial": dict(program.initial),
@@ -118,11 +119,12 @@ def _bytes(
     """Sizes in bytes: instance, tables of constants, and bounds on the stack of a call."""
     size = BYTES[program.scalar]
     tables = {owner: len(values) for values, owner in starts.values()}
+    prior = 0 if program.origin else sum(map(len, program.prior))
     numbers = [len(row) for each in outlined.routines for row in each.constants]
     stack = stack_of(program, outlined, inlined=program.flops <= INLINED)
     return {
         "instance": instance_of(program),
-        "constants": size * (sum(tables.values()) + sum(map(len, program.prior)) + sum(numbers)),
+        "constants": size * (sum(tables.values()) + prior + sum(numbers)),
         "stack_O0": stack.plain,
         "stack_Os": stack.small,
     }
@@ -149,6 +151,8 @@ def _given(c: Printer, verb: str) -> dict[str, str]:
         given["params"] = f"const {c.name}_params_t *params"
     if verb == "begin":
         return given | {name: f"const {c.real} *{name}" for name in ("x", "P")}
+    if verb == "prior":
+        return given
     if phase.reads_input:
         given["u"] = f"const {c.real} *u"
     if verb == "correct":
@@ -164,9 +168,9 @@ def _phases(c: Printer, phases: Iterable[Phase]) -> list[dict[str, Any]]:
             "comment": _COMMENTS[verb],
             "arguments": ", ".join(
                 [
-                    *([] if verb == "begin" else [f"const {c.name}_t *self"]),
+                    *([] if verb in {"begin", "prior"} else [f"const {c.name}_t *self"]),
                     *_given(c, verb).values(),
-                    f"{c.name}_t *next",
+                    f"{c.name}_{'prior_' if verb == 'prior' else ''}t *next",
                 ]
             ),
             "program": phase,
@@ -224,16 +228,20 @@ def _order(c: Printer) -> dict[str, Any]:
 def _starting(c: Printer, given: Mapping[str, str]) -> dict[str, Any]:
     """What the functions need that start a filter; ``given`` is what computes with the prior."""
     program = c.program
-    first = [f"{c.name}_t *self", *([given["params"]] if "params" in given else [])]
+    own, params = f"{c.name}_t *self", f"const {c.name}_params_t *params"
+    started = [own, *([params] if "params" in given else [])]
+    init = [own, *([params] if "params" in given or program.origin is not None else [])]
     sizes = zip(("x", "P"), map(len, program.prior), strict=True)
     prior = [f"const {c.real} {name}[{size}]" for name, size in sizes]
-    pointers = [text.split("*")[-1].split("[")[0].split()[-1] for text in (*first, *prior)]
+    pointers = [text.split("*")[-1].split("[")[0].split()[-1] for text in (*started, *prior)]
     head = f"{c.name}_status_t {c.name}_"
     return {
-        "init": f"{head}init({', '.join(first)})",
-        "start": f"{head}start({', '.join([*first, *prior])})",
+        "init": f"{head}init({', '.join(init)})",
+        "start": f"{head}start({', '.join([*started, *prior])})",
         "absent_start": combined([f"{pointer} == NULL" for pointer in pointers], "||"),
         "start_reads_params": "params" in given,
+        "init_reads_params": len(init) > 1,
+        "own_prior": program.origin is not None,
         "begins": program.start is not None,
         "computed": program.written(program.start),
     }

@@ -44,7 +44,8 @@ class Model:
     c: Matrix  # c, d: (n, 1) and (p, 1): known offsets of x and of y
     d: Matrix
     S: Matrix  # (n, p): covariance of w[k] with v[k]
-    #: x0, P0: (n, 1) and (n, n): Mean and covariance of the prediction for sample 0; constant
+    #: x0, P0: (n, 1) and (n, n): Mean and covariance of the prediction for sample 0, with its
+    #: parameters
     x0: Matrix
     P0: Matrix
     sample_time: float | str | None  # In seconds, or the parameter that holds it
@@ -120,8 +121,8 @@ def read_model(table: object, place: Place, defaults: Mapping[str, float]) -> Mo
         S=_cross_covariance(section, Q, R),
         c=c,
         d=offset(section, "d", p, "measurement"),
-        x0=_constant(section, "x0", section.column("x0", n, "numbers")),
-        P0=_constant(section, "P0", section.covariance("P0", n, because)),
+        x0=section.column("x0", n, "numbers or expressions"),
+        P0=section.covariance("P0", n, because),
         sample_time=sample_time,
         states=read_signals(section, "states", "x", n),
         inputs=read_signals(section, "inputs", "u", q),
@@ -196,13 +197,6 @@ def _factored(section: Section, factor: str, inner: str, mapped: tuple[int, str]
             raise section.error(factor, given, "the product itself")
         check_finite(expression, section.place.entry(factor), section.defaults)
     return result
-
-
-def _constant(section: Section, key: str, matrix: Matrix) -> Matrix:
-    if not matrix.is_constant:
-        given = f"an entry that depends on {', '.join(sorted(matrix.names))}"
-        raise section.error(key, given, "constants: the start of the filter is fixed")
-    return matrix
 
 
 def _continuous(

@@ -23,7 +23,7 @@ from fkgen.problem.table.place import Place, describe
 from fkgen.problem.table.section import Section, as_table
 from fkgen.problem.text.expression import Expression, Scope
 from fkgen.problem.text.lookup import Table
-from fkgen.problem.text.matrix import expressions
+from fkgen.problem.text.matrix import Matrix, expressions
 
 if TYPE_CHECKING:  # types alone: faults are read by their families
     from fkgen.faults import Faults, Mode
@@ -131,8 +131,15 @@ class Spec:
 
     @property
     def expressions(self) -> Iterator[Expression]:
-        """Every entry of the plants and of what is said about faults."""
-        return expressions((self.plants, self.faults))
+        """Every entry of the plants and of what is said about faults, the start left out."""
+        none, jump = Matrix(()), self.faults.jump
+        plants = (replace(self.model, x0=none, P0=none),) if jump is None else jump.modes
+        return expressions((plants, self.faults.lasting))
+
+    @property
+    def start_expressions(self) -> Iterator[Expression]:
+        """Every entry of what sample 0 begins with."""
+        return expressions((self.model.x0, self.model.P0, self.faults.firsts))
 
     @property
     def period(self) -> float | None:

@@ -26,7 +26,8 @@ class Layout:
     outputs: tuple[str, ...]
     parameters: tuple[tuple[str, float], ...]  # Run-time parameters with their defaults
     ports: tuple[Port, ...]  # Members of the C instance, in order
-    prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed
+    prior: tuple[tuple[float, ...], tuple[float, ...]]  # x0, and P0 packed, at the defaults
+    own_prior: bool  # They depend on parameters, and C computes them
     groups: int  # Of rows with correlated noises, one more member for each
     flops: int  # Operations per step
     claims: tuple[str, ...]  # What was proved before the code was generated
@@ -85,4 +86,5 @@ def layout_of(program: CProgram, claims: tuple[str, ...]) -> Layout:
     facts["spec"] = program.digest
     for key in ("states", "inputs", "outputs"):
         facts[key] = tuple(signal.name for signal in getattr(program, key))
-    return Layout(claims=claims, groups=len(program.repeats or ()), **facts)
+    groups, own = len(program.repeats or ()), program.origin is not None
+    return Layout(claims=claims, groups=groups, own_prior=own, **facts)

@@ -55,10 +55,13 @@ class Interpreter:
         ]
         self.reset()
 
-    def reset(self) -> None:
-        """Return to the prediction for sample 0."""
+    def reset(self, parameters: Mapping[str, float] | None = None) -> None:
+        """Return to the prediction for sample 0, which may have other parameters than defaults."""
+        start = dict(self.recursion.initial)
+        if parameters:
+            start |= self.recursion.begun(self.recursion.spec.defaults | dict(parameters))
         self.values: dict[str, Array] = {
-            port.name: np.array(self.recursion.initial.get(port.name, np.zeros(port.size)), float)
+            port.name: np.array(start.get(port.name, np.zeros(port.size)), float)
             for port in self.recursion.ports
         }
 

@@ -23,7 +23,9 @@ from fkgen.problem.table.place import Place, suggestion
 from fkgen.symbolic.domain import demands
 from fkgen.symbolic.index import At, Index, Target, Whole, name_of
 from fkgen.symbolic.interface import Kind, Outcome, Port, Status, triangle
-from fkgen.symbolic.ports import PARAMETER, prior_of
+from fkgen.symbolic.linalg import column, pack
+from fkgen.symbolic.plant import lift
+from fkgen.symbolic.ports import PARAMETER, prior_of, prior_symbols
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,28 +166,25 @@ class Recursion:
     repeats: tuple[tuple[int, ...], ...] | None = None
     #: Writes start values that are computed from the prior, its mean ``x`` and covariance ``P``
     start: Phase | None = None
-    #: Start values in place of those that ports have; complete once this is made
+    #: Writes this prior where that of the spec depends on parameters
+    prior: Phase | None = field(init=False, default=None)
+    #: Start values in place of those that ports have; complete once this is made, with the default
+    #: parameters
     initial: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        prior = dict(zip(("x", "P"), prior_of(self.spec), strict=True))
-        starts = {
-            port.name: prior[port.prior] * (port.size // len(prior[port.prior]))
-            if port.prior
-            else port.start
-            for port in self.ports
-            if port.prior or port.start
-        }
-        computed = {} if self.start is None else _evaluated(self.start, prior)
-        object.__setattr__(self, "initial", {**starts, **computed, **self.initial})
+        starts = {port.name: port.start for port in self.ports if port.start}
+        object.__setattr__(self, "prior", _prior(self.spec, self.update.symbols))
+        begun = self.begun(self.spec.defaults)
+        object.__setattr__(self, "initial", {**starts, **begun, **self.initial})
         bounded = all(_is_bounded(getattr(plant, x)) for plant in self.spec.plants for x in "QR")
         for name in ("update", "predict", "closing", "start"):
             phase = getattr(self, name)
             if phase is not None:
                 sound = _guarded(phase, self.ports, bounded=bounded)
+                if name != "closing":
+                    sound = _within_domain(self.spec, sound, starting=name == "start")
                 object.__setattr__(self, name, sound)
-        for name in ("update", "predict"):
-            object.__setattr__(self, name, _within_domain(self.spec, getattr(self, name)))
         names = [port.name for port in self.ports]
         for i, name in enumerate(self.spec.code.ports or ()):
             if name not in names:
@@ -199,6 +198,16 @@ class Recursion:
         closing = () if self.closing is None else (self.closing,)
         return self.update, *closing, self.predict
 
+    def begun(self, parameters: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
+        """Start values that follow from the prior, and from the parameters of sample 0."""
+        given = {PARAMETER + name: (float(value),) for name, value in parameters.items()}
+        prior = dict(zip(("x", "P"), prior_of(self.spec), strict=True))
+        if self.prior is not None:
+            prior = _evaluated(self.prior, given)
+        copied = {port.name: prior[port.prior] for port in self.ports if port.prior}
+        copied = {name: v * (self.port(name).size // len(v)) for name, v in copied.items()}
+        return copied | ({} if self.start is None else _evaluated(self.start, given | prior))
+
     def port(self, name: str) -> Port:
         """Return the port of this name; KeyError if there is none."""
         return {port.name: port for port in self.ports}[name]
@@ -208,12 +217,19 @@ class Recursion:
 _DOMAIN = "run-time parameters in their range"
 
 
-def _within_domain(spec: Spec, phase: Phase) -> Phase:
-    """The phase, which refuses first of all what the spec has no meaning for."""
+def _within_domain(spec: Spec, phase: Phase, *, starting: bool = False) -> Phase:
+    """The phase, which refuses first of all what the spec has no meaning for.
+
+    A start that no parameter decides has a meaning always.
+    """
     names = [item.name for item in spec.parameters if PARAMETER + item.name in phase.symbols]
+    read = {name for block in phase.blocks for name in block.reads}
     if len(names) < len(spec.parameters) or phase.blocks[0].title == _DOMAIN:
         return phase
-    found = demands(spec, {name: phase.symbols[PARAMETER + name] for name in names})
+    if starting and not any(PARAMETER + name in read for name in names):
+        return phase
+    parameters = {name: phase.symbols[PARAMETER + name] for name in names}
+    found = demands(spec, parameters, starting=starting)
     if not found:
         return phase
     status = Status.PARAMETER_OUT_OF_RANGE
@@ -221,6 +237,30 @@ def _within_domain(spec: Spec, phase: Phase) -> Phase:
     used = {each.name() for guard in guards for each in ca.symvar(guard.values)}
     reads = tuple(sorted(PARAMETER + name for name in used))
     return replace(phase, blocks=(Block(_DOMAIN, {}, None, guards, reads), *phase.blocks))
+
+
+def _prior(spec: Spec, symbols: Mapping[Target, ca.SX]) -> Phase | None:
+    """x0 and P0 where they depend on parameters."""
+    model = spec.model
+    if model.x0.is_constant and model.P0.is_constant:
+        return None
+    parameters = {item.name: symbols[PARAMETER + item.name] for item in spec.parameters}
+    x, P = ca.densify(lift(model.x0, parameters)), lift(model.P0, parameters)
+    variances = [P[i, i] for i in range(model.nx) if not P[i, i].is_constant()]
+    assign: dict[Target, ca.SX] = {"x": x, "P": pack(P)}
+    guards = [Guard(column(variances), Kind.NONNEGATIVE, Status.PARAMETER_OUT_OF_RANGE)]
+    every = [each for values in assign.values() for each in ca.vertsplit(values)]
+    computed = [each for each in every if not (each.is_constant() or each.is_leaf())]
+    guards += [Guard(column(computed), Kind.FINITE, Status.RESULT_NOT_FINITE)]
+    guards = [guard for guard in guards if guard.values.numel()]
+    used = {each.name() for value in assign.values() for each in ca.symvar(value)}
+    reads = tuple(sorted(PARAMETER + name for name in used))
+    block = Block("mean and covariance of the prior", assign, None, tuple(guards), reads)
+    names = (PARAMETER + item.name for item in spec.parameters)
+    own: dict[Target, ca.SX] = {name: symbols[name] for name in names}
+    own.update(prior_symbols(model.nx))
+    phase = Phase((block,), (), own)
+    return _within_domain(spec, phase, starting=True)
 
 
 def _evaluated(

@@ -130,5 +130,6 @@ def sampler(spec: Spec) -> CompiledSampler:
         compile_shared(compiler, text, folder / cache.LIBRARY, statements=source.operations)
         (folder / cache.LAYOUT).write_text(source.facts, encoding="utf-8")
 
-    key = cache.key_of("sampler", cache.own_digest(), spec.canonical(), compiler.identity)
+    laws = repr(spec.faults) if spec.faults.law_names else ""  # with their numbers at sample 0
+    key = cache.key_of("sampler", cache.own_digest(), spec.canonical(), laws, compiler.identity)
     return CompiledSampler(cache.find(key) or cache.store(key, fill))

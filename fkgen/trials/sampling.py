@@ -26,19 +26,25 @@ from fkgen.symbolic.builder import PhaseBuilder
 from fkgen.symbolic.domain import demands
 from fkgen.symbolic.interface import Kind, Port, Role, Status
 from fkgen.symbolic.linalg import column, is_zero, sparse
-from fkgen.symbolic.plant import Plant, mode_plants, plant_of
+from fkgen.symbolic.plant import Plant, lift_expression, mode_plants, plant_of
 from fkgen.symbolic.ports import PARAMETER
 from fkgen.trials import random_numbers
-from fkgen.trials.conditions import Conditions, conditions_of, probabilities_of
+from fkgen.trials.conditions import (
+    Conditions,
+    conditions_of,
+    moving_kernel,
+    probabilities_of,
+)
 from fkgen.version import __version__
 
 #: What a phase reads besides parameters; none of it is kept by the sampler.
-_INPUTS = ("x", "u", "w", "v", "coin", "indicator", "hypothesis")
+_INPUTS = ("x", "u", "w", "v", "coin", "indicator", "hypothesis", "before")
 #: What phases write.
 _WRITTEN = {
     "state": "x[k]",
     "measurement": "y[k]",
     "threshold": "probabilities at which coins fall, summed up",
+    "chain": "probabilities of the next condition after each, summed up",
 }
 _NORMAL = {Operator.LOG, Operator.SQRT}  # what normal numbers need
 _NEGLIGIBLE = 1e-14  # a pivot below this share of its diagonal entry is the rounding of a zero
@@ -122,19 +128,20 @@ def _phases(
     return ports, {
         ("start", "x[0]"): _start(spec, symbols),
         ("law", "probabilities of coins, summed up"): _law(spec, plants[0], conditions, symbols),
-        ("measure", "y[k]"): _sample(plants, conditions, symbols, "measurement"),
-        ("move", "x[k+1]"): _sample(plants, conditions, symbols, "state"),
+        ("measure", "y[k]"): _sample(spec, plants, conditions, symbols, "measurement"),
+        ("move", "x[k+1]"): _sample(spec, plants, conditions, symbols, "state"),
     }
 
 
 def _symbols(spec: Spec, plant: Plant, conditions: Conditions) -> dict[str, ca.SX]:
     n, p = plant.nx, plant.ny
     numbers = len(conditions.indicators[0]) if conditions.indicators else 0
-    sizes = (n, plant.nu, n, p, conditions.coins, numbers, len(conditions.prior))
-    written = (n, p, sum(len(draw.patterns) - 1 for draw in conditions.draws))
+    named, count = {item.name for item in spec.stated_parameters}, len(conditions.initial)
+    sizes = (n, plant.nu, n, p, conditions.coins, numbers, len(conditions.prior), len(named))
+    thresholds = sum(len(draw.patterns) - 1 for draw in conditions.draws)
+    written = (n, p, thresholds, count * (count - 1) if conditions.moving else 0)
     names = zip((*_INPUTS, *_WRITTEN), (*sizes, *written), strict=True)
     symbols = {name: ca.SX.sym(name, size) for name, size in names}
-    named = {item.name for item in spec.stated_parameters}
     return symbols | {PARAMETER + k: s for k, s in plant.parameters.items() if k in named}
 
 
@@ -161,14 +168,33 @@ def _law(
         thresholds += sums
     if thresholds:
         builder.assign({"threshold": column(thresholds)})
+    if conditions.moving:
+        names = [item.name for item in spec.stated_parameters]
+        before = dict(zip(names, ca.vertsplit(symbols["before"]), strict=True))
+        kernel = moving_kernel(spec, before, plant.parameters)
+        rows = [list(accumulate(ca.horzsplit(row))) for row in ca.vertsplit(kernel)]
+        builder.assign({"chain": column([each / row[-1] for row in rows for each in row[:-1]])})
     return builder.phase()
 
 
+def _root_factor(spec: Spec, plant: Plant) -> ca.SX | None:
+    """How much larger the noise of a faulty row is, where that depends on parameters."""
+    faults = spec.faults.sensor
+    if faults is None or faults.factor is None:
+        return None
+    return ca.sqrt(lift_expression(faults.factor, plant.parameters))
+
+
 def _sample(
-    plants: tuple[Plant, ...], conditions: Conditions, symbols: Mapping[str, ca.SX], port: str
+    spec: Spec,
+    plants: tuple[Plant, ...],
+    conditions: Conditions,
+    symbols: Mapping[str, ca.SX],
+    port: str,
 ) -> recursion.Phase:
     """y[k] = s (C x + D u + d) + f root(R) v, or x[k+1] = A x + B u + c + root(Q) w."""
     builder, indicator = PhaseBuilder(symbols), symbols["indicator"]
+    root_factor = _root_factor(spec, plants[0])
     if conditions.entering and port == "state":
         indicator = indicator[-conditions.plants :]
     letters, noise = ("CDRd", "v") if port == "measurement" else ("ABQc", "w")
@@ -186,6 +212,8 @@ def _sample(
         signal, deviation = ca.SX.ones(plants[0].ny), ca.SX.ones(plants[0].ny)
         for row in conditions.rows:
             signal[row], deviation[row] = ca.vertsplit(indicator[conditions.plants :][:2])
+            if root_factor is not None:
+                deviation[row] = 1 + deviation[row] * (root_factor - 1)
         value = signal * (value + offset) + deviation * added
     else:
         if shared.nnz():  # w given v, which y[k] was drawn with

@@ -60,7 +60,7 @@ def update_form(spec: Spec, plant: Plant, *, augmented: bool) -> Form:
 def prior_to_noise(spec: Spec) -> float:
     """Largest ratio of state to noise variance over the rows of y: what a short update loses."""
     plants = (spec.model,) if spec.faults.jump is None else spec.faults.jump.modes
-    P0, ratios = spec.model.P0.values(), [0.0]
+    P0, ratios = spec.model.P0.values(spec.defaults), [0.0]
     for plant in plants:
         C, Q, R = (getattr(plant, letter).values(spec.defaults) for letter in "CQR")
         for prior, noise in zip(np.diag(C @ (P0 + Q) @ C.T), np.diag(R), strict=True):
